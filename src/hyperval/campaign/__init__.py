@@ -1,0 +1,1 @@
+"""Schema, plan, run, gate and provenance of a campaign."""

@@ -1,0 +1,175 @@
+"""Configuration files: strict YAML into frozen pydantic models, errors with file and line."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from hyperval.errors import InputError, UsageError
+
+MAX_BYTES = 1 << 20
+MAX_DEPTH = 32
+MAX_NODES = 100_000
+
+
+class Model(BaseModel):
+    """Base of every configuration model: unknown keys, NaN and infinity are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+M = TypeVar("M", bound=BaseModel)
+Location = tuple[str | int, ...]
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.2 core scalars only: no dates, no octals, no sexagesimals, no yes/no, no underscores."""
+
+
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in (
+    ("tag:yaml.org,2002:bool", r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF"),
+    ("tag:yaml.org,2002:int", r"^[-+]?(?:0|[1-9][0-9]*)$", "-+0123456789"),
+    (
+        "tag:yaml.org,2002:float",
+        r"^[-+]?(?:(?:\.[0-9]+|(?:0|[1-9][0-9]*)\.[0-9]*)(?:[eE][-+]?[0-9]+)?|[1-9][0-9]*[eE][-+]?[0-9]+)$|^[-+]?\.(?:inf|Inf|INF)$|^\.(?:nan|NaN|NAN)$",
+        "-+.0123456789",
+    ),
+    ("tag:yaml.org,2002:null", r"^(?:~|null|Null|NULL|)$", "~nN\0"),
+):
+    _Loader.add_implicit_resolver(
+        _tag, re.compile(_pattern), list(_first) + ([""] if _tag.endswith("null") else [])
+    )
+
+
+def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
+    """Read a YAML file strictly.
+
+    Returns the plain data and the line number (1-based) of every key and list item.
+
+    Raises
+    ------
+    InputError : no such file, or it cannot be read.
+    UsageError : not UTF-8, too large, too deep, duplicate keys, anchors, tags, or a syntax error.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise UsageError(f"larger than {MAX_BYTES} bytes", where=str(path), expected="a hand-written YAML file")
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError as error:
+        raise InputError("no such file", where=str(path)) from error
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise UsageError("not UTF-8 text", where=str(path), expected="a YAML file in UTF-8") from error
+    return parse_yaml(text, str(path))
+
+
+def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int]]:
+    """Parse YAML text by the rules of :func:`load_yaml`; ``name`` stands for the file in messages."""
+    try:
+        for event in yaml.parse(text, Loader=_Loader):
+            if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+                raise UsageError("anchors and aliases are not allowed", where=f"{name}:{event.start_mark.line + 1}")
+            tag = getattr(event, "tag", None)
+            if tag and tag != "!":
+                raise UsageError(f"the tag {tag!r} is not allowed", where=f"{name}:{event.start_mark.line + 1}")
+        root = yaml.compose(text, Loader=_Loader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"{name}:{mark.line + 1}" if mark else name
+        raise UsageError(f"not valid YAML: {getattr(error, 'problem', error)}", where=where) from error
+    except RecursionError as error:
+        raise UsageError(f"nested deeper than {MAX_DEPTH} levels", where=name) from error
+    if root is None:
+        raise UsageError("the file is empty", where=name)
+    lines: dict[Location, int] = {}
+    data = _construct(root, (), lines, name, [0])
+    return data, lines
+
+
+def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: str, count: list[int]) -> Any:
+    count[0] += 1
+    if len(at) > MAX_DEPTH or count[0] > MAX_NODES:
+        raise UsageError("too deep or too many entries", where=f"{name}:{node.start_mark.line + 1}")
+    lines.setdefault(at, node.start_mark.line + 1)
+    if isinstance(node, yaml.MappingNode):
+        out: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise UsageError("keys must be plain words", where=f"{name}:{line}")
+            key = str(key_node.value)
+            if key in out:
+                raise UsageError(
+                    f"the key {key!r} stands twice (first on line {lines[(*at, key)]})",
+                    where=f"{name}:{line}",
+                )
+            lines[(*at, key)] = line
+            out[key] = _construct(value_node, (*at, key), lines, name, count)
+        return out
+    if isinstance(node, yaml.SequenceNode):
+        return [_construct(item, (*at, i), lines, name, count) for i, item in enumerate(node.value)]
+    value = node.value
+    if node.tag.endswith(":bool"):
+        return value.lower() == "true"
+    if node.tag.endswith(":int"):
+        return int(value)
+    if node.tag.endswith(":float"):
+        return float(value.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    if node.tag.endswith(":null"):
+        return None
+    return value
+
+
+def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -> M:
+    """Turn plain data into ``model``; every mistake is listed with its file and line at once."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        found = []
+        for item in error.errors(include_url=False):
+            # Locations of unions carry the name of the tried member, which is no key of the file.
+            at: Location = ()
+            for part in item["loc"]:
+                if (*at, part) in lines:
+                    at = (*at, part)
+            line = lines.get(at, 1)
+            key = ".".join(str(p) for p in item["loc"])
+            text = item["msg"]
+            if item["type"] == "extra_forbidden":
+                near = difflib.get_close_matches(str(item["loc"][-1]), _keys_of(model), n=1)
+                text = "unknown key" + (f"; did you mean {near[0]!r}?" if near else "")
+            found.append((line, f"{name}:{line}: {key}: {text}"))
+        found.sort()
+        first, *rest = [text for _, text in found]
+        raise UsageError("\n  ".join([first, *rest])) from error
+
+
+def load_model(model: type[M], path: Path) -> M:
+    """Read ``path`` as strict YAML and validate it as ``model``."""
+    data, lines = load_yaml(path)
+    return validate(model, data, lines, str(path))
+
+
+def _keys_of(model: type[BaseModel], seen: frozenset[type] = frozenset()) -> list[str]:
+    """Every key that occurs in ``model`` or in the models it holds: candidates for "did you mean"."""
+    keys: list[str] = []
+    for name, info in model.model_fields.items():
+        keys.append(info.alias or name)
+        for inner in _models_in(info.annotation):
+            if inner not in seen:
+                keys += _keys_of(inner, seen | {inner})
+    return keys
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for part in getattr(annotation, "__args__", ()) for m in _models_in(part)]

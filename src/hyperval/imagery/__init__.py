@@ -1,0 +1,1 @@
+"""Cubes, regions of interest and truth."""

@@ -1,0 +1,1 @@
+"""Figures, HTML, CSV, JSON, JUnit and NetCDF: views of one results table."""

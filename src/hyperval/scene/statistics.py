@@ -1,0 +1,71 @@
+"""Second-order statistics of a surface class: what scene, imagery and simulation exchange."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ClassStatistics:
+    """Mean and covariance of one surface class, in reflectance or in radiance.
+
+    Attributes
+    ----------
+    name : class name
+    axis : the bands
+    mean : (B,) mean
+    covariance : (B, B) pixel-to-pixel covariance, symmetric, positive semi-definite
+    n : number of samples behind it, None when it is a definition rather than an estimate
+    source : where the numbers come from, in words
+    tail_dof : degrees of freedom of a multivariate t (nu > 2), None for Gaussian
+    """
+
+    name: str
+    axis: SpectralAxis
+    mean: Array
+    covariance: Array
+    n: int | None = None
+    source: str = ""
+    tail_dof: float | None = None
+
+    def __post_init__(self) -> None:
+        mean = np.asarray(self.mean, dtype=float)
+        cov = np.asarray(self.covariance, dtype=float)
+        bands = len(self.axis)
+        if mean.shape != (bands,) or cov.shape != (bands, bands):
+            raise UsageError(
+                f"class {self.name!r}: mean {mean.shape} and covariance {cov.shape} do not fit {bands} bands"
+            )
+        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(cov))):
+            raise UsageError(f"class {self.name!r}: mean and covariance must be finite")
+        scale = float(np.max(np.abs(cov))) or 1.0
+        if float(np.max(np.abs(cov - cov.T))) > 1e-9 * scale:
+            raise UsageError(f"class {self.name!r}: the covariance is not symmetric")
+        if float(np.linalg.eigvalsh(cov)[0]) < -1e-9 * scale * bands:
+            raise UsageError(f"class {self.name!r}: the covariance is not positive semi-definite")
+        if self.tail_dof is not None and not self.tail_dof > 2:
+            raise UsageError(f"class {self.name!r}: tail_dof must exceed 2, got {self.tail_dof:g}")
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "covariance", cov)
+
+    def select(self, keep: npt.NDArray[Any]) -> ClassStatistics:
+        """The statistics of the bands that ``keep`` (mask or indices) names."""
+        index = np.arange(len(self.axis))[keep]
+        return ClassStatistics(
+            self.name,
+            self.axis.select(index),
+            self.mean[index],
+            self.covariance[np.ix_(index, index)],
+            self.n,
+            self.source,
+            self.tail_dof,
+        )

@@ -1,0 +1,1 @@
+"""Sensor specification, response and noise (3.13-3.20)."""

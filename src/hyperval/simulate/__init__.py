@@ -1,0 +1,1 @@
+"""Pixel-level scene generator, independent of the analytical model."""

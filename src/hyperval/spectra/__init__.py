@@ -1,0 +1,1 @@
+"""Spectral axis, band responses, windows, and readers of field spectra and libraries."""

@@ -1,0 +1,73 @@
+"""The only unit conversions of the project.
+
+Internal units: wavelength nm, radiance uW cm-2 sr-1 nm-1, irradiance uW cm-2 nm-1,
+reflectance as a fraction 0-1, angles in degrees at the interfaces.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+
+Array = npt.NDArray[np.float64]
+
+RADIANCE_UNIT = "uW cm-2 sr-1 nm-1"
+IRRADIANCE_UNIT = "uW cm-2 nm-1"
+
+_WAVELENGTH_TO_NM = {
+    "nm": 1.0, "nanometer": 1.0, "nanometers": 1.0, "nanometre": 1.0, "nanometres": 1.0,
+    "um": 1e3, "µm": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3,
+    "micrometer": 1e3, "micrometers": 1e3, "micrometre": 1e3, "micrometres": 1e3,
+}  # fmt: skip
+
+# What one of the named unit is in uW cm-2 sr-1 nm-1.
+_RADIANCE_TO_INTERNAL = {
+    "uW cm-2 sr-1 nm-1": 1.0,
+    "mW cm-2 sr-1 um-1": 1.0,
+    "W m-2 sr-1 um-1": 0.1,
+    "W m-2 sr-1 nm-1": 100.0,
+    "mW m-2 sr-1 nm-1": 0.1,
+    "W cm-2 sr-1 nm-1": 1e6,
+    "W cm-2 sr-1 um-1": 1e3,
+}
+
+# What one of the named unit is in uW cm-2 nm-1.
+_IRRADIANCE_TO_INTERNAL = {
+    "uW cm-2 nm-1": 1.0,
+    "W m-2 um-1": 0.1,
+    "W m-2 nm-1": 100.0,
+    "mW m-2 nm-1": 0.1,
+}
+
+
+def wavelength_to_nm(unit: str) -> float:
+    """Factor that turns a wavelength in ``unit`` into nm; raises UsageError for an unknown unit."""
+    return _factor(_WAVELENGTH_TO_NM, unit.strip().lower(), "wavelength")
+
+
+def radiance_to_internal(unit: str) -> float:
+    """Factor that turns a spectral radiance in ``unit`` into uW cm-2 sr-1 nm-1."""
+    return _factor(_RADIANCE_TO_INTERNAL, unit, "radiance")
+
+
+def irradiance_to_internal(unit: str) -> float:
+    """Factor that turns a spectral irradiance in ``unit`` into uW cm-2 nm-1."""
+    return _factor(_IRRADIANCE_TO_INTERNAL, unit, "irradiance")
+
+
+def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_cm: npt.ArrayLike) -> Array:
+    """Radiance per wavelength [uW cm-2 sr-1 nm-1] from W cm-2 sr-1 / cm-1.
+
+    L_lambda = L_nu nu^2 W m-2 sr-1 um-1 with nu in cm-1 (|d nu / d lambda| = nu^2), before any
+    band response is applied.
+    """
+    nu = np.asarray(wavenumber_cm, dtype=float)
+    return np.asarray(radiance_per_wavenumber, dtype=float) * nu**2 * _RADIANCE_TO_INTERNAL["W m-2 sr-1 um-1"]
+
+
+def _factor(table: dict[str, float], unit: str, quantity: str) -> float:
+    if unit not in table:
+        raise UsageError(f"unknown {quantity} unit {unit!r}", expected="one of " + ", ".join(table))
+    return table[unit]
