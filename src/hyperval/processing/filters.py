@@ -1,0 +1,163 @@
+"""Linear detectors: one function of weights for the model and for pixels (3.22-3.25).
+
+The names collide in the literature.  The source of the equations calls the filter of 3.22-3.25
+"CEM" although it removes the background mean and uses the background covariance; most of the
+field calls that the normalised (unit-response) matched filter and keeps CEM for the form with the
+correlation matrix and no mean removal (Harsanyi 1993).  Both are here, under both names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from hyperval.errors import UsageError
+
+Array = npt.NDArray[np.float64]
+
+# Beyond this the float64 solve keeps fewer than about three correct digits.
+MAX_CONDITION = 1e13
+
+
+@dataclass(frozen=True)
+class LinearFilter:
+    """A linear detector: score = weights . x - offset.
+
+    Attributes
+    ----------
+    weights : (B,) per unit of the data
+    offset : what is subtracted from weights . x [1]; the score of the background mean is 0 for the
+        matched filter, the offset is 0 for the correlation reading
+    condition : 2-norm condition number of the matrix that was inverted, after scaling to unit diagonal
+    """
+
+    weights: Array
+    offset: float
+    condition: float = float("nan")
+
+    def score(self, x: npt.ArrayLike) -> Array:
+        """Scores (...) of pixels (..., B)."""
+        return np.asarray(np.asarray(x, dtype=float) @ self.weights - self.offset)
+
+    def variance(self, covariance: npt.ArrayLike) -> float:
+        """Variance of the score of pixels with covariance (B, B): w Sigma w^T (3.28, 3.29)."""
+        return float(self.weights @ np.asarray(covariance, dtype=float) @ self.weights)
+
+
+def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayLike) -> LinearFilter:
+    """Unit-response matched filter, the "CEM" of the source (3.22-3.25).
+
+    w = Sigma^-1 d / (d^T Sigma^-1 d) with d = target - mean, score = w (x - mean): the score is 1 at
+    ``target``, 0 at ``mean``, and f at the mixture f target + (1 - f) mean.
+
+    Parameters
+    ----------
+    target : (B,) spectrum that is looked for
+    mean : (B,) background mean
+    covariance : (B, B) background covariance
+
+    Raises
+    ------
+    UsageError : sizes differ, the covariance is singular or not positive definite, or the target is
+        the background mean.
+    """
+    t, mu, cov = _checked(target, mean, covariance)
+    d = t - mu  # (3.22)
+    if not np.any(d):
+        raise UsageError("the target spectrum equals the background mean: no filter can tell them apart")
+    solved, condition = solve_positive_definite(cov, d)
+    w = solved / (d @ solved)  # (3.23)-(3.25)
+    return LinearFilter(w, float(w @ mu), condition)
+
+
+def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayLike) -> LinearFilter:
+    """Constrained energy minimisation with the correlation matrix and no mean removal (variant of 3.22-3.25).
+
+    w = R^-1 t / (t^T R^-1 t) with R = covariance + mean mean^T, score = w x.  Of all filters with
+    score 1 at ``target`` it has the least mean square score over the background.
+
+    Parameters and errors as :func:`matched_filter_weights`.
+    """
+    t, mu, cov = _checked(target, mean, covariance)
+    return correlation_filter(t, cov + np.outer(mu, mu))
+
+
+def correlation_filter(target: npt.ArrayLike, correlation: npt.ArrayLike) -> LinearFilter:
+    """CEM weights from a correlation matrix R (B, B) = E[x x^T]; see :func:`cem_correlation_weights` (3.22-3.25)."""
+    t = np.asarray(target, dtype=float)
+    if not np.any(t):
+        raise UsageError("the target spectrum is zero in every band")
+    solved, condition = solve_positive_definite(np.asarray(correlation, dtype=float), t)
+    return LinearFilter(solved / (t @ solved), 0.0, condition)
+
+
+FilterDesign = Callable[[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike], LinearFilter]
+
+# Each takes (target, background mean, background covariance).  "cem" and "matched-filter" are one
+# filter under the name the source gives it and the name most of the field gives it.
+LINEAR_DETECTORS: Mapping[str, FilterDesign] = {
+    "cem": matched_filter_weights,
+    "matched-filter": matched_filter_weights,
+    "cem-correlation": cem_correlation_weights,
+}
+
+
+def design_filter(
+    detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayLike
+) -> LinearFilter:
+    """The filter that ``detector`` names in :data:`LINEAR_DETECTORS` (3.22-3.25); UsageError for an unknown name."""
+    if detector not in LINEAR_DETECTORS:
+        raise UsageError(f"unknown detector {detector!r}", expected="one of " + ", ".join(LINEAR_DETECTORS))
+    return LINEAR_DETECTORS[detector](target, mean, covariance)
+
+
+def solve_positive_definite(matrix: Array, right: Array) -> tuple[Array, float]:
+    """Solve matrix x = right by Cholesky after scaling to unit diagonal; returns x and the condition number.
+
+    The scaling removes the spread of band variances, which says nothing of the loss of digits.
+
+    Raises
+    ------
+    UsageError : singular, indefinite, or worse conditioned than float64 can carry; the message names
+        the rank and the condition number.
+    """
+    bands = matrix.shape[0]
+    diagonal = np.diag(matrix)
+    if np.any(diagonal <= 0) or not np.all(np.isfinite(matrix)):
+        bad = np.flatnonzero(~(diagonal > 0))
+        raise UsageError(
+            f"the background matrix is singular: {bad.size} of {bands} bands have no variance "
+            f"(first: band {bad[0] + 1})"
+            if bad.size
+            else "the background matrix holds NaN or infinity",
+            mend="drop those bands from the detector's bands",
+        )
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = matrix * scale[:, None] * scale[None, :]
+    eigenvalues = np.linalg.eigvalsh(scaled)
+    smallest, largest = float(eigenvalues[0]), float(eigenvalues[-1])
+    condition = largest / smallest if smallest > 0 else float("inf")
+    if condition > MAX_CONDITION:
+        rank = int(np.sum(eigenvalues > largest * bands * np.finfo(float).eps))
+        raise UsageError(
+            f"the background matrix is singular to working precision: rank {rank} of {bands} bands, "
+            f"condition number {condition:.3g}",
+            expected="more background pixels than bands, and bands that are not copies of each other",
+            mend="use fewer bands or features (PCA), more pixels, or add the sensor noise",
+        )
+    try:
+        factor = cho_factor(scaled, lower=True)
+    except LinAlgError as error:  # pragma: no cover - the condition test above comes first
+        raise UsageError(f"the background matrix is not positive definite: {error}") from error
+    return np.asarray(cho_solve(factor, right * scale) * scale), condition
+
+
+def _checked(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayLike) -> tuple[Array, Array, Array]:
+    t, mu, cov = (np.asarray(a, dtype=float) for a in (target, mean, covariance))
+    if t.ndim != 1 or mu.shape != t.shape or cov.shape != (t.size, t.size):
+        raise UsageError(f"target {t.shape}, mean {mu.shape} and covariance {cov.shape} do not fit each other")
+    return t, mu, cov
