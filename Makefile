@@ -1,0 +1,53 @@
+# Everything a newcomer runs: `make validate` (the main job) and `make test`.
+# Either makes .venv first when it is lacking or older than the lock.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+REPORT ?= reports/validate
+
+# One thread per matrix product: the last digits of a solve depend on the number of threads.
+export OPENBLAS_NUM_THREADS ?= 1
+export OMP_NUM_THREADS ?= 1
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help setup validate test lint check-style format types lock clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
+
+setup: $(READY)  ## make .venv from requirements.lock
+
+$(READY): requirements.lock pyproject.toml
+	@PYTHON="$(PYTHON)" VENV="$(VENV)" sh scripts/setup.sh
+	@touch $(READY)
+
+validate: $(READY)  ## run every campaign; the report is in reports/validate
+	$(BIN)/hyperval validate campaigns/*/campaign*.yaml -o $(REPORT)
+
+test: $(READY)  ## run the tests
+	$(BIN)/python -m pytest
+
+lint: $(READY)  ## check style
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+check-style: lint
+
+format: $(READY)  ## mend style
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+types: $(READY)  ## check the types of the rooms that hold formulas
+	$(BIN)/mypy src
+
+lock:  ## renew requirements.lock after a change of dependencies (needs uv)
+	@command -v uv >/dev/null || { echo "make lock needs uv: $(PYTHON) -m pip install uv" >&2; exit 2; }
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+	  --group dev $(LOCK_FLAGS) pyproject.toml -o requirements.lock
+
+clean:  ## remove .venv and everything that tools left
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find src tests validation -name __pycache__ -type d -prune -exec rm -rf {} +
