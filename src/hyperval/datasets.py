@@ -1,0 +1,316 @@
+"""Public data sets: what they are, where they are on this machine, how they get there.
+
+A reference ``data:PATH`` in a YAML file means the file PATH of the data directory.  The directory
+HYPERVAL_DATA is looked at first, so that a local copy wins; then the user's cache, which
+``hyperval data fetch SET`` fills from the public address that the registry pins.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+from urllib.parse import quote
+
+import platformdirs
+
+from hyperval.config import Model, parse_yaml, validate
+from hyperval.download import download
+from hyperval.errors import InputError, MissingDataError, UsageError
+from hyperval.files import sha256_of
+from hyperval.progress import track
+
+PREFIX = "data:"
+
+
+@dataclass(frozen=True)
+class DataFile:
+    """One file of a data set.
+
+    Attributes
+    ----------
+    path : where it stands below the data directory, with forward slashes
+    address : public address of the pinned version
+    size, sha256 : of the published content.  A path in ``.gz`` whose address is not is stored packed
+        here, and both then describe the content before packing.
+    """
+
+    path: str
+    address: str
+    size: int
+    sha256: str
+
+    @property
+    def packed(self) -> bool:
+        """Whether the file is kept compressed here though it is published plain."""
+        return self.path.endswith(".gz") and not self.address.endswith(".gz")
+
+    def matches(self, path: Path) -> bool:
+        """Whether the file at ``path`` has the registered content."""
+        if not self.packed:
+            return path.stat().st_size == self.size and sha256_of(path) == self.sha256
+        try:
+            with gzip.open(path) as stream:
+                content = stream.read(self.size + 1)
+        except (OSError, EOFError):
+            return False
+        return hashlib.sha256(content).hexdigest() == self.sha256
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A public data set with its licence, its citation and its files."""
+
+    name: str
+    title: str
+    repository: str
+    commit: str
+    licence: str
+    citation: str
+    files: tuple[DataFile, ...]
+
+
+@dataclass(frozen=True)
+class FileCheck:
+    """What :func:`verify` found of one file."""
+
+    path: str
+    state: Literal["ok", "missing", "differs"]
+    found: Path | None
+
+
+class _SetEntry(Model):
+    title: str
+    repository: str
+    commit: str
+    upstream: str
+    licence: str
+    citation: str
+
+
+class _Sets(Model):
+    sets: dict[str, _SetEntry]
+
+
+@cache
+def registry() -> Mapping[str, DataSet]:
+    """Every registered data set by name."""
+    folder = resources.files("hyperval") / "registry"
+    data, lines = parse_yaml((folder / "sets.yaml").read_text("utf-8"), "sets.yaml")
+    entries = validate(_Sets, {"sets": data}, {("sets", *at): line for at, line in lines.items()}, "sets.yaml").sets
+    files: dict[str, list[DataFile]] = {name: [] for name in entries}
+    for row in csv.DictReader((folder / "files.csv").read_text("utf-8").splitlines()):
+        entry = entries[row["set"]]
+        where = quote(f"{entry.repository}/{entry.commit}/{entry.upstream}/{row['upstream']}")
+        address = f"https://raw.githubusercontent.com/{where}"
+        files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), row["sha256"]))
+    return {
+        name: DataSet(name, e.title, e.repository, e.commit, e.licence, e.citation, tuple(files[name]))
+        for name, e in entries.items()
+    }
+
+
+def dataset(name: str) -> DataSet:
+    """The data set of that name; raises UsageError for a name that is not registered."""
+    if name not in registry():
+        raise UsageError(f"no data set {name!r}", expected="one of " + ", ".join(registry()))
+    return registry()[name]
+
+
+def set_data_dir(path: Path) -> None:
+    """Look for data below ``path`` first, in this process and those it starts."""
+    if not Path(path).is_dir():
+        raise UsageError("not a directory", where=str(path), expected="a folder that holds the data sets")
+    os.environ["HYPERVAL_DATA"] = str(Path(path).resolve())
+
+
+def cache_dir() -> Path:
+    """Where fetched data are kept: below HYPERVAL_CACHE, or the user's cache folder."""
+    root = os.environ.get("HYPERVAL_CACHE")
+    return (Path(root) if root else platformdirs.user_cache_path("hyperval", appauthor=False)) / "data"
+
+
+def resolve(reference: str, base: Path | None = None) -> Path:
+    """The file that ``reference`` names.
+
+    ``data:PATH`` is looked for below HYPERVAL_DATA and then in the cache; anything else is a path relative
+    to ``base`` (the folder of the YAML file that holds the reference; by default the working directory).
+
+    Raises
+    ------
+    UsageError : the reference is empty, an address, or leaves the data directory.
+    MissingDataError : a file of a data set that is not on this machine.
+    InputError : no such file.
+    """
+    if not reference.strip() or "\0" in reference:
+        raise UsageError(f"not a file reference: {reference!r}", expected="a path, or data:SET/PATH")
+    if reference.startswith(PREFIX):
+        return _resolve_data(_data_path(reference))
+    if "://" in reference or reference.startswith("/vsi"):
+        raise UsageError(
+            f"not a file reference: {reference!r}",
+            expected="a file of this machine; addresses are not opened",
+            mend="download the file first",
+        )
+    path = (Path(base) if base is not None else Path()) / reference
+    if not path.is_file():
+        what = "it is a folder" if path.is_dir() else "not a regular file" if path.exists() else "no such file"
+        raise InputError(what, where=str(path), expected=f"the file that {reference!r} names")
+    return path
+
+
+def describe(reference: str) -> dict[str, str | None]:
+    """Set, licence, citation, address and SHA-256 of a reference; None where the registry knows nothing."""
+    found = _registered(_data_path(reference)) if reference.startswith(PREFIX) else None
+    if found is None:
+        return dict.fromkeys(("dataset", "licence", "citation", "address", "sha256"))
+    owner, file = found
+    return {
+        "dataset": owner.name,
+        "licence": owner.licence,
+        "citation": owner.citation,
+        "address": file.address,
+        "sha256": file.sha256,
+    }
+
+
+def verify(name: str) -> list[FileCheck]:
+    """Compare every file of a set, where it would be read from, with its registered SHA-256."""
+    checks = []
+    for file in dataset(name).files:
+        path = _find(file.path)
+        state: Literal["ok", "missing", "differs"] = (
+            "missing" if path is None else "ok" if file.matches(path) else "differs"
+        )
+        checks.append(FileCheck(file.path, state, path))
+    return checks
+
+
+def missing(name: str) -> list[str]:
+    """The references of a set whose files are not on this machine."""
+    return [PREFIX + file.path for file in dataset(name).files if _find(file.path) is None]
+
+
+def fetch(name: str, *, show_progress: bool | None = None) -> list[Path]:
+    """Bring every file of a set that is not at hand, or that differs, into the cache; return the new paths.
+
+    Each file appears under its name only when its SHA-256 is right.  What was fetched before a failure is
+    kept, so that a repeated call goes on where the first stopped.
+
+    Raises
+    ------
+    InputError : no connection, an answer that is not the registered file, or no room to write.
+    """
+    needed = []
+    for file in dataset(name).files:
+        found = _find(file.path)
+        if found is not None and file.matches(found):
+            continue
+        if found is not None and not found.is_relative_to(cache_dir()):
+            raise InputError(
+                "the local copy is not the registered file, and a local copy wins",
+                where=str(found),
+                expected=f"SHA-256 {file.sha256}",
+                mend="remove that file, or leave HYPERVAL_DATA unset",
+            )
+        needed.append(file)
+    again = f"check the connection and repeat: hyperval data fetch {name}; or name a copy with HYPERVAL_DATA"
+    return [
+        download(f.address, cache_dir() / f.path, size=f.size, sha256=f.sha256, pack=f.packed, mend=again)
+        for f in track(needed, f"fetching {name}", show=show_progress)
+    ]
+
+
+class InputLog:
+    """Every file that a run read, for its provenance record."""
+
+    def __init__(self, base: Path | None = None):
+        self.base = Path(base) if base is not None else Path()
+        self._entries: dict[str, dict[str, Any]] = {}
+
+    def resolve(self, reference: str) -> Path:
+        """Like :func:`resolve`, and keep a record of the file."""
+        path = resolve(reference, self.base)
+        if not reference.startswith(PREFIX) and Path(reference).is_absolute():
+            return self.add(path)
+        return self.add(path, reference)
+
+    def add(self, path: Path, reference: str | None = None) -> Path:
+        """Record a file that was found otherwise, such as the header beside a cube."""
+        if reference is None:
+            reference = self._relative(path)
+        if reference not in self._entries:
+            known = describe(reference)
+            found = _registered(_data_path(reference)) if reference.startswith(PREFIX) else None
+            self._entries[reference] = {
+                "reference": reference,
+                "sha256": sha256_of(path),
+                "bytes": path.stat().st_size,
+                "dataset": known["dataset"],
+                "licence": known["licence"],
+                "citation": known["citation"],
+                "as_registered": found[1].matches(path) if found else None,
+            }
+        return path
+
+    def entries(self) -> list[dict[str, Any]]:
+        """One record per file, sorted by reference: what was read, its SHA-256, size, licence, citation."""
+        return [dict(self._entries[key]) for key in sorted(self._entries)]
+
+    def _relative(self, path: Path) -> str:
+        """A name for ``path`` that says nothing of this machine."""
+        full = Path(path).resolve()
+        for root, prefix in [*((r.resolve(), PREFIX) for r in _roots()), (self.base.resolve(), "")]:
+            if full.is_relative_to(root):
+                return prefix + full.relative_to(root).as_posix()
+        return full.name
+
+
+def _data_path(reference: str) -> str:
+    """The path in a ``data:`` reference, which must stay inside the data directory."""
+    text = reference.removeprefix(PREFIX)
+    path = PurePosixPath(text)
+    if not text or path.is_absolute() or ".." in path.parts or any(c in text for c in "\\\0:"):
+        raise UsageError(
+            f"the reference {reference!r} leaves the data directory", expected="data:SET/PATH, without '..'"
+        )
+    return path.as_posix()
+
+
+def _roots() -> list[Path]:
+    local = os.environ.get("HYPERVAL_DATA")
+    return [*([Path(local)] if local else []), cache_dir()]
+
+
+def _find(path: str) -> Path | None:
+    return next((p for root in _roots() if (p := root / path).is_file()), None)
+
+
+@cache
+def _by_path() -> dict[str, tuple[DataSet, DataFile]]:
+    return {file.path: (owner, file) for owner in registry().values() for file in owner.files}
+
+
+def _registered(path: str) -> tuple[DataSet, DataFile] | None:
+    return _by_path().get(path)
+
+
+def _resolve_data(path: str) -> Path:
+    found = _find(path)
+    if found is not None:
+        return found
+    looked = ", ".join(str(root) for root in _roots())
+    owner = _registered(path)
+    mend = (
+        f"hyperval data fetch {owner[0].name}"
+        if owner
+        else "name a folder that holds it with --data-dir or HYPERVAL_DATA; it is in no registered data set"
+    )
+    raise MissingDataError(f"not on this machine (looked in {looked})", where=PREFIX + path, mend=mend)

@@ -1,0 +1,100 @@
+"""One file from a public address into a folder: whole, of the right content, or not at all."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from typing import Any
+
+from hyperval.errors import InputError
+from hyperval.files import whole_file
+
+ATTEMPTS = 3
+TIMEOUT_S = 60
+CHUNK_BYTES = 1 << 14
+
+
+def download(address: str, target: Path, *, size: int, sha256: str, pack: bool = False, mend: str = "") -> Path:
+    """Bring the file at ``address`` to ``target`` and return ``target``.
+
+    Parameters
+    ----------
+    size, sha256 : of the published content; an answer that grows past ``size`` is cut off
+    pack : keep the content gzip-compressed at ``target``, whose name then ends in ``.gz``
+    mend : what the user can do when it fails
+
+    Raises
+    ------
+    InputError : no connection, another content, or no room to write; nothing stands at ``target`` then.
+    """
+    # Imported here: only a download needs a network client, and its import is slow.
+    import pooch
+    import requests
+
+    pooch.get_logger().setLevel("WARNING")
+    published = target.with_suffix("") if pack else target
+    store = pooch.create(
+        published.parent,
+        base_url="",
+        registry={published.name: f"sha256:{sha256}"},
+        urls={published.name: address},
+        retry_if_failed=ATTEMPTS - 1,
+    )
+
+    def attempt(url: str, output: str, caller: Any) -> None:
+        guard = _SizeGuard(size)
+        pooch.HTTPDownloader(progressbar=guard, chunk_size=CHUNK_BYTES, timeout=TIMEOUT_S)(url, output, caller)
+
+    try:
+        store.fetch(published.name, downloader=attempt)
+        if pack:
+            with whole_file(target) as temporary, open(temporary, "wb") as raw:
+                # No name and no time in the header: the same content gives the same bytes.
+                with gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as packed:
+                    packed.write(published.read_bytes())
+            published.unlink()
+    except requests.RequestException as error:
+        raise InputError(f"cannot be downloaded: {_reason(error)}", where=address, mend=mend) from error
+    except ValueError as error:
+        raise InputError(
+            "what was downloaded is not the registered file",
+            where=address,
+            expected=f"{size} bytes, SHA-256 {sha256}",
+            mend=mend,
+        ) from error
+    except OSError as error:
+        raise InputError(f"cannot write: {error.strerror or error}", where=str(target)) from error
+    return target
+
+
+class _SizeGuard:
+    """Stops a download that grows past its size; pooch drives it as if it were a progress bar."""
+
+    total = 0
+
+    def __init__(self, size: int):
+        # pooch counts whole chunks, so that the last one may reach past the end.
+        self.limit, self.received = size + CHUNK_BYTES, 0
+
+    def update(self, count: int) -> None:
+        self.received += count
+        if self.received > self.limit:
+            raise ValueError("the answer is longer than the registered file")
+
+    def reset(self) -> None:
+        """At the end pooch starts anew and counts the announced length once."""
+        self.received = 0
+
+    def close(self) -> None:
+        """Nothing to tidy."""
+
+
+def _reason(error: Exception) -> str:
+    """The cause in a few words: the text of the exception repeats the address several times."""
+    import requests
+
+    if isinstance(error, requests.HTTPError) and error.response is not None:
+        return f"the server answered {error.response.status_code}"
+    if isinstance(error, requests.Timeout):
+        return "no answer in time"
+    return "no connection" if isinstance(error, requests.ConnectionError) else type(error).__name__
