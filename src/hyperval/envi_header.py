@@ -1,0 +1,283 @@
+"""A strict parser of ENVI headers: what it cannot understand it refuses, with file and line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import InputError
+
+MAX_HEADER_BYTES = 1 << 20
+MAX_KEYS = 1000
+
+# ENVI data type code -> NumPy kind and size. Complex types (6, 9) have no meaning here.
+DATA_TYPES: dict[int, str] = {
+    1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8",
+}  # fmt: skip
+INTERLEAVES = ("bsq", "bil", "bip")
+BYTE_ORDERS = {0: "<", 1: ">"}
+
+_STRUCTURE = frozenset(
+    {
+        "samples", "lines", "bands", "header offset", "data type", "interleave", "byte order",
+        "file compression", "major frame offsets", "minor frame offsets", "file type",
+    }
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class EnviHeader:
+    """The content of one ENVI header.
+
+    Attributes
+    ----------
+    path : the header file
+    samples, lines, bands : size of the image
+    data_type : ENVI code, a key of ``DATA_TYPES``
+    interleave : "bsq", "bil" or "bip" ("tif" for the sidecar of a GeoTIFF)
+    byte_order : 0 little-endian, 1 big-endian
+    header_offset : bytes before the first value
+    file_type : as in the file, "" when absent
+    entries : every key in lower case with its text, braces taken off
+    line_of : line number (1-based) of every key
+    """
+
+    path: Path
+    samples: int
+    lines: int
+    bands: int
+    data_type: int
+    interleave: str
+    byte_order: int
+    header_offset: int
+    file_type: str = ""
+    entries: Mapping[str, str] = field(default_factory=dict)
+    line_of: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of one stored value, byte order included."""
+        return np.dtype(BYTE_ORDERS[self.byte_order] + DATA_TYPES[self.data_type])
+
+    @property
+    def expected_bytes(self) -> int:
+        """Size of the data file that the header describes, in exact integers."""
+        return self.header_offset + self.samples * self.lines * self.bands * self.dtype.itemsize
+
+    @property
+    def extras(self) -> dict[str, str]:
+        """The entries that do not describe the layout of the file."""
+        return {key: text for key, text in self.entries.items() if key not in _STRUCTURE}
+
+    def where(self, key: str) -> str:
+        """``file:line`` of a key, or the file when the key is absent."""
+        return f"{self.path}:{self.line_of[key]}" if key in self.line_of else str(self.path)
+
+    def text(self, key: str) -> str | None:
+        """Text of an entry, None when it is absent or empty."""
+        return self.entries.get(key, "").strip() or None
+
+    def strings(self, key: str) -> tuple[str, ...] | None:
+        """A comma-separated entry as text, None when it is absent or empty."""
+        value = self.text(key)
+        return None if value is None else tuple(part.strip() for part in value.split(","))
+
+    def numbers(self, key: str, count: int | None = None) -> npt.NDArray[np.float64] | None:
+        """A comma-separated entry as finite numbers, None when it is absent or empty.
+
+        Raises
+        ------
+        InputError : an item is no number or not finite, or there are not ``count`` of them.
+        """
+        parts = self.strings(key)
+        if parts is None:
+            return None
+        if parts[-1] == "" and len(parts) > 1:  # a comma before the closing brace
+            parts = parts[:-1]
+        out = np.empty(len(parts))
+        for i, part in enumerate(parts):
+            try:
+                out[i] = _number(part)
+            except ValueError:
+                raise InputError(
+                    f"item {i + 1} of {key!r} is not a number: {part[:40]!r}",
+                    where=self.where(key),
+                    expected="numbers with a decimal point, divided by commas",
+                ) from None
+            if not np.isfinite(out[i]):
+                raise InputError(f"item {i + 1} of {key!r} is not finite: {part}", where=self.where(key))
+        if count is not None and out.size != count:
+            raise InputError(
+                f"{key!r} has {out.size} values for {count} bands",
+                where=self.where(key),
+                expected=f"{count} values",
+            )
+        return out
+
+    def number(self, key: str) -> float | None:
+        """A single number, None when the entry is absent; NaN and infinity are passed on."""
+        value = self.text(key)
+        if value is None:
+            return None
+        try:
+            return _number(value.split(";")[0].strip())
+        except ValueError:
+            raise InputError(f"{key!r} is not a number: {value[:40]!r}", where=self.where(key)) from None
+
+
+def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
+    """Read an ENVI header file.
+
+    Parameters
+    ----------
+    path : the .hdr file
+    sidecar : True for a header that lies beside a GeoTIFF: interleave "tif" is then allowed
+
+    Raises
+    ------
+    InputError : no such file, larger than 1 MiB, not a header, or anything in it that is not
+        understood: a key that stands twice, an open brace, an unknown interleave, byte order or data
+        type, sizes that are no positive integers, compressed data.
+    """
+    path = Path(path)
+    try:
+        with open(path, "rb") as stream:
+            raw = stream.read(MAX_HEADER_BYTES + 1)
+    except FileNotFoundError:
+        raise InputError("no such header file", where=str(path), expected="an ENVI header (.hdr)") from None
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
+    if len(raw) > MAX_HEADER_BYTES:
+        raise InputError(f"the header is larger than {MAX_HEADER_BYTES} bytes", where=str(path))
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
+    return parse_header(text, path, sidecar=sidecar)
+
+
+def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
+    """Parse header text by the rules of :func:`read_header`; ``path`` stands in messages."""
+    entries, line_of = _entries(text, str(path))
+
+    def where(key: str) -> str:
+        return f"{path}:{line_of[key]}" if key in line_of else str(path)
+
+    def integer(key: str, default: int | None = None, least: int = 0) -> int:
+        if key not in entries:
+            if default is None:
+                raise InputError(f"the key {key!r} is missing", where=str(path))
+            return default
+        value = _bare(entries[key])
+        if not re.fullmatch(r"[+-]?[0-9]{1,18}", value) or int(value) < least:
+            kind = "a positive integer" if least == 1 else "an integer of 0 or more"
+            raise InputError(f"{key!r} is {value[:40]!r}", where=where(key), expected=kind)
+        return int(value)
+
+    samples, lines, bands = (integer(key, least=1) for key in ("samples", "lines", "bands"))
+    data_type = integer("data type")
+    if data_type not in DATA_TYPES:
+        kind = " (complex)" if data_type in (6, 9) else ""
+        raise InputError(
+            f"unknown data type {data_type}{kind}",
+            where=where("data type"),
+            expected="one of " + ", ".join(f"{code} ({np.dtype(name).name})" for code, name in DATA_TYPES.items()),
+        )
+    # A single byte has no order: old headers of class images leave the key out.
+    byte_order = integer("byte order", default=0 if data_type == 1 else None)
+    if byte_order not in BYTE_ORDERS:
+        raise InputError(
+            f"unknown byte order {byte_order}",
+            where=where("byte order"),
+            expected="0 (little-endian) or 1 (big-endian)",
+        )
+    allowed = (*INTERLEAVES, "tif") if sidecar else INTERLEAVES
+    if "interleave" not in entries:
+        raise InputError("the key 'interleave' is missing", where=str(path))
+    interleave = _bare(entries["interleave"]).lower()
+    interleave = "tif" if interleave == "tiff" else interleave
+    if interleave not in allowed:
+        raise InputError(
+            f"unknown interleave {interleave!r}", where=where("interleave"), expected="one of " + ", ".join(allowed)
+        )
+    if integer("file compression", default=0) != 0:
+        raise InputError(
+            "compressed data cannot be read", where=where("file compression"), mend="decompress the data file"
+        )
+    for key in ("major frame offsets", "minor frame offsets"):
+        if any(part.strip() not in ("", "0") for part in entries.get(key, "").split(",")):
+            raise InputError(f"{key} cannot be read", where=where(key), mend="rewrite the cube without them")
+    return EnviHeader(
+        path=path,
+        samples=samples,
+        lines=lines,
+        bands=bands,
+        data_type=data_type,
+        interleave=interleave,
+        byte_order=byte_order,
+        header_offset=integer("header offset", default=0),
+        file_type=_bare(entries.get("file type", "")),
+        entries=entries,
+        line_of=line_of,
+    )
+
+
+def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int]]:
+    """Keys in lower case with their text and line: one pass, each line looked at once."""
+    entries: dict[str, str] = {}
+    line_of: dict[str, int] = {}
+    lines = text.splitlines()
+    if not lines or lines[0].strip() != "ENVI":
+        raise InputError("the first line is not 'ENVI'", where=f"{name}:1", expected="an ENVI header")
+    key, start, depth, parts = "", 0, 0, []
+    for number, line in enumerate(lines[1:], start=2):
+        stripped = line.strip()
+        if not stripped or stripped.startswith(";"):
+            continue
+        if depth == 0:
+            key, equals, value = line.partition("=")
+            key = " ".join(key.split()).lower()
+            value = value.strip()
+            if not equals or not key:
+                raise InputError(f"not of the form 'key = value': {stripped[:60]!r}", where=f"{name}:{number}")
+            if key in entries:
+                raise InputError(
+                    f"the key {key!r} stands twice (first on line {line_of[key]})",
+                    where=f"{name}:{number}",
+                    mend="delete the wrong one",
+                )
+            if len(entries) >= MAX_KEYS:
+                raise InputError(f"more than {MAX_KEYS} keys", where=f"{name}:{number}")
+            line_of[key], entries[key] = number, value
+            if not value.startswith("{"):
+                continue
+            start, parts, stripped = number, [], value
+        depth += stripped.count("{") - stripped.count("}")
+        parts.append(stripped)
+        if depth <= 0:
+            depth = 0
+            whole = "\n".join(parts)
+            end = whole.rindex("}")
+            rest = whole[end + 1 :].strip()
+            if rest and not rest.startswith(";"):
+                raise InputError(f"text after the closing brace: {rest[:40]!r}", where=f"{name}:{number}")
+            entries[key] = whole[1:end].strip()
+    if depth:
+        raise InputError(f"the brace of {key!r} is never closed", where=f"{name}:{start}", expected="a closing '}'")
+    return entries, line_of
+
+
+def _bare(value: str) -> str:
+    """A one-word value without a trailing comment."""
+    return value.split(";")[0].strip()
+
+
+def _number(text: str) -> float:
+    if "_" in text:  # Python's digit grouping is no number elsewhere
+        raise ValueError(text)
+    return float(text)

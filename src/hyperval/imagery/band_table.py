@@ -1,0 +1,135 @@
+"""The spectral axis of a cube from its header: checked, in nm, never guessed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.envi_header import EnviHeader
+from hyperval.errors import InputError, UsageError
+from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
+from hyperval.units import wavelength_to_nm
+
+# A band centre outside this range is a sign of the wrong unit [nm].
+PLAUSIBLE_NM = (100.0, 100_000.0)
+_UNSTATED = ("", "unknown", "none")
+
+
+@dataclass(frozen=True)
+class BandTable:
+    """Spectral axis of a cube, and which stored band each of its bands is.
+
+    Attributes
+    ----------
+    axis : the bands in increasing wavelength
+    stored_band : (B,) 0-based number of the stored band; 0, 1, 2, ... unless bands were sorted
+    notes : what was assumed
+    """
+
+    axis: SpectralAxis
+    stored_band: npt.NDArray[np.intp]
+    notes: tuple[str, ...] = ()
+
+
+def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_bands: bool = False) -> BandTable:
+    """Band centres, widths and bad-band list of an ENVI header.
+
+    Parameters
+    ----------
+    header : the parsed header
+    wavelength_unit : the unit where the header states none; must agree with the header otherwise
+    sort_bands : sort bands whose wavelengths do not increase (two detectors that overlap)
+
+    Raises
+    ------
+    InputError : no wavelengths, a wrong count, not finite, not increasing, widths not positive, or
+        a bad-band list that does not fit.
+    UsageError : the unit is missing or contradicts the header, or the wavelengths are implausible in it.
+    """
+    values = header.numbers("wavelength", header.bands)
+    if values is None:
+        raise InputError(
+            "the header lists no wavelengths",
+            where=str(header.path),
+            expected=f"'wavelength = {{...}}' with {header.bands} values",
+        )
+    unit = stated_unit(header.text("wavelength units"), wavelength_unit, header.where("wavelength units"))
+    centre = wavelengths_in_nm(values, unit, header.where("wavelength"))
+    notes: list[str] = []
+    good = np.ones(header.bands, bool)
+    flags = header.numbers("bbl", header.bands)
+    if flags is not None:
+        if not np.all(np.isin(flags, (0.0, 1.0))):
+            raise InputError(
+                "the bad-band list holds other values than 0 (bad) and 1 (good)", where=header.where("bbl")
+            )
+        good = flags == 1.0
+        if not good.any():
+            raise InputError("the bad-band list marks every band as bad", where=header.where("bbl"))
+        notes.append(f"bad-band list: {int((~good).sum())} of {good.size} bands are bad")
+    width = header.numbers("fwhm", header.bands)
+    if width is not None and np.any(width <= 0):
+        at = int(np.flatnonzero(width <= 0)[0])
+        raise InputError(f"band {at + 1} has a width (fwhm) of {width[at]:g}", where=header.where("fwhm"))
+    order = np.arange(header.bands)
+    steps = np.diff(centre)
+    if np.any(steps <= 0):
+        at = int(np.flatnonzero(steps <= 0)[0])
+        if not sort_bands or np.unique(centre).size < centre.size:
+            same = " (two bands share a wavelength)" if np.unique(centre).size < centre.size else ""
+            raise InputError(
+                f"wavelengths do not increase: band {at + 2} ({centre[at + 1]:g} nm) follows band {at + 1} "
+                f"({centre[at]:g} nm){same}",
+                where=header.where("wavelength"),
+                mend="where two detectors overlap, state sort_bands: true",
+            )
+        order = np.argsort(centre, kind="stable")
+        notes.append(f"{int(np.sum(order != np.arange(order.size)))} bands were moved to sort the wavelengths")
+    centre, good = centre[order], good[order]
+    if width is None:
+        fwhm = fwhm_from_spacing(centre)
+        notes.append("the header lists no fwhm: band widths are taken as the band spacing")
+    else:
+        fwhm = width[order] * wavelength_to_nm(unit)
+    return BandTable(SpectralAxis(centre, fwhm, good), order, tuple(notes))
+
+
+def stated_unit(in_file: str | None, given: str | None, where: str) -> str:
+    """The wavelength unit that the file or the caller states; UsageError when neither or both differ."""
+    text = (in_file or "").strip()
+    if text.lower() in _UNSTATED:
+        if given is None:
+            raise UsageError(
+                "the file states no wavelength unit",
+                where=where,
+                expected="nm or um",
+                mend="state wavelength_unit: nm (or um) in the campaign",
+            )
+        return given
+    try:
+        factor = wavelength_to_nm(text)
+    except UsageError:
+        raise InputError(f"wavelengths in {text!r} cannot be used", where=where, expected="nm or um") from None
+    if given is not None and wavelength_to_nm(given) != factor:
+        raise UsageError(
+            f"the file states wavelengths in {text}, the campaign in {given}",
+            where=where,
+            mend="take wavelength_unit out of the campaign, or correct the file",
+        )
+    return text
+
+
+def wavelengths_in_nm(values: npt.NDArray[np.float64], unit: str, where: str) -> npt.NDArray[np.float64]:
+    """Wavelengths in nm; UsageError when they are implausible in ``unit``."""
+    nm = values * wavelength_to_nm(unit)
+    low, high = PLAUSIBLE_NM
+    if nm.min() < low or nm.max() > high:
+        raise UsageError(
+            f"wavelengths from {values.min():g} to {values.max():g} cannot be in {unit}",
+            where=where,
+            expected=f"{low:g} to {high:g} nm",
+            mend="0.4 to 2.5 is um, 400 to 2500 is nm: correct the wavelength unit",
+        )
+    return nm

@@ -1,0 +1,312 @@
+"""A hyperspectral cube on disk: physical values by blocks of lines or by pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from affine import Affine
+from rasterio.crs import CRS
+
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.band_table import BandTable, band_table, wavelengths_in_nm
+from hyperval.imagery.georeference import pixel_area_m2
+from hyperval.imagery.rasters import Raster, TiffRaster, open_raster
+from hyperval.imagery.scaling import Scaling, scaling_of
+from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Quantity = Literal["radiance", "reflectance", "other"]
+Where = Mask | tuple[npt.ArrayLike, npt.ArrayLike]
+
+BLOCK_BYTES = 16 << 20
+# Above these the 95th percentile of a cube says that its scale was not stated.
+PLAUSIBLE_REFLECTANCE = 1.5
+PLAUSIBLE_RADIANCE = 200.0  # [uW cm-2 sr-1 nm-1]; a white surface under the zenith sun gives about 65
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Consecutive lines of a cube.
+
+    Attributes
+    ----------
+    first_line : 0-based number of the first line
+    values : (lines, samples, B) in the cube's unit; NaN where the stored value is the ignore value
+    valid : (lines, samples) False where a good band holds the ignore value or is not finite, or
+        where every band is stored as 0 (fill of a radiance or reflectance cube)
+    """
+
+    first_line: int
+    values: npt.NDArray[Any]
+    valid: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Cube:
+    """A cube that stays on disk; memory does not grow with its size.
+
+    Attributes
+    ----------
+    raster : the stored numbers
+    axis : bands in increasing wavelength; ``axis.good`` is the bad-band list
+    quantity : "radiance" [uW cm-2 sr-1 nm-1], "reflectance" [1] or "other"
+    unit : unit of the values handed out
+    scaling : gain and offset, applied once
+    stored_band : (B,) number of the stored band behind each band of ``axis``
+    ignore_value : stored value that means no data, None when there is none
+    description : the header's description
+    extras : every other header entry as text
+    notes : what was assumed or applied on reading
+    """
+
+    raster: Raster
+    axis: SpectralAxis
+    quantity: Quantity
+    unit: str
+    scaling: Scaling
+    stored_band: npt.NDArray[np.intp]
+    ignore_value: float | None = None
+    description: str = ""
+    extras: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return self.raster.lines
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in a line."""
+        return self.raster.samples
+
+    @property
+    def bands(self) -> int:
+        """Number of bands."""
+        return len(self.axis)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(lines, samples)."""
+        return self.lines, self.samples
+
+    @property
+    def transform(self) -> Affine | None:
+        """Affine transform from continuous (sample, line) to map coordinates, None without one."""
+        return self.raster.transform
+
+    @property
+    def crs(self) -> CRS | None:
+        """Coordinate reference system, None when unknown."""
+        return self.raster.crs
+
+    @property
+    def pixel_area_m2(self) -> float | None:
+        """Ground area of a pixel [m2], None when the map unit is unknown."""
+        return pixel_area_m2(self.transform, self.crs, self.raster.header)
+
+    @property
+    def source_files(self) -> tuple[Path, ...]:
+        """The files that were read."""
+        return self.raster.source_files
+
+    def read(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> Block:
+        """The lines ``first_line`` to ``first_line + count - 1``."""
+        stored = self.raster.read_lines(first_line, count)
+        values, valid = self._physical(stored, np.dtype(dtype))
+        return Block(first_line, values, valid)
+
+    def blocks(self, lines_per_block: int | None = None, *, dtype: npt.DTypeLike = np.float64) -> Iterator[Block]:
+        """All lines in order, ``lines_per_block`` at a time (default: about 16 MiB of values)."""
+        size = self.samples * self.bands * np.dtype(dtype).itemsize
+        step = max(1, BLOCK_BYTES // size) if lines_per_block is None else int(lines_per_block)
+        if step < 1:
+            raise UsageError(f"lines_per_block is {lines_per_block}", expected="1 or more")
+        for first in range(0, self.lines, step):
+            yield self.read(first, min(step, self.lines - first), dtype)
+
+    def pixels(self, where: Where) -> Array:
+        """(n, B) values of the pixels of a mask (in line order) or of (rows, cols); NaN for ignored values."""
+        return self._pixels(where)[0]
+
+    def spectra(self, where: Where) -> Array:
+        """(m, B) values of the valid pixels among ``where``."""
+        values, valid = self._pixels(where)
+        return values[valid]
+
+    def valid_pixels(self, where: Where) -> Mask:
+        """(n,) which of the pixels of ``where`` are valid."""
+        return self._pixels(where)[1]
+
+    def _pixels(self, where: Where) -> tuple[Array, Mask]:
+        rows, cols = self._index(where)
+        stored = self.raster.read_pixels(rows, cols)
+        return self._physical(stored, np.dtype(np.float64))
+
+    def _index(self, where: Where) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        if isinstance(where, tuple):
+            rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
+            if (
+                rows.shape != cols.shape
+                or rows.ndim != 1
+                or rows.dtype.kind not in "iu"
+                or cols.dtype.kind not in "iu"
+            ):
+                raise UsageError("rows and cols must be whole numbers of equal count")
+            if rows.size and (
+                rows.min() < 0 or cols.min() < 0 or rows.max() >= self.lines or cols.max() >= self.samples
+            ):
+                raise UsageError(
+                    f"pixels outside the cube: lines {rows.min()}-{rows.max()}, samples {cols.min()}-{cols.max()}",
+                    expected=f"lines 0-{self.lines - 1}, samples 0-{self.samples - 1}",
+                )
+            return rows.astype(np.intp), cols.astype(np.intp)
+        mask = np.asarray(where)
+        if mask.dtype != bool or mask.shape != self.shape:
+            raise UsageError(f"a mask of {mask.dtype} {mask.shape} for a cube of {self.shape}")
+        rows, cols = np.nonzero(mask)
+        return rows, cols
+
+    def _physical(self, stored: npt.NDArray[Any], dtype: np.dtype) -> tuple[npt.NDArray[Any], Mask]:
+        """Values (..., B) in the bands of the axis, and which pixels (...) are valid."""
+        order = self.stored_band
+        if np.any(order != np.arange(order.size)):
+            stored = stored[..., order]
+        values = np.empty(stored.shape, dtype)
+        np.multiply(stored, self.scaling.gain[order].astype(dtype), out=values, dtype=dtype, casting="unsafe")
+        if np.any(self.scaling.offset):
+            values += self.scaling.offset[order].astype(dtype)
+        if self.ignore_value is not None:
+            values[_equals(stored, self.ignore_value)] = np.nan
+        if stored.dtype.kind == "f" or self.ignore_value is not None:
+            valid = np.isfinite(values[..., self.axis.good]).all(axis=-1)
+        else:
+            valid = np.ones(stored.shape[:-1], bool)
+        if self.quantity != "other":
+            valid &= stored.any(axis=-1)
+        return values, valid
+
+
+def open_cube(
+    path: Path | str,
+    *,
+    quantity: Quantity,
+    unit: str | None = None,
+    scale: float | None = None,
+    wavelength_unit: str | None = None,
+    header: Path | str | None = None,
+    root: Path | None = None,
+    axis: SpectralAxis | None = None,
+    sort_bands: bool = False,
+    check_values: bool = True,
+) -> Cube:
+    """Open an ENVI cube (BSQ, BIL, BIP) or a GeoTIFF.
+
+    Parameters
+    ----------
+    path : data file, ENVI header or GeoTIFF
+    quantity : what the values are; "other" is handed out as stored
+    unit : unit of the (scaled) values; required for a radiance
+    scale : multiplies the stored values and replaces the header's scale factors; None takes those
+    wavelength_unit : nm or um, where the header states none
+    header : the ENVI header, when it does not lie beside the data
+    root : folder that all files must lie in
+    axis : the bands, for a file that lists no wavelengths
+    sort_bands : sort bands whose wavelengths do not increase; ``stored_band`` records the permutation
+    check_values : look at some lines for a scale that was not stated
+
+    Raises
+    ------
+    InputError : missing, truncated or overlong files, headers that contradict them, implausible values.
+    UsageError : a unit that is not stated, or paths that may not be opened.
+    """
+    raster = open_raster(path, header=header, root=root)
+    table = _table(raster, axis, wavelength_unit, sort_bands)
+    scaling = scaling_of(
+        raster.header,
+        raster.bands,
+        quantity=quantity,
+        unit=unit,
+        scale=scale,
+        file_gains=raster.gains if isinstance(raster, TiffRaster) else (),
+        file_offsets=raster.offsets if isinstance(raster, TiffRaster) else (),
+    )
+    entries = dict(raster.header.extras) if raster.header is not None else {}
+    ignore = raster.header.number("data ignore value") if raster.header is not None else None
+    if ignore is None and isinstance(raster, TiffRaster):
+        ignore = raster.nodata
+    cube = Cube(
+        raster=raster,
+        axis=table.axis,
+        quantity=quantity,
+        unit=scaling.unit,
+        scaling=scaling,
+        stored_band=table.stored_band,
+        ignore_value=ignore,
+        description=" ".join(entries.pop("description", "").split()),
+        extras=entries,
+        notes=table.notes + scaling.notes,
+    )
+    if check_values:
+        _check_values(cube)
+    return cube
+
+
+def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_bands: bool) -> BandTable:
+    where = str(raster.path)
+    if axis is not None:
+        if len(axis) != raster.bands:
+            raise UsageError(f"the given axis has {len(axis)} bands, the cube {raster.bands}", where=where)
+        return BandTable(axis, np.arange(raster.bands), ("wavelengths as given by the caller",))
+    if raster.header is not None and raster.header.text("wavelength") is not None:
+        return band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
+    if isinstance(raster, TiffRaster) and raster.wavelength_um:
+        centre = wavelengths_in_nm(np.array(raster.wavelength_um), "um", where)
+        note = "the file lists no fwhm: band widths are taken as the band spacing"
+        return BandTable(SpectralAxis(centre, fwhm_from_spacing(centre)), np.arange(raster.bands), (note,))
+    raise InputError(
+        "the file lists no wavelengths",
+        where=where,
+        expected=f"'wavelength = {{...}}' with {raster.bands} values in an ENVI header",
+        mend="give the header that lists them (header:)",
+    )
+
+
+def _check_values(cube: Cube) -> None:
+    """Raise InputError when the values are too large for the quantity: a scale that was not stated."""
+    limit = {"reflectance": PLAUSIBLE_REFLECTANCE, "radiance": PLAUSIBLE_RADIANCE}.get(cube.quantity)
+    if limit is None:
+        return
+    lines = np.unique(np.linspace(0, cube.lines - 1, 16).astype(int))
+    blocks = [cube.read(int(line), 1, np.float32) for line in lines]
+    found = np.concatenate([b.values[b.valid][:, cube.axis.good].ravel() for b in blocks])
+    if found.size == 0:
+        return
+    high = float(np.percentile(found, 95))
+    if high > limit:
+        raise InputError(
+            f"95 % of the {cube.quantity} values reach up to {high:.4g} {cube.unit}",
+            where=str(cube.raster.path),
+            expected=f"at most {limit:g}",
+            mend="state scale: (what multiplies the stored values) or unit:",
+        )
+
+
+def _equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
+    """Where the stored values are the ignore value, compared in the stored type."""
+    if np.isnan(ignore):
+        return np.isnan(stored)
+    if stored.dtype.kind == "f":
+        return stored == stored.dtype.type(ignore)
+    if not float(ignore).is_integer():
+        return np.zeros(stored.shape, bool)
+    limits = np.iinfo(stored.dtype)
+    if not limits.min <= int(ignore) <= limits.max:
+        return np.zeros(stored.shape, bool)
+    return stored == stored.dtype.type(int(ignore))

@@ -1,0 +1,290 @@
+"""Stored numbers of a raster, by lines or by pixels, whatever the file format.
+
+An ENVI file is read with plain reads into one buffer, so that memory does not grow with the file;
+a GeoTIFF is read by rasterio in windows.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rasterio
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from hyperval.errors import InputError, UsageError
+from hyperval.envi_header import EnviHeader, read_header
+from hyperval.imagery.georeference import crs_of, transform_of
+from hyperval.paths import checked_file
+
+Index = npt.NDArray[np.intp]
+MAX_TILE_BYTES = 1 << 30
+TIFF_SUFFIXES = (".tif", ".tiff")
+_DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".cub", ".sli", ".lib")
+
+
+@dataclass(frozen=True)
+class EnviRaster:
+    """An ENVI data file whose size is exactly what its header says."""
+
+    path: Path
+    header: EnviHeader
+    notes: tuple[str, ...] = ()
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return self.header.lines
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.header.samples
+
+    @property
+    def bands(self) -> int:
+        """Number of bands."""
+        return self.header.bands
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of a stored value."""
+        return self.header.dtype
+
+    @property
+    def transform(self) -> Affine | None:
+        """Pixel (sample, line) to map coordinates, from ``map info``."""
+        return transform_of(self.header)
+
+    @property
+    def crs(self) -> CRS | None:
+        """Coordinate reference system, from the header."""
+        return crs_of(self.header)
+
+    @property
+    def source_files(self) -> tuple[Path, ...]:
+        """The files that were read."""
+        return (self.path, self.header.path)
+
+    def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
+        """(count, samples, bands) stored numbers of consecutive lines."""
+        samples, bands, size = self.samples, self.bands, self.dtype.itemsize
+        if first < 0 or count < 1 or first + count > self.lines:
+            raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
+        with open(self.path, "rb", buffering=0) as stream:
+            if self.header.interleave == "bsq":
+                out = np.empty((bands, count, samples), self.dtype)
+                for band in range(bands):
+                    offset = self.header.header_offset + (band * self.lines + first) * samples * size
+                    self._fill(stream, out[band], offset)
+                return out.transpose(1, 2, 0)
+            shape = (count, bands, samples) if self.header.interleave == "bil" else (count, samples, bands)
+            out = np.empty(shape, self.dtype)
+            self._fill(stream, out, self.header.header_offset + first * samples * bands * size)
+            return out.transpose(0, 2, 1) if self.header.interleave == "bil" else out
+
+    def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
+        """(n, bands) stored numbers of single pixels."""
+        samples, lines, bands = self.samples, self.lines, self.bands
+        shape = {
+            "bsq": (bands, lines, samples), "bil": (lines, bands, samples), "bip": (lines, samples, bands)
+        }[self.header.interleave]  # fmt: skip
+        stored = np.memmap(self.path, self.dtype, "r", self.header.header_offset, shape)
+        if self.header.interleave == "bsq":
+            return np.array(stored[:, rows, cols].T)
+        if self.header.interleave == "bil":
+            return np.array(stored[rows, :, cols])
+        return np.array(stored[rows, cols])
+
+    def _fill(self, stream: Any, out: npt.NDArray[Any], offset: int) -> None:
+        stream.seek(offset)
+        view = memoryview(out.reshape(-1).view("u1").data)  # contiguous, so this is no copy
+        done = 0
+        while done < len(view):
+            step = stream.readinto(view[done:])
+            if not step:
+                raise InputError("the file became shorter while it was read", where=str(self.path))
+            done += step
+
+
+@dataclass(frozen=True)
+class TiffRaster:
+    """A GeoTIFF, opened by name of its driver and without the sidecar files that change its meaning."""
+
+    path: Path
+    lines: int
+    samples: int
+    bands: int
+    dtype: np.dtype
+    transform: Affine | None
+    crs: CRS | None
+    nodata: float | None = None
+    gains: tuple[float, ...] = ()
+    offsets: tuple[float, ...] = ()
+    wavelength_um: tuple[float, ...] = ()
+    header: EnviHeader | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def source_files(self) -> tuple[Path, ...]:
+        """The files that were read."""
+        return (self.path,) if self.header is None else (self.path, self.header.path)
+
+    def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
+        """(count, samples, bands) stored numbers of consecutive lines."""
+        if first < 0 or count < 1 or first + count > self.lines:
+            raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
+        with _opened(self.path) as dataset:
+            return dataset.read(window=Window(0, first, self.samples, count)).transpose(1, 2, 0)
+
+    def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
+        """(n, bands) stored numbers of single pixels."""
+        out = np.empty((rows.size, self.bands), self.dtype)
+        with _opened(self.path) as dataset:
+            for line in np.unique(rows):
+                stored = dataset.read(window=Window(0, int(line), self.samples, 1))
+                here = rows == line
+                out[here] = stored[:, 0, cols[here]].T
+        return out
+
+
+Raster = EnviRaster | TiffRaster
+
+
+def open_raster(path: Path | str, *, header: Path | str | None = None, root: Path | None = None) -> Raster:
+    """Open an ENVI file (data file or header may be named) or a GeoTIFF with or without a sidecar header.
+
+    Raises
+    ------
+    InputError : a file is missing, truncated, too long, or contradicts its header.
+    UsageError : a path that may not be opened, or two headers to choose from.
+    """
+    if Path(path).suffix.lower() in TIFF_SUFFIXES:
+        return _open_tiff(checked_file(path, root=root, what="GeoTIFF"), header, root)
+    data = Path(path)
+    if header is None and data.suffix.lower() == ".hdr":
+        header = checked_file(data, root=root, what="ENVI header")
+        data = _data_beside(data)
+    data = checked_file(data, root=root, what="ENVI data file")
+    if data.suffix.lower() == ".hdr":
+        raise UsageError("the cube is a header file", where=str(data), mend="name the data file")
+    found = Path(header) if header is not None else header_beside(data)
+    if found is None:
+        raise InputError(
+            "no header beside the data file",
+            where=str(data),
+            expected=f"{data.name}.hdr or {data.with_suffix('.hdr').name}",
+        )
+    parsed = read_header(checked_file(found, root=root, what="ENVI header"))
+    check_size(data, parsed)
+    return EnviRaster(data, parsed)
+
+
+def header_beside(data: Path) -> Path | None:
+    """The header of a data file: ``name.img.hdr`` or ``name.hdr``; None when there is none."""
+    candidates = {data.with_name(data.name + end) for end in (".hdr", ".HDR")}
+    candidates |= {data.with_suffix(end) for end in (".hdr", ".HDR")}
+    found = sorted(p for p in candidates if p.is_file())
+    # One file under two names on a file system that ignores case is one header.
+    unique = {p.resolve().stat().st_ino: p for p in reversed(found)}
+    if len(unique) > 1:
+        raise UsageError(
+            "two headers beside the data file: " + ", ".join(p.name for p in found),
+            where=str(data),
+            mend="state which one is meant (header:)",
+        )
+    return next(iter(unique.values()), None)
+
+
+def check_size(data: Path, header: EnviHeader) -> None:
+    """Raise InputError unless the data file has exactly the size that its header describes."""
+    size, expected = data.stat().st_size, header.expected_bytes
+    if size == expected:
+        return
+    described = (
+        f"{header.header_offset} + {header.samples} samples x {header.lines} lines x {header.bands} bands "
+        f"x {header.dtype.itemsize} bytes = {expected} bytes ({header.path})"
+    )
+    if size < expected:
+        missing = 100.0 * (expected - size) / expected
+        what = f"the file is truncated: {size} bytes, {missing:.3g} % missing"
+        mend = "copy the file again, or correct the header"
+    else:
+        what = f"the file is longer than its header says: {size} bytes, {size - expected} too many"
+        mend = "correct the header (lines, bands, data type or header offset)"
+    raise InputError(what, where=str(data), expected=described, mend=mend)
+
+
+def _data_beside(header: Path) -> Path:
+    stem = header.with_suffix("")
+    found = [stem.with_name(stem.name + end) for end in _DATA_SUFFIXES]
+    found = [p for p in found if p.is_file()]
+    if len(found) != 1:
+        names = ", ".join(p.name for p in found) or "none"
+        raise InputError(
+            f"data files beside the header: {names}", where=str(header), mend="name the data file instead"
+        )
+    return found[0]
+
+
+def _open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffRaster:
+    with _opened(path) as dataset:
+        names = set(dataset.dtypes)
+        if len(names) != 1 or not np.issubdtype(np.dtype(names.pop()), np.number):
+            raise InputError("bands of different or unknown types", where=str(path))
+        dtype = np.dtype(dataset.dtypes[0])
+        if dtype.kind == "c":
+            raise InputError("complex values cannot be read", where=str(path))
+        rows, cols = dataset.block_shapes[0]
+        if rows * cols * dtype.itemsize * dataset.count > MAX_TILE_BYTES:
+            raise InputError(
+                f"one block of the file needs more than {MAX_TILE_BYTES >> 20} MiB", where=str(path),
+                mend="rewrite it with smaller strips or tiles",
+            )  # fmt: skip
+        waves = [dataset.tags(i, ns="IMAGERY").get("CENTRAL_WAVELENGTH_UM") for i in dataset.indexes]
+        raster = TiffRaster(
+            path=path,
+            lines=dataset.height,
+            samples=dataset.width,
+            bands=dataset.count,
+            dtype=dtype,
+            transform=None if dataset.transform == Affine.identity() else dataset.transform,
+            crs=dataset.crs,
+            nodata=dataset.nodata,
+            gains=tuple(dataset.scales),
+            offsets=tuple(dataset.offsets),
+            wavelength_um=tuple(float(w) for w in waves) if all(waves) else (),
+        )
+    found = Path(header) if header is not None else header_beside(path)
+    if found is None:
+        return raster
+    parsed = read_header(checked_file(found, root=root, what="ENVI header"), sidecar=True)
+    shape, stated = (raster.lines, raster.samples, raster.bands), (parsed.lines, parsed.samples, parsed.bands)
+    if shape != stated:
+        raise InputError(
+            f"the GeoTIFF has (lines, samples, bands) = {shape}, its header says {stated}", where=str(parsed.path)
+        )
+    transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
+    return TiffRaster(**{**raster.__dict__, "header": parsed, "transform": transform, "crs": crs})
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    # No auxiliary files and no listing of the folder: neither .aux.xml, .msk nor .ovr can change what is read.
+    options = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.Env(**options), rasterio.open(path, driver="GTiff") as dataset:
+                yield dataset
+    except RasterioError as error:
+        raise InputError(f"not a readable GeoTIFF: {error}", where=str(path)) from error

@@ -1,0 +1,125 @@
+"""From stored numbers to physical values: one gain and one offset per band, applied once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.envi_header import EnviHeader
+from hyperval.errors import InputError, UsageError
+from hyperval.units import RADIANCE_UNIT, radiance_to_internal
+
+Array = npt.NDArray[np.float64]
+_REFLECTANCE_UNITS = {"fraction": 1.0, "1": 1.0, "percent": 0.01, "%": 0.01}
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """value = gain * stored + offset, per stored band, in ``unit``.
+
+    Attributes
+    ----------
+    gain, offset : (B,) in stored band order
+    unit : unit of the values
+    notes : where the numbers come from
+    """
+
+    gain: Array
+    offset: Array
+    unit: str
+    notes: tuple[str, ...] = ()
+
+
+def scaling_of(
+    header: EnviHeader | None,
+    bands: int,
+    *,
+    quantity: str,
+    unit: str | None,
+    scale: float | None,
+    file_gains: tuple[float, ...] = (),
+    file_offsets: tuple[float, ...] = (),
+) -> Scaling:
+    """Gain and offset of every band.
+
+    ``scale`` replaces whatever the header says.  Without it, reflectance is divided by
+    ``reflectance scale factor`` (or multiplied by ``data reflectance gain values``), everything else takes
+    ``data gain values`` and ``data offset values``; the scales of a GeoTIFF count as such gains.
+
+    Raises
+    ------
+    InputError : the header gives a scale factor that is zero or two that exclude each other.
+    UsageError : an unknown unit or quantity, a radiance without unit, or a scale that is no number.
+    """
+    to_internal, name = _unit_factor(quantity, unit)
+    if scale is not None:
+        if not np.isfinite(scale) or scale <= 0:
+            raise UsageError(f"scale is {scale:g}", expected="a positive number that multiplies the stored values")
+        gain, offset, note = np.full(bands, float(scale)), np.zeros(bands), f"stored values x {scale:g} (stated)"
+    else:
+        gain, offset, note = _from_header(header, bands, quantity)
+        tagged = np.array(file_gains or (1.0,) * bands), np.array(file_offsets or (0.0,) * bands)
+        if np.any(tagged[0] != 1.0) or np.any(tagged[1] != 0.0):
+            if note:
+                raise InputError(
+                    "the GeoTIFF and its header both scale the values",
+                    where=str(header.path) if header else None,
+                    mend="state scale: in the campaign",
+                )
+            gain, offset, note = tagged[0], tagged[1], "scale and offset tags of the GeoTIFF"
+    return Scaling(gain * to_internal, offset * to_internal, name, (note,) if note else ())
+
+
+def _from_header(header: EnviHeader | None, bands: int, quantity: str) -> tuple[Array, Array, str]:
+    one, zero = np.ones(bands), np.zeros(bands)
+    if header is None:
+        return one, zero, ""
+    kind = (
+        "data reflectance"
+        if quantity == "reflectance" and "data reflectance gain values" in header.entries
+        else "data"
+    )
+    gain = header.numbers(f"{kind} gain values", bands)
+    offset = header.numbers(f"{kind} offset values", bands)
+    factor = header.number("reflectance scale factor")
+    if gain is not None and np.any(gain == 0):
+        raise InputError("a gain of 0 makes every value the same", where=header.where(f"{kind} gain values"))
+    if factor is not None and not (np.isfinite(factor) and factor > 0):
+        raise InputError(
+            f"'reflectance scale factor' is {factor:g}",
+            where=header.where("reflectance scale factor"),
+            expected="a positive number",
+        )
+    scaled = gain is not None or offset is not None
+    if factor not in (None, 1.0) and (scaled or quantity == "radiance"):
+        other = f"'{kind} gain values'" if scaled else "a radiance"
+        raise InputError(
+            f"'reflectance scale factor' and {other} exclude each other",
+            where=header.where("reflectance scale factor"),
+            mend="state scale: (what multiplies the stored values) in the campaign",
+        )
+    if scaled:
+        return (one if gain is None else gain), (zero if offset is None else offset), f"{kind} gain/offset values"
+    if factor is not None and quantity == "reflectance":
+        return one / factor, zero, f"stored values / {factor:g} (reflectance scale factor)"
+    return one, zero, ""
+
+
+def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
+    if quantity == "radiance":
+        if unit is None:
+            raise UsageError(
+                "the unit of the radiance is not stated",
+                expected=f"for example unit: {RADIANCE_UNIT}",
+                mend="state unit: in the campaign",
+            )
+        return radiance_to_internal(unit), RADIANCE_UNIT
+    if quantity == "reflectance":
+        if unit is not None and unit not in _REFLECTANCE_UNITS:
+            raise UsageError(f"unknown reflectance unit {unit!r}", expected="fraction or percent")
+        return _REFLECTANCE_UNITS[unit or "fraction"], "1"
+    if quantity == "other":
+        return 1.0, unit or ""
+    raise UsageError(f"unknown quantity {quantity!r}", expected="radiance, reflectance or other")

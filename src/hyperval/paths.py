@@ -1,0 +1,42 @@
+"""Which files may be opened: regular files below the data root, never a URL or a virtual path."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from pathlib import Path
+
+from hyperval.errors import InputError, UsageError
+
+
+def checked_file(path: Path | str, *, root: Path | None = None, what: str = "file") -> Path:
+    """The path of a regular file that lies under ``root``.
+
+    Symbolic links are followed before the check, so a link that leads out of ``root`` is refused.
+
+    Raises
+    ------
+    UsageError : a URL, a GDAL virtual path, or a path that leaves ``root``.
+    InputError : no such file, or not a regular file (a folder, pipe or device).
+    """
+    text = os.fspath(path)
+    scheme = re.match(r"^[A-Za-z][A-Za-z0-9+.-]+:", text)
+    if scheme or text.startswith("/vsi") or "\0" in text:
+        raise UsageError(f"not a path of a local {what}", where=text[:200], expected="a path in the file system")
+    given = Path(text)
+    try:
+        real = given.resolve(strict=True)
+        mode = real.stat().st_mode
+    except FileNotFoundError:
+        raise InputError(f"no such {what}", where=text) from None
+    except (OSError, RuntimeError) as error:  # RuntimeError: a circle of links
+        raise InputError(f"cannot read: {getattr(error, 'strerror', error)}", where=text) from error
+    if root is not None and not real.is_relative_to(Path(root).resolve()):
+        raise UsageError(
+            f"the {what} lies outside the data root {root}", where=text, mend="move the file under the data root"
+        )
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, socket or device"
+        raise InputError(f"is {kind}, not a {what}", where=text, expected="a regular file")
+    return given
