@@ -25,6 +25,12 @@ Quantity = Literal["radiance", "reflectance", "other"]
 Where = Mask | tuple[npt.ArrayLike, npt.ArrayLike]
 
 BLOCK_BYTES = 16 << 20
+_WHOLE = ("ii", "uu", "iu", "ui")
+# Header entries that have their own place in a cube.
+_TAKEN = (
+    "wavelength", "wavelength units", "fwhm", "bbl", "map info", "coordinate system string",
+    "data ignore value", "description",
+)  # fmt: skip
 # Above these the 95th percentile of a cube says that its scale was not stated.
 PLAUSIBLE_REFLECTANCE = 1.5
 PLAUSIBLE_RADIANCE = 200.0  # [uW cm-2 sr-1 nm-1]; a white surface under the zenith sun gives about 65
@@ -152,16 +158,10 @@ class Cube:
     def _index(self, where: Where) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         if isinstance(where, tuple):
             rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
-            if (
-                rows.shape != cols.shape
-                or rows.ndim != 1
-                or rows.dtype.kind not in "iu"
-                or cols.dtype.kind not in "iu"
-            ):
+            if rows.shape != cols.shape or rows.ndim != 1 or rows.dtype.kind + cols.dtype.kind not in _WHOLE:
                 raise UsageError("rows and cols must be whole numbers of equal count")
-            if rows.size and (
-                rows.min() < 0 or cols.min() < 0 or rows.max() >= self.lines or cols.max() >= self.samples
-            ):
+            inside = (rows >= 0) & (rows < self.lines) & (cols >= 0) & (cols < self.samples)
+            if not inside.all():
                 raise UsageError(
                     f"pixels outside the cube: lines {rows.min()}-{rows.max()}, samples {cols.min()}-{cols.max()}",
                     expected=f"lines 0-{self.lines - 1}, samples 0-{self.samples - 1}",
@@ -185,7 +185,7 @@ class Cube:
         if self.ignore_value is not None:
             values[_equals(stored, self.ignore_value)] = np.nan
         if stored.dtype.kind == "f" or self.ignore_value is not None:
-            valid = np.isfinite(values[..., self.axis.good]).all(axis=-1)
+            valid = np.asarray(np.isfinite(values[..., self.axis.good]).all(axis=-1))
         else:
             valid = np.ones(stored.shape[:-1], bool)
         if self.quantity != "other":
@@ -249,8 +249,8 @@ def open_cube(
         scaling=scaling,
         stored_band=table.stored_band,
         ignore_value=ignore,
-        description=" ".join(entries.pop("description", "").split()),
-        extras=entries,
+        description=" ".join(entries.get("description", "").split()),
+        extras={key: text for key, text in entries.items() if key not in _TAKEN},
         notes=table.notes + scaling.notes,
     )
     if check_values:

@@ -23,8 +23,8 @@ from hyperval.spectra.axis import SpectralAxis
 class EnviWriter:
     """Takes blocks of lines in order; made by :func:`envi_writer`."""
 
-    def __init__(self, stream: Any, header: Mapping[str, Any], gain: npt.NDArray[np.float64], offset: float):
-        self._stream, self._gain, self._offset = stream, gain, offset
+    def __init__(self, stream: Any, header: Mapping[str, Any], gain: npt.NDArray[np.float64]):
+        self._stream, self._gain = stream, gain
         self.lines, self.samples, self.bands = header["lines"], header["samples"], header["bands"]
         self._interleave, self._start = header["interleave"], header["header offset"]
         self._dtype = np.dtype(BYTE_ORDERS[header["byte order"]] + DATA_TYPES[header["data type"]])
@@ -58,17 +58,14 @@ class EnviWriter:
         self.lines_written += count
 
     def _stored(self, block: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        plain = np.all(self._gain == 1.0) and self._offset == 0.0
-        values = block if plain else (block.astype(float) - self._offset) / self._gain
+        values = block if np.all(self._gain == 1.0) else block / self._gain
         if self._dtype.kind == "f":
             return values.astype(self._dtype)
         if values.dtype.kind == "f":
             finite = np.isfinite(values)
             if not finite.all():
                 if self._ignore is None:
-                    raise UsageError(
-                        "values that are not finite cannot be stored as integers without an ignore value"
-                    )
+                    raise UsageError("values that are not finite need an ignore value to be stored as integers")
                 values = np.where(finite, values, self._ignore)
             values = np.rint(values)
         limits = np.iinfo(self._dtype)
@@ -173,7 +170,7 @@ def envi_writer(
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.truncate(size)
-            writer = EnviWriter(stream, entries, factor, 0.0)
+            writer = EnviWriter(stream, entries, factor)
             yield writer
             if writer.lines_written != lines:
                 raise UsageError(f"{writer.lines_written} of {lines} lines were written", where=str(path))

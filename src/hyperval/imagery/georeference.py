@@ -9,8 +9,8 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from hyperval.errors import InputError
 from hyperval.envi_header import EnviHeader
+from hyperval.errors import InputError
 
 _METRES = ("meters", "metres", "meter", "metre", "m")
 

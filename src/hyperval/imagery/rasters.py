@@ -21,8 +21,8 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from hyperval.errors import InputError, UsageError
 from hyperval.envi_header import EnviHeader, read_header
+from hyperval.errors import InputError, UsageError
 from hyperval.imagery.georeference import crs_of, transform_of
 from hyperval.paths import checked_file
 

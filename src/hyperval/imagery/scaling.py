@@ -76,11 +76,8 @@ def _from_header(header: EnviHeader | None, bands: int, quantity: str) -> tuple[
     one, zero = np.ones(bands), np.zeros(bands)
     if header is None:
         return one, zero, ""
-    kind = (
-        "data reflectance"
-        if quantity == "reflectance" and "data reflectance gain values" in header.entries
-        else "data"
-    )
+    own = quantity == "reflectance" and "data reflectance gain values" in header.entries
+    kind = "data reflectance" if own else "data"
     gain = header.numbers(f"{kind} gain values", bands)
     offset = header.numbers(f"{kind} offset values", bands)
     factor = header.number("reflectance scale factor")
