@@ -1,0 +1,125 @@
+"""Exact intervals of a proportion: detections out of targets, false alarms out of background pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from hyperval.errors import UsageError
+
+Array = npt.NDArray[np.float64]
+Sides = Literal["two", "lower", "upper"]
+
+
+def clopper_pearson(
+    count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95, sides: Sides = "two"
+) -> tuple[Array, Array]:
+    """Exact interval of a binomial proportion.
+
+    The lower limit solves P(X >= count | p) = a, the upper P(X <= count | p) = a, with a = (1 - level)/2
+    for ``sides="two"`` and a = 1 - level for a one-sided limit; the other limit is then 0 or 1.
+    Coverage is at least ``level`` for every p.  Source: Clopper & Pearson, Biometrika 26, 404-413, 1934.
+
+    Parameters
+    ----------
+    count, total : number of successes and of trials, broadcast against each other
+
+    Returns
+    -------
+    lower, upper : arrays of the broadcast shape [1]
+
+    Raises
+    ------
+    UsageError : no trials, more successes than trials, or a level outside (0, 1).
+
+    Examples
+    --------
+    >>> low, high = clopper_pearson(15, 20)
+    >>> print(f"{low:.3f} {high:.3f}")
+    0.509 0.913
+    """
+    k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
+    _check(k, n, level)
+    if sides not in ("two", "lower", "upper"):
+        raise UsageError(f"unknown sides {sides!r}", expected="two, lower or upper")
+    tail = (1.0 - level) / (2.0 if sides == "two" else 1.0)
+    # The binomial tail sums are incomplete beta functions; the end counts have their limit at 0 or 1.
+    lower = np.where(k > 0, special.betaincinv(np.maximum(k, 1.0), n - k + 1.0, tail), 0.0)
+    upper = np.where(k < n, special.betaincinv(k + 1.0, np.maximum(n - k, 1.0), 1.0 - tail), 1.0)
+    if sides == "lower":
+        upper = np.ones_like(lower)
+    if sides == "upper":
+        lower = np.zeros_like(upper)
+    return lower, upper
+
+
+def zero_count_upper_limit(total: int, level: float = 0.95) -> float:
+    """One-sided upper limit of a probability after no event in ``total`` trials: 1 - (1 - level)^(1/total).
+
+    Examples
+    --------
+    >>> zero_count_upper_limit(12203) < 2.5e-4
+    True
+    """
+    _check(np.asarray(0.0), np.asarray(float(total)), level)
+    return float(-np.expm1(np.log1p(-level) / total))
+
+
+def wilson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
+    """Wilson's score interval of a proportion: narrower than Clopper-Pearson, right on average over p only.
+
+    Source: Wilson, J. Am. Stat. Assoc. 22, 209-212, 1927.  For figures; gates use the exact interval.
+    """
+    k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
+    _check(k, n, level)
+    z = float(special.ndtri(0.5 + level / 2.0))
+    p = k / n
+    centre = (p + z**2 / (2.0 * n)) / (1.0 + z**2 / n)
+    half = z / (1.0 + z**2 / n) * np.sqrt(p * (1.0 - p) / n + z**2 / (4.0 * n**2))
+    return np.where(k > 0, centre - half, 0.0), np.where(k < n, centre + half, 1.0)
+
+
+@dataclass(frozen=True)
+class JointRegion:
+    """A rectangle that holds (P_FA, P_D) of one threshold with the stated probability."""
+
+    pfa: float
+    pd: float
+    pfa_lower: float
+    pfa_upper: float
+    pd_lower: float
+    pd_upper: float
+    level: float
+
+
+def joint_region(detected: int, targets: int, alarms: int, background: int, level: float = 0.95) -> JointRegion:
+    """Joint confidence rectangle of (P_FA, P_D) at a threshold chosen without these data.
+
+    Targets and background are independent samples, so two exact intervals of level sqrt(level) hold
+    together with probability ``level``.  Source: Kerekes, IEEE GRSL 5(2), 251-255, 2008.
+    """
+    each = float(np.sqrt(level))
+    pd_low, pd_high = clopper_pearson(detected, targets, each)
+    pfa_low, pfa_high = clopper_pearson(alarms, background, each)
+    return JointRegion(
+        alarms / background,
+        detected / targets,
+        float(pfa_low),
+        float(pfa_high),
+        float(pd_low),
+        float(pd_high),
+        level,
+    )
+
+
+def _check(k: Array, n: Array, level: float) -> None:
+    if not 0.0 < level < 1.0:
+        raise UsageError(f"confidence level {level:g}", expected="a number between 0 and 1, such as 0.95")
+    if not (np.all(np.isfinite(k)) and np.all(np.isfinite(n)) and np.all(n >= 1)):
+        raise UsageError("a proportion needs at least one trial")
+    if np.any(k < 0) or np.any(k > n):
+        raise UsageError("the count of a proportion must lie between 0 and the number of trials")

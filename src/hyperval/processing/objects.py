@@ -1,0 +1,91 @@
+"""Scores of whole objects, with a halo, and the background scored by the same footprint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from hyperval.errors import UsageError
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+def with_halo(mask: npt.NDArray[Any], halo: int) -> Mask:
+    """The mask grown by ``halo`` pixels in line and sample (a square neighbourhood)."""
+    grown = np.asarray(mask, dtype=bool)
+    if halo < 0:
+        raise UsageError(f"halo of {halo} pixels", expected="0 or more")
+    return ndimage.binary_dilation(grown, np.ones((2 * halo + 1, 2 * halo + 1), bool)) if halo else grown
+
+
+def object_scores(
+    score_map: npt.NDArray[Any], masks: Mapping[str, npt.NDArray[Any]], halo: int = 0
+) -> dict[str, float]:
+    """Greatest score over each object's pixels and ``halo`` pixels around them.
+
+    Parameters
+    ----------
+    score_map : (lines, samples), NaN where invalid
+    masks : (lines, samples) True on the pixels of each object
+
+    Returns
+    -------
+    score by object; NaN for an object without a valid pixel.  With a halo the background must be scored by
+    :func:`footprint_maxima`, else noise alone looks like detection.
+    """
+    scores = np.asarray(score_map, dtype=float)
+    found: dict[str, float] = {}
+    for name, mask in masks.items():
+        if np.shape(mask) != scores.shape:
+            raise UsageError(f"the mask of {name!r} has shape {np.shape(mask)}, the score map {scores.shape}")
+        if not np.any(mask):
+            raise UsageError(f"the object {name!r} holds no pixel")
+        pixels = scores[with_halo(mask, halo)]
+        pixels = pixels[~np.isnan(pixels)]
+        found[name] = float(pixels.max()) if pixels.size else float("nan")
+    return found
+
+
+def footprint(mask: npt.NDArray[Any], halo: int = 0) -> Mask:
+    """The object's own shape with its halo, cut to its bounding box (halo not cut by the image's edge)."""
+    padded = np.pad(np.asarray(mask, dtype=bool), halo)
+    grown = with_halo(padded, halo)
+    if not grown.any():
+        raise UsageError("the object holds no pixel")
+    rows, columns = np.flatnonzero(grown.any(axis=1)), np.flatnonzero(grown.any(axis=0))
+    return grown[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+
+def footprint_maxima(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None = None) -> Array:
+    """Greatest score of each placement of an object's footprint on the background.
+
+    The image is tiled by the footprint's bounding box, without overlap, so that the maxima are separate
+    draws; tiles that touch an invalid or an excluded pixel under the footprint are left out.
+
+    Parameters
+    ----------
+    score_map : (lines, samples), NaN where invalid
+    shape : (h, w) from :func:`footprint`
+    exclude : (lines, samples) True on targets and their guard ring
+
+    Returns
+    -------
+    (n,) maxima: the ``background_scores`` that belong with haloed object scores.  One of them stands for a
+    false alarm per footprint, not per pixel.
+    """
+    scores = np.array(score_map, dtype=float)
+    if exclude is not None:
+        scores[np.asarray(exclude, dtype=bool)] = np.nan
+    h, w = shape.shape
+    rows, columns = scores.shape[0] // h, scores.shape[1] // w
+    if rows * columns == 0:
+        raise UsageError(f"a footprint of {h} x {w} pixels does not fit a score map of {scores.shape}")
+    tiles = scores[: rows * h, : columns * w].reshape(rows, h, columns, w).transpose(0, 2, 1, 3)
+    values = tiles.reshape(rows * columns, h * w)[:, shape.ravel()]
+    values = values[~np.isnan(values).any(axis=1)]
+    return values.max(axis=1) if values.size else np.empty(0)

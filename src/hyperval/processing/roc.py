@@ -1,0 +1,189 @@
+"""Empirical ROC curves: exact with ties, by pixel or by object, with honest intervals.
+
+A pixel is declared a target when its score lies strictly above the threshold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from hyperval.errors import UsageError
+from hyperval.processing.intervals import clopper_pearson
+from hyperval.products import RocCurve
+
+Array = npt.NDArray[np.float64]
+Nan = Literal["raise", "omit"]
+POINTS_PER_DECADE = 20
+# Part of the allowed error probability spent on the threshold's own sampling; the rest is the binomial part.
+THRESHOLD_SHARE = 0.2
+
+
+@dataclass(frozen=True)
+class DetectionRate:
+    """Detection probability at preset false-alarm probabilities.
+
+    All arrays are (K,).  ``lower``/``upper`` hold the threshold's sampling error too; ``binomial_lower``/
+    ``binomial_upper`` are Clopper-Pearson limits for the threshold as it was drawn.
+    """
+
+    pfa: Array
+    pd: Array
+    lower: Array
+    upper: Array
+    binomial_lower: Array
+    binomial_upper: Array
+    threshold: Array
+    alarms: npt.NDArray[np.int64]
+    n_target: int
+    n_background: int
+    level: float
+
+
+def roc_points(
+    target_scores: npt.ArrayLike, background_scores: npt.ArrayLike, nan: Nan = "raise"
+) -> tuple[Array, Array, Array]:
+    """Every corner of the empirical ROC: ``pfa``, ``pd`` and the least score declared.
+
+    Equal scores are declared together, so ties make one slanted step.  The first point declares nothing and
+    carries the score +inf; the others belong to the rule "score >= value".
+    """
+    t = _sorted_scores(target_scores, "target", nan)
+    b = _sorted_scores(background_scores, "background", nan)
+    value = np.unique(np.concatenate([t, b]))[::-1]
+    pd = (t.size - np.searchsorted(t, value, side="left")) / t.size
+    pfa = (b.size - np.searchsorted(b, value, side="left")) / b.size
+    return np.concatenate([[0.0], pfa]), np.concatenate([[0.0], pd]), np.concatenate([[np.inf], value])
+
+
+def pd_at_pfa(
+    target_scores: npt.ArrayLike,
+    background_scores: npt.ArrayLike,
+    pfa: npt.ArrayLike,
+    *,
+    level: float = 0.95,
+    nan: Nan = "raise",
+) -> DetectionRate:
+    """Detection probability at the lowest threshold whose empirical false-alarm rate is at most ``pfa``.
+
+    The threshold is the (k+1)-th greatest of the n background scores with k = floor(n pfa), so that at most k
+    background pixels lie above it, with ties or without.
+
+    The interval has two parts that hold together (Bonferroni).  (1) The threshold x that truly gives ``pfa``
+    is known only through the background sample: the number of background scores above x is binomial, so x
+    lies between two order statistics of the background; where n pfa is too small, no score bounds it
+    from above and the lower limit of P_D is 0.  (2) At each of those two thresholds the number of detected targets
+    is binomial: Clopper-Pearson.  A fifth of 1 - level goes to part 1.  Coverage is at least ``level``;
+    targets must be independent of each other, so count objects, not the pixels of one object.
+
+    Parameters
+    ----------
+    target_scores, background_scores : any shape; +-inf allowed; NaN raises, or is left out with ``nan="omit"``
+    pfa : preset false-alarm probabilities in (0, 1]
+
+    Raises
+    ------
+    UsageError : no targets, no background, NaN, or a ``pfa`` outside (0, 1].
+    """
+    t = _sorted_scores(target_scores, "target", nan)
+    b = _sorted_scores(background_scores, "background", nan)
+    p = np.atleast_1d(np.asarray(pfa, dtype=float))
+    if not (np.all(p > 0) and np.all(p <= 1)):
+        raise UsageError("a preset false-alarm probability must lie in (0, 1]")
+    k = np.minimum(np.floor(p * b.size * (1.0 + 1e-12)).astype(np.int64), b.size)
+    threshold = _greatest(b, k + 1)
+    detected = _above(t, threshold, k >= b.size)
+    alarms = _above(b, threshold, k >= b.size)
+    low, high = clopper_pearson(detected, t.size, level)
+
+    slack = 1.0 - level
+    tail = THRESHOLD_SHARE * slack / 2.0
+    # P(fewer than r scores above the true threshold) <= tail: the r-th greatest bounds it from above.
+    r = stats.binom.ppf(tail, b.size, p).astype(np.int64)
+    r = np.where(stats.binom.cdf(r, b.size, p) <= tail, r + 1, r)
+    # P(s scores or more above it) <= tail: the s-th greatest bounds it from below.
+    s = stats.binom.isf(tail, b.size, p).astype(np.int64) + 1
+    few = np.where(r >= 1, _above(t, _greatest(b, np.maximum(r, 1)), np.zeros(p.shape, bool)), 0)
+    many = _above(t, _greatest(b, s), s > b.size)
+    binomial_level = 1.0 - slack * (1.0 - THRESHOLD_SHARE)
+    wide_low = clopper_pearson(few, t.size, binomial_level)[0]
+    wide_high = clopper_pearson(many, t.size, binomial_level)[1]
+    # A false-alarm probability of one declares everything, whatever the sample.
+    certain = p >= 1.0
+    return DetectionRate(
+        pfa=p,
+        pd=detected / t.size,
+        lower=np.where(certain, 1.0, np.minimum(wide_low, low)),
+        upper=np.maximum(wide_high, high),
+        binomial_lower=low,
+        binomial_upper=high,
+        threshold=threshold,
+        alarms=alarms,
+        n_target=int(t.size),
+        n_background=int(b.size),
+        level=level,
+    )
+
+
+def empirical_roc(
+    target_scores: npt.ArrayLike,
+    background_scores: npt.ArrayLike,
+    pfa: npt.ArrayLike | None = None,
+    unit: Literal["pixel", "object"] = "pixel",
+    *,
+    background_area_km2: float | None = None,
+    level: float = 0.95,
+    nan: Nan = "raise",
+) -> RocCurve:
+    """Empirical ROC curve at preset false-alarm probabilities, with the interval of :func:`pd_at_pfa`.
+
+    ``pfa`` defaults to a logarithmic grid from one alarm in the whole background to 1, which holds the decades.
+    """
+    if pfa is None:
+        n = _sorted_scores(background_scores, "background", nan).size
+        decades = int(np.ceil(np.log10(max(n, 10))))
+        grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
+        pfa = grid[grid * n * (1.0 + 1e-12) >= 1.0]
+    found = pd_at_pfa(target_scores, background_scores, np.sort(np.asarray(pfa, dtype=float)), level=level, nan=nan)
+    return RocCurve(
+        pfa=found.pfa,
+        pd=found.pd,
+        pd_lower=found.lower,
+        pd_upper=found.upper,
+        threshold=found.threshold,
+        unit=unit,
+        n_target=found.n_target,
+        n_background=found.n_background,
+        background_area_km2=background_area_km2,
+    )
+
+
+def _sorted_scores(scores: npt.ArrayLike, name: str, nan: Nan) -> Array:
+    values = np.asarray(scores, dtype=float).ravel()
+    missing = np.isnan(values)
+    if np.any(missing):
+        if nan != "omit":
+            raise UsageError(
+                f"{int(missing.sum())} of {values.size} {name} scores are NaN",
+                mend='leave invalid pixels out, or pass nan="omit" to have them left out here',
+            )
+        values = values[~missing]
+    if values.size == 0:
+        raise UsageError(f"there are no {name} scores", expected="at least one valid score on each side of a ROC")
+    return np.sort(values)
+
+
+def _greatest(ascending: Array, rank: npt.NDArray[np.int64]) -> Array:
+    """The ``rank``-th greatest score (from 1); -inf beyond the last."""
+    n = ascending.size
+    return np.where(rank <= n, ascending[np.clip(n - rank, 0, n - 1)], -np.inf)
+
+
+def _above(ascending: Array, threshold: Array, everything: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    """How many scores lie above the threshold; all of them where ``everything`` is declared, -inf included."""
+    count = ascending.size - np.searchsorted(ascending, threshold, side="right")
+    return np.where(everything, ascending.size, count).astype(np.int64)

@@ -1,0 +1,81 @@
+"""Signal-to-noise ratio of a homogeneous region of an image."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from hyperval.errors import UsageError
+from hyperval.products import SpectralEstimate
+
+Array = npt.NDArray[np.float64]
+
+
+def snr_mean_sd(pixels: npt.ArrayLike) -> SpectralEstimate:
+    """Mean over standard deviation per band: a lower bound, as texture counts as noise.
+
+    Parameters
+    ----------
+    pixels : (n, B) of one region, n >= 3, finite
+    """
+    x = _checked(pixels, 3)
+    return _estimate(x.mean(axis=0), np.std(x, axis=0, ddof=1), len(x), len(x) - 1)
+
+
+def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
+    """Mean over the noise that neighbouring bands do not explain.
+
+    Texture is common to neighbouring bands and noise is not.  Each band is regressed on the bands below and
+    above (at the ends, on the two next), x_b = c_0 + c_1 x_(b-1) + c_2 x_(b+1) + e.  The residual carries the
+    neighbours' noise too, var e = s_b^2 + c_1^2 s_(b-1)^2 + c_2^2 s_(b+1)^2; noise that changes little from band
+    to band gives s_b^2 = var e/(1 + c_1^2 + c_2^2), with n - 3 degrees of freedom.  Where texture and noise
+    are alike the regression explains only a part of the texture and the SNR is somewhat low.
+    This is the spectral part of Roger & Arnold, Int. J. Remote Sens. 17, 1951-1962, 1996.
+
+    Parameters
+    ----------
+    pixels : (n, B) of one region, n >= 5, B >= 3, finite
+    """
+    x = _checked(pixels, 5)
+    n, bands = x.shape
+    if bands < 3:
+        raise UsageError(f"{bands} bands: a band needs two neighbours to be told from noise", expected="3 or more")
+    mean = x.mean(axis=0)
+    z = x - mean
+    sd = np.empty(bands)
+    for b in range(bands):
+        near = [1, 2] if b == 0 else [bands - 3, bands - 2] if b == bands - 1 else [b - 1, b + 1]
+        c, *_ = np.linalg.lstsq(z[:, near], z[:, b], rcond=None)
+        residual = z[:, b] - z[:, near] @ c
+        sd[b] = np.sqrt(residual @ residual / (n - 3) / (1.0 + c @ c))
+    return _estimate(mean, sd, n, n - 3)
+
+
+def snr_interval(snr: npt.ArrayLike, dof: int, level: float = 0.95) -> tuple[Array, Array]:
+    """Interval of an SNR whose noise was estimated with ``dof`` degrees of freedom.
+
+    dof s^2/sigma^2 follows chi-square, so the true mean/sigma lies between snr sqrt(chi2_a/dof) and
+    snr sqrt(chi2_(1-a)/dof), a = (1 - level)/2; the error of the mean is negligible beside it.
+    """
+    value = np.asarray(snr, dtype=float)
+    low, high = stats.chi2.ppf([(1.0 - level) / 2.0, (1.0 + level) / 2.0], dof)
+    return value * np.sqrt(low / dof), value * np.sqrt(high / dof)
+
+
+def _estimate(mean: Array, sd: Array, n: int, dof: int) -> SpectralEstimate:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        snr = np.where(sd > 0, mean / sd, np.nan)
+    # First order: var(mean/s) = 1/n + snr^2/(2 dof); the two parts are independent for normal noise.
+    budget = {"mean": np.full(snr.shape, n**-0.5), "noise estimate": np.abs(snr) / np.sqrt(2.0 * dof)}
+    variance = sum((u**2 for u in budget.values()), np.zeros(snr.shape))
+    return SpectralEstimate(snr, np.diag(variance), None, n, budget)
+
+
+def _checked(pixels: npt.ArrayLike, least: int) -> Array:
+    x = np.asarray(pixels, dtype=float)
+    if x.ndim != 2 or len(x) < least:
+        raise UsageError(f"pixels of shape {x.shape} for an SNR", expected=f"(n, B) with n at least {least}")
+    if not np.all(np.isfinite(x)):
+        raise UsageError("the region holds NaN or infinity", mend="leave invalid pixels out")
+    return x
