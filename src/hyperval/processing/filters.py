@@ -87,7 +87,7 @@ def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarian
 
 
 def correlation_filter(target: npt.ArrayLike, correlation: npt.ArrayLike) -> LinearFilter:
-    """CEM weights from a correlation matrix R (B, B) = E[x x^T]; see :func:`cem_correlation_weights` (3.22-3.25)."""
+    """CEM weights from a correlation matrix R (B, B) = E[x x^T] (variant of 3.22-3.25)."""
     t = np.asarray(target, dtype=float)
     if not np.any(t):
         raise UsageError("the target spectrum is zero in every band")
@@ -109,7 +109,7 @@ LINEAR_DETECTORS: Mapping[str, FilterDesign] = {
 def design_filter(
     detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayLike
 ) -> LinearFilter:
-    """The filter that ``detector`` names in :data:`LINEAR_DETECTORS` (3.22-3.25); UsageError for an unknown name."""
+    """The filter that ``detector`` names in :data:`LINEAR_DETECTORS` (3.22-3.25); UsageError when unknown."""
     if detector not in LINEAR_DETECTORS:
         raise UsageError(f"unknown detector {detector!r}", expected="one of " + ", ".join(LINEAR_DETECTORS))
     return LINEAR_DETECTORS[detector](target, mean, covariance)

@@ -1,0 +1,239 @@
+"""Fill fractions of target pixels from the geometry of target and pixel (f of 3.10 and 3.12).
+
+The response of a pixel to the ground is its square aperture convolved with a Gaussian; the fill of
+a pixel is the integral of that response over the target.  Since the responses of all pixels add up
+to 1 everywhere, the sum of the fills times GSD^2 is the area of the target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr
+
+from hyperval.errors import UsageError
+from hyperval.spectra.response import SIGMA_PER_FWHM
+
+Array = npt.NDArray[np.float64]
+
+PHASES = 256  # sub-pixel positions sampled; the fill is smooth in them
+MAX_PIXELS_ACROSS = 64
+_NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+@dataclass(frozen=True)
+class FillDistribution:
+    """A discrete distribution of the fill fraction f.
+
+    Attributes
+    ----------
+    values : (K,) fill fractions [1]
+    weights : (K,) probabilities, sum 1
+    """
+
+    values: Array
+    weights: Array
+
+    @property
+    def mean(self) -> float:
+        """E[f]."""
+        return float(self.weights @ self.values)
+
+    @property
+    def variance(self) -> float:
+        """Var f."""
+        return float(self.weights @ (self.values - self.mean) ** 2)
+
+    def binned(self, bins: int = 48) -> FillDistribution:
+        """The same distribution on at most ``bins`` values: bin means, so that E[f] is kept exactly."""
+        low, high = float(self.values.min()), float(self.values.max())
+        if self.values.size <= bins or high - low < 1e-12:
+            return self
+        index = np.minimum(((self.values - low) / (high - low) * bins).astype(int), bins - 1)
+        weight = np.bincount(index, self.weights, bins).astype(float)
+        total = np.bincount(index, self.weights * self.values, bins).astype(float)
+        held = weight > 0
+        return FillDistribution(total[held] / weight[held], weight[held])
+
+
+@dataclass(frozen=True)
+class TargetGeometry:
+    """A rectangular target on a square pixel grid.
+
+    Attributes
+    ----------
+    length_m, width_m : sides of the target [m]; the length runs along the heading
+    gsd_m : ground sampling distance, the pixel's side [m]
+    heading_deg : direction of the length, clockwise from the pixel grid's column direction; None = any
+    psf_fwhm_pixels : FWHM of the Gaussian blur besides the aperture [pixels]; 0 = aperture alone
+    phase : "random" position on the grid, or "centred" on a pixel's centre
+    """
+
+    length_m: float
+    width_m: float
+    gsd_m: float
+    heading_deg: float | None = 0.0
+    psf_fwhm_pixels: float = 0.0
+    phase: Literal["random", "centred"] = "random"
+
+    def __post_init__(self) -> None:
+        if not (self.length_m > 0 and self.width_m > 0 and self.gsd_m > 0 and self.psf_fwhm_pixels >= 0):
+            raise UsageError("target sides and GSD must be positive, the PSF width not negative")
+        if max(self.length_m, self.width_m) / self.gsd_m > MAX_PIXELS_ACROSS:
+            raise UsageError(
+                f"the target is more than {MAX_PIXELS_ACROSS} pixels across",
+                mend="a target of that size is a class of its own: give it fill {fixed: 1}",
+            )
+
+
+def fixed_fill(value: float) -> FillDistribution:
+    """Every pixel has the same fill, as (3.12) is printed."""
+    return FillDistribution(np.array([value]), np.ones(1))
+
+
+def beta_fill(mean: float, sd: float, nodes: int = 48) -> FillDistribution:
+    """Fill with given moments, as a beta distribution on 0-1 cut into ``nodes`` equally likely parts.
+
+    Raises UsageError when no distribution on 0-1 has these moments.  The nodes are rescaled so that
+    mean and sd are met exactly, where that keeps them in 0-1.
+    """
+    if sd == 0:
+        return fixed_fill(mean)
+    if not (0 < mean < 1 and sd**2 < mean * (1 - mean)):
+        raise UsageError(f"no fill fraction between 0 and 1 has mean {mean:g} and sd {sd:g}")
+    from scipy.stats import beta
+
+    k = mean * (1 - mean) / sd**2 - 1
+    f = np.asarray(beta.ppf((np.arange(nodes) + 0.5) / nodes, mean * k, (1 - mean) * k))
+    f = mean + (f - f.mean()) * (sd / f.std())
+    return FillDistribution(np.clip(f, 0.0, 1.0), np.full(nodes, 1.0 / nodes))
+
+
+def best_pixel_fill(geometry: TargetGeometry) -> FillDistribution:
+    """Distribution of the fill of the pixel that holds most of the target (f of 3.10)."""
+    return ranked_pixel_fill(geometry, 1)
+
+
+def ranked_pixel_fill(geometry: TargetGeometry, n: int) -> FillDistribution:
+    """Distribution of f over the ``n`` fullest pixels of an object, each counted alike (f of 3.10)."""
+    values = object_fills(geometry, n).ravel()
+    return FillDistribution(values, np.full(values.size, 1.0 / values.size))
+
+
+def object_fills(geometry: TargetGeometry, n: int) -> Array:
+    """(K, n) fills of the ``n`` fullest pixels, in falling order, for K equally likely positions (f of 3.10)."""
+    fills = np.sort(_sampled_fills(geometry), axis=1)[:, ::-1]
+    if n > fills.shape[1]:
+        fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
+    return fills[:, :n]
+
+
+@lru_cache(maxsize=256)
+def _sampled_fills(geometry: TargetGeometry) -> Array:
+    """(K, P) fills of all pixels that the target reaches, one row per sampled position."""
+    random = geometry.phase == "random"
+    count = PHASES if random or geometry.heading_deg is None else 1
+    # Additive recurrence with the generalised golden ratio in three dimensions: deterministic, even.
+    ratio = 1.2207440846057596
+    sequence = (0.5 + np.outer(np.arange(count), ratio ** -np.arange(1.0, 4.0))) % 1.0
+    offset = sequence[:, :2] - 0.5 if random else np.zeros((count, 2))
+    heading = 180.0 * sequence[:, 2] if geometry.heading_deg is None else np.full(count, geometry.heading_deg)
+    fills = pixel_fills(geometry, offset, heading)
+    result = fills.reshape(count, -1)
+    result.setflags(write=False)
+    return result
+
+
+def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: npt.ArrayLike) -> Array:
+    """Fill of every pixel around a target at given positions (f of 3.10) [1].
+
+    The integral over one direction is closed (error functions); over the other it is Gauss-Legendre
+    quadrature between the corners of the target and the edges of the pixels.
+
+    Parameters
+    ----------
+    geometry : target and pixel
+    offset : (K, 2) centre of the target from the centre of the middle pixel [pixels]
+    heading_deg : (K,) direction of the length
+
+    Returns
+    -------
+    (K, P, P) fills of the pixels, the middle pixel at [P // 2, P // 2]; axis 1 runs along the columns
+    (heading 0), axis 2 across.
+    """
+    at = np.asarray(offset, dtype=float)
+    angle = np.deg2rad(np.asarray(heading_deg, dtype=float))
+    length, width = geometry.length_m / geometry.gsd_m, geometry.width_m / geometry.gsd_m
+    s = geometry.psf_fwhm_pixels * SIGMA_PER_FWHM
+    half = int(np.ceil(0.5 * np.hypot(length, width) + 0.5 + 5.0 * s)) + 1
+    pixels = np.arange(-half, half + 1, dtype=float)
+    c, d = np.cos(angle), np.sin(angle)
+    # Corners of the target along y fix where the chord length has kinks.
+    corner = np.stack([0.5 * (i * length * c + j * width * d) for i in (-1, 1) for j in (-1, 1)], axis=1)
+    low, high = corner.min(axis=1), corner.max(axis=1)
+    edges = np.arange(-half - 0.5, half + 1.5)[None, :] - at[:, 1:2]
+    breaks = np.sort(np.concatenate([corner, np.clip(edges, low[:, None], high[:, None])], axis=1), axis=1)
+    parts = max(2, int(np.ceil(1.0 / max(s, 0.1)))) if s > 0 else 8
+    steps = np.arange(parts) / parts
+    span = np.diff(breaks, axis=1)
+    start = (breaks[:, :-1, None] + span[:, :, None] * steps).reshape(len(at), -1)
+    size = np.repeat(span / parts, parts, axis=1)
+    y = (start[:, :, None] + 0.5 * size[:, :, None] * (1.0 + _NODES)).reshape(len(at), -1)
+    dy = (0.5 * size[:, :, None] * _NODE_WEIGHTS).reshape(len(at), -1)
+    left, right = _chord(y, c[:, None], d[:, None], length, width)
+    x0 = at[:, 0][:, None, None]
+    across = _step_response(right[:, :, None] + x0 - pixels, s) - _step_response(left[:, :, None] + x0 - pixels, s)
+    z = (y + at[:, 1:2])[:, :, None] - pixels
+    along = _aperture(z, s) * dy[:, :, None]
+    return np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0)  # rounding alone leaves 0-1
+
+
+def aligned_fill(length: float, width: float, offset: npt.ArrayLike, psf_fwhm_pixels: float = 0.0) -> Array:
+    """Fill of one pixel by an aligned rectangle, in closed form (f of 3.10) [1].
+
+    Parameters
+    ----------
+    length, width : sides along y and x [pixels]
+    offset : (..., 2) centre of the rectangle (x, y) from the centre of the pixel [pixels]
+    """
+    s = psf_fwhm_pixels * SIGMA_PER_FWHM
+    at = np.asarray(offset, dtype=float)
+
+    def side(u: Array, a: float) -> Array:
+        return _step_response(u + 0.5 * a, s) - _step_response(u - 0.5 * a, s)
+
+    return np.asarray(side(at[..., 0], width) * side(at[..., 1], length))
+
+
+def _chord(y: Array, c: Array, d: Array, length: float, width: float) -> tuple[Array, Array]:
+    """Ends in x of the target's chord at height y: the cut of two strips |x d + y c| <= l/2, |x c - y d| <= w/2."""
+    ends = []
+    for slope, shift, side in ((d, y * c, length), (c, -y * d, width)):
+        slope = np.where(np.abs(slope) < 1e-12, 1e-12, slope)
+        a, b = (-0.5 * side - shift) / slope, (0.5 * side - shift) / slope
+        ends.append((np.minimum(a, b), np.maximum(a, b)))
+    left, right = np.maximum(ends[0][0], ends[1][0]), np.minimum(ends[0][1], ends[1][1])
+    return left, np.maximum(left, right)
+
+
+def _aperture(x: Array, s: float) -> Array:
+    """Response of the pixel in one direction: unit box convolved with a Gaussian of sigma ``s`` [pixels]."""
+    if s == 0:
+        return np.asarray((np.abs(x) <= 0.5).astype(float))
+    return np.asarray(ndtr((x + 0.5) / s) - ndtr((x - 0.5) / s))
+
+
+def _step_response(x: Array, s: float) -> Array:
+    """Integral of :func:`_aperture` from minus infinity to ``x``."""
+    return _ramp(x + 0.5, s) - _ramp(x - 0.5, s)
+
+
+def _ramp(z: Array, s: float) -> Array:
+    if s == 0:
+        return np.asarray(np.maximum(z, 0.0))
+    # Integral of the normal distribution function: z Phi(z/s) + s phi(z/s).
+    return np.asarray(z * ndtr(z / s) + s * np.exp(-0.5 * (z / s) ** 2) / np.sqrt(2.0 * np.pi))

@@ -1,0 +1,167 @@
+"""From reflectance statistics to radiance statistics at the sensor (3.7-3.12).
+
+Every function takes ``formulation``: "corrected" (default) or "thesis", the form as printed.
+
+===================  =========================================  ==============================
+quantity             corrected                                  thesis
+===================  =========================================  ==============================
+ground term (3.7)    A rho_m / (1 - S rho_ave)                  A rho_m / (1 - S rho_m)
+slope D_A (3.11)     A / (1 - S rho_ave)                        A / (1 - S), an albedo-1 run
+slope D_B (3.11)     (A S rho_m + B) / (1 - S rho_ave)^2        B / (1 - S)
+kappa (3.11)         1 / N_eff                                  1
+fill (3.12)          E[f^2], E[(1-f)^2], Var f                  f^2, (1-f)^2, 0
+===================  =========================================  ==============================
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.atmosphere.terms import AtmosphericTerms
+
+Array = npt.NDArray[np.float64]
+Formulation = Literal["corrected", "thesis"]
+
+
+def mean_radiance(
+    terms: AtmosphericTerms,
+    reflectance: npt.ArrayLike,
+    average_reflectance: npt.ArrayLike,
+    formulation: Formulation = "corrected",
+) -> Array:
+    """Mean radiance of a class at the sensor (3.7) [uW cm-2 sr-1 nm-1].
+
+    L = L_a + (A rho + B rho_ave) / (1 - S rho_ave).  The printed form runs the engine with the class
+    all over the ground, so that its ground term trains light between class and sky: A rho / (1 - S rho).
+
+    Parameters
+    ----------
+    terms : (B,) each
+    reflectance : (..., B) of the viewed pixel [1]
+    average_reflectance : (B,) of its surroundings [1]
+    """
+    rho, rho_ave = np.asarray(reflectance, dtype=float), np.asarray(average_reflectance, dtype=float)
+    trapping = 1.0 - terms.spherical_albedo * rho_ave
+    path = terms.path_radiance + terms.adjacency * rho_ave / trapping  # L_P of (3.7)
+    own = trapping if formulation == "corrected" else 1.0 - terms.spherical_albedo * rho
+    return np.asarray(path + terms.direct * rho / own)  # (3.7)
+
+
+def target_pixel_reflectance(fill: npt.ArrayLike, target: npt.ArrayLike, host: npt.ArrayLike) -> Array:
+    """Reflectance of a pixel of which the target fills the part ``fill`` (3.10) [1].
+
+    Parameters
+    ----------
+    fill : scalar or (...,) fill fraction f [1]
+    target, host : (B,) reflectance of target and of the class around it
+
+    Returns
+    -------
+    (..., B), to be put into :func:`mean_radiance` for (3.9).
+    """
+    f = np.asarray(fill, dtype=float)[..., None]
+    return np.asarray(f * np.asarray(target, dtype=float) + (1.0 - f) * np.asarray(host, dtype=float))  # (3.10)
+
+
+def direct_slope(
+    terms: AtmosphericTerms, average_reflectance: npt.ArrayLike, formulation: Formulation = "corrected"
+) -> Array:
+    """D_A of (3.11): change of radiance per change of the pixel's own reflectance, (B,)."""
+    albedo = np.asarray(average_reflectance, dtype=float) if formulation == "corrected" else 1.0
+    return np.asarray(terms.direct / (1.0 - terms.spherical_albedo * albedo))
+
+
+def adjacency_slope(
+    terms: AtmosphericTerms,
+    reflectance: npt.ArrayLike,
+    average_reflectance: npt.ArrayLike,
+    formulation: Formulation = "corrected",
+) -> Array:
+    """D_B of (3.11): change of radiance per change of the surroundings' reflectance, (..., B).
+
+    The derivative of (3.7) by rho_ave is (A S rho + B) / (1 - S rho_ave)^2.
+    """
+    rho, s = np.asarray(reflectance, dtype=float), terms.spherical_albedo
+    if formulation == "thesis":
+        return np.broadcast_to(terms.adjacency / (1.0 - s), rho.shape)
+    trapping = 1.0 - s * np.asarray(average_reflectance, dtype=float)
+    return np.asarray((terms.direct * s * rho + terms.adjacency) / trapping**2)
+
+
+def radiance_covariance(
+    terms: AtmosphericTerms,
+    reflectance: npt.ArrayLike,
+    covariance: npt.ArrayLike,
+    average_reflectance: npt.ArrayLike,
+    average_covariance: npt.ArrayLike,
+    *,
+    adjacency_gain: float = 1.0,
+    kappa: float = 0.0,
+    formulation: Formulation = "corrected",
+) -> Array:
+    """Pixel-to-pixel covariance of radiance before the sensor (3.11), also (3.12) with the target pixel's.
+
+    Sigma_L = D_A Sigma D_A + kappa D_B g_B Sigma_ave D_B.  ``covariance`` already holds its own gain
+    (:func:`target_pixel_covariance`, or g_B Sigma_m for a background class).
+
+    Parameters
+    ----------
+    terms : (B,) each
+    reflectance, covariance : (B,), (B, B) of the pixel
+    average_reflectance, average_covariance : (B,), (B, B) of the scene
+    adjacency_gain : g_B on the adjacency term
+    kappa : 1/N_eff, the variance of the neighbourhood average as a part of that of one pixel; the
+        printed form has 1, whatever is given here
+
+    Returns
+    -------
+    (B, B) [(uW cm-2 sr-1 nm-1)^2]
+    """
+    d_a = direct_slope(terms, average_reflectance, formulation)
+    d_b = adjacency_slope(terms, reflectance, average_reflectance, formulation)
+    weight = adjacency_gain * (kappa if formulation == "corrected" else 1.0)
+    result = np.asarray(covariance, dtype=float) * np.outer(d_a, d_a)
+    if weight:
+        result = result + weight * np.asarray(average_covariance, dtype=float) * np.outer(d_b, d_b)
+    return np.asarray(result)  # (3.11)
+
+
+def target_pixel_covariance(
+    fill_mean: float,
+    fill_variance: float,
+    target: npt.ArrayLike,
+    target_covariance: npt.ArrayLike,
+    host: npt.ArrayLike,
+    host_covariance: npt.ArrayLike,
+    *,
+    target_gain: float = 1.0,
+    host_gain: float = 1.0,
+    formulation: Formulation = "corrected",
+) -> Array:
+    """Reflectance covariance of pixels partly filled by the target (3.12, extended to random fill).
+
+    E[f^2] g_T Sigma_T + E[(1-f)^2] g_B Sigma_b + Var(f) (rho_T - rho_b)(rho_T - rho_b)^T; the printed
+    form is the case Var(f) = 0.
+
+    Parameters
+    ----------
+    fill_mean, fill_variance : moments of the fill fraction f [1]
+    target, host : (B,) means;  target_covariance, host_covariance : (B, B)
+    target_gain, host_gain : g_T, g_B
+
+    Returns
+    -------
+    (B, B)
+    """
+    variance = fill_variance if formulation == "corrected" else 0.0
+    f2 = fill_mean**2 + variance  # E[f^2]
+    g2 = (1.0 - fill_mean) ** 2 + variance  # E[(1-f)^2]
+    d = np.asarray(target, dtype=float) - np.asarray(host, dtype=float)
+    return np.asarray(
+        f2 * target_gain * np.asarray(target_covariance, dtype=float)
+        + g2 * host_gain * np.asarray(host_covariance, dtype=float)
+        + variance * np.outer(d, d)
+    )  # (3.12)

@@ -1,0 +1,133 @@
+"""Noise of a channel, each source one function (3.15-3.20).
+
+Variances are in electrons^2 or in radiance^2 as each name says; G is electrons per radiance unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def shot_variance(radiance: npt.ArrayLike, electrons_per_radiance: npt.ArrayLike) -> Array:
+    """Photon noise variance N = G L [electrons^2] (3.13): Poisson, variance equal to the mean."""
+    return np.asarray(np.clip(np.asarray(radiance, dtype=float) * np.asarray(electrons_per_radiance), 0.0, None))
+
+
+def detector_variance(
+    radiance: npt.ArrayLike, electrons_per_radiance: npt.ArrayLike, fixed_noise: npt.ArrayLike
+) -> Array:
+    """sigma_d^2 = N + sigma_f^2 [electrons^2] (3.15); ``fixed_noise`` is sigma_f [electrons]."""
+    return np.asarray(shot_variance(radiance, electrons_per_radiance) + np.asarray(fixed_noise, dtype=float) ** 2)
+
+
+def detector_radiance_variance(
+    radiance: npt.ArrayLike,
+    electrons_per_radiance: npt.ArrayLike,
+    fixed_noise: npt.ArrayLike,
+    detector_gain: npt.ArrayLike = 1.0,
+) -> Array:
+    """g_d^2 (sigma_d / G)^2 [radiance^2] (3.16): what is added to the diagonal of the covariance."""
+    g = np.asarray(electrons_per_radiance, dtype=float)
+    variance = detector_variance(radiance, g, fixed_noise)
+    return np.asarray(np.asarray(detector_gain) ** 2 * variance / g**2)
+
+
+def calibration_variance(radiance: npt.ArrayLike, error_percent: npt.ArrayLike) -> Array:
+    """(c L)^2 [radiance^2] with c = C_R / 100 (3.17).
+
+    C_R is the part that varies from pixel to pixel: an error common to a band cancels in the ELM.
+    """
+    return np.asarray((np.asarray(error_percent) / 100.0 * np.asarray(radiance, dtype=float)) ** 2)
+
+
+def quantisation_variance(lsb: npt.ArrayLike) -> Array:
+    """LSB^2 / 12 (3.18), in the square of the unit of ``lsb`` (the source has electrons)."""
+    return np.asarray(np.asarray(lsb, dtype=float) ** 2 / 12.0)
+
+
+def bit_error_variance(
+    lsb: npt.ArrayLike, bits: int, error_rate: float, per: Literal["bit", "word"] = "bit"
+) -> Array:
+    """Variance by bits received wrong (3.19), in the square of the unit of ``lsb``.
+
+    A flipped bit n moves the value by 2^n LSB, so that with the rate B_e per bit the mean square is
+    LSB^2 B_e (4^N - 1) / 3.  The printed form divides by N: that holds where B_e is the probability
+    that a word has one wrong bit (``per="word"``).
+    """
+    total = np.asarray(lsb, dtype=float) ** 2 * error_rate * (4.0**bits - 1.0) / 3.0
+    return np.asarray(total / bits if per == "word" else total)  # (3.19)
+
+
+def measured_noise_variance(radiance: npt.ArrayLike, a: npt.ArrayLike, b: npt.ArrayLike, c: npt.ArrayLike) -> Array:
+    """NEdL^2 [radiance^2] of a measured sensor, NEdL = |a sqrt(b + L) + c| (stands in for 3.15, 3.16).
+
+    With c = 0 this is (3.16) with G = 1/a^2 and sigma_f = sqrt(b)/a; a b + L below zero is taken as 0.
+    """
+    inside = np.clip(np.asarray(b, dtype=float) + np.asarray(radiance, dtype=float), 0.0, None)
+    return np.asarray((np.asarray(a) * np.sqrt(inside) + np.asarray(c)) ** 2)
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """The noise of one sensor on one band set: everything (3.15)-(3.20) needs.
+
+    Attributes
+    ----------
+    electrons_per_radiance : (B,) G
+    fixed_noise : (B,) sigma_f [electrons]
+    detector_gain : g_d [1]
+    lsb_electrons : (B,) size of the least significant bit [electrons]; 0 = no quantisation
+    bits : word length
+    bit_error_rate, bit_error_per : B_e and what it counts
+    calibration_percent : (B,) C_R [%]
+    measured : None, or (a, b, c) each (B,), which then stand in for G, sigma_f, LSB and bit errors
+    assumed : words on every number that rests on an assumption
+    """
+
+    electrons_per_radiance: Array
+    fixed_noise: Array
+    detector_gain: float
+    lsb_electrons: Array
+    bits: int
+    bit_error_rate: float
+    bit_error_per: Literal["bit", "word"]
+    calibration_percent: Array
+    measured: tuple[Array, Array, Array] | None = None
+    assumed: tuple[str, ...] = ()
+
+    def variance(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
+        """Noise variance (..., B) [radiance^2] at ``radiance`` (..., B): the sum of (3.16)-(3.19)."""
+        level = np.asarray(radiance, dtype=float)
+        if self.measured is not None:
+            total = self.detector_gain**2 * measured_noise_variance(level, *self.measured)
+        else:
+            g2 = self.electrons_per_radiance**2
+            digital = quantisation_variance(self.lsb_electrons) + bit_error_variance(
+                self.lsb_electrons, self.bits, self.bit_error_rate, self.bit_error_per
+            )
+            total = digital / g2 + detector_radiance_variance(
+                level, self.electrons_per_radiance, self.fixed_noise, self.detector_gain
+            )
+        if calibration:
+            total = total + calibration_variance(level, self.calibration_percent)
+        return np.asarray(total)
+
+    def snr(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
+        """SNR (..., B) (3.20); with the calibration error it cannot exceed 100 / C_R."""
+        return signal_to_noise(radiance, self.variance(radiance, calibration=calibration))
+
+
+def signal_to_noise(radiance: npt.ArrayLike, variance: npt.ArrayLike) -> Array:
+    """L over the root of all noise variances, in one unit (3.20) [1]."""
+    return np.asarray(np.asarray(radiance, dtype=float) / np.sqrt(np.asarray(variance, dtype=float)))
+
+
+def add_noise(covariance: npt.ArrayLike, variance: npt.ArrayLike) -> Array:
+    """Covariance (B, B) with noise variances (B,) added on its diagonal (3.16, 3.17): channels are independent."""
+    return np.asarray(np.asarray(covariance, dtype=float) + np.diag(np.asarray(variance, dtype=float)))
