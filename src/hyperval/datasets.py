@@ -25,6 +25,7 @@ from hyperval.config import Model, parse_yaml, validate
 from hyperval.download import download
 from hyperval.errors import InputError, MissingDataError, UsageError
 from hyperval.files import sha256_of
+from hyperval.paths import checked_file
 from hyperval.progress import track
 
 PREFIX = "data:"
@@ -149,21 +150,14 @@ def resolve(reference: str, base: Path | None = None) -> Path:
     MissingDataError : a file of a data set that is not on this machine.
     InputError : no such file.
     """
-    if not reference.strip() or "\0" in reference:
-        raise UsageError(f"not a file reference: {reference!r}", expected="a path, or data:SET/PATH")
+    if not reference.strip():
+        raise UsageError("an empty file reference", expected="a path, or data:SET/PATH")
     if reference.startswith(PREFIX):
         return _resolve_data(_data_path(reference))
+    # An address is refused before it is joined to the folder and becomes a path that only does not exist.
     if "://" in reference or reference.startswith("/vsi"):
-        raise UsageError(
-            f"not a file reference: {reference!r}",
-            expected="a file of this machine; addresses are not opened",
-            mend="download the file first",
-        )
-    path = (Path(base) if base is not None else Path()) / reference
-    if not path.is_file():
-        what = "it is a folder" if path.is_dir() else "not a regular file" if path.exists() else "no such file"
-        raise InputError(what, where=str(path), expected=f"the file that {reference!r} names")
-    return path
+        return checked_file(reference)
+    return checked_file((Path(base) if base is not None else Path()) / reference)
 
 
 def describe(reference: str) -> dict[str, str | None]:

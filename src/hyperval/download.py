@@ -48,10 +48,9 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
     try:
         store.fetch(published.name, downloader=attempt)
         if pack:
-            with whole_file(target) as temporary, open(temporary, "wb") as raw:
-                # No name and no time in the header: the same content gives the same bytes.
-                with gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as packed:
-                    packed.write(published.read_bytes())
+            with whole_file(target) as temporary:
+                # No time in the header: the same content gives the same bytes.
+                temporary.write_bytes(gzip.compress(published.read_bytes(), mtime=0))
             published.unlink()
     except requests.RequestException as error:
         raise InputError(f"cannot be downloaded: {_reason(error)}", where=address, mend=mend) from error
