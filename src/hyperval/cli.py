@@ -122,6 +122,32 @@ def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], outpu
     return _finished(simulate_to_folder(scene, output), output)
 
 
+@sensor_app.command("list")
+def sensor_list() -> int:
+    """List the sensors that come with the package."""
+    from hyperval.sensor.specification import library_names, load_sensor
+
+    rows = []
+    for sensor in map(load_sensor, library_names()):
+        centre = sensor.axis.centre_nm
+        span = f"{centre.min():.0f}-{centre.max():.0f} nm"
+        rows.append((sensor.name, str(centre.size), span, sensor.specification.title))
+    _print_table(("name", "bands", "range", "title"), rows)
+    return 0
+
+
+@sensor_app.command("show")
+def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")]) -> int:
+    """Print a sensor's specification as YAML: every number with its source."""
+    import yaml
+
+    from hyperval.sensor.specification import load_sensor
+
+    entries = load_sensor(name).specification.model_dump(mode="json", by_alias=True, exclude_none=True)
+    print(yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100), end="")
+    return 0
+
+
 @data_app.command("list")
 def data_list() -> int:
     """List the registered data sets and whether they are on this machine."""
