@@ -1,0 +1,45 @@
+"""Linear features of spectra (3.21): F = Psi X."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+
+Array = npt.NDArray[np.float64]
+
+
+def channel_selection(keep: npt.ArrayLike) -> Array:
+    """Psi of unit rows (F, B) that picks the channels of the mask ``keep`` (B,) (3.21)."""
+    mask = np.asarray(keep, dtype=bool)
+    return np.eye(mask.size)[mask]
+
+
+def principal_components(covariance: npt.ArrayLike, count: int) -> Array:
+    """Psi (count, B) whose rows are the leading eigenvectors of a covariance (B, B), largest first (3.21).
+
+    Raises
+    ------
+    UsageError : more components than bands, or none.
+    """
+    cov = np.asarray(covariance, dtype=float)
+    if not 1 <= count <= cov.shape[0]:
+        raise UsageError(
+            f"{count} principal components of {cov.shape[0]} bands", expected="1 to the number of bands"
+        )
+    vectors = np.linalg.eigh(cov)[1][:, ::-1][:, :count].T
+    # The sign of an eigenvector is arbitrary: the largest entry is made positive, so that runs agree.
+    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=1)[:, None], axis=1)
+    return np.asarray(vectors * np.sign(largest))
+
+
+def features(psi: npt.ArrayLike, spectra: npt.ArrayLike) -> Array:
+    """F = Psi X of spectra (..., B) -> (..., F) (3.21)."""
+    return np.asarray(np.asarray(spectra, dtype=float) @ np.asarray(psi, dtype=float).T)
+
+
+def feature_covariance(psi: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
+    """Psi Sigma Psi^T, (F, F) (3.21)."""
+    p = np.asarray(psi, dtype=float)
+    return np.asarray(p @ np.asarray(covariance, dtype=float) @ p.T)
