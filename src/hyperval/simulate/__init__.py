@@ -1,1 +1,1 @@
-"""Pixel-level scene generator, independent of the analytical model."""
+"""Pixel-level scene generator: a simulated collection with its truth, sampled and not derived."""

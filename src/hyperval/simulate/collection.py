@@ -1,0 +1,275 @@
+"""One simulated collection from a scene: the cube, written line by line, and its truth."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from rasterio.crs import CRS
+from rasterio.transform import from_origin
+
+from hyperval.errors import UsageError
+from hyperval.files import whole_folder, write_text
+from hyperval.imagery.envi_write import envi_writer, write_cube
+from hyperval.progress import track
+from hyperval.simulate import streams, truth
+from hyperval.simulate.inputs import SimulationInputs, class_source, load_inputs
+from hyperval.simulate.layout import Ground, lay_out, regions
+from hyperval.simulate.radiometry import Detector, detector
+from hyperval.simulate.schema import SceneFile, load_scene
+from hyperval.simulate.surface import SurfaceRenderer
+
+Array = npt.NDArray[np.float64]
+T = TypeVar("T")
+
+LINES_PER_BLOCK = 16
+WORKERS = 2
+MAX_CUBE_BYTES = 64 << 30
+MAX_MAP_PIXELS = 1 << 26  # each pixel of the maps held in memory takes up to 40 bytes
+
+
+@dataclass(frozen=True)
+class SimulatedCollection:
+    """Where the parts of a simulated collection lie and the numbers that describe it.
+
+    Attributes
+    ----------
+    folder : holds everything
+    cube : at-sensor radiance, ENVI BIL int16, header beside it
+    regions, targets, panel_spectra, class_map, fill_map, truth : the truth (GeoJSON, CSV, CSV, ENVI, ENVI, JSON)
+    average_reflectance : (B,) area average over the scene, the rho_ave of 3.8
+    """
+
+    folder: Path
+    cube: Path
+    regions: Path
+    targets: Path
+    panel_spectra: Path
+    class_map: Path
+    fill_map: Path
+    truth: Path
+    average_reflectance: Array
+
+
+def simulate_to_folder(scene_yaml: Path, output: Path, *, show_progress: bool | None = None) -> int:
+    """Simulate a scene file into ``output``, which is replaced whole; returns the exit code 0.
+
+    Raises
+    ------
+    UsageError : an invalid scene, or ``output`` holds files that no simulation wrote.
+    InputError : no such scene file.
+    """
+    scene = load_scene(scene_yaml)
+    output = Path(output)
+    if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "truth.json").is_file()):
+        raise UsageError(
+            "the output is in use by something that is not a simulated collection",
+            where=str(output),
+            mend="name a new or empty folder",
+        )
+    inputs = load_inputs(scene, Path(scene_yaml).parent)
+    with whole_folder(output) as folder:
+        simulate(scene, folder, inputs=inputs, show_progress=show_progress)
+    return 0
+
+
+def simulate(
+    scene: SceneFile,
+    folder: Path,
+    *,
+    inputs: SimulationInputs | None = None,
+    lines_per_block: int = LINES_PER_BLOCK,
+    show_progress: bool | None = None,
+) -> SimulatedCollection:
+    """Simulate ``scene`` into an existing or new ``folder``.
+
+    The same scene gives the same bytes whatever the block size: every line has its own random streams.
+
+    Raises
+    ------
+    UsageError : a layout that contradicts itself, a scene too large, radiance that does not fit the integers.
+    """
+    inputs = inputs or load_inputs(scene, Path())
+    bands = len(inputs.sensor.axis)
+    _check_size(scene, bands)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    ground = lay_out(scene)
+    masks = regions(scene, ground)
+    renderer = SurfaceRenderer(scene, ground, inputs.classes)
+    average, dark = average_reflectance(renderer, show=show_progress)
+    chain = detector(inputs, average, scene.counts_per_radiance)
+    files = {
+        "cube": folder / f"{scene.name}_rad.img",
+        "regions": folder / "regions.geojson",
+        "targets": folder / "targets.csv",
+        "panel_spectra": folder / "panel_spectra.csv",
+        "class_map": folder / f"{scene.name}_class.img",
+        "fill_map": folder / f"{scene.name}_fill.img",
+        "truth": folder / "truth.json",
+    }
+    _write_cube(files["cube"], scene, inputs, renderer, chain, lines_per_block, show_progress)
+    truth.write_regions(files["regions"], scene, masks)
+    truth.write_table(files["targets"], truth.TARGET_COLUMNS, truth.target_rows(scene, ground))
+    truth.write_panel_spectra(files["panel_spectra"], scene, class_source)
+    _write_maps(files["class_map"], files["fill_map"], scene, ground)
+    facts = {
+        "simulated": True,
+        "scene": scene.model_dump(by_alias=True, mode="json"),
+        "sensor": inputs.sensor.name,
+        "atmosphere": {k: str(v) for k, v in inputs.terms.provenance.items()},
+        "classes": {name: c.source for name, c in inputs.classes.items()},
+        "surfaces": {str(i): name for i, name in enumerate(ground.surfaces)},
+        "wavelength_nm": inputs.sensor.axis.centre_nm.tolist(),
+        "average_reflectance": average.tolist(),
+        "negative_reflectance_fraction": dark,
+    }
+    write_text(files["truth"], json.dumps(facts, indent=1) + "\n")
+    return SimulatedCollection(folder, **files, average_reflectance=average)
+
+
+def average_reflectance(renderer: SurfaceRenderer, *, show: bool | None = None) -> tuple[Array, float]:
+    """Area average (B,) of what the scene reflects, by rendering every line once.
+
+    Also the share of drawn reflectances below 0, which a Gaussian law does not exclude.
+    """
+
+    def totals(line: int) -> tuple[Array, int]:
+        rho = renderer.lit_reflectance(line)
+        return rho.sum(axis=0, dtype=np.float64), int(np.count_nonzero(rho < 0.0))
+
+    lines = renderer.scene.lines
+    total, negative = np.zeros(renderer.bands), 0
+    for part, count in track(_in_order(totals, range(lines)), "average reflectance", lines, show=show):
+        total += part
+        negative += count
+    pixels = lines * renderer.scene.samples
+    return total / pixels, negative / (pixels * renderer.bands)
+
+
+def _write_cube(
+    path: Path,
+    scene: SceneFile,
+    inputs: SimulationInputs,
+    renderer: SurfaceRenderer,
+    chain: Detector,
+    lines_per_block: int,
+    show: bool | None,
+) -> None:
+    def stored(line: int) -> npt.NDArray[np.int16]:
+        rng = streams.generator(scene.seed, streams.NOISE, line)
+        values, clipped = chain.stored(chain.measured(chain.radiance(renderer.lit_reflectance(line)), rng))
+        if clipped:
+            raise UsageError(
+                f"{clipped} radiances of line {line} do not fit 16-bit integers",
+                where=scene.name,
+                mend="lower counts_per_radiance",
+            )
+        return values
+
+    axis = inputs.sensor.axis
+    scale = 1.0 / scene.counts_per_radiance
+    gains = ", ".join([repr(scale)] * len(axis))
+    noun = "closure: surfaces drawn as the model assumes" if scene.mode == "closure" else "broken assumptions"
+    with envi_writer(
+        path,
+        lines=scene.lines,
+        samples=scene.samples,
+        bands=len(axis),
+        data_type=2,
+        interleave="bil",
+        axis=axis,
+        description=(
+            f"SIMULATED at-sensor radiance, scene {scene.name} ({noun}), seed {scene.seed}, "
+            f"stored integers x {scale:g} = uW cm-2 sr-1 nm-1; no instrument collected it"
+        ),
+        transform=_transform(scene),
+        crs=_crs(scene),
+        extra={
+            "sensor type": f"{inputs.sensor.name} (simulated)",
+            **({"acquisition time": scene.acquired_utc} if scene.acquired_utc else {}),
+            "data gain values": "{" + gains + "}",
+            "data offset values": "{" + ", ".join(["0"] * len(axis)) + "}",
+            **scene.header,
+        },
+    ) as writer:
+        lines = track(_in_order(stored, range(scene.lines)), "cube", scene.lines, show=show)
+        for block in _blocks(lines, lines_per_block):
+            writer.write(np.stack(block))
+
+
+def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: Ground) -> None:
+    place = {"transform": _transform(scene), "crs": _crs(scene)}
+    write_cube(
+        class_path,
+        ground.class_map[:, :, None],
+        data_type=1,
+        interleave="bsq",
+        description="SIMULATED truth: surface class",
+        file_type="ENVI Classification",
+        extra={
+            "classes": str(len(ground.surfaces)),
+            "class names": "{" + ", ".join(ground.surfaces) + "}",
+        },
+        **place,
+    )
+    write_cube(
+        fill_path,
+        ground.fill[:, :, None],
+        data_type=4,
+        interleave="bsq",
+        description="SIMULATED truth: share of planks in the pixel's signal",
+        **place,
+    )
+
+
+def _transform(scene: SceneFile) -> Any:
+    return from_origin(scene.map.easting_m, scene.map.northing_m, scene.gsd_m, scene.gsd_m)
+
+
+def _crs(scene: SceneFile) -> CRS:
+    return CRS.from_epsg((32600 if scene.map.hemisphere == "north" else 32700) + scene.map.utm_zone)
+
+
+def _check_size(scene: SceneFile, bands: int) -> None:
+    pixels = scene.lines * scene.samples
+    if pixels > MAX_MAP_PIXELS or 2 * pixels * bands > MAX_CUBE_BYTES:
+        raise UsageError(
+            f"{scene.lines} lines x {scene.samples} samples x {bands} bands is too large",
+            where=scene.name,
+            expected=f"at most {MAX_MAP_PIXELS} pixels and {MAX_CUBE_BYTES >> 30} GiB",
+        )
+
+
+def _in_order(work: Callable[[int], T], items: Iterable[int]) -> Iterator[T]:
+    """Results of ``work`` in the order of ``items``, a few ahead at a time so that memory stays bounded."""
+    pending: deque[Future[T]] = deque()
+    with ThreadPoolExecutor(WORKERS) as pool:
+        try:
+            for item in items:
+                pending.append(pool.submit(work, item))
+                if len(pending) > 4 * WORKERS:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for future in pending:
+                future.cancel()
+
+
+def _blocks(items: Iterable[T], size: int) -> Iterator[list[T]]:
+    block: list[T] = []
+    for item in items:
+        block.append(item)
+        if len(block) == size:
+            yield block
+            block = []
+    if block:
+        yield block

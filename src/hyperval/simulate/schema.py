@@ -1,0 +1,220 @@
+"""What a scene file says: the surfaces, the targets, the sensor and which assumptions are broken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from hyperval.atmosphere.state import AtmosphericState
+from hyperval.config import Model, load_model
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
+
+
+def _increasing(limits: tuple[int, int]) -> tuple[int, int]:
+    if not 0 <= limits[0] < limits[1]:
+        raise ValueError(f"expected [first, end) with 0 <= first < end, got {list(limits)}")
+    return limits
+
+
+Range = Annotated[tuple[int, int], AfterValidator(_increasing)]
+
+
+class Area(Model):
+    """A rectangle of pixels, [first, end) along each axis."""
+
+    lines: Range
+    samples: Range
+
+    def inside(self, lines: int, samples: int) -> bool:
+        """True when the whole rectangle lies in an image of this size."""
+        return self.lines[1] <= lines and self.samples[1] <= samples
+
+
+class PaintedArea(Area):
+    """A rectangle covered by one surface class; later ones cover earlier ones."""
+
+    surface: str = Field(description="name of a surface class")
+
+
+class Panel(PaintedArea):
+    """A calibration panel: a painted rectangle whose interior becomes a region of interest."""
+
+    name: Name
+    border_pixels: int = Field(1, ge=0, description="pixels left out along the border of the region")
+
+
+class TargetGroup(Model):
+    """Square planks of one material and size on a grid in one area."""
+
+    name: Name
+    material: str = Field(description="surface class of the planks")
+    host: str = Field(description="surface class they lie on")
+    fill: float | None = Field(
+        None, gt=0.0, lt=1.0, description="share of the brightest pixel of a plank centred on it: sets the side"
+    )
+    side_m: float | None = Field(None, gt=0.0, description="side [m], when given instead of the fill")
+    count: int = Field(ge=1, le=100_000)
+    area: Area
+    spacing_pixels: int = Field(7, ge=6, description="of the grid; planks closer than 6 pixels would overlap")
+    phase: Literal["centred", "random"] = "centred"
+    heading_deg: float | Literal["random"] = 0.0
+
+    @model_validator(mode="after")
+    def _one_size(self) -> TargetGroup:
+        if (self.fill is None) == (self.side_m is None):
+            raise ValueError("give exactly one of fill, side_m")
+        columns = (self.area.samples[1] - self.area.samples[0]) // self.spacing_pixels
+        rows = (self.area.lines[1] - self.area.lines[0]) // self.spacing_pixels
+        if self.count > rows * columns:
+            raise ValueError(f"{self.count} planks on a grid of {rows} x {columns}")
+        return self
+
+
+class Region(Model):
+    """A region of interest: all pixels of a class away from its borders and from targets."""
+
+    name: Name
+    surface: str
+    border_pixels: int = Field(3, ge=0)
+
+
+class Admixture(Model):
+    """A second surface mixed into a class: its share varies from place to place (beta distribution)."""
+
+    host: str
+    surface: str
+    mean: float = Field(gt=0.0, lt=1.0, description="mean share")
+    sd: float = Field(gt=0.0, lt=0.5, description="standard deviation of the share")
+    correlation_pixels: float = Field(0.0, ge=0.0, le=200.0)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Admixture:
+        if self.sd**2 >= self.mean * (1.0 - self.mean):
+            raise ValueError("no share between 0 and 1 has this mean and standard deviation")
+        return self
+
+
+class HeavyTails(Model):
+    """Pixels of a class drawn from a multivariate t of the same mean and covariance."""
+
+    dof: float = Field(gt=2.0, le=1000.0)
+    surfaces: list[str] | None = Field(None, description="None: every class that covers ground")
+
+
+class Texture(Model):
+    """Brightness that varies smoothly over the ground: a factor of mean 1 common to all bands."""
+
+    relative_sd: float = Field(gt=0.0, lt=0.5)
+    correlation_pixels: float = Field(gt=0.0, le=200.0, description="lag at which the correlation is 1/e")
+
+
+class Shade(Model):
+    """Patches where less light reaches the ground, equally in all bands."""
+
+    area_fraction: float = Field(gt=0.0, lt=1.0)
+    illumination: float = Field(ge=0.0, lt=1.0, description="share of the open-sky ground signal that is left")
+    correlation_pixels: float = Field(gt=0.0, le=200.0, description="size of the patches")
+
+
+class Broken(Model):
+    """Which assumptions of the model the surfaces break; each stands alone."""
+
+    soft_edges: bool = Field(False, description="class borders blurred by the point spread function")
+    admixtures: list[Admixture] = Field(default_factory=list)
+    heavy_tails: HeavyTails | None = None
+    texture: Texture | None = None
+    shade: Shade | None = None
+
+    def any(self) -> bool:
+        """True when at least one assumption is broken."""
+        return bool(self.soft_edges or self.admixtures or self.heavy_tails or self.texture or self.shade)
+
+
+class MapOrigin(Model):
+    """Upper-left corner of the first pixel on the UTM grid (WGS-84), north up."""
+
+    utm_zone: int = Field(ge=1, le=60)
+    hemisphere: Literal["north", "south"] = "north"
+    easting_m: float = Field(ge=100_000.0, le=900_000.0)
+    northing_m: float = Field(ge=0.0, le=10_000_000.0)
+
+
+class FieldSpectra(Model):
+    """What the field spectrometer delivers of the panels: means of repeated readings at 1 nm."""
+
+    readings: int = Field(10, ge=1)
+    relative_noise: float = Field(0.0, ge=0.0, le=0.1, description="of one reading, independent between samples")
+
+
+class SceneFile(Model):
+    """One scene to simulate."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    name: Name
+    mode: Literal["closure", "broken"]
+    seed: int = Field(ge=0, lt=2**63)
+    lines: int = Field(ge=1, le=20_000)
+    samples: int = Field(ge=1, le=20_000)
+    gsd_m: float = Field(gt=0.0, le=100.0)
+    map: MapOrigin
+    acquired_utc: str = Field("", description="written into the header")
+    atmosphere: AtmosphericState
+    sensor: str = Field(description="name of a sensor of the library, or a sensor file")
+    psf_fwhm_pixels: float = Field(gt=0.0, le=4.0)
+    counts_per_radiance: float = Field(1000.0, gt=0.0, description="stored integers per uW cm-2 sr-1 nm-1")
+    layout: list[PaintedArea] = Field(min_length=1)
+    panels: list[Panel] = Field(default_factory=list)
+    targets: list[TargetGroup] = Field(default_factory=list)
+    regions: list[Region] = Field(default_factory=list)
+    target_guard_pixels: int = Field(3, ge=0, description="around planks, left out of the regions")
+    field_spectra: FieldSpectra = FieldSpectra()
+    header: dict[str, str] = Field(
+        default_factory=dict, description="further entries of the cube's header, as files of this sensor carry them"
+    )
+    broken: Broken = Broken()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SceneFile:
+        if (self.mode == "broken") != self.broken.any():
+            raise ValueError("mode 'broken' needs at least one option under 'broken'; mode 'closure' takes none")
+        surfaces = {a.surface for a in (*self.layout, *self.panels)}
+        for area in (*self.layout, *self.panels, *(g.area for g in self.targets)):
+            if not area.inside(self.lines, self.samples):
+                raise ValueError(
+                    f"lines {list(area.lines)}, samples {list(area.samples)} reach outside the image of "
+                    f"{self.lines} lines x {self.samples} samples"
+                )
+        named = [p.name for p in self.panels] + [r.name for r in self.regions]
+        for names, kind in ((named, "regions"), ([g.name for g in self.targets], "target groups")):
+            if len(set(names)) < len(names):
+                raise ValueError(f"two {kind} carry the same name")
+        hosts = [g.host for g in self.targets] + [r.surface for r in self.regions]
+        hosts += [a.host for a in self.broken.admixtures]
+        hosts += (self.broken.heavy_tails and self.broken.heavy_tails.surfaces) or []
+        for name in hosts:
+            if name not in surfaces:
+                raise ValueError(f"the class {name!r} covers no area; the layout has {', '.join(sorted(surfaces))}")
+        return self
+
+    def surfaces(self) -> list[str]:
+        """Names of the classes that cover ground, in the order they are first painted."""
+        return list(dict.fromkeys(a.surface for a in (*self.layout, *self.panels)))
+
+    def materials(self) -> list[str]:
+        """Names of every class whose spectra are needed, the covering ones first."""
+        extra = [g.material for g in self.targets] + [a.surface for a in self.broken.admixtures]
+        return list(dict.fromkeys([*self.surfaces(), *extra]))
+
+
+def load_scene(path: Path) -> SceneFile:
+    """Read and check a scene file.
+
+    Raises
+    ------
+    InputError : no such file.
+    UsageError : every mistake with its file and line.
+    """
+    return load_model(SceneFile, path)

@@ -1,0 +1,151 @@
+"""Reflectance of every pixel, drawn line by line from the statistics of its surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from hyperval.scene.statistics import ClassStatistics
+from hyperval.simulate import fields, streams
+from hyperval.simulate.footprint import pixel_weights
+from hyperval.simulate.layout import SMALLEST_FILL, Ground, touched
+from hyperval.simulate.schema import SceneFile
+
+Array = npt.NDArray[np.float32]
+
+_SMALLEST_EIGENVALUE = 1e-12  # of the largest: float32 draws resolve no less
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """Draws spectra mean + z ``factor``, z standard normal; ``factor`` (R, B) with factor^T factor = covariance."""
+
+    mean: Array
+    factor: Array
+    dof: float | None = None
+
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
+        """(count, B) spectra; with ``dof`` from a multivariate t of the same mean and covariance."""
+        z = rng.standard_normal((count, self.factor.shape[0]), dtype=np.float32)
+        if self.dof is not None:
+            # A t vector is a normal one over sqrt(chi2/nu); its covariance is nu/(nu - 2) times larger.
+            chi2 = rng.chisquare(self.dof, count)
+            z *= np.sqrt((self.dof - 2.0) / chi2)[:, None].astype(np.float32)
+        spectra: Array = z @ self.factor
+        spectra += self.mean
+        return spectra
+
+
+def sampler(statistics: ClassStatistics, dof: float | None = None) -> Sampler:
+    """Sampler of a class, from the eigenvectors of its covariance."""
+    values, vectors = np.linalg.eigh(statistics.covariance)
+    keep = values > _SMALLEST_EIGENVALUE * max(float(values[-1]), 0.0)
+    factor = (np.sqrt(values[keep])[:, None] * vectors[:, keep].T).astype(np.float32)
+    tails = dof if dof is not None else statistics.tail_dof
+    return Sampler(statistics.mean.astype(np.float32), factor, tails)
+
+
+class SurfaceRenderer:
+    """The ground of one scene; ``reflectance(line)`` gives the same spectra however often it is asked.
+
+    Attributes
+    ----------
+    ground : the layout
+    target_spectra : (planks, B) one draw per plank
+    """
+
+    def __init__(self, scene: SceneFile, ground: Ground, classes: Mapping[str, ClassStatistics]):
+        self.scene, self.ground = scene, ground
+        tails = scene.broken.heavy_tails
+        covering = list(ground.surfaces)
+        covering += [a.surface for a in scene.broken.admixtures if a.surface not in covering]
+        self._names = covering
+        open_ground = {a.surface for a in scene.layout}
+        self._samplers = [
+            sampler(
+                classes[name],
+                tails.dof if tails and name in (tails.surfaces or open_ground) else None,
+            )
+            for name in covering
+        ]
+        self.bands = int(self._samplers[0].mean.size)
+        self._texture = fields.texture_factor(scene)
+        self._light = fields.illumination(scene, ndimage.binary_dilation(ground.on_panel, iterations=3))
+        self._shares = [fields.admixture_share(scene, a, i) for i, a in enumerate(scene.broken.admixtures)]
+        self.target_spectra = self._draw_targets(classes)
+        self._seen_by = self._index_planks()
+
+    def _draw_targets(self, classes: Mapping[str, ClassStatistics]) -> Array:
+        spectra = np.zeros((len(self.ground.planks), self.bands), np.float32)
+        at = 0
+        for number, group in enumerate(self.scene.targets):
+            rng = streams.generator(self.scene.seed, streams.TARGET_SPECTRA, number)
+            spectra[at : at + group.count] = sampler(classes[group.material]).draw(group.count, rng)
+            at += group.count
+        return spectra
+
+    def _index_planks(self) -> dict[int, tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Array]]:
+        """Per line: samples, plank numbers and fills of everything a plank touches."""
+        found: dict[int, list[tuple[int, int, float]]] = {}
+        for number, plank in enumerate(self.ground.planks):
+            for line, sample, fill in zip(*touched(plank), strict=True):
+                found.setdefault(int(line), []).append((int(sample), number, float(fill)))
+        out = {}
+        for line, entries in found.items():
+            samples, numbers, fills = zip(*entries, strict=True)
+            out[line] = (np.array(samples), np.array(numbers), np.array(fills, np.float32))
+        return out
+
+    def shares(self, line: int) -> Array:
+        """(classes, samples) share of each surface in the pixels of one line, planks apart."""
+        class_map, scene = self.ground.class_map, self.scene
+        share = np.zeros((len(self._names), scene.samples), np.float32)
+        if scene.broken.soft_edges:
+            weights = pixel_weights(scene.psf_fwhm_pixels)
+            reach = weights.size // 2
+            rows = np.clip(np.arange(line - reach, line + reach + 1), 0, scene.lines - 1)
+            for index in np.unique(class_map[rows]):
+                down = weights @ (class_map[rows] == index)
+                share[index] = ndimage.correlate1d(down, weights, mode="nearest")
+        else:
+            share[class_map[line], np.arange(scene.samples)] = 1.0
+        for admixture, field in zip(scene.broken.admixtures, self._shares, strict=True):
+            host, other = self._names.index(admixture.host), self._names.index(admixture.surface)
+            moved = share[host] * field[line]
+            share[host] -= moved
+            share[other] += moved
+        return share
+
+    def reflectance(self, line: int) -> Array:
+        """(samples, B) reflectance of one line: surfaces as drawn, planks blended in by their fill."""
+        rng = streams.generator(self.scene.seed, streams.SURFACE, line)
+        rho = np.zeros((self.scene.samples, self.bands), np.float32)
+        for share, draws in zip(self.shares(line), self._samplers, strict=True):
+            at = np.flatnonzero(share > SMALLEST_FILL)
+            if at.size == 0:
+                continue
+            spectra = draws.draw(at.size, rng)
+            if not np.all(share[at] == 1.0):
+                spectra *= share[at, None]
+            rho[at] += spectra
+        if self._texture is not None:
+            factor = np.where(self.ground.on_panel[line], np.float32(1.0), self._texture[line])
+            rho *= factor[:, None]
+        if line in self._seen_by:
+            samples, numbers, fills = self._seen_by[line]
+            total = np.zeros(self.scene.samples, np.float32)
+            np.add.at(total, samples, fills)
+            rho *= (1.0 - total)[:, None]
+            np.add.at(rho, samples, fills[:, None] * self.target_spectra[numbers])
+        return rho
+
+    def lit_reflectance(self, line: int) -> Array:
+        """(samples, B) reflectance times the share of light that reaches the pixel."""
+        rho = self.reflectance(line)
+        if self._light is not None:
+            rho *= self._light[line][:, None]
+        return rho
