@@ -1,0 +1,231 @@
+"""Strict YAML: every way in which a plain YAML reader changes or hides what somebody wrote."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field
+
+from hyperval.config import MAX_BYTES, MAX_DEPTH, Model, load_model, load_yaml, parse_yaml, validate
+from hyperval.errors import InputError, UsageError
+
+
+class Inner(Model):
+    altitude_km: float
+    bands: tuple[int, ...] = ()
+
+
+class Outer(Model):
+    name: str
+    inner: Inner
+    ratio: float = 1.0
+
+
+def value_of(text: str) -> object:
+    return parse_yaml(f"key: {text}")[0]["key"]
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e-3", 1e-3),
+        ("5e2", 500.0),
+        ("-1.5E+3", -1500.0),
+        ("2.", 2.0),
+        (".5", 0.5),
+        ("0.0", 0.0),
+        ("-7", -7),
+        ("true", True),
+        ("FALSE", False),
+        ("null", None),
+        ("~", None),
+        ("", None),
+    ],
+)
+def test_core_scalars_have_their_type(text, value):
+    found = value_of(text)
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["16:30", "0123", "08", "0x1F", "0o17", "no", "yes", "on", "off", "y", "2012-09-20", "1_000", "1e", "NaN", "="],
+)
+def test_words_that_other_yaml_readers_turn_into_something_else_stay_text(text):
+    assert value_of(text) == text
+
+
+def test_the_plain_reader_does_turn_them_into_something_else():
+    # The reason for the strict reader: should PyYAML change, this says so.
+    assert yaml.safe_load("start: 16:30")["start"] == 990
+    assert yaml.safe_load("id: 0123")["id"] == 83
+    assert yaml.safe_load("flag: no")["flag"] is False
+    assert yaml.safe_load("aod: 1e-3")["aod"] == "1e-3"
+
+
+def test_nan_and_infinity_are_read_but_no_model_takes_them():
+    assert math.isnan(value_of(".nan"))
+    assert value_of("-.inf") == -math.inf
+    for text in (".nan", ".inf", "-.inf"):
+        data, lines = parse_yaml(f"altitude_km: {text}")
+        with pytest.raises(UsageError, match="finite"):
+            validate(Inner, data, lines, "c.yaml")
+
+
+def test_duplicate_key_names_both_lines():
+    with pytest.raises(UsageError, match=r"c\.yaml:3: the key 'a' stands twice \(first on line 1\)"):
+        parse_yaml("a: 1\nb: 2\na: 3\n", "c.yaml")
+
+
+def test_duplicate_key_is_found_at_depth():
+    with pytest.raises(UsageError, match=r":4: the key 'x' stands twice"):
+        parse_yaml("a:\n  - b:\n      x: 1\n      x: 2\n")
+
+
+@pytest.mark.parametrize(
+    "text", ["a: &x 1\nb: *x", "a: &x [1]", "base: &b {c: 1}\nd:\n  <<: *b"], ids=["alias", "anchor", "merge"]
+)
+def test_anchors_and_aliases_are_refused(text):
+    with pytest.raises(UsageError, match="anchors and aliases"):
+        parse_yaml(text)
+
+
+def test_alias_bomb_is_refused_at_once():
+    levels = "\n".join(f"l{i}: &l{i} [{', '.join([f'*l{i - 1}'] * 10)}]" for i in range(1, 10))
+    start = time.perf_counter()
+    with pytest.raises(UsageError, match="anchors and aliases"):
+        parse_yaml("l0: &l0 [a]\n" + levels)
+    assert time.perf_counter() - start < 1.0
+
+
+@pytest.mark.parametrize(
+    "text", ["a: !!python/object/apply:os.system ['true']", "a: !!str 1", "a: !mine 1"], ids=["call", "core", "own"]
+)
+def test_tags_are_refused(text):
+    with pytest.raises(UsageError, match="tag"):
+        parse_yaml(text, "c.yaml")
+
+
+@pytest.mark.parametrize("depth", [MAX_DEPTH + 1, 3000])
+def test_deep_nesting_is_refused(depth):
+    with pytest.raises(UsageError, match="deep"):
+        parse_yaml("a: " + "[" * depth + "]" * depth)
+
+
+def test_nesting_below_the_limit_is_read():
+    data, _ = parse_yaml("[" * 20 + "1" + "]" * 20)
+    for _ in range(20):
+        data = data[0]
+    assert data == 1
+
+
+def test_too_many_entries_are_refused():
+    with pytest.raises(UsageError, match="too many entries"):
+        parse_yaml("a: [" + "0," * 100_001 + "]")
+
+
+@pytest.mark.parametrize("text", ["a: [1, 2", "a: {b: 1", "a:\n\t- 1", "a: 'x", "? [1]\n: 2", "a: 1\n---\nb: 2"])
+def test_syntax_errors_name_the_file_and_the_line(text):
+    with pytest.raises(UsageError, match=r"^c\.yaml:\d+: "):
+        parse_yaml(text, "c.yaml")
+
+
+@pytest.mark.parametrize("text", ["", "   \n", "# only a comment\n"])
+def test_an_empty_file_is_an_error(text):
+    with pytest.raises(UsageError, match="empty"):
+        parse_yaml(text)
+
+
+@given(st.text(max_size=200))
+def test_any_text_is_read_or_refused_with_a_message(text):
+    try:
+        data, lines = parse_yaml(text, "c.yaml")
+    except UsageError as error:
+        assert str(error).startswith("c.yaml")  # noqa: PT017 - both ends are asserted
+    else:
+        assert data is None or lines[()] >= 1
+
+
+def test_size_is_checked_before_reading(tmp_path: Path):
+    path = tmp_path / "big.yaml"
+    with open(path, "wb") as stream:
+        stream.truncate(MAX_BYTES + 1)
+    with pytest.raises(UsageError, match="larger than"):
+        load_yaml(path)
+
+
+def test_file_that_is_not_there(tmp_path: Path):
+    with pytest.raises(InputError, match="no such file") as caught:
+        load_yaml(tmp_path / "none.yaml")
+    assert caught.value.exit_code == 3
+
+
+def test_folder_in_place_of_a_file(tmp_path: Path):
+    with pytest.raises(InputError, match="cannot read"):
+        load_yaml(tmp_path)
+
+
+def test_file_that_is_not_utf8(tmp_path: Path):
+    path = tmp_path / "latin.yaml"
+    path.write_bytes("name: Köln".encode("latin-1"))
+    with pytest.raises(UsageError, match="UTF-8"):
+        load_yaml(path)
+
+
+def test_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path):
+    path = tmp_path / "windows.yaml"
+    path.write_bytes(b"\xef\xbb\xbfname: x\r\ninner:\r\n  altitude_km: 1.5\r\n")
+    assert load_model(Outer, path) == Outer(name="x", inner=Inner(altitude_km=1.5))
+
+
+def test_unknown_key_has_file_line_and_the_nearest_name():
+    data, lines = parse_yaml("name: x\ninner:\n  altitude_km: 1\n  altitud_km: 2\n")
+    with pytest.raises(UsageError) as caught:
+        validate(Outer, data, lines, "c.yaml")
+    assert str(caught.value) == "c.yaml:4: inner.altitud_km: unknown key; did you mean 'altitude_km'?"
+    assert caught.value.exit_code == 2
+
+
+def test_every_mistake_is_listed_in_the_order_of_the_file():
+    data, lines = parse_yaml("ratio: .nan\nbogus: 1\ninner:\n  altitude_km: high\n  bands: [1, two]\n")
+    with pytest.raises(UsageError) as caught:
+        validate(Outer, data, lines, "c.yaml")
+    found = [line.strip() for line in str(caught.value).splitlines()]
+    assert [line.split(": ")[0] for line in found] == [
+        "c.yaml:1", "c.yaml:1", "c.yaml:2", "c.yaml:4", "c.yaml:5",
+    ]  # fmt: skip
+    assert sum("name: Field required" in line for line in found) == 1
+
+
+class Square(Model):
+    kind: Literal["square"]
+    side_m: float
+
+
+class Disc(Model):
+    kind: Literal["disc"]
+    radius_m: float
+
+
+class Shapes(Model):
+    shapes: list[Annotated[Square | Disc, Field(discriminator="kind")]]
+
+
+def test_a_mistake_inside_a_union_is_placed_on_its_own_line():
+    data, lines = parse_yaml("shapes:\n  - kind: square\n    side_m: 1\n  - kind: disc\n    radius_m: wide\n")
+    with pytest.raises(UsageError, match=r"^c\.yaml:5: "):
+        validate(Shapes, data, lines, "c.yaml")
+
+
+def test_models_are_frozen():
+    inner = Inner(altitude_km=1)
+    with pytest.raises(ValueError, match="frozen"):
+        inner.altitude_km = 2  # type: ignore[misc]

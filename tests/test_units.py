@@ -1,0 +1,79 @@
+"""Unit factors by another route: dimensional arithmetic from the definitions of the prefixes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hyperval import units
+from hyperval.errors import UsageError
+
+PREFIX = {"": 1.0, "m": 1e-3, "u": 1e-6, "c": 1e-2, "n": 1e-9}
+
+
+def in_si(unit: str) -> float:
+    """A unit such as "uW cm-2 sr-1 nm-1" in W, m and sr, from its parts."""
+    total = 1.0
+    for part in unit.split():
+        name = part.rstrip("-0123456789")
+        power = int(part[len(name) :] or 1)
+        if name == "sr":
+            continue
+        total *= PREFIX[name[:-1]] ** power
+    return total
+
+
+@pytest.mark.parametrize("unit", sorted(units._RADIANCE_TO_INTERNAL))
+def test_radiance_factor_follows_from_the_prefixes(unit):
+    assert units.radiance_to_internal(unit) == pytest.approx(in_si(unit) / in_si(units.RADIANCE_UNIT), rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", sorted(units._IRRADIANCE_TO_INTERNAL))
+def test_irradiance_factor_follows_from_the_prefixes(unit):
+    assert units.irradiance_to_internal(unit) == pytest.approx(
+        in_si(unit) / in_si(units.IRRADIANCE_UNIT), rel=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [
+        ("nm", 1),
+        ("Nanometers", 1),
+        ("um", 1000),
+        ("µm", 1000),
+        ("μm", 1000),
+        (" Micrometers ", 1000),
+        ("micron", 1000),
+    ],
+)
+def test_wavelength_factor(unit, factor):
+    assert units.wavelength_to_nm(unit) == factor
+
+
+@pytest.mark.parametrize(
+    "factor", [units.wavelength_to_nm, units.radiance_to_internal, units.irradiance_to_internal]
+)
+@pytest.mark.parametrize("unit", ["", "furlong", "Unknown", "W"])
+def test_unknown_unit_lists_what_is_known(factor, unit):
+    with pytest.raises(UsageError, match="expected: one of") as caught:
+        factor(unit)
+    assert caught.value.exit_code == 2
+
+
+def test_radiance_per_wavelength_conserves_the_integral():
+    # The radiance between two wavenumbers is the same on either axis: 1 W cm-2 sr-1 / cm-1 over
+    # 10000-10001 cm-1 is 1 W cm-2 sr-1 = 1e6 uW cm-2 sr-1 over that interval in nm.
+    nu = np.linspace(10000.0, 10001.0, 2001)
+    wavelength_nm = 1e7 / nu
+    per_nm = units.radiance_per_wavelength(np.ones_like(nu), nu)
+    assert -np.trapezoid(per_nm, wavelength_nm) == pytest.approx(1e6, rel=1e-6)
+
+
+@given(st.floats(1e-12, 1e3), st.floats(500, 50000))
+def test_radiance_per_wavelength_is_linear_and_positive(radiance, nu):
+    one = units.radiance_per_wavelength(radiance, nu)
+    assert one > 0
+    assert units.radiance_per_wavelength(2 * radiance, nu) == pytest.approx(2 * one, rel=1e-12)
