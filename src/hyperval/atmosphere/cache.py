@@ -1,0 +1,66 @@
+"""A cache of arrays on disk: safe for parallel processes, deaf to corrupted entries."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import platformdirs
+
+from hyperval.files import whole_file
+
+Array = npt.NDArray[np.float64]
+Arrays = dict[str, Array]
+
+
+def cache_folder(given: Path | None = None) -> Path:
+    """The folder given, or HYPERVAL_CACHE, or the user's cache folder."""
+    if given is not None:
+        return Path(given)
+    from_environment = os.environ.get("HYPERVAL_CACHE")
+    return Path(from_environment or platformdirs.user_cache_dir("hyperval"))
+
+
+def cache_key(inputs: Mapping[str, Any]) -> str:
+    """Hash of the inputs, independent of their order."""
+    text = json.dumps(inputs, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable[[], Arrays]) -> Arrays:
+    """The arrays stored for ``inputs``, computed and stored first where there are none.
+
+    An entry that cannot be read, belongs to other inputs or holds NaN counts as none.  A cache that
+    cannot be written (a read-only home) is no error: the result is computed every time.
+    """
+    path = folder / kind / f"{cache_key(inputs)[:40]}.npz"
+    stored = _load(path, inputs)
+    if stored is not None:
+        return stored
+    arrays = compute()
+    try:
+        with whole_file(path) as temporary, open(temporary, "wb") as stream:
+            np.savez(stream, inputs=np.array(json.dumps(inputs, sort_keys=True)), **arrays)  # type: ignore[arg-type]
+    except OSError:
+        pass
+    return arrays
+
+
+def _load(path: Path, inputs: Mapping[str, Any]) -> Arrays | None:
+    try:
+        with np.load(path, allow_pickle=False) as entry:
+            if str(entry["inputs"]) != json.dumps(inputs, sort_keys=True):
+                return None
+            arrays = {name: np.asarray(entry[name], dtype=float) for name in entry.files if name != "inputs"}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+    if not arrays or not all(np.all(np.isfinite(a)) for a in arrays.values()):
+        return None
+    return arrays

@@ -1,0 +1,262 @@
+"""The embedded engine: 6S V2.1 at its own scattering nodes, gas apart, put together in closed form.
+
+6S solves the scattering at twenty wavelengths and interpolates.  Asking for a spectrum
+makes it print four decimals; asking for one wavelength makes it print seven.  So the nodes are asked
+for one by one without gas, gas transmittance in a table, and the terms are formed here:
+
+    L_a = F [rho_R Tg(dry) + (rho - rho_R) Tg(half water)]        F = mu0 E0 / pi
+    A   = F T_down exp(-tau/mu_v) Tg
+    B   = F T_down (T_up - exp(-tau/mu_v)) Tg
+
+(Vermote et al., IEEE TGRS 35, 1997, 675-686, equations 2 and 5-7; 6S user guide part 1.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from os import cpu_count
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.atmosphere import solar
+from hyperval.atmosphere.cache import Arrays, cached
+from hyperval.atmosphere.profiles import altitude_of_pressure, pressure_at, scaled_profile, standard_profile
+from hyperval.atmosphere.sixs_process import run_sixs, sixs_fingerprint
+from hyperval.atmosphere.sixs_text import (
+    Aerosol,
+    Geometry,
+    deck,
+    gas_free_atmosphere,
+    parse_monochromatic,
+    parse_steps,
+    profile_atmosphere,
+)
+from hyperval.atmosphere.state import RURAL_MIX, AerosolMix, AtmosphericState
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.progress import track
+
+Array = npt.NDArray[np.float64]
+
+SCHEME = 1  # raise when the numbers in the cache change their meaning
+NODES_NM = np.array(
+    [350.0, 400.0, 412.5, 442.5, 470.0, 487.5, 515.0, 550.0, 590.0, 632.5, 670.0, 695.0, 760.0, 860.0,
+     1240.0, 1535.0, 1650.0, 1950.0, 2250.0, 2600.0]
+)  # fmt: skip
+GRID_NM = np.arange(340.0, 2600.0 + 1.25, 2.5)
+
+# 6S mistreats thin aerosol under an aircraft (see docs/atmosphere.md): below these depths at 550 nm it is
+# run with this much, and the aerosol's part is scaled down, in which it is linear to 1e-3.
+_LEAST_DEPTH = 0.1
+_LEAST_DEPTH_INFRARED = 0.3  # beyond 1 um, where the depth is some five times smaller
+_GREATEST_SCALE_HEIGHT_KM = 4.0  # 6S clips the aerosol below the sensor to this scale height
+_LEAST_ABOVE = 0.0015  # and misreads a depth below the sensor this close to the total
+_LEAST_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
+
+_AEROSOL_CARDS = {"continental": "1", "maritime": "2", "urban": "3", "desert": "5"}
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What the runs of one state share."""
+
+    geometry: Geometry
+    ground_km: float
+    height_km: float | None
+
+
+def sixs_terms(state: AtmosphericState, folder: Path, show_progress: bool | None = None) -> AtmosphericTerms:
+    """The terms of a state on the 2.5 nm grid 340-2600 nm.
+
+    Parameters
+    ----------
+    state : what is asked
+    folder : cache folder
+    show_progress : None follows the terminal
+
+    Raises
+    ------
+    EngineError : 6S cannot be started or printed no numbers.
+    """
+    zenith, azimuth = state.sun
+    geometry = Geometry(round(zenith, 4), state.view_zenith_deg, round((azimuth - state.view_azimuth_deg) % 360.0, 4))
+    if state.view_zenith_deg == 0.0:
+        geometry = Geometry(geometry.solar_zenith, 0.0, 0.0)  # every azimuth is the same: share the cache
+    height = None if state.in_space else state.sensor_altitude_km - state.ground_altitude_km
+    setting = _Setting(geometry, state.ground_altitude_km, height)
+    scattering = _scattering(state, setting, folder, show_progress)
+    gas = _gas(state, setting, folder, show_progress)
+    return _assemble(state, setting, scattering, gas)
+
+
+def _assemble(state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arrays) -> AtmosphericTerms:
+    mu0 = np.cos(np.deg2rad(setting.geometry.solar_zenith))
+    mu_v = np.cos(np.deg2rad(setting.geometry.view_zenith))
+    solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
+    unit_radiance = mu0 * solar_irradiance / np.pi
+    value = {name: _log_log(values) for name, values in node.items()}
+    tau = value["depth_rayleigh"] + (value["depth_aerosol"] if "depth_aerosol" in value else 0.0)
+    direct_up = np.exp(-tau / mu_v)
+    diffuse_up = np.maximum(value["up"] - direct_up, 0.0)
+    path = (
+        value["reflectance_rayleigh"] * gas["dry"]
+        + np.maximum(value["reflectance"] - value["reflectance_rayleigh"], 0.0) * gas["half"]
+    )
+    return AtmosphericTerms(
+        wavelength_nm=GRID_NM.copy(),
+        path_radiance=unit_radiance * path,
+        direct=unit_radiance * value["down"] * direct_up * gas["full"],
+        adjacency=unit_radiance * value["down"] * diffuse_up * gas["full"],
+        spherical_albedo=value["spherical_albedo"],
+        ground_irradiance=mu0 * solar_irradiance * value["down"] * gas["ground"],
+        gas_transmittance=gas["full"],
+        provenance={
+            "engine": sixs_fingerprint(),
+            "scheme": SCHEME,
+            "solar_spectrum": state.solar_spectrum,
+            "earth_sun_distance_au": state.distance_au,
+            "solar_zenith_deg": setting.geometry.solar_zenith,
+            "aerosol_optical_depth_550": state.aerosol_optical_depth,
+            "state": state.model_dump(mode="json"),
+        },
+    )
+
+
+def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | None) -> Arrays:
+    """Scattering quantities at the nodes, without gas: path reflectance, transmittances, albedo, depths.
+
+    Without gas 6S takes the air of the US standard 1962: ground and sensor are put where
+    that air has the pressure which the state's model has at their altitudes.
+    """
+    model, us62 = standard_profile(state.model), standard_profile("us-standard-1962")
+    ground = altitude_of_pressure(us62, pressure_at(model, setting.ground_km))
+    height: float | None = None
+    if setting.height_km is not None:
+        above = altitude_of_pressure(us62, pressure_at(model, setting.ground_km + setting.height_km))
+        height = max(round(above - ground, 5), 0.001)
+    depth, fraction = state.aerosol_optical_depth, state.aerosol_fraction_below
+    inputs = {
+        "binary": sixs_fingerprint(),
+        "scheme": SCHEME,
+        "nodes_nm": NODES_NM.tolist(),
+        "geometry": setting.geometry.card(),
+        "ground_km": round(ground, 5),
+        "height_km": height,
+        "aerosol": _aerosol_card(state),
+        "depth_550": round(depth, 6),
+        "depth_550_below": round(depth * fraction, 6),
+    }
+
+    def compute() -> Arrays:
+        card = _aerosol_card(state)
+        decks = [
+            deck(setting.geometry, gas_free_atmosphere(), ground, height, f"-1\n{nm / 1e3:.4f}") for nm in NODES_NM
+        ]
+        stand_ins = [_stand_in(depth, fraction, height, nm) for nm in NODES_NM]
+        if depth > 0.0 and card:
+            decks += [
+                deck(
+                    setting.geometry, gas_free_atmosphere(), ground, height, f"-1\n{nm / 1e3:.4f}",
+                    Aerosol(card, d, d * f),
+                )
+                for nm, (d, f) in zip(NODES_NM, stand_ins, strict=True)
+            ]  # fmt: skip
+        outputs = [parse_monochromatic(t) for t in _run_all(decks, folder, "6S scattering", show)]
+        clear, hazy = outputs[: NODES_NM.size], outputs[NODES_NM.size :]
+
+        def column(runs: list, name: str) -> Array:
+            return np.array([getattr(run, name) for run in runs])
+
+        rayleigh = {
+            "reflectance": column(clear, "reflectance"),
+            "down": column(clear, "down"),
+            "up": column(clear, "up"),
+            "spherical_albedo": column(clear, "spherical_albedo"),
+            "depth_rayleigh": column(clear, "depth_rayleigh"),
+        }
+        if not hazy:
+            return {**rayleigh, "reflectance_rayleigh": rayleigh["reflectance"]}
+        total = np.array([depth / d for d, _ in stand_ins])  # 1 where 6S was run with the depth itself
+        below = np.array([depth * fraction / (d * f) for d, f in stand_ins])
+
+        def scaled(name: str, by: Array) -> Array:
+            return rayleigh[name] + by * (column(hazy, name) - rayleigh[name])
+
+        def log_scaled(name: str, by: Array) -> Array:
+            return np.asarray(rayleigh[name] * (column(hazy, name) / rayleigh[name]) ** by)
+
+        return {
+            "reflectance": scaled("reflectance", below),
+            "reflectance_rayleigh": rayleigh["reflectance"],
+            "down": log_scaled("down", total),
+            "up": log_scaled("up", below),
+            "spherical_albedo": scaled("spherical_albedo", total),
+            "depth_rayleigh": rayleigh["depth_rayleigh"],
+            "depth_aerosol": below * column(hazy, "depth_aerosol"),
+        }
+
+    return cached(folder, "scattering", inputs, compute)
+
+
+def _stand_in(depth: float, fraction: float, height_km: float | None, nm: float) -> tuple[float, float]:
+    """Optical depth and share below the sensor that 6S can be trusted with."""
+    least = _LEAST_DEPTH if nm < 1000.0 else _LEAST_DEPTH_INFRARED
+    if height_km is None:
+        return depth, 1.0  # from space nothing is split, and nothing goes wrong
+    used = max(depth, least)
+    lowest = 1.0 - np.exp(-height_km / _GREATEST_SCALE_HEIGHT_KM)
+    return used, float(np.clip(fraction, lowest * (1.0 + 1e-6) + 1e-6, 1.0 - _LEAST_ABOVE / used))
+
+
+def _gas(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | None) -> Arrays:
+    """Gas transmittance on the grid: full water, half water and dry two-way, and sun to ground."""
+    profile = scaled_profile(state.model, setting.ground_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
+    water = profile.water_g_m3
+    spectral = f"-2\n{GRID_NM[0] / 1e3:.4f} {GRID_NM[-1] / 1e3:.4f}"
+    decks = {}
+    for name, share, height in (
+        ("full", 1.0, setting.height_km),
+        ("half", 0.5, setting.height_km),
+        ("dry", 0.0, setting.height_km),
+        ("ground", 1.0, 0.0),
+    ):
+        levels = type(profile)(
+            profile.altitude_km, profile.pressure_hpa, profile.temperature_k, water * share, profile.ozone_g_m3
+        )
+        decks[name] = deck(setting.geometry, profile_atmosphere(levels), setting.ground_km, height, spectral)
+    inputs = {"binary": sixs_fingerprint(), "scheme": SCHEME, "decks": decks}
+
+    def compute() -> Arrays:
+        outputs = _run_all(list(decks.values()), folder, "6S gas", show)
+        found = {}
+        for name, text in zip(decks, outputs, strict=True):
+            nm, transmittance = parse_steps(text)
+            found[name] = np.maximum(np.interp(GRID_NM, nm, transmittance), _LEAST_GAS)
+        return found
+
+    return cached(folder, "gas", inputs, compute)
+
+
+def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> list[str]:
+    """Outputs of all decks in their order; one process per processor at a time."""
+    run: Callable[[str], str] = lambda text: run_sixs(text, folder)  # noqa: E731
+    with ThreadPoolExecutor(max_workers=cpu_count() or 1) as pool:
+        return list(track(pool.map(run, decks), what, total=len(decks), show=show))
+
+
+def _aerosol_card(state: AtmosphericState) -> str:
+    if isinstance(state.aerosol, AerosolMix) or state.aerosol == "rural":
+        mix = state.aerosol if isinstance(state.aerosol, AerosolMix) else RURAL_MIX
+        return f"4\n{mix.dust:.6f} {mix.water_soluble:.6f} {mix.oceanic:.6f} {mix.soot:.6f}"
+    return _AEROSOL_CARDS.get(state.aerosol, "")
+
+
+def _log_log(values: Array) -> Array:
+    """Node values on the grid: straight lines in the logarithms, carried on beyond the ends."""
+    x, y = np.log(NODES_NM), np.log(np.maximum(values, 1e-7))
+    at = np.log(GRID_NM)
+    i = np.clip(np.searchsorted(x, at) - 1, 0, x.size - 2)
+    return np.asarray(np.exp(y[i] + (at - x[i]) * (y[i + 1] - y[i]) / (x[i + 1] - x[i])))

@@ -1,0 +1,134 @@
+"""Position of the sun, Earth-Sun distance, and the extraterrestrial spectra to choose from."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from pvlib import solarposition, spectrum
+
+from hyperval.errors import InputError, MissingDataError, UsageError
+from hyperval.units import irradiance_to_internal
+
+Array = npt.NDArray[np.float64]
+
+# Choice -> (file below HYPERVAL_DATA, unit of its second column, wavelengths in nm in the first).
+_FILES = {
+    "tsis-1": ("sensors/tsis_f0_0p5.txt", "mW m-2 nm-1"),
+    "kurucz": ("sensors/kurudz_0.1nm.dat.gz", "mW m-2 nm-1"),
+}
+SPECTRA = ("astm-g173", *_FILES)
+_MAX_BYTES = 64 << 20
+_FINE_NM = 0.1
+
+
+def parse_utc(text: str) -> datetime:
+    """Read an ISO 8601 time; without an offset it is UTC.  Raises UsageError."""
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise UsageError(f"not a time: {text!r}", expected="ISO 8601, such as 2017-11-08T18:42:27Z") from error
+    return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
+
+
+def solar_position(latitude_deg: float, longitude_deg: float, when: datetime) -> tuple[float, float]:
+    """True (not refracted) solar zenith and azimuth, east of north [deg]; longitude east positive."""
+    frame = solarposition.get_solarposition(
+        pd.DatetimeIndex([pd.Timestamp(when)]), latitude_deg, longitude_deg, method="nrel_numpy"
+    )
+    return float(frame["zenith"].iloc[0]), float(frame["azimuth"].iloc[0])
+
+
+def earth_sun_distance_au(when: datetime) -> float:
+    """Distance of the Earth from the Sun [au]."""
+    value = solarposition.nrel_earthsun_distance(pd.DatetimeIndex([pd.Timestamp(when)]))
+    return float(np.asarray(value)[0])
+
+
+def distance_on_day(day_of_year: int) -> float:
+    """Distance at noon UTC of a day of a common year [au]; it differs by 2e-4 from year to year."""
+    start = pd.Timestamp("2018-01-01T12:00Z") + pd.Timedelta(days=day_of_year - 1)
+    return earth_sun_distance_au(start.to_pydatetime())
+
+
+def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: float = 1.0) -> Array:
+    """Solar irradiance outside the atmosphere [uW cm-2 nm-1], averaged onto a wavelength grid.
+
+    Each value is the average over the two neighbouring grid steps with triangular weight, so that
+    linear interpolation between the grid points keeps the energy of the Fraunhofer lines.
+
+    Parameters
+    ----------
+    name : "astm-g173" (in every installation), "tsis-1" or "kurucz" (files below HYPERVAL_DATA)
+    wavelength_nm : (n,) increasing, at least two
+    distance_au : Earth-Sun distance; the spectra hold at 1 au
+
+    Raises
+    ------
+    UsageError : unknown name, or the spectrum does not cover the grid.
+    MissingDataError : the file is not at hand.
+    """
+    grid = np.asarray(wavelength_nm, dtype=float)
+    source_nm, irradiance = _spectrum(name, os.environ.get("HYPERVAL_DATA", ""))
+    if grid[0] < source_nm[0] or grid[-1] > source_nm[-1]:
+        # The end samples may reach half a step beyond; more than 10 nm is a mistake.
+        if grid[0] < source_nm[0] - 10.0 or grid[-1] > source_nm[-1] + 10.0:
+            raise UsageError(
+                f"the solar spectrum {name} covers {source_nm[0]:g}-{source_nm[-1]:g} nm, "
+                f"not {grid[0]:g}-{grid[-1]:g} nm"
+            )
+    step = np.gradient(grid)
+    count = int(np.ceil(2.0 * step.max() / _FINE_NM)) | 1
+    offset = np.linspace(-1.0, 1.0, count)
+    weight = 1.0 - np.abs(offset)
+    positions = grid[:, None] + offset[None, :] * step[:, None]
+    values = np.interp(positions, source_nm, irradiance)
+    return np.asarray(values @ weight / weight.sum()) / distance_au**2
+
+
+@lru_cache(maxsize=8)
+def _spectrum(name: str, root: str) -> tuple[Array, Array]:
+    """Wavelength [nm] and irradiance at 1 au [uW cm-2 nm-1]."""
+    if name == "astm-g173":
+        table = spectrum.get_reference_spectra(standard="ASTM G173-03")
+        unit = irradiance_to_internal("W m-2 nm-1")
+        return table.index.to_numpy(float), table["extraterrestrial"].to_numpy(float) * unit
+    if name not in _FILES:
+        raise UsageError(f"unknown solar spectrum {name!r}", expected="one of " + ", ".join(SPECTRA))
+    relative, unit_name = _FILES[name]
+    path = Path(root) / relative
+    if not root or not path.is_file():
+        raise MissingDataError(
+            f"the solar spectrum {name!r} is not at hand",
+            where=relative,
+            expected="the file below HYPERVAL_DATA",
+            mend="set HYPERVAL_DATA to the data directory, or choose solar_spectrum: astm-g173",
+        )
+    return _read_two_columns(path, irradiance_to_internal(unit_name))
+
+
+def _read_two_columns(path: Path, to_internal: float) -> tuple[Array, Array]:
+    if path.stat().st_size > _MAX_BYTES:
+        raise InputError(f"larger than {_MAX_BYTES} bytes", where=str(path), expected="a solar spectrum")
+    raw = path.read_bytes()
+    text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("ascii", "replace")
+    rows = []
+    for number, line in enumerate(text.splitlines(), 1):
+        parts = line.split("#")[0].split()
+        if not parts:
+            continue
+        try:
+            rows.append((float(parts[0]), float(parts[1])))
+        except (ValueError, IndexError) as error:
+            raise InputError(
+                f"not a row of two numbers: {line.strip()[:60]!r}", where=f"{path}:{number}",
+                expected="wavelength [nm] and irradiance",
+            ) from error  # fmt: skip
+    table = np.array(rows)
+    return table[:, 0], table[:, 1] * to_internal
