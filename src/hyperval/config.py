@@ -73,8 +73,14 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
 
 def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int]]:
     """Parse YAML text by the rules of :func:`load_yaml`; ``name`` stands for the file in messages."""
+    depth = entries = 0
     try:
         for event in yaml.parse(text, Loader=_Loader):
+            # Counted here, before the tree is built: the parser's time grows with the square of the depth.
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            entries += isinstance(event, yaml.NodeEvent)
+            if depth > MAX_DEPTH or entries > 2 * MAX_NODES:
+                raise UsageError("too deep or too many entries", where=f"{name}:{event.start_mark.line + 1}")
             if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
                 raise UsageError("anchors and aliases are not allowed", where=f"{name}:{event.start_mark.line + 1}")
             tag = getattr(event, "tag", None)
