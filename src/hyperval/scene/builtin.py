@@ -34,7 +34,7 @@ class Surface:
     words: str
 
 
-def _bump(w: Array, centre: float, sd: float) -> Array:
+def _bump(w: Array, centre: float | Array, sd: float) -> Array:
     return np.asarray(np.exp(-0.5 * ((w - centre) / sd) ** 2))
 
 
@@ -99,6 +99,23 @@ def _scaled(curve: Curve, by: Curve | float, sd: float) -> Curve:
     return lambda w: sd * curve(w) * (by(w) if callable(by) else by)
 
 
+def _mottle(curve: Callable[[Array], Array], sd: float, width_nm: float) -> dict[str, Callable[[Array], Array]]:
+    """Modes of everything unnamed that varies on the ground: relative spread ``sd`` at every wavelength,
+    correlated over about ``width_nm``.  Without it a handful of smooth modes would leave a background so
+    simple that one part in a thousand of a foreign material is found in it.
+    """
+    centres = np.arange(RANGE_NM[0], RANGE_NM[1] + width_nm, width_nm)
+
+    def mode(centre: float) -> Callable[[Array], Array]:
+        def value(w: Array) -> Array:
+            total = np.sqrt(np.sum(_bump(w[:, None], centres, width_nm) ** 2, axis=1))
+            return np.asarray(sd * curve(w) * _bump(w, centre, width_nm) / total)
+
+        return value
+
+    return {f"mottle {centre:.0f} nm": mode(float(centre)) for centre in centres}
+
+
 def _painted(curve: Curve, words: str) -> Surface:
     return Surface(
         curve,
@@ -133,6 +150,7 @@ _SURFACES: dict[str, Surface] = {
             "chlorophyll": _scaled(_grass, _chlorophyll, -0.13),
             "water": _scaled(_grass, _leaf_water, -0.07),
             "bare ground": lambda w: 0.05 * (_soil(w) - _grass(w)),
+            **_mottle(_grass, 0.06, 40.0),
         },
         0.003,
         "green vegetation",
@@ -143,6 +161,7 @@ _SURFACES: dict[str, Surface] = {
             "brightness": _scaled(_asphalt, 1.0, 0.10),
             "slope": _scaled(_asphalt, _tilt, 0.05),
             "dust": lambda w: 0.03 * (_soil(w) - _asphalt(w)),
+            **_mottle(_asphalt, 0.10, 25.0),
         },
         0.002,
         "worn asphalt",
