@@ -1,0 +1,75 @@
+"""Difference ratio of two spectra, per band and in summary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+from hyperval.products import SpectralEstimate
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.windows import SPECTRAL_REGIONS_NM, in_window
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Z95 = 1.959963984540054
+
+
+def difference_ratio(predicted: npt.ArrayLike, collected: npt.ArrayLike) -> Array:
+    """(B,) (predicted - collected)/collected; NaN where ``collected`` is not positive.
+
+    Examples
+    --------
+    >>> difference_ratio([1.1, 2.0], [1.0, 2.0]).round(3).tolist()
+    [0.1, 0.0]
+    """
+    p, c = np.asarray(predicted, dtype=float), np.asarray(collected, dtype=float)
+    return np.where(c > 0, p - c, np.nan) / np.where(c > 0, c, 1.0)
+
+
+def difference_ratio_covariance(predicted: SpectralEstimate, collected: SpectralEstimate) -> Array:
+    """(B, B) error covariance of the difference ratio, to first order.
+
+    With r = p/c - 1, dr = dp/c - p dc/c^2, so C_r = D_1 C_p D_1 + D_2 C_c D_2 with D_1 = diag(1/c) and
+    D_2 = diag(p/c^2); the two sides are independent.  Source: law of propagation, JCGM 100:2008, 5.2.
+    """
+    c = np.where(collected.mean > 0, collected.mean, np.nan)
+    one, two = 1.0 / c, predicted.mean / c**2
+    return predicted.error_covariance * np.outer(one, one) + collected.error_covariance * np.outer(two, two)
+
+
+def comparable_bands(predicted: SpectralEstimate, collected: SpectralEstimate, axis: SpectralAxis) -> Mask:
+    """(B,) True where the band is good and both sides have a value and an uncertainty."""
+    for name, side in (("predicted", predicted), ("observed", collected)):
+        if side.mean.shape != (len(axis),) or side.error_covariance.shape != (len(axis), len(axis)):
+            raise UsageError(
+                f"the {name} spectrum has shape {side.mean.shape} with a covariance {side.error_covariance.shape}",
+                expected=f"the {len(axis)} bands of the axis on both sides",
+            )
+    usable = np.isfinite(predicted.mean) & np.isfinite(collected.mean)
+    usable &= np.isfinite(np.diag(predicted.error_covariance)) & np.isfinite(np.diag(collected.error_covariance))
+    return usable & axis.good
+
+
+def regions(axis: SpectralAxis) -> Mapping[str, Mask]:
+    """Bands of each summary: all windows, their part in VNIR, SWIR1 and SWIR2, and the absorption bands."""
+    wavelength = axis.centre_nm
+    window = in_window(wavelength)
+    parts = {"windows": window}
+    for name, (low, high) in SPECTRAL_REGIONS_NM.items():
+        parts[name.lower()] = window & (wavelength >= low) & (wavelength < high)
+    parts["absorption"] = ~window & (wavelength >= 400.0) & (wavelength <= 2500.0)
+    return parts
+
+
+def median_interval(ratio: Array, covariance: Array) -> tuple[float, float]:
+    """95 % interval of the median over bands of a signed ratio.
+
+    The error of the median is taken as that of the mean over the same bands, 1^T C 1/B^2: errors common
+    to the bands, which are what is left after averaging, move both alike.
+    """
+    centre = float(np.median(ratio))
+    half = Z95 * float(np.sqrt(max(float(np.mean(covariance)), 0.0)))
+    return centre - half, centre + half

@@ -1,0 +1,91 @@
+"""All products of one comparison: every subject that either side names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+from hyperval.compare.abundance import compare_abundance
+from hyperval.compare.radiance import compare_radiance
+from hyperval.compare.reflectance import compare_reflectance
+from hyperval.compare.roc import compare_roc
+from hyperval.compare.scores import compare_scores
+from hyperval.compare.snr import compare_snr
+from hyperval.errors import UsageError
+from hyperval.products import Products
+from hyperval.results import Result
+
+SPECTRAL = {"radiance": compare_radiance, "snr": compare_snr, "reflectance": compare_reflectance}
+PRODUCTS = (*SPECTRAL, "scores", "roc", "abundance")
+
+K = TypeVar("K")
+
+
+def compare_products(
+    predicted: Products,
+    observed: Products,
+    *,
+    campaign: str,
+    method: str = "model",
+    pfa: Sequence[float] | None = None,
+    equivalence_margin: float | None = None,
+) -> list[Result]:
+    """Rows of every product and subject that at least one side holds, in a fixed order.
+
+    A subject that one side lacks gives a SKIPPED row, so that nothing planned is missing.  ``method`` names
+    the way of the spectral products; for scores and abundance the method is the detector, for ROC it is
+    "detector/unit".
+
+    Raises
+    ------
+    UsageError : the two sides are not on the same bands.
+    """
+    if not predicted.axis.matches(observed.axis):
+        raise UsageError(
+            f"prediction ({len(predicted.axis)} bands) and observation ({len(observed.axis)} bands) "
+            "are not on the same spectral axis",
+            mend="predict on the axis of the collection",
+        )
+    rows: list[Result] = []
+    for product, compare in SPECTRAL.items():
+        left, right = getattr(predicted, product), getattr(observed, product)
+        for subject in _keys(left, right):
+            rows += compare(
+                left.get(subject),
+                right.get(subject),
+                campaign=campaign,
+                subject=subject,
+                method=method,
+                axis=observed.axis,
+            )
+    for subject, detector in _keys(predicted.scores, observed.scores):
+        key = (subject, detector)
+        rows += compare_scores(
+            predicted.scores.get(key), observed.scores.get(key), campaign=campaign, subject=subject, method=detector
+        )
+    for subject, detector, unit in _keys(predicted.roc, observed.roc):
+        curve = (subject, detector, unit)
+        rows += compare_roc(
+            predicted.roc.get(curve),
+            observed.roc.get(curve),
+            campaign=campaign,
+            subject=subject,
+            method=f"{detector}/{unit}",
+            pfa=pfa,
+            equivalence_margin=equivalence_margin,
+        )
+    for subject, detector in _keys(predicted.abundance, observed.abundance):
+        key = (subject, detector)
+        rows += compare_abundance(
+            predicted.abundance.get(key),
+            observed.abundance.get(key),
+            campaign=campaign,
+            subject=subject,
+            method=detector,
+        )
+    return rows
+
+
+def _keys(left: Mapping[K, Any], right: Mapping[K, Any]) -> list[K]:
+    """Keys of both, those of the observation first and in its order."""
+    return list(dict.fromkeys([*right, *left]))

@@ -1,0 +1,182 @@
+"""ROC curves: predicted against measured detection probability at stated false-alarm probabilities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.compare.rows import RowMaker, scientific
+from hyperval.errors import UsageError
+from hyperval.processing.auc import AucEstimate
+from hyperval.products import RocCurve
+from hyperval.results import Result
+
+Array = npt.NDArray[np.float64]
+ALWAYS = (1e-1, 1e-2, 1e-3)
+IF_BACKGROUND_ALLOWS = (1e-4, 1e-5, 1e-6)
+# Below this many expected alarms the background sample does not fix the threshold.
+LEAST_EXPECTED_ALARMS = 10.0
+METRICS = (
+    "pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval", "pd_inside_measured_interval",
+)  # fmt: skip
+
+
+def value_at(curve: RocCurve, values: Array, pfa: float) -> float:
+    """A quantity of the curve at ``pfa``: exact on the grid, linear in log P_FA between; NaN outside."""
+    grid = curve.pfa
+    exact = np.flatnonzero(np.abs(grid - pfa) <= 1e-9 * pfa)
+    if exact.size:
+        return float(values[exact[-1]])
+    if grid.size == 0 or not grid[0] <= pfa <= grid[-1]:
+        return math.nan
+    with np.errstate(divide="ignore"):
+        return float(np.interp(np.log(pfa), np.log(grid), values))
+
+
+def difference_interval(
+    a: float, a_interval: tuple[float, float], b: float, b_interval: tuple[float, float]
+) -> tuple[float, float]:
+    """Interval of a - b from the separate intervals of two independent estimates.
+
+    L = a - b - sqrt((a - l_a)^2 + (u_b - b)^2), U = a - b + sqrt((u_a - a)^2 + (b - l_b)^2).
+    Source: Newcombe, Stat. Med. 17, 873-890, 1998, method 10; Zou & Donner, Stat. Med. 27, 1693-1702, 2008.
+
+    Examples
+    --------
+    >>> low, high = difference_interval(0.8, (0.7, 0.9), 0.5, (0.5, 0.5))
+    >>> round(low, 6), round(high, 6)
+    (0.2, 0.4)
+    """
+    low = a - b - math.hypot(a - a_interval[0], b_interval[1] - b)
+    high = a - b + math.hypot(a_interval[1] - a, b - b_interval[0])
+    return low, high
+
+
+def equivalent(interval: tuple[float, float], margin: float) -> bool:
+    """Two one-sided tests: the whole 95 % interval of the difference lies inside +-``margin``.
+
+    That rejects "the difference is at least the margin" on both sides at the 2.5 % level.  No difference
+    found is not equivalence: a wide interval fails.  Source: Schuirmann, J. Pharmacokinet. Biopharm. 15, 657, 1987.
+    """
+    if not 0.0 < margin < 1.0:
+        raise UsageError(f"equivalence margin {margin:g}", expected="a difference of probability between 0 and 1")
+    return -margin < interval[0] and interval[1] < margin
+
+
+def curve_auc(curve: RocCurve, pfa_low: float) -> float:
+    """Mean P_D of a curve over ``pfa_low`` to 1, evenly in P_FA (trapezoidal on a fine common grid)."""
+    grid = np.concatenate([np.geomspace(pfa_low, 0.1, 400, endpoint=False), np.linspace(0.1, 1.0, 901)])
+    with np.errstate(divide="ignore"):
+        pd = np.interp(np.log(grid), np.log(curve.pfa), curve.pd)
+    return float(np.trapezoid(pd, grid) / (1.0 - pfa_low))
+
+
+def compare_roc(
+    predicted: RocCurve | None,
+    observed: RocCurve | None,
+    *,
+    campaign: str,
+    subject: str,
+    method: str,
+    pfa: Sequence[float] | None = None,
+    equivalence_margin: float | None = None,
+    predicted_auc: AucEstimate | float | None = None,
+    observed_auc: AucEstimate | None = None,
+) -> list[Result]:
+    """Rows at each false-alarm probability, named METRIC@1e-2 and the like.
+
+    ``pd_predicted`` and ``pd_measured`` with their intervals, ``pd_difference`` (predicted - measured) with its
+    interval, and 1 or 0 for
+
+    - ``pd_inside_interval``: 0 lies in the 95 % interval of the difference, i.e. the predicted P_D lies in the
+      measured interval widened by the predicted half-width *in quadrature*.  That the two intervals
+      overlap (widths added) is not enough.  Where the predicted curve has no width it is the next rule;
+    - ``pd_inside_measured_interval``: the predicted P_D lies in the measured interval as it stands;
+    - ``pd_equivalent`` (with ``equivalence_margin``): two one-sided tests, :func:`equivalent`.
+
+    Default probabilities: 1e-1, 1e-2, 1e-3 always, and 1e-4 to 1e-6 where the background is large enough to
+    expect 10 alarms.  A probability that the background or a curve does not reach gives SKIPPED rows.
+    ``auc_difference`` is of both curves over their common range of P_FA, or of the AUC estimates
+    when both are given; it has an interval in the latter case only.
+    """
+    make = RowMaker(campaign, "roc", subject, method)
+
+    def rows(predicted: RocCurve, observed: RocCurve) -> list[Result]:
+        if predicted.unit != observed.unit:
+            raise UsageError(
+                f"{subject}: the predicted curve counts by {predicted.unit}, the measured by {observed.unit}"
+            )
+        background = observed.n_background
+        levels = tuple(pfa) if pfa is not None else ALWAYS
+        if pfa is None:
+            levels += tuple(
+                x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS
+            )
+        out: list[Result] = []
+        for level in levels:
+            out += _at(make, predicted, observed, level, equivalence_margin)
+        return [*out, _auc_row(make, predicted, observed, predicted_auc, observed_auc)]
+
+    return make.compared(predicted, observed, rows)
+
+
+def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> list[Result]:
+    label = scientific(pfa)
+    names = [f"{m}@{label}" for m in (*METRICS, *(("pd_equivalent",) if margin is not None else ()))]
+    n, background = observed.n_target, observed.n_background
+    if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
+        reason = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
+        reason += f"{LEAST_EXPECTED_ALARMS:g} are needed to place the threshold"
+        return [make.skipped(reason, name) for name in names]
+    p, o = value_at(predicted, predicted.pd, pfa), value_at(observed, observed.pd, pfa)
+    if math.isnan(p) or math.isnan(o):
+        side = "predicted" if math.isnan(p) else "measured"
+        return [make.skipped(f"the {side} curve has no point at P_FA {label}", name) for name in names]
+    p_interval = value_at(predicted, predicted.pd_lower, pfa), value_at(predicted, predicted.pd_upper, pfa)
+    o_interval = value_at(observed, observed.pd_lower, pfa), value_at(observed, observed.pd_upper, pfa)
+    if any(math.isnan(x) for x in p_interval):  # a curve without a band is a curve without width
+        p_interval = (p, p)
+    low, high = difference_interval(p, p_interval, o, o_interval)
+    # An unknown measured interval must not read as "outside": the verdict itself is unknown.
+    known = not any(math.isnan(x) for x in o_interval)
+    inside = float(low <= 0.0 <= high) if known else math.nan
+    inside_measured = float(o_interval[0] <= p <= o_interval[1]) if known else math.nan
+    out = [
+        make.row(names[0], p, interval=p_interval),
+        make.row(names[1], o, interval=o_interval, n=n),
+        make.row(names[2], p - o, interval=(low, high), n=n),
+        make.row(names[3], inside, n=n),
+        make.row(names[4], inside_measured, n=n),
+    ]
+    if margin is not None:
+        verdict = float(equivalent((low, high), margin)) if known else math.nan
+        out.append(make.row(names[5], verdict, n=n, reason=f"margin {margin:g}"))
+    return out
+
+
+def _auc_row(
+    make: RowMaker,
+    predicted: RocCurve,
+    observed: RocCurve,
+    predicted_auc: AucEstimate | float | None,
+    observed_auc: AucEstimate | None,
+) -> Result:
+    if predicted_auc is not None and observed_auc is not None:
+        if isinstance(predicted_auc, AucEstimate):
+            p, p_interval = predicted_auc.auc, (predicted_auc.lower, predicted_auc.upper)
+        else:
+            p, p_interval = float(predicted_auc), (float(predicted_auc), float(predicted_auc))
+        interval = difference_interval(p, p_interval, observed_auc.auc, (observed_auc.lower, observed_auc.upper))
+        return make.row("auc_difference", p - observed_auc.auc, interval=interval, n=observed_auc.n_target)
+    low = max(float(predicted.pfa[0]), float(observed.pfa[0]))
+    if low >= 0.1 or min(float(predicted.pfa[-1]), float(observed.pfa[-1])) < 1.0 - 1e-9:
+        return make.skipped("the curves do not both reach from P_FA below 0.1 to 1", "auc_difference")
+    return make.row(
+        "auc_difference",
+        curve_auc(predicted, low) - curve_auc(observed, low),
+        n=observed.n_target,
+        reason=f"area of both curves over P_FA {low:.2g} to 1; no interval from curves alone",
+    )

@@ -1,0 +1,69 @@
+"""Making rows of the results table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from hyperval.results import Result, Status
+
+# The metric of a row that stands for a whole comparison which could not be made.
+COMPARISON = "comparison"
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class RowMaker:
+    """Fills in what the rows of one comparison share."""
+
+    campaign: str
+    product: str
+    subject: str
+    method: str
+
+    def row(
+        self,
+        metric: str,
+        value: float,
+        *,
+        interval: tuple[float, float] = (math.nan, math.nan),
+        unit: str = "1",
+        band_nm: float = math.nan,
+        n: int | None = None,
+        reason: str = "",
+    ) -> Result:
+        """An INFO row; gates turn it into a verdict later."""
+        return Result(
+            self.campaign, self.product, self.subject, self.method, metric, float(value), unit, float(band_nm),
+            float(interval[0]), float(interval[1]), n, math.nan, Status.INFO, reason,
+        )  # fmt: skip
+
+    def skipped(self, reason: str, metric: str = COMPARISON) -> Result:
+        """A planned row that has no value, with the reason."""
+        return Result(
+            self.campaign, self.product, self.subject, self.method, metric, status=Status.SKIPPED, reason=reason
+        )
+
+    def compared(
+        self, predicted: T | None, observed: T | None, rows: Callable[[T, T], list[Result]]
+    ) -> list[Result]:
+        """The rows, or one SKIPPED row that says which side has no such product."""
+        if predicted is not None and observed is not None:
+            return rows(predicted, observed)
+        missing = [name for name, side in (("prediction", predicted), ("observation", observed)) if side is None]
+        return [self.skipped(f"no {self.product} of {self.subject} in the {' and in the '.join(missing)}")]
+
+
+def scientific(value: float) -> str:
+    """A short label of a probability: 0.01 is 1e-2.
+
+    Examples
+    --------
+    >>> scientific(0.01), scientific(2.5e-4)
+    ('1e-2', '2.5e-4')
+    """
+    exponent = math.floor(math.log10(value) + 1e-9)
+    return f"{value / 10.0**exponent:.3g}e{exponent}"

@@ -1,0 +1,28 @@
+"""Signal-to-noise ratio: predicted (3.20) against the image."""
+
+from __future__ import annotations
+
+from hyperval.compare.spectral import compare_spectra
+from hyperval.products import SpectralEstimate
+from hyperval.results import Result
+from hyperval.spectra.axis import SpectralAxis
+
+
+def compare_snr(
+    predicted: SpectralEstimate | None,
+    observed: SpectralEstimate | None,
+    *,
+    campaign: str,
+    subject: str,
+    method: str,
+    axis: SpectralAxis,
+) -> list[Result]:
+    """Rows of the snr [1] of one subject.
+
+    Metrics: :func:`hyperval.compare.spectral.compare_spectra`.
+
+    A side that is None gives one SKIPPED row.
+    """
+    return compare_spectra(
+        predicted, observed, campaign=campaign, product="snr", subject=subject, method=method, axis=axis
+    )

@@ -1,0 +1,143 @@
+"""Rows that every spectral product shares: radiance, SNR, reflectance."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.compare.consistency import (
+    bias_and_shape,
+    chi_square_diagonal,
+    chi_square_full,
+    spectral_angle_degrees,
+    z_scores,
+)
+from hyperval.compare.difference import (
+    Z95,
+    comparable_bands,
+    difference_ratio,
+    difference_ratio_covariance,
+    median_interval,
+    regions,
+)
+from hyperval.compare.rows import RowMaker
+from hyperval.products import SpectralEstimate
+from hyperval.results import Result
+from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
+
+
+def compare_spectra(
+    predicted: SpectralEstimate | None,
+    observed: SpectralEstimate | None,
+    *,
+    campaign: str,
+    product: str,
+    subject: str,
+    method: str,
+    axis: SpectralAxis,
+) -> list[Result]:
+    """Rows of one spectrum.
+
+    Per good band: ``difference_ratio`` with its 95 % interval, and ``z``.  Per region R of windows, vnir, swir1,
+    swir2, absorption: ``median_difference_ratio_R`` (with interval), ``median_abs_difference_ratio_R`` and
+    ``max_abs_difference_ratio_R``.  Over the windows: ``chi2_reduced_diagonal``, ``p_value_diagonal``,
+    ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (with interval), ``chi2_reduced_shape``,
+    ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``.  A region
+    without a comparable band gives SKIPPED rows.
+    """
+    make = RowMaker(campaign, product, subject, method)
+    return make.compared(predicted, observed, lambda p, o: _rows(make, p, o, axis))
+
+
+def _rows(
+    make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis
+) -> list[Result]:
+    usable = comparable_bands(predicted, observed, axis)
+    ratio = difference_ratio(predicted.mean, observed.mean)
+    ratio_covariance = difference_ratio_covariance(predicted, observed)
+    half = Z95 * np.sqrt(np.clip(np.diag(ratio_covariance), 0.0, None))
+    difference = predicted.mean - observed.mean
+    covariance = predicted.error_covariance + observed.error_covariance
+    z = z_scores(difference, covariance)
+    n = observed.n
+    out: list[Result] = []
+    for b in np.flatnonzero(usable):
+        at = float(axis.centre_nm[b])
+        if np.isfinite(ratio[b]):
+            out.append(
+                make.row(
+                    "difference_ratio",
+                    ratio[b],
+                    interval=(ratio[b] - half[b], ratio[b] + half[b]),
+                    band_nm=at,
+                    n=n,
+                )
+            )
+        else:
+            out.append(
+                make.row("difference_ratio", np.nan, band_nm=at, n=n, reason="observed value is not positive")
+            )
+        if np.isfinite(z[b]):
+            out.append(make.row("z", z[b], band_nm=at, n=n))
+    for name, region in regions(axis).items():
+        out += _summary(make, name, ratio, ratio_covariance, usable & region & np.isfinite(ratio))
+    window = usable & regions(axis)["windows"]
+    out += _consistency(make, predicted.mean, observed.mean, covariance, window)
+    return out
+
+
+def _summary(
+    make: RowMaker, name: str, ratio: Array, covariance: Array, bands: npt.NDArray[np.bool_]
+) -> list[Result]:
+    metrics = [f"{m}_{name}" for m in ("median_difference_ratio", "median_abs_difference_ratio")]
+    metrics.append(f"max_abs_difference_ratio_{name}")
+    count = int(bands.sum())
+    if count == 0:
+        return [make.skipped(f"no comparable band in {name}", metric) for metric in metrics]
+    r = ratio[bands]
+    interval = median_interval(r, covariance[np.ix_(bands, bands)])
+    return [
+        make.row(metrics[0], float(np.median(r)), interval=interval, n=count),
+        make.row(metrics[1], float(np.median(np.abs(r))), n=count),
+        make.row(metrics[2], float(np.max(np.abs(r))), n=count),
+    ]
+
+
+def _consistency(
+    make: RowMaker, predicted: Array, observed: Array, covariance: Array, window: npt.NDArray[np.bool_]
+) -> list[Result]:
+    names = (
+        "chi2_reduced_diagonal", "p_value_diagonal", "chi2_reduced_full", "p_value_full",
+        "bias_ratio", "chi2_reduced_shape", "p_value_shape", "fraction_inside_95", "spectral_angle",
+    )  # fmt: skip
+    if not window.any():
+        return [make.skipped("no comparable band in windows", name) for name in names]
+    r = (predicted - observed)[window]
+    cov = covariance[np.ix_(window, window)]
+    if not np.all(np.diag(cov) > 0):
+        reason = "neither side states an uncertainty in some bands"
+        out = [make.skipped(reason, name) for name in names[:-1]]
+    else:
+        diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, cov)
+        parts = bias_and_shape(r, observed[window], cov)
+        z = np.abs(z_scores(r, cov))
+        kept = f"{full.dof} of {int(window.sum())} directions kept" if full.dof < window.sum() else ""
+        out = [
+            make.row(names[0], diagonal.reduced, n=diagonal.dof),
+            make.row(names[1], diagonal.p_value, n=diagonal.dof),
+            make.row(names[2], full.reduced, n=full.dof, reason=kept),
+            make.row(names[3], full.p_value, n=full.dof, reason=kept),
+            make.row(
+                names[4],
+                parts.bias,
+                interval=(parts.bias - Z95 * parts.bias_sd, parts.bias + Z95 * parts.bias_sd),
+                n=full.dof,
+            ),
+            make.row(names[5], parts.shape.reduced, n=parts.shape.dof),
+            make.row(names[6], parts.shape.p_value, n=parts.shape.dof),
+            make.row(names[7], float(np.mean(z <= Z95)), n=int(z.size)),
+        ]
+    angle = spectral_angle_degrees(predicted[window], observed[window])
+    return [*out, make.row(names[8], angle, unit="degree", n=int(window.sum()))]
