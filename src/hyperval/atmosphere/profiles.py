@@ -64,9 +64,7 @@ def column_g_cm2(profile: Profile, density_g_m3: Array, above_km: float) -> floa
     return float(kg_m2 * 0.1)
 
 
-def scaled_profile(
-    model: str, ground_km: float, water_g_cm2: float | None, ozone_atm_cm: float | None
-) -> Profile:
+def scaled_profile(model: str, ground_km: float, water_g_cm2: float | None, ozone_atm_cm: float | None) -> Profile:
     """The standard atmosphere with the columns above the ground scaled to the given amounts.
 
     None keeps the model's own density at each altitude, so that high ground has less above it.

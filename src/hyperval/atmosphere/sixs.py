@@ -82,7 +82,9 @@ def sixs_terms(state: AtmosphericState, folder: Path, show_progress: bool | None
     EngineError : 6S cannot be started or printed no numbers.
     """
     zenith, azimuth = state.sun
-    geometry = Geometry(round(zenith, 4), state.view_zenith_deg, round((azimuth - state.view_azimuth_deg) % 360.0, 4))
+    geometry = Geometry(
+        round(zenith, 4), state.view_zenith_deg, round((azimuth - state.view_azimuth_deg) % 360.0, 4)
+    )
     if state.view_zenith_deg == 0.0:
         geometry = Geometry(geometry.solar_zenith, 0.0, 0.0)  # every azimuth is the same: share the cache
     height = None if state.in_space else state.sensor_altitude_km - state.ground_altitude_km

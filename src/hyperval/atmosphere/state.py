@@ -76,9 +76,7 @@ class AtmosphericState(Model):
     sensor_altitude_km: float = Field(
         ge=0.0, le=100_000.0, description="sensor above sea level [km]; 100 and more is space"
     )
-    solar_zenith_deg: float | None = Field(
-        None, ge=0.0, description="solar zenith angle [deg], 0 to less than 85"
-    )
+    solar_zenith_deg: float | None = Field(None, ge=0.0, description="solar zenith angle [deg], 0 to less than 85")
     solar_azimuth_deg: float | None = Field(
         None, ge=-360.0, le=360.0, description="azimuth of the sun, east of north [deg]"
     )

@@ -45,9 +45,7 @@ _TYPE_ENDS = (2, 10, 26)  # the last level of boundary layer, troposphere, strat
 _COMPRESSED_BELOW_KM = 6.0
 
 
-def aot550_from_range(
-    range_km: float, ground_km: float = 0.0, below_km: float | None = None
-) -> float:
+def aot550_from_range(range_km: float, ground_km: float = 0.0, below_km: float | None = None) -> float:
     """Vertical aerosol optical depth at 550 nm above the ground, or between ground and ``below_km``.
 
     Parameters
@@ -61,9 +59,7 @@ def aot550_from_range(
     UsageError : the range lies outside 2-300 km.
     """
     if not SHORTEST_KM <= range_km <= LONGEST_KM:
-        raise UsageError(
-            f"meteorological range {range_km:g} km", expected=f"{SHORTEST_KM:g} to {LONGEST_KM:g} km"
-        )
+        raise UsageError(f"meteorological range {range_km:g} km", expected=f"{SHORTEST_KM:g} to {LONGEST_KM:g} km")
     top = _LEVELS_KM[-1] if below_km is None else min(below_km, float(_LEVELS_KM[-1]))
     level = _levels_above_ground(ground_km)
     extinction = _extinction(range_km)

@@ -1,0 +1,198 @@
+"""MODTRAN channel files (``.chn``): the terms at the channels of the user's own MODTRAN run."""
+
+from __future__ import annotations
+
+import gzip
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.errors import InputError
+from hyperval.units import radiance_to_internal
+
+Array = npt.NDArray[np.float64]
+
+_MAX_BYTES = 256 << 20
+_COLUMNS = 26  # numeric columns, then the description
+_RADIANCE = radiance_to_internal("W cm-2 sr-1 nm-1")
+# Places between absorption bands where a channel's transmittance is scattering alone, nearly.
+_CONTINUUM_NM = (412.0, 443.0, 490.0, 670.0, 780.0, 865.0, 1040.0, 1240.0, 1640.0)
+
+
+@dataclass(frozen=True)
+class ChannelBlock:
+    """One table of a channel file: one run over ground of one reflectance.
+
+    Attributes
+    ----------
+    wavelength_nm : (n,) spectral moments [nm]
+    width_nm : (n,) equivalent widths [nm]
+    radiance : (n,) total radiance [uW cm-2 sr-1 nm-1]
+    thermal : (n,) emitted part of it (path emission, path scatter, surface) [same]
+    path : (n,) solar radiance scattered into the path, from ground of this block's reflectance too [same]
+    ground : (n,) radiance of the viewed ground [same]
+    unit_radiance : (n,) mu0 E0 / pi [same]
+    direct, diffuse : (n,) reflectance coefficients A and B [1]
+    spherical_albedo : (n,) [1]
+    path_transmittance : (n,) ground to sensor, direct [1]
+    """
+
+    wavelength_nm: Array
+    width_nm: Array
+    radiance: Array
+    thermal: Array
+    path: Array
+    ground: Array
+    unit_radiance: Array
+    direct: Array
+    diffuse: Array
+    spherical_albedo: Array
+    path_transmittance: Array
+
+    def reflectance(self) -> float:
+        """Ground reflectance of the run, from ground = F A rho / (1 - S rho); the file does not state it."""
+        full = self.unit_radiance * self.direct
+        bright = full > 0.05 * full.max()
+        if not np.any(bright):
+            return 0.0
+        ratio = self.ground[bright] / full[bright]
+        return float(np.median(ratio / (1.0 + self.spherical_albedo[bright] * ratio)))
+
+    def path_over_black(self) -> Array:
+        """L_a [uW cm-2 sr-1 nm-1]: emission and path radiance less what uniform ground adds to it."""
+        rho = self.reflectance()
+        added = self.unit_radiance * self.diffuse * rho / (1.0 - self.spherical_albedo * rho)
+        return self.thermal + self.path - added
+
+
+def read_chn(path: Path) -> AtmosphericTerms:
+    """Terms at the channels of a MODTRAN ``.chn`` (or ``.chn.gz``) file.
+
+    The run with the darkest ground gives the path radiance.  The terms are channel averages; the file
+    holds no gas transmittance apart from scattering, so ``gas_transmittance`` is the coefficient A over
+    its continuum through the windows: good for sorting windows from absorption, no more.  The
+    ground irradiance is pi F A / (direct transmittance of the path), NaN where that vanishes.
+
+    Raises
+    ------
+    InputError : missing, not a channel file, a row that does not fit its columns (with file:line).
+    """
+    blocks = read_chn_blocks(path)
+    block = min(blocks, key=ChannelBlock.reflectance)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        down = np.where(block.path_transmittance > 1e-4, block.direct / block.path_transmittance, np.nan)
+    return AtmosphericTerms(
+        wavelength_nm=block.wavelength_nm,
+        path_radiance=block.path_over_black(),
+        direct=block.unit_radiance * block.direct,
+        adjacency=block.unit_radiance * block.diffuse,
+        spherical_albedo=block.spherical_albedo,
+        ground_irradiance=np.pi * block.unit_radiance * down,
+        gas_transmittance=_over_continuum(block.wavelength_nm, block.direct),
+        provenance={"engine": "MODTRAN", "file": str(path), "blocks": len(blocks)},
+    )
+
+
+def read_chn_blocks(path: Path) -> list[ChannelBlock]:
+    """All tables of a channel file, in their order; errors as :func:`read_chn`."""
+    lines = _lines(Path(path))
+    blocks: list[ChannelBlock] = []
+    number = 0
+    while number < len(lines):
+        if not _is_rule(lines[number]):
+            number += 1
+            continue
+        ends = _column_ends(lines[number], f"{path}:{number + 1}")
+        rows = []
+        number += 1
+        while number < len(lines) and lines[number].strip():
+            rows.append(_row(lines[number], ends, f"{path}:{number + 1}"))
+            if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
+                raise InputError("channel wavelengths must increase", where=f"{path}:{number + 1}")
+            number += 1
+        if not rows:
+            raise InputError("a table without rows", where=f"{path}:{number + 1}")
+        blocks.append(_block(np.array(rows)))
+    if not blocks:
+        raise InputError("no channel table", where=str(path), expected="a MODTRAN .chn file")
+    return blocks
+
+
+def _block(t: Array) -> ChannelBlock:
+    width = t[:, 8]
+
+    def density(column: Array) -> Array:
+        """Channel radiance [W cm-2 sr-1] to average spectral radiance."""
+        return np.asarray(column / width * _RADIANCE)
+
+    return ChannelBlock(
+        wavelength_nm=t[:, 0],
+        width_nm=width,
+        radiance=t[:, 4] * _RADIANCE,
+        thermal=density(t[:, 11] + t[:, 12] + t[:, 13]),
+        path=density(t[:, 14] + t[:, 15]),
+        ground=density(t[:, 16]),
+        unit_radiance=density(t[:, 18]),
+        direct=t[:, 21],
+        diffuse=t[:, 22],
+        spherical_albedo=t[:, 23],
+        path_transmittance=t[:, 24],
+    )
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise InputError(f"larger than {_MAX_BYTES} bytes", where=str(path), expected="a MODTRAN .chn file")
+        opened = gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb")
+        with opened as stream:
+            raw = stream.read(_MAX_BYTES + 1)
+    except FileNotFoundError as error:
+        raise InputError("no such file", where=str(path)) from error
+    except (OSError, EOFError) as error:
+        raise InputError(f"cannot read: {error}", where=str(path)) from error
+    if len(raw) > _MAX_BYTES:
+        raise InputError(f"unpacks to more than {_MAX_BYTES} bytes", where=str(path))
+    return raw.decode("ascii", "replace").splitlines()
+
+
+def _is_rule(line: str) -> bool:
+    return line.startswith("----") and not line.strip("- ")
+
+
+def _column_ends(rule: str, where: str) -> list[int]:
+    """Where each column ends, from the line of dashes under the heads."""
+    ends = [i + 1 for i, c in enumerate(rule) if c == "-" and (i + 1 == len(rule) or rule[i + 1] != "-")]
+    if len(ends) != _COLUMNS:
+        raise InputError(
+            f"{len(ends)} columns", where=where, expected=f"the {_COLUMNS} columns of MODTRAN 5.3 or 6"
+        )
+    return ends
+
+
+def _row(line: str, ends: list[int], where: str) -> list[float]:
+    values = []
+    for start, end in zip([0, *ends[:-1]], ends, strict=True):
+        try:
+            values.append(float(line[start:end]))
+        except ValueError as error:
+            raise InputError(
+                f"{line[start:end].strip()!r} in columns {start + 1}-{end}", where=where, expected="a number"
+            ) from error
+    if not np.all(np.isfinite(values)):
+        raise InputError("a value that is not finite", where=where, expected="numbers")
+    if values[8] <= 0.0:
+        raise InputError(f"equivalent width {values[8]:g} nm", where=where, expected="a positive width")
+    return values
+
+
+def _over_continuum(wavelength_nm: Array, coefficient: Array) -> Array:
+    inside = [w for w in _CONTINUUM_NM if wavelength_nm[0] <= w <= wavelength_nm[-1]]
+    if not inside:
+        return np.clip(coefficient / max(float(coefficient.max()), 1e-30), 0.0, 1.0)
+    level = np.interp(inside, wavelength_nm, coefficient)
+    continuum = np.exp(np.interp(np.log(wavelength_nm), np.log(inside), np.log(np.maximum(level, 1e-30))))
+    return np.clip(coefficient / continuum, 0.0, 1.0)
