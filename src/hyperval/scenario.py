@@ -1,0 +1,344 @@
+"""What a scenario file says: scene, atmosphere, sensor, processing and what is uncertain.
+
+Without ``atmosphere`` the scenario lives in the reflectance domain: no radiance, no sensor noise.
+"""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from hyperval.atmosphere import AtmosphericState
+from hyperval.config import Model, load_model
+from hyperval.errors import UsageError
+from hyperval.processing.filters import LINEAR_DETECTORS
+
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+def _exactly_one(model: Model, names: tuple[str, ...]) -> None:
+    given = [n for n in names if getattr(model, n) is not None]
+    if len(given) != 1:
+        raise ValueError(f"give exactly one of {', '.join(names)}" + (f": {given} are given" if given else ""))
+
+
+class SpectrumSource(Model):
+    """A reflectance spectrum: built in, constant, from a file, or measured on the imagery."""
+
+    builtin: str | None = Field(None, description="name of a built-in surface")
+    constant: float | None = Field(None, ge=0, le=1.5, description="the same reflectance in every band [1]")
+    file: str | None = Field(None, description="field spectrum or library file")
+    measured: str | None = Field(None, description="region of the collection whose statistics are handed in")
+    record: str | None = Field(None, description="which spectrum of a file of several")
+    wavelength_unit: str | None = Field(None, description="stated when the file does not say")
+    reflectance_unit: str | None = Field(None, description="stated when the file does not say: fraction, percent")
+
+    @model_validator(mode="after")
+    def _check(self) -> SpectrumSource:
+        _exactly_one(self, ("builtin", "constant", "file", "measured"))
+        if self.file is None and (self.record or self.wavelength_unit or self.reflectance_unit):
+            raise ValueError("record and units belong to a file")
+        return self
+
+
+class CovarianceSource(Model):
+    """Spread from pixel to pixel: built in, measured, none, or a relative one with a correlation length."""
+
+    builtin: str | None = None
+    measured: str | None = None
+    relative_sd: float | None = Field(
+        None, ge=0, description="standard deviation as a part of the mean [1]; 0: none"
+    )
+    correlation_nm: float | None = Field(None, gt=0, description="with relative_sd; None: fully correlated")
+    band_sd: float = Field(0.0, ge=0, description="with relative_sd: independent part of each band [1]")
+
+    @model_validator(mode="after")
+    def _check(self) -> CovarianceSource:
+        _exactly_one(self, ("builtin", "measured", "relative_sd"))
+        return self
+
+
+class Surface(Model):
+    """A surface with its spectrum; the covariance comes from the same source when it is not named."""
+
+    name: str = Field(min_length=1)
+    spectrum: SpectrumSource
+    covariance: CovarianceSource | None = None
+
+
+class BackgroundClass(Surface):
+    """A class that covers a part of the scene."""
+
+    fraction: Fraction = Field(description="area fraction f_m; the fractions of all classes sum to 1")
+    gain: float = Field(1.0, ge=0, description="g_B: factor on the covariance")
+    tail_dof: float | None = Field(None, gt=2, description="multivariate t with this many degrees of freedom")
+
+
+class Geometry(Model):
+    """Fill fractions from the geometry of target and pixel."""
+
+    shape: Literal["square", "rectangle"] = "square"
+    side_m: float | None = Field(None, gt=0)
+    length_m: float | None = Field(None, gt=0)
+    width_m: float | None = Field(None, gt=0)
+    heading_deg: float | Literal["random"] = 0.0
+    gsd_m: float = Field(gt=0)
+    psf_fwhm_pixels: float = Field(0.0, ge=0, le=5, description="Gaussian blur besides the square aperture")
+    phase: Literal["random", "centred"] = "random"
+    pixels: Literal["best", "ranked"] = "best"
+    n: int | None = Field(None, ge=1, le=400, description="pixels of an object, with ranked")
+
+    @model_validator(mode="after")
+    def _check(self) -> Geometry:
+        square = self.shape == "square"
+        if square != (self.side_m is not None) or square == (
+            self.length_m is not None and self.width_m is not None
+        ):
+            raise ValueError("a square has side_m; a rectangle has length_m and width_m")
+        if (self.pixels == "ranked") != (self.n is not None):
+            raise ValueError("ranked pixels need n, the number of pixels of an object; best takes none")
+        return self
+
+
+class Fill(Model):
+    """Part of a pixel that the target fills: fixed, by moments, or from geometry."""
+
+    fixed: Fraction | None = None
+    mean: Fraction | None = None
+    sd: float | None = Field(None, gt=0, lt=0.5)
+    geometry: Geometry | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Fill:
+        _exactly_one(self, ("fixed", "mean", "geometry"))
+        if (self.mean is None) != (self.sd is None):
+            raise ValueError("mean and sd go together")
+        return self
+
+
+class TargetSubject(Model):
+    """One population of target pixels: a fill under a name."""
+
+    name: str = Field(min_length=1)
+    fill: Fill
+    scene_fraction: float = Field(0.0, ge=0, lt=1, description="part of all pixels, for filter_statistics: scene")
+
+
+class Target(Surface):
+    """A target material on its host class, in one or several fills."""
+
+    host: str = Field(description="background class that fills the rest of the pixel")
+    gain: float = Field(1.0, ge=0, description="g_T: factor on the covariance")
+    fill: Fill | None = Field(None, description="short for one subject with the target's own name")
+    subjects: list[TargetSubject] = Field(default_factory=list)
+    filter_spectrum: SpectrumSource | None = Field(
+        None, description="what the detector looks for, when it is not the target's own spectrum"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Target:
+        if (self.fill is None) == (not self.subjects):
+            raise ValueError("give either fill or subjects")
+        return self
+
+    @property
+    def populations(self) -> list[TargetSubject]:
+        """The subjects, one in the target's own name when only ``fill`` is given."""
+        return self.subjects or [TargetSubject(name=self.name, fill=self.fill or Fill(fixed=1.0))]
+
+
+class Adjacency(Model):
+    """The surroundings seen through scattering."""
+
+    effective_neighbours: float | None = Field(
+        1000.0, ge=1, description="N_eff; kappa = 1/N_eff of (3.11); null: the neighbourhood does not vary"
+    )
+
+    @property
+    def kappa(self) -> float:
+        """1 / N_eff of (3.11)."""
+        return 1.0 / self.effective_neighbours if self.effective_neighbours else 0.0
+
+
+class Scene(Model):
+    """What lies on the ground."""
+
+    classes: list[BackgroundClass] = Field(min_length=1)
+    panels: list[Surface] = Field(default_factory=list, description="subjects of no area")
+    sites: list[Surface] = Field(default_factory=list, description="subjects of no area")
+    targets: list[Target] = Field(default_factory=list)
+    adjacency: Adjacency = Adjacency()
+
+    @model_validator(mode="after")
+    def _check(self) -> Scene:
+        total = sum(c.fraction for c in self.classes)
+        if abs(total - 1.0) > 1e-6:
+            raise ValueError(f"the fractions of the classes sum to {total:g}, not 1")
+        names = [s.name for s in (*self.classes, *self.panels, *self.sites)]
+        names += [p.name for t in self.targets for p in t.populations]
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise ValueError(f"names of subjects stand twice: {', '.join(twice)}")
+        classes = {c.name for c in self.classes}
+        for target in self.targets:
+            if target.host not in classes:
+                raise ValueError(f"target {target.name!r}: host {target.host!r} is none of {sorted(classes)}")
+        return self
+
+
+class ElmPanels(Model):
+    """Two panels of the empirical line, by reflectance."""
+
+    reflectances: tuple[Fraction, Fraction] = (0.1, 0.6)
+
+    @model_validator(mode="after")
+    def _check(self) -> ElmPanels:
+        if not self.reflectances[0] < self.reflectances[1]:
+            raise ValueError("the first panel is the darker one")
+        return self
+
+
+class BandChoice(Model):
+    """Bands that the detectors use (a Psi of unit rows, 3.21)."""
+
+    drop_bad: bool = Field(True, description="leave out bands of the sensor's or cube's bad-band list")
+    windows_only: bool = Field(False, description="leave out the absorption bands of the atmosphere")
+    ranges: list[tuple[float, float]] = Field(default_factory=list, description="keep these ranges only [nm]")
+
+
+class FalseAlarmGrid(Model):
+    """False-alarm probabilities of the ROC."""
+
+    lowest: float = Field(1e-9, gt=0, le=0.1)
+    per_decade: int = Field(20, ge=1, le=200)
+
+
+class Processing(Model):
+    """From radiance to detection."""
+
+    elm: ElmPanels | Literal["none"] = ElmPanels()
+    detectors: list[str] = Field(default_factory=lambda: ["cem"])
+    bands: BandChoice = BandChoice()
+    filter_statistics: Literal["background", "scene"] = Field(
+        "background", description="the filter's mean and covariance: background alone, or with the target pixels"
+    )
+    false_alarm_grid: FalseAlarmGrid = FalseAlarmGrid()
+
+    @model_validator(mode="after")
+    def _check(self) -> Processing:
+        for name in self.detectors:
+            if name not in LINEAR_DETECTORS:
+                raise ValueError(f"unknown detector {name!r}; one of {', '.join(LINEAR_DETECTORS)}")
+        return self
+
+
+class SpectrumUncertainty(Model):
+    """Standard uncertainty of the field spectrum of one subject."""
+
+    subject: str
+    relative: float | None = Field(None, gt=0, lt=1, description="as a part of the reflectance")
+    absolute: float | None = Field(None, gt=0, lt=1, description="in reflectance")
+    from_file: bool = Field(False, description="the standard deviation that the spectrum's file carries")
+    divisor: Literal["standard_error", "spread"] = Field(
+        "spread", description="with from_file: divide by the root of the file's n, or not"
+    )
+    correlation_nm: float | None = Field(None, gt=0, description="correlation length; None: fully correlated")
+
+    @model_validator(mode="after")
+    def _check(self) -> SpectrumUncertainty:
+        if sum([self.relative is not None, self.absolute is not None, self.from_file]) != 1:
+            raise ValueError("give exactly one of relative, absolute, from_file")
+        return self
+
+
+class EngineUncertainty(Model):
+    """How far the radiative-transfer engine itself may be off, as a part of the ground-reflected radiance.
+
+    u = relative + per_optical_depth * (-ln T_gas): absorption bands are worse than windows.
+    """
+
+    relative: float = Field(ge=0, lt=1)
+    per_optical_depth: float = Field(0.0, ge=0, lt=10)
+    path_relative: float = Field(0.0, ge=0, lt=1, description="of the path radiance")
+    correlation_nm: float | None = Field(None, gt=0)
+
+
+class Uncertainty(Model):
+    """Standard uncertainties of the inputs; each is a source of the budget."""
+
+    aot550: float | None = Field(None, gt=0, description="absolute")
+    water_vapour_g_cm2: float | None = Field(None, gt=0, description="absolute [g cm-2]")
+    ozone_atm_cm: float | None = Field(None, gt=0, description="absolute [atm cm]")
+    solar_irradiance_relative: float | None = Field(None, gt=0, lt=1, description="common to all bands")
+    adjacency_reflectance_relative: float | None = Field(
+        None, gt=0, lt=1, description="of the reflectance of the surroundings, common to all bands"
+    )
+    engine: EngineUncertainty | None = None
+    field_spectra: list[SpectrumUncertainty] = Field(default_factory=list)
+
+
+class Scenario(Model):
+    """One scenario."""
+
+    schema_version: Literal[1] = Field(1, alias="schema")
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    title: str = ""
+    description: str = ""
+    formulation: Literal["corrected", "thesis"] = "corrected"
+    atmosphere: AtmosphericState | None = None
+    sensor: str | None = Field(None, description="name in the sensor library, or a sensor file")
+    scene: Scene
+    processing: Processing = Processing()
+    uncertainty: Uncertainty = Uncertainty()
+
+    _folder: Path | None = PrivateAttr(None)
+
+    @model_validator(mode="after")
+    def _check(self) -> Scenario:
+        if self.atmosphere is not None and self.sensor is None:
+            raise ValueError("a scenario with an atmosphere needs a sensor")
+        known = {s.name for s in (*self.scene.classes, *self.scene.panels, *self.scene.sites, *self.scene.targets)}
+        for item in self.uncertainty.field_spectra:
+            if item.subject not in known:
+                raise ValueError(f"uncertainty of {item.subject!r}: no such class, panel, site or target")
+        return self
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the file that the scenario was read from; file references are relative to it."""
+        return self._folder
+
+
+def builtin_scenarios() -> tuple[str, ...]:
+    """Names of the scenarios that ship with the project."""
+    folder = resources.files("hyperval") / "scenarios"
+    return tuple(sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml")))
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """A built-in scenario by name, or a scenario file by path.
+
+    Raises
+    ------
+    UsageError : no such name, or every mistake of the file with its line.
+    InputError : no such file.
+    """
+    text = str(name_or_path)
+    if text in builtin_scenarios():
+        with resources.as_file(resources.files("hyperval") / "scenarios" / f"{text}.yaml") as path:
+            return _load(path)
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml") and not path.exists():
+        raise UsageError(
+            f"unknown scenario {text!r}", expected="a YAML file or one of " + ", ".join(builtin_scenarios())
+        )
+    return _load(path)
+
+
+def _load(path: Path) -> Scenario:
+    scenario = load_model(Scenario, path)
+    scenario._folder = path.resolve().parent
+    return scenario
