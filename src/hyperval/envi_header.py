@@ -234,7 +234,8 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int]]:
     lines = text.splitlines()
     if not lines or lines[0].strip() != "ENVI":
         raise InputError("the first line is not 'ENVI'", where=f"{name}:1", expected="an ENVI header")
-    key, start, depth, parts = "", 0, 0, []
+    key, start, depth = "", 0, 0
+    parts: list[str] = []
     for number, line in enumerate(lines[1:], start=2):
         stripped = line.strip()
         if not stripped or stripped.startswith(";"):

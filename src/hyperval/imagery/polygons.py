@@ -1,0 +1,132 @@
+"""Polygons and points to masks.
+
+Continuous pixel coordinates are (sample, line) with the upper left corner of the first pixel at
+(0, 0), so its centre is at (0.5, 0.5).  A polygon holds a pixel when it holds its centre.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.features import rasterize
+from rasterio.warp import transform as reproject
+
+from hyperval.errors import InputError, UsageError
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Ring = npt.ArrayLike
+MAX_VERTICES = 1_000_000
+_EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
+
+
+def polygon_mask(
+    exterior: Ring, shape: tuple[int, int], holes: Sequence[Ring] = (), *, where: str, touched: bool = False
+) -> Mask:
+    """(lines, samples) mask of the pixels whose centre lies in a polygon.
+
+    Parameters
+    ----------
+    exterior : (n, 2) vertices (sample, line) in continuous pixel coordinates, n >= 3
+    shape : (lines, samples) of the image
+    holes : rings that are left out
+    where : what stands in messages
+    touched : take every pixel that the polygon touches, for targets smaller than a pixel
+
+    Raises
+    ------
+    InputError : fewer than three vertices, not finite, or a vertex outside the image.
+    """
+    rings = [_ring(r, shape, where) for r in (exterior, *holes)]
+    geometry = {"type": "Polygon", "coordinates": [np.vstack([r, r[:1]]).tolist() for r in rings]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        burned = rasterize([(geometry, 1)], out_shape=shape, fill=0, dtype="uint8", all_touched=touched)
+    return burned.astype(bool)
+
+
+def point_mask(points: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> Mask:
+    """(lines, samples) mask of the pixels that hold points (sample, line) in continuous coordinates."""
+    xy = np.asarray(points, dtype=float).reshape(-1, 2)
+    _check_inside(xy, shape, where)
+    mask = np.zeros(shape, bool)
+    col = np.clip(np.floor(xy[:, 0]).astype(int), 0, shape[1] - 1)
+    row = np.clip(np.floor(xy[:, 1]).astype(int), 0, shape[0] - 1)
+    mask[row, col] = True
+    return mask
+
+
+def pixel_mask(rows: npt.ArrayLike, cols: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> Mask:
+    """(lines, samples) mask of pixels named by 0-based whole numbers."""
+    r, c = np.asarray(rows, dtype=np.int64), np.asarray(cols, dtype=np.int64)
+    out = (r < 0) | (r >= shape[0]) | (c < 0) | (c >= shape[1])
+    if out.any():
+        i = int(np.flatnonzero(out)[0])
+        raise InputError(
+            f"{int(out.sum())} of {r.size} pixels lie outside the image, first line {r[i]}, sample {c[i]} (0-based)",
+            where=where,
+            expected=f"lines 0-{shape[0] - 1}, samples 0-{shape[1] - 1}",
+        )
+    mask = np.zeros(shape, bool)
+    mask[r, c] = True
+    return mask
+
+
+def map_to_pixel(points: npt.ArrayLike, transform: Affine | None, *, where: str) -> Array:
+    """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y)."""
+    if transform is None:
+        raise InputError("the cube has no position, so map coordinates cannot be placed", where=where)
+    xy = np.asarray(points, dtype=float).reshape(-1, 2)
+    inverse = ~transform
+    return np.column_stack(
+        [
+            inverse.a * xy[:, 0] + inverse.b * xy[:, 1] + inverse.c,
+            inverse.d * xy[:, 0] + inverse.e * xy[:, 1] + inverse.f,
+        ]
+    )
+
+
+def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where: str) -> Array:
+    """(n, 2) map coordinates in ``target`` of points in ``source`` (longitude first)."""
+    xy = np.asarray(points, dtype=float).reshape(-1, 2)
+    if target is None:
+        raise InputError("the coordinate system of the cube is unknown", where=where)
+    if source == target:
+        return xy
+    east, north = reproject(source, target, xy[:, 0].tolist(), xy[:, 1].tolist())[:2]
+    return np.column_stack([east, north])
+
+
+def _ring(ring: Ring, shape: tuple[int, int], where: str) -> Array:
+    xy = np.asarray(ring, dtype=float)
+    if xy.ndim != 2 or xy.shape[1] != 2:
+        raise UsageError("a polygon is a list of (sample, line) pairs", where=where)
+    if len(xy) > MAX_VERTICES:
+        raise InputError(f"a polygon of more than {MAX_VERTICES} vertices", where=where)
+    if len(xy) > 1 and np.array_equal(xy[0], xy[-1]):
+        xy = xy[:-1]
+    if len(np.unique(xy, axis=0)) < 3:
+        raise InputError(f"a polygon of {len(np.unique(xy, axis=0))} different vertices", where=where)
+    _check_inside(xy, shape, where)
+    return xy
+
+
+def _check_inside(xy: Array, shape: tuple[int, int], where: str) -> None:
+    lines, samples = shape
+    if not np.all(np.isfinite(xy)):
+        raise InputError("coordinates that are not finite", where=where)
+    low, high = xy.min(axis=0) if xy.size else np.zeros(2), xy.max(axis=0) if xy.size else np.zeros(2)
+    if low.min() < -_EDGE or high[0] > samples + _EDGE or high[1] > lines + _EDGE:
+        raise InputError(
+            f"the region leaves the image: samples {low[0]:.2f} to {high[0]:.2f}, "
+            f"lines {low[1]:.2f} to {high[1]:.2f}",
+            where=where,
+            expected=f"samples 0 to {samples}, lines 0 to {lines} (continuous pixel coordinates)",
+            mend="check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube",
+        )

@@ -1,0 +1,181 @@
+"""Regions of interest: named masks on the grid of a cube, from any of the usual files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from affine import Affine
+from rasterio.crs import CRS
+from scipy import ndimage
+
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery import regions_envi, regions_files
+from hyperval.imagery.polygons import polygon_mask
+from hyperval.imagery.rasters import TIFF_SUFFIXES, header_beside
+from hyperval.paths import checked_file
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A named set of pixels.
+
+    Attributes
+    ----------
+    name : as in the file, or as the campaign calls it
+    mask : (lines, samples) True inside
+    source : file, or "inline"
+    """
+
+    name: str
+    mask: Mask
+    source: str
+
+    def __post_init__(self) -> None:
+        if self.mask.dtype != bool or self.mask.ndim != 2:
+            raise UsageError(f"region {self.name!r}: the mask is not a (lines, samples) array of booleans")
+        if not self.mask.any():
+            raise InputError(
+                f"the region {self.name!r} holds no pixel",
+                where=self.source,
+                mend="a polygon holds a pixel by its centre",
+            )
+
+    @property
+    def n(self) -> int:
+        """Number of pixels."""
+        return int(self.mask.sum())
+
+
+def read_regions(
+    path: Path | str,
+    cube_shape: tuple[int, int],
+    *,
+    transform: Affine | None = None,
+    crs: CRS | None = None,
+    names: Mapping[str | int, str] | Sequence[str] | None = None,
+    coordinates: str | None = None,
+    root: Path | None = None,
+) -> dict[str, Region]:
+    """Read the regions of a file, whatever its format.
+
+    The format is known from the content: ENVI ROI XML, ENVI ROI ASCII export (also gzipped), classic
+    binary ENVI ROI, GeoJSON, CSV pixel list, ENVI or GeoTIFF class raster.
+
+    Parameters
+    ----------
+    cube_shape : (lines, samples) of the cube that the regions belong to
+    transform, crs : position of the cube, for regions in map coordinates
+    names : the regions to read: a list of names in the file, or a mapping from name (or value of a
+        class raster) in the file to the name wanted; None reads all
+    coordinates : "pixel", "map" (the cube's own system) or "lonlat", for GeoJSON, which must be told
+    root : folder that the file must lie in
+
+    Raises
+    ------
+    InputError : missing, unreadable, empty, outside the image, or made for an image of another size.
+    UsageError : unknown format, unknown names, or ``coordinates`` not stated.
+    """
+    path = checked_file(path, root=root, what="region file")
+    head = regions_files.head_of(path)
+    stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    masks: Mapping[Any, Mask]
+    if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        masks = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names))
+    elif stripped.startswith(b"<"):
+        masks = regions_envi.xml_masks(path, cube_shape, transform=transform, crs=crs)
+    elif b"ENVI Output of ROIs" in head[:200]:
+        masks = regions_envi.ascii_masks(path, cube_shape)
+    elif head.startswith(b"JoeB"):
+        masks = regions_envi.binary_masks(path, cube_shape)
+    elif stripped.startswith(b"{"):
+        masks = regions_files.geojson_masks(path, cube_shape, coordinates=coordinates, transform=transform, crs=crs)
+    elif path.suffix.lower() == ".hdr" or header_beside(path) is not None:
+        masks = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names))
+    elif path.suffix.lower() in (".csv", ".txt"):
+        masks = regions_files.csv_masks(path, cube_shape)
+    else:
+        raise UsageError(
+            "the format of the region file is not known",
+            where=str(path),
+            expected="GeoJSON, ENVI ROI (XML, ASCII, binary), CSV pixel list, ENVI or GeoTIFF class raster",
+        )
+    return {name: Region(name, mask, str(path)) for name, mask in _named(masks, names, str(path)).items()}
+
+
+def polygon_region(
+    name: str, vertices: npt.ArrayLike, shape: tuple[int, int], *, holes: Sequence[npt.ArrayLike] = ()
+) -> Region:
+    """Region of a polygon (n, 2) of (sample, line) vertices in continuous pixel coordinates."""
+    return Region(name, polygon_mask(vertices, shape, holes, where=f"region {name!r}"), "inline")
+
+
+def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int], shape: tuple[int, int]) -> Region:
+    """Region of the pixels from the first to the last line and sample, 0-based, both included."""
+    (top, bottom), (left, right) = lines, samples
+    if not (0 <= top <= bottom < shape[0] and 0 <= left <= right < shape[1]):
+        raise InputError(
+            f"lines {top}-{bottom}, samples {left}-{right} are not in the image",
+            where=f"region {name!r}",
+            expected=f"lines 0-{shape[0] - 1}, samples 0-{shape[1] - 1}, first before last",
+        )
+    mask = np.zeros(shape, bool)
+    mask[top : bottom + 1, left : right + 1] = True
+    return Region(name, mask, "inline")
+
+
+def overlaps(regions: Iterable[Region]) -> list[tuple[str, str, int]]:
+    """Pairs of regions that share pixels, with the number of shared pixels."""
+    listed = list(regions)
+    found = []
+    for i, a in enumerate(listed):
+        for b in listed[i + 1 :]:
+            shared = int(np.count_nonzero(a.mask & b.mask))
+            if shared:
+                found.append((a.name, b.name, shared))
+    return found
+
+
+def objects(mask: Mask) -> tuple[npt.NDArray[np.int32], int]:
+    """Connected groups of pixels (8 neighbours): labels (lines, samples), 0 outside, and their number."""
+    labels, count = ndimage.label(mask, structure=np.ones((3, 3), int))
+    return labels.astype(np.int32), int(count)
+
+
+def guard(mask: Mask, radius_pixels: float) -> Mask:
+    """The mask grown by a disc: every pixel whose centre is within the radius of a centre in the mask."""
+    if not radius_pixels >= 0:
+        raise UsageError(f"a guard radius of {radius_pixels} pixels", expected="0 or more")
+    if not mask.any():
+        return mask.copy()
+    return np.asarray(ndimage.distance_transform_edt(~mask) <= radius_pixels)
+
+
+def _by_value(names: Mapping[str | int, str] | Sequence[str] | None) -> bool:
+    return isinstance(names, Mapping) and any(isinstance(key, int) for key in names)
+
+
+def _named(
+    masks: Mapping[Any, Mask], names: Mapping[str | int, str] | Sequence[str] | None, where: str
+) -> dict[str, Mask]:
+    if not masks:
+        raise InputError("the file holds no region", where=where)
+    if names is None:
+        return {str(key): mask for key, mask in masks.items()}
+    wanted: dict[Any, str] = dict(names) if isinstance(names, Mapping) else {name: name for name in names}
+    missing = [key for key in wanted if key not in masks]
+    if missing:
+        raise UsageError(
+            "no region " + ", ".join(repr(key) for key in missing),
+            where=where,
+            expected="one of " + ", ".join(str(key) for key in masks),
+        )
+    if len(set(wanted.values())) < len(wanted):
+        raise UsageError("two regions would get the same name", where=where)
+    return {wanted[key]: masks[key] for key in wanted}

@@ -1,0 +1,220 @@
+"""Regions of ENVI: XML (5.x), ASCII export and classic binary files."""
+
+from __future__ import annotations
+
+import re
+import struct
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import numpy.typing as npt
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from hyperval.errors import InputError
+from hyperval.imagery.polygons import map_to_pixel, pixel_mask, point_mask, polygon_mask, reprojected
+from hyperval.imagery.regions_files import read_text
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+MAX_XML_BYTES = 8 << 20
+MAX_BINARY_BYTES = 64 << 20
+
+
+def xml_masks(
+    path: Path, shape: tuple[int, int], *, transform: Affine | None = None, crs: CRS | None = None
+) -> dict[str, Mask]:
+    """Masks by name of an ENVI 5 ROI file.
+
+    ``CoordSysStr`` "none" means continuous pixel coordinates, a WKT means map coordinates, which
+    are projected to the cube's system where it differs.
+
+    Raises
+    ------
+    InputError : larger than 8 MiB, with a DOCTYPE or ENTITY, not such a file, or a region that cannot be placed.
+    """
+    if path.stat().st_size > MAX_XML_BYTES:
+        raise InputError(f"larger than {MAX_XML_BYTES >> 20} MiB", where=str(path))
+    text = read_text(path)
+    if len(text) > MAX_XML_BYTES or re.search(r"<!\s*(DOCTYPE|ENTITY)", text, re.IGNORECASE):
+        raise InputError("a DOCTYPE or ENTITY is not allowed in a region file", where=str(path))
+    try:
+        # The document type is refused above, so no entity can be declared.
+        root = ElementTree.fromstring(re.sub(r"^<\?xml[^>]*\?>", "", text.lstrip()))  # noqa: S314
+    except ElementTree.ParseError as error:
+        raise InputError(f"not valid XML: {error}", where=f"{path}:{error.position[0]}") from error
+    if root.tag != "RegionsOfInterest":
+        raise InputError(f"the root element is {root.tag!r}", where=str(path), expected="RegionsOfInterest")
+    masks: dict[str, Mask] = {}
+    for number, region in enumerate(root.iter("Region"), start=1):
+        name = region.get("name") or str(number)
+        where = f"{path}: region {name!r}"
+        if name in masks:
+            raise InputError("the name stands twice", where=where)
+        mask = np.zeros(shape, bool)
+        for definition in region.iter("GeometryDef"):
+            system = " ".join((definition.findtext("CoordSysStr") or "none").split())
+
+            def placed(element: ElementTree.Element, system: str = system, where: str = where) -> Array:
+                return _placed(_pairs(element, where), system, transform, crs, where)
+
+            for child in definition:
+                if child.tag == "CoordSysStr":
+                    continue
+                if child.tag in ("Polygon", "MultiPolygon"):
+                    for polygon in child.iter("Polygon"):
+                        outer = [placed(ring) for ring in polygon.findall("Exterior/LinearRing")]
+                        inner = [placed(ring) for ring in polygon.findall("Interior/LinearRing")]
+                        if len(outer) != 1:
+                            raise InputError(f"a polygon with {len(outer)} exterior rings", where=where)
+                        mask |= polygon_mask(outer[0], shape, inner, where=where)
+                elif child.tag in ("Point", "MultiPoint"):
+                    mask |= point_mask(placed(child), shape, where=where)
+                else:
+                    raise InputError(
+                        f"geometry {child.tag!r} has no area", where=where, expected="Polygon, Point or MultiPoint"
+                    )
+        masks[name] = mask
+    return masks
+
+
+def ascii_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
+    """Masks by name of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
+
+    Raises
+    ------
+    InputError : the file was made for an image of another size, or its counts do not add up.
+    """
+    names: list[str] = []
+    counts: list[int] = []
+    rows: list[tuple[int, int]] = []
+    dimension: tuple[int, int] | None = None
+    announced: int | None = None
+    columns = (1, 2)
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        where = f"{path}:{number}"
+        text = line.strip()
+        if not text:
+            continue
+        if text.startswith(";"):
+            label, _, value = text.lstrip("; ").partition(":")
+            label, value = label.strip().lower(), value.strip()
+            if label == "file dimension":
+                sizes = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
+                if sizes is None:
+                    raise InputError(f"file dimension {value!r}", where=where, expected="samples x lines")
+                dimension = int(sizes[2]), int(sizes[1])
+                if dimension != shape:
+                    raise InputError(
+                        f"the regions were made for {dimension[0]} lines x {dimension[1]} samples",
+                        where=where,
+                        expected=f"{shape[0]} lines x {shape[1]} samples, as the cube",
+                    )
+            elif label == "number of rois":
+                announced = _whole(value, where)
+            elif label == "roi name":
+                names.append(value)
+            elif label == "roi npts":
+                counts.append(_whole(value, where))
+            elif not value and {"x", "y"} <= set(text.lstrip("; ").lower().split()):
+                titles = text.lstrip("; ").lower().split()
+                columns = titles.index("x"), titles.index("y")
+            continue
+        parts = text.split()
+        if len(parts) <= max(columns):
+            raise InputError(f"{len(parts)} columns", where=where, expected="ID X Y ...")
+        rows.append((_whole(parts[columns[1]], where) - 1, _whole(parts[columns[0]], where) - 1))
+    if dimension is None:
+        raise InputError("no 'File Dimension' line", where=str(path))
+    if len(names) != len(counts) or (announced is not None and announced != len(names)) or sum(counts) != len(rows):
+        raise InputError(
+            f"{announced} regions announced, {len(names)} named, with {sum(counts)} points; {len(rows)} points follow",
+            where=str(path),
+            mend="the file is cut short or was edited: export it again",
+        )
+    if len(set(names)) < len(names):
+        raise InputError("two regions have the same name", where=str(path))
+    placed = np.array(rows, dtype=np.int64).reshape(-1, 2)
+    masks, start = {}, 0
+    for name, count in zip(names, counts, strict=True):
+        part = placed[start : start + count]
+        masks[name] = pixel_mask(part[:, 0], part[:, 1], shape, where=f"{path}: region {name!r}")
+        start += count
+    return masks
+
+
+def binary_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
+    """Masks by name of a classic ENVI ``.roi`` file (big-endian; pixel addresses and polygons from 0).
+
+    Raises
+    ------
+    InputError : larger than 64 MiB, cut short, made for an image of another size, or with polylines.
+    """
+    if path.stat().st_size > MAX_BINARY_BYTES:
+        raise InputError(f"larger than {MAX_BINARY_BYTES >> 20} MiB", where=str(path))
+    raw, at = path.read_bytes(), 4
+
+    def words(count: int, kind: str = "i") -> tuple[int, ...]:
+        nonlocal at
+        size = 4 * count
+        if count < 0 or at + size > len(raw):
+            raise InputError("the region file is cut short", where=str(path))
+        out = struct.unpack_from(f">{count}{kind}", raw, at)
+        at += size
+        return out
+
+    masks: dict[str, Mask] = {}
+    for _ in range(words(1)[0]):
+        length = words(2)[1]
+        if not 0 <= length <= 4096 or at + length > len(raw):
+            raise InputError("a region name of impossible length", where=str(path))
+        name = raw[at : at + length].split(b"\0")[0].decode("latin-1").strip()
+        at += -(-length // 4) * 4
+        table = words(45)
+        where = f"{path}: region {name!r}"
+        if (table[1], table[0]) != shape:
+            raise InputError(f"made for {table[1]} lines x {table[0]} samples", where=where, expected=f"{shape}")
+        if table[43]:
+            raise InputError("polylines have no area", where=where)
+        if name in masks:
+            raise InputError("the name stands twice", where=where)
+        mask = np.zeros(shape, bool)
+        if table[44]:
+            words(1)
+            addresses = np.array(words(table[3]), dtype=np.int64)
+            mask |= pixel_mask(addresses // shape[1], addresses % shape[1], shape, where=where)
+        for _ in range(table[42]):
+            vertices = words(2)[0]
+            ring = np.column_stack([words(vertices, "f"), words(vertices, "f")])
+            mask |= polygon_mask(ring, shape, where=where)
+        masks[name] = mask
+    return masks
+
+
+def _pairs(element: ElementTree.Element, where: str) -> Array:
+    text = " ".join(part.text or "" for part in element.iter("Coordinates"))
+    try:
+        values = np.array([float(v) for v in text.split()])
+    except ValueError:
+        raise InputError("coordinates that are no numbers", where=where) from None
+    if values.size == 0 or values.size % 2:
+        raise InputError(f"{values.size} coordinates", where=where, expected="pairs x y")
+    return values.reshape(-1, 2)
+
+
+def _placed(points: Array, system: str, transform: Affine | None, crs: CRS | None, where: str) -> Array:
+    if system.lower() == "none":
+        return points
+    try:
+        source = CRS.from_wkt(system, morph_from_esri_dialect=True)
+    except CRSError:
+        raise InputError(f"unknown coordinate system {system[:60]!r}", where=where) from None
+    return map_to_pixel(reprojected(points, source, crs, where=where), transform, where=where)
+
+
+def _whole(text: str, where: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,12}", text.strip()):
+        raise InputError(f"{text[:40]!r} is not a whole number", where=where)
+    return int(text)

@@ -1,0 +1,250 @@
+"""Regions from GeoJSON, CSV pixel lists and class rasters."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.polygons import map_to_pixel, pixel_mask, point_mask, polygon_mask, reprojected
+from hyperval.imagery.rasters import open_raster
+
+Mask = npt.NDArray[np.bool_]
+MAX_TEXT_BYTES = 32 << 20
+MAX_CLASSES = 1000
+_COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
+_REGION_COLUMNS = ("region", "name", "class")
+
+
+def head_of(path: Path, count: int = 512) -> bytes:
+    """The first bytes of a file, unzipped when it is gzipped."""
+    try:
+        with open(path, "rb") as stream:
+            head = stream.read(count)
+        if head[:2] == b"\x1f\x8b":
+            with gzip.open(path) as stream:
+                head = stream.read(count)
+    except (OSError, EOFError) as error:
+        raise InputError(f"cannot read: {error}", where=str(path)) from error
+    return head
+
+
+def read_text(path: Path) -> str:
+    """Text of a region file, gzipped or not, up to 32 MiB."""
+    opener = gzip.open if head_of(path, 2) != _plain_head(path) else open
+    try:
+        with opener(path, "rb") as stream:
+            raw = stream.read(MAX_TEXT_BYTES + 1)
+    except (OSError, EOFError) as error:
+        raise InputError(f"cannot read: {error}", where=str(path)) from error
+    if len(raw) > MAX_TEXT_BYTES:
+        raise InputError(f"larger than {MAX_TEXT_BYTES >> 20} MiB", where=str(path))
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def _plain_head(path: Path) -> bytes:
+    with open(path, "rb") as stream:
+        return stream.read(2)
+
+
+def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """Column names of a CSV file, and its rows with their line numbers; short rows are filled with ""."""
+    reader = csv.reader(io.StringIO(read_text(path)), skipinitialspace=True)
+    try:
+        fields = [f.strip() for f in next(reader, [])]
+        if len(set(fields)) < len(fields):
+            raise InputError("two columns have the same name", where=f"{path}:1")
+        rows = []
+        for cells in reader:
+            if len(cells) > len(fields):
+                raise InputError(f"{len(cells)} cells for {len(fields)} columns", where=f"{path}:{reader.line_num}")
+            if any(cell.strip() for cell in cells):
+                padded = [cell.strip() for cell in cells] + [""] * (len(fields) - len(cells))
+                rows.append((reader.line_num, dict(zip(fields, padded, strict=True))))
+    except csv.Error as error:
+        raise InputError(f"not a CSV file: {error}", where=f"{path}:{reader.line_num}") from error
+    return fields, rows
+
+
+def geojson_masks(
+    path: Path, shape: tuple[int, int], *, coordinates: str | None, transform: Affine | None, crs: CRS | None
+) -> dict[str, Mask]:
+    """Masks by name of the polygons and points of a GeoJSON file; features of one name are united."""
+    if coordinates not in ("pixel", "map", "lonlat"):
+        raise UsageError(
+            "a GeoJSON file does not say what its coordinates are",
+            where=str(path),
+            mend="state coordinates: pixel, map (the cube's own system) or lonlat",
+        )
+    try:
+        data = json.loads(read_text(path), object_pairs_hook=_once, parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not valid GeoJSON: {error}", where=str(path)) from error
+    stated = _stated_crs(data, path)
+    if coordinates == "map" and stated is not None and crs is not None and stated != crs:
+        raise InputError(f"the file is in {stated}, the cube in {crs}", where=str(path))
+
+    def place(points: Any, where: str) -> npt.NDArray[np.float64]:
+        try:
+            xy = np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
+        except (TypeError, ValueError, IndexError):
+            raise InputError("coordinates that are not pairs of numbers", where=where) from None
+        if coordinates == "pixel":
+            return xy
+        if coordinates == "lonlat":
+            xy = reprojected(xy, CRS.from_epsg(4326), crs, where=where)
+        return map_to_pixel(xy, transform, where=where)
+
+    masks: dict[str, Mask] = {}
+    for number, (name, geometry) in enumerate(_features(data, path), start=1):
+        where = f"{path}: feature {number} ({name})"
+        kind, parts = geometry.get("type"), geometry.get("coordinates")
+        if kind in ("Point", "MultiPoint"):
+            mask = point_mask(place([parts] if kind == "Point" else parts, where), shape, where=where)
+        elif kind in ("Polygon", "MultiPolygon"):
+            mask = np.zeros(shape, bool)
+            polygons = [parts] if kind == "Polygon" else parts
+            for rings in polygons if isinstance(polygons, list) else [None]:
+                if not isinstance(rings, list) or not rings:
+                    raise InputError("a polygon without vertices", where=where)
+                placed = [place(ring, where) for ring in rings]
+                mask |= polygon_mask(placed[0], shape, placed[1:], where=where)
+        else:
+            raise InputError(f"geometry {kind!r}", where=where, expected="Polygon, MultiPolygon, Point, MultiPoint")
+        masks[name] = masks[name] | mask if name in masks else mask
+    return masks
+
+
+def csv_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
+    """Masks by name of a CSV pixel list.
+
+    Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
+    ``name`` or ``class`` where the file holds more than one region.
+    """
+    fields, rows = read_table(path)
+    pair = next((p for p in _COLUMNS if p[0] in fields and p[1] in fields), None)
+    if pair is None:
+        raise InputError(
+            f"columns {', '.join(fields) or 'none'}",
+            where=f"{path}:1",
+            expected="row0,col0 or line,sample (0-based) or row1,col1 (1-based)",
+        )
+    column = next((c for c in _REGION_COLUMNS if c in fields), None)
+    pixels: dict[str, list[tuple[int, int]]] = {}
+    for number, row in rows:
+        try:
+            place = int(row[pair[0]]) - _COLUMNS[pair], int(row[pair[1]]) - _COLUMNS[pair]
+        except (TypeError, ValueError):
+            raise InputError(
+                f"no whole numbers in {pair[0]}, {pair[1]}: {row[pair[0]]!r}, {row[pair[1]]!r}",
+                where=f"{path}:{number}",
+            ) from None
+        name = row[column] if column else path.stem
+        if not name:
+            raise InputError(f"no name in column {column!r}", where=f"{path}:{number}")
+        pixels.setdefault(name, []).append(place)
+    masks = {}
+    for name, listed in pixels.items():
+        places = np.array(listed, dtype=np.int64)
+        masks[name] = pixel_mask(places[:, 0], places[:, 1], shape, where=f"{path}: region {name!r}")
+    return masks
+
+
+def raster_masks(path: Path, shape: tuple[int, int], *, by_value: bool = False) -> dict[str | int, Mask]:
+    """Masks of the classes of a raster of one band, or of the bands of a raster of several.
+
+    One band: a class for every whole number but 0 and the ignore value, under the class name of the
+    header, else under the file's name (a single class) or ``name-value``; under the number itself with
+    ``by_value``.  Several bands: a mask of what is not 0, under the band name.
+    """
+    raster = open_raster(path)
+    if (raster.lines, raster.samples) != shape:
+        raise InputError(
+            f"the raster has {raster.lines} lines and {raster.samples} samples",
+            where=str(path),
+            expected=f"{shape[0]} lines and {shape[1]} samples, as the cube",
+        )
+    stored = raster.read_lines(0, raster.lines)
+    header = raster.header
+    if raster.bands > 1:
+        names = (header.strings("band names") if header else None) or ()
+        if len(names) != raster.bands or len(set(names)) != len(names):
+            names = tuple(f"band-{i + 1}" for i in range(raster.bands))
+        return {name: stored[:, :, i] != 0 for i, name in enumerate(names)}
+    classes = stored[:, :, 0]
+    values = np.unique(classes[np.isfinite(classes)])
+    if np.any(values != np.round(values)) or values.size > MAX_CLASSES:
+        raise InputError(
+            "values that are no class numbers", where=str(path), expected=f"up to {MAX_CLASSES} classes"
+        )
+    ignore = header.number("data ignore value") if header else None
+    found = [int(v) for v in values if v != 0 and v != ignore]
+    if by_value:
+        return {value: classes == value for value in found}
+    listed = (header.strings("class names") if header else None) or ()
+    out: dict[str | int, Mask] = {}
+    for value in found:
+        # ENVI writes "Name [Red] 67 points" for a class image made from regions.
+        name = re.sub(r"\s*\[[^\]]*\]\s*[0-9]+ points$", "", listed[value]) if 0 < value < len(listed) else ""
+        name = name or (path.stem if len(found) == 1 else f"{path.stem}-{value}")
+        if name in out:
+            raise InputError(
+                f"two classes are called {name!r}", where=str(path), mend="read them by value (names:)"
+            )
+        out[name] = classes == value
+    return out
+
+
+def _features(data: Any, path: Path) -> list[tuple[str, dict[str, Any]]]:
+    kind = data.get("type") if isinstance(data, dict) else None
+    items = data.get("features") if kind == "FeatureCollection" else [data]
+    if kind is None or not isinstance(items, list):
+        raise InputError("not a GeoJSON object", where=str(path))
+    out = []
+    for number, item in enumerate(items, start=1):
+        feature = item if isinstance(item, dict) else {}
+        geometry = feature.get("geometry") if feature.get("type") == "Feature" else feature
+        if not isinstance(geometry, dict):
+            raise InputError("a feature without geometry", where=f"{path}: feature {number}")
+        properties = feature.get("properties")
+        properties = properties if isinstance(properties, dict) else {}
+        given = next((properties[c] for c in _REGION_COLUMNS if properties.get(c) is not None), feature.get("id"))
+        out.append((str(given) if given is not None else (path.stem if len(items) == 1 else str(number)), geometry))
+    return out
+
+
+def _stated_crs(data: Any, path: Path) -> CRS | None:
+    crs = data.get("crs") if isinstance(data, dict) else None
+    properties = crs.get("properties") if isinstance(crs, dict) else None
+    name = properties.get("name") if isinstance(properties, dict) else None
+    if not isinstance(name, str):
+        return None
+    try:
+        return CRS.from_user_input(name)
+    except CRSError:
+        raise InputError(f"unknown coordinate system {name!r}", where=str(path)) from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    out = dict(pairs)
+    if len(out) < len(pairs):
+        raise ValueError("a key stands twice in one object")
+    return out
+
+
+def _refuse(text: str) -> Any:
+    raise ValueError(f"{text} is no JSON number")
