@@ -1,0 +1,228 @@
+"""Figures of detection: ROC curves, score distributions, target areas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from hyperval.products import Products, RocCurve
+from hyperval.report import style
+from hyperval.report.figures_spectra import Sides, both_first
+from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
+
+_COVERAGE = 1.96
+_MOST_ROWS = 30
+_LOWEST_PFA = 1e-9
+
+
+def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
+    """P_D against P_FA on a logarithmic axis, a panel for each subject, detector and unit."""
+    predicted, measured = _held(sides[0], "roc"), _held(sides[1], "roc")
+    found = style.pages(both_first(predicted, measured))
+    drawings = []
+    for number, keys in enumerate(found, start=1):
+        columns = style.column_count(len(keys))
+        rows = math.ceil(len(keys) / columns)
+        figure = style.new_figure(10.0, 1.0 + 2.7 * rows, "Detection against false alarms", simulated)
+        told = []
+        low = _lowest_pfa([h[k] for h in (predicted, measured) for k in keys if k in h])
+        for at, key in enumerate(keys):
+            axes = figure.add_subplot(rows, columns, at + 1)
+            _roc_panel(axes, predicted.get(key), measured.get(key), low)
+            axes.set_title(style.plain(_roc_title(key)), loc="left")
+            told.append(_roc_words(key, predicted.get(key), measured.get(key)))
+            if at % columns == 0:
+                axes.set_ylabel("P_D [1]")
+            if at + columns >= len(keys):
+                axes.set_xlabel("P_FA per pixel [1]")
+        figure.legend(handles=_roc_legend(predicted, measured), loc="outside lower center", ncols=4)
+        name = "roc" if len(found) == 1 else f"roc-{number}"
+        alt = (
+            "Probability of detection against probability of false alarm (logarithmic), predicted (dashed) and "
+            f"measured (steps), with 95 % intervals. {' '.join(told)}"
+        )
+        drawings.append(
+            Drawing(name, "roc", "ROC: predicted and measured", alt, style.svg_bytes(figure), "svg"),
+        )
+    return drawings
+
+
+def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
+    """Mean and 95 % range of each population's score."""
+    predicted, measured = _held(sides[0], "scores"), _held(sides[1], "scores")
+    keys = both_first(predicted, measured)[:_MOST_ROWS]
+    if not keys:
+        return []
+    figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Detector scores", simulated)
+    axes = figure.add_subplot()
+    for held, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
+        rows = [
+            (at + shift, held[key].mean, _COVERAGE * held[key].sd) for at, key in enumerate(keys) if key in held
+        ]
+        _dots(axes, rows, look)
+    axes.axvline(0.0, color="#777777", linewidth=0.8)
+    axes.axvline(1.0, color="#777777", linewidth=0.8, linestyle=":")
+    _row_labels(axes, keys, {k: measured[k].n for k in keys if k in measured})
+    axes.set_xlabel("score [1] (dot: mean; bar: mean ± 1.96 standard deviations)")
+    figure.legend(handles=_dot_legend(predicted, measured), loc="outside lower center", ncols=2)
+    told = "; ".join(
+        f"{s} {d}: " + ", ".join(f"{n} {h[s, d].mean:.3g} ± {h[s, d].sd:.2g}"
+                                 for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
+        for s, d in keys
+    )  # fmt: skip
+    title = "Score distributions: predicted and measured"
+    alt = f"Mean and standard deviation of the detector scores. {told}."
+    return [Drawing("scores", "scores", title, alt, style.svg_bytes(figure), "svg")]
+
+
+def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
+    """Area of each target from its abundance, predicted and measured."""
+    predicted, measured = _held(sides[0], "abundance"), _held(sides[1], "abundance")
+    keys = both_first(predicted, measured)[:_MOST_ROWS]
+    if not keys:
+        return []
+    figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Target area from abundance", simulated)
+    axes = figure.add_subplot()
+    for held, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
+        rows = [
+            (at + shift, held[key].area_m2, _COVERAGE * held[key].standard_uncertainty)
+            for at, key in enumerate(keys)
+            if key in held
+        ]
+        _dots(axes, rows, look)
+    areas = np.array([h[k].area_m2 for h in (predicted, measured) for k in keys if k in h])
+    areas = areas[np.isfinite(areas)]
+    if areas.size and areas.min() > 0 and areas.max() > 30 * areas.min():
+        axes.set_xscale("log")
+        axes.set_xlim(areas.min() / 4, areas.max() * 2.5)
+        style.log_ticks(axes.xaxis)
+    else:
+        axes.axvline(0.0, color="#777777", linewidth=0.8)
+    _row_labels(axes, keys, {})
+    axes.set_xlabel("area [m²] (bar: 95 % interval)")
+    figure.legend(handles=_dot_legend(predicted, measured), loc="outside lower center", ncols=2)
+    told = "; ".join(
+        f"{s} {d}: " + ", ".join(f"{n} {h[s, d].area_m2:.3g} m²"
+                                 for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
+        for s, d in keys
+    )  # fmt: skip
+    title = "Target area from the sum of abundances: predicted and measured"
+    return [Drawing("abundance", "abundance", title, f"Target areas. {told}.", style.svg_bytes(figure), "svg")]
+
+
+def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None, low: float) -> None:
+    if predicted is not None:
+        keep = predicted.pfa > 0
+        x = predicted.pfa[keep]
+        axes.fill_between(
+            x, predicted.pd_lower[keep], predicted.pd_upper[keep], color=PREDICTED.colour, alpha=0.2, linewidth=0
+        )
+        axes.plot(x, predicted.pd[keep], color=PREDICTED.colour, linestyle=PREDICTED.line)
+    if measured is not None:
+        keep = measured.pfa > 0
+        x = measured.pfa[keep]
+        axes.fill_between(
+            x, measured.pd_lower[keep], measured.pd_upper[keep],
+            step="post", color=COLLECTED.colour, alpha=0.2, linewidth=0,
+        )  # fmt: skip
+        axes.plot(x, measured.pd[keep], color=COLLECTED.colour, linestyle=COLLECTED.line, drawstyle="steps-post")
+        if measured.n_background:
+            axes.axvline(1.0 / measured.n_background, color="#444444", linewidth=1.0, linestyle=":")
+        axes.text(
+            0.97, 0.04, _counted(measured), transform=axes.transAxes, ha="right", va="bottom", fontsize=7.5,
+            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.5},
+        )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_xlim(low, 1.0)
+    axes.set_ylim(-0.02, 1.04)
+    style.log_ticks(axes.xaxis)
+
+
+def _lowest_pfa(curves: list[RocCurve]) -> float:
+    """A decade below which no panel of the figure has anything to show."""
+    lowest = [float(c.pfa[c.pfa > 0].min()) for c in curves if (c.pfa > 0).any()]
+    limits = [0.3 / c.n_background for c in curves if c.n_background]
+    # Where something was measured, two decades past what the background can resolve is enough.
+    floor = min(limits) / 100 if limits else _LOWEST_PFA
+    return max(min([*lowest, *limits], default=1e-3), floor, _LOWEST_PFA)
+
+
+def _counted(curve: RocCurve) -> str:
+    target = (
+        "" if curve.n_target is None else f"{curve.n_target:,} {curve.unit}{'s' if curve.n_target != 1 else ''}"
+    )
+    background = "" if curve.n_background is None else f"{curve.n_background:,} background pixels"
+    return "\n".join(part for part in (target, background) if part).replace(",", "\u202f")
+
+
+def _roc_title(key: tuple[str, str, str]) -> str:
+    subject, detector, unit = key
+    return f"{style.shortened(subject, 24)}, {style.shortened(detector, 12)}, by {unit}"
+
+
+def _roc_words(key: tuple[str, str, str], predicted: RocCurve | None, measured: RocCurve | None) -> str:
+    words = []
+    for name, curve in (("predicted", predicted), ("measured", measured)):
+        if curve is not None and curve.pfa.size:
+            at = int(np.argmin(np.abs(np.log(np.clip(curve.pfa, 1e-300, None)) - math.log(1e-3))))
+            words.append(
+                f"{name} P_D {curve.pd[at]:.2f} ({curve.pd_lower[at]:.2f} to {curve.pd_upper[at]:.2f}) "
+                f"at P_FA {curve.pfa[at]:.1e}"
+            )
+    return f"{', '.join(key)}: {'; '.join(words) or 'no points'}."
+
+
+def _roc_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, RocCurve]) -> list[Any]:
+    handles: list[Any] = []
+    if predicted:
+        handles.append(Line2D([], [], color=PREDICTED.colour, linestyle=PREDICTED.line, label="predicted"))
+    if measured:
+        handles.append(Line2D([], [], color=COLLECTED.colour, linestyle=COLLECTED.line, label="measured"))
+    handles.append(Patch(color="#555555", alpha=0.25, label="95 % interval"))
+    if any(curve.n_background for curve in measured.values()):
+        handles.append(Line2D([], [], color="#444444", linestyle=":", label="resolution: 1 / background pixels"))
+    return handles
+
+
+def _dots(axes: Axes, rows: list[tuple[float, float, float]], look: Look) -> None:
+    if rows:
+        y, x, half = (np.array(column) for column in zip(*rows, strict=True))
+        face = "white" if look is PREDICTED else look.colour
+        axes.errorbar(
+            x, y, xerr=np.nan_to_num(half), fmt=look.marker, color=look.colour,
+            markerfacecolor=face, markersize=5, linewidth=1.3, capsize=2.5,
+        )  # fmt: skip
+
+
+def _row_labels(axes: Axes, keys: list[tuple[str, str]], counts: Mapping[Any, int | None]) -> None:
+    labels = []
+    for subject, detector in keys:
+        n = counts.get((subject, detector))
+        tail = "" if n is None else f"  (n = {n:,})".replace(",", "\u202f")
+        labels.append(style.plain(f"{style.shortened(subject)}, {detector}{tail}"))
+    axes.set_yticks(range(len(keys)), labels)
+    axes.set_ylim(len(keys) - 0.5, -0.5)
+    axes.grid(visible=False, axis="y")
+
+
+def _dot_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[Any]:
+    handles = []
+    for held, look, name in ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, "measured")):
+        if held:
+            face = "white" if look is PREDICTED else look.colour
+            handles.append(
+                Line2D(
+                    [], [], color=look.colour, marker=look.marker, markerfacecolor=face, label=name, linestyle="-"
+                )
+            )
+    return handles
+
+
+def _held(side: Products | None, product: str) -> Mapping[Any, Any]:
+    return {} if side is None else getattr(side, product)

@@ -1,0 +1,304 @@
+"""Figures over wavelength: radiance, reflectance, SNR, uncertainty budget, and eigenvalue spectra."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from hyperval.products import Products, SpectralEstimate
+from hyperval.report import style
+from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
+from hyperval.spectra.windows import in_window
+
+Array = npt.NDArray[np.float64]
+Sides = tuple[Products | None, Products | None]
+
+_COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
+_MOST_SOURCES = 7
+_MOST_EIGENVALUES = 30
+
+
+def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing]:
+    """Overlay of both sides with, below each, their difference; ``product`` names a field of Products."""
+    label, title, ratio = {
+        "radiance": (style.RADIANCE_LABEL, "Radiance at the sensor", True),
+        "reflectance": ("reflectance [1]", "Reflectance", False),
+        "snr": ("signal-to-noise ratio [1]", "Signal-to-noise ratio", True),
+    }[product]
+    predicted, collected = _held(sides[0], product), _held(sides[1], product)
+    drawings = []
+    found = style.pages(both_first(predicted, collected))
+    for number, subjects in enumerate(found, start=1):
+        columns = style.column_count(len(subjects))
+        rows = math.ceil(len(subjects) / columns)
+        figure = style.new_figure(10.0, 0.9 + 3.1 * rows, title, simulated)
+        grid = figure.add_gridspec(2 * rows, columns, height_ratios=[2.0, 1.0] * rows)
+        medians = []
+        for at, subject in enumerate(subjects):
+            row, column = divmod(at, columns)
+            top = figure.add_subplot(grid[2 * row, column])
+            below = figure.add_subplot(grid[2 * row + 1, column], sharex=top)
+            top.set_title(style.plain(style.shortened(subject, 44)), loc="left")
+            _overlay(top, sides, predicted.get(subject), collected.get(subject))
+            median = _difference(below, sides, predicted.get(subject), collected.get(subject), ratio)
+            if median is not None:
+                medians.append(f"{subject} {median:.2%}" if ratio else f"{subject} {median:.4f}")
+            top.tick_params(labelbottom=False)
+            if column == 0:
+                top.set_ylabel(label)
+                below.set_ylabel("difference ratio [1]" if ratio else "difference [1]")
+            if at + columns >= len(subjects):
+                below.set_xlabel(style.WAVELENGTH_LABEL)
+        figure.legend(handles=_legend(predicted, collected), loc="outside lower center", ncols=4)
+        alt = (
+            f"{title} against wavelength for {', '.join(subjects)}: predicted (dashed) and collected (solid) with "
+            f"95 % intervals; below each, predicted minus collected{' over collected' if ratio else ''}."
+        )
+        if medians:
+            alt += f" Median absolute difference in the windows: {'; '.join(medians)}."
+        drawings.append(
+            Drawing(
+                _numbered(f"{product}-pair", number, len(found)),
+                product,
+                f"{title}: predicted and collected",
+                alt,
+                style.svg_bytes(figure),
+                "svg",
+            )
+        )
+    return drawings
+
+
+def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
+    """Relative uncertainty of the radiance by source, stacked to the total."""
+    panels: list[tuple[str, str, Products, SpectralEstimate]] = []
+    for name, side in (("predicted", sides[0]), ("collected", sides[1])):
+        if side is not None:
+            panels += [(subject, name, side, e) for subject, e in side.radiance.items() if e.budget]
+    if not panels:
+        return []
+    panels = panels[: style.MAX_PANELS]
+    sources, colours = _ranked_sources([e for *_, e in panels])
+    columns = style.column_count(len(panels))
+    rows = math.ceil(len(panels) / columns)
+    figure = style.new_figure(10.0, 1.1 + 2.3 * rows, "Uncertainty of the radiance by source", simulated)
+    for at, (subject, name, side, estimate) in enumerate(panels):
+        axes = figure.add_subplot(rows, columns, at + 1)
+        axes.set_title(style.plain(f"{style.shortened(subject, 32)} ({name})"), loc="left")
+        w = side.axis.centre_nm
+        parts = _variance_parts(estimate, sources)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            total = np.sqrt(parts.sum(axis=0))
+            # Variances add, uncertainties do not: each source takes its share of the variance in the height.
+            heights = 100.0 * total / np.abs(estimate.mean) * parts / parts.sum(axis=0)
+        axes.stackplot(w, np.nan_to_num(heights), colors=colours, linewidth=0)
+        limits = style.robust_limits([heights.sum(axis=0)[_keep(w)]], zero=True)
+        _wavelength_axis(axes, w, limits)
+        if at % columns == 0:
+            axes.set_ylabel("standard uncertainty\n[% of radiance]")
+        if at + columns >= len(panels):
+            axes.set_xlabel(style.WAVELENGTH_LABEL)
+    handles: list[Any] = [Patch(color=c, label=style.plain(s)) for s, c in zip(sources, colours, strict=True)]
+    handles.append(Patch(color="#e9e9e9", label="absorption band"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    alt = (
+        "Relative standard uncertainty of the radiance against wavelength, stacked by source in proportion to its "
+        f"share of the variance. Sources, largest first: {', '.join(sources)}. "
+        f"Panels: {', '.join(f'{subject} ({name})' for subject, name, *_ in panels)}."
+    )
+    title = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
+    return [Drawing("radiance-budget", "radiance", title, alt, style.svg_bytes(figure), "svg")]
+
+
+def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
+    """Eigenvalues of the pixel covariance of the radiance, predicted and collected."""
+    predicted, collected = (
+        {k: e for k, e in _held(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
+    )
+    subjects = both_first(predicted, collected)[: style.MAX_PANELS]
+    if not subjects:
+        return []
+    columns = style.column_count(len(subjects))
+    rows = math.ceil(len(subjects) / columns)
+    figure = style.new_figure(10.0, 0.9 + 2.6 * rows, "Eigenvalues of the radiance covariance", simulated)
+    told = []
+    for at, subject in enumerate(subjects):
+        axes = figure.add_subplot(rows, columns, at + 1)
+        axes.set_title(style.plain(style.shortened(subject, 44)), loc="left")
+        firsts = []
+        for held, look in ((predicted, PREDICTED), (collected, COLLECTED)):
+            if subject in held:
+                values = eigenvalues(held[subject])
+                _eigenvalue_line(axes, values, held[subject].n, look)
+                firsts.append(f"{values[0]:.3g}" if values.size else "none")
+        told.append(f"{subject} {' and '.join(firsts)}")
+        axes.set_yscale("log")
+        style.log_ticks(axes.yaxis)
+        if at % columns == 0:
+            axes.set_ylabel("eigenvalue\n[(µW cm⁻² sr⁻¹ nm⁻¹)²]")
+        if at + columns >= len(subjects):
+            axes.set_xlabel("number of the eigenvalue [1]")
+    figure.legend(handles=_legend(predicted, collected, absorption=False), loc="outside lower center", ncols=4)
+    alt = (
+        f"The largest {_MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
+        f"logarithmic scale, predicted and collected. Largest: {'; '.join(told)}."
+    )
+    title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval of the collected ones)"
+    return [Drawing("radiance-eigenvalues", "covariance", title, alt, style.svg_bytes(figure), "svg")]
+
+
+def eigenvalues(estimate: SpectralEstimate) -> Array:
+    """(K,) leading eigenvalues of the pixel covariance over its finite bands, largest first."""
+    covariance = np.asarray(estimate.pixel_covariance, dtype=float)
+    held = np.isfinite(np.diag(covariance))
+    block = covariance[np.ix_(held, held)]
+    if block.size == 0 or not np.isfinite(block).all():
+        return np.empty(0)
+    values = np.linalg.eigvalsh(block)[::-1]
+    rank = block.shape[0] if estimate.n is None else min(block.shape[0], max(estimate.n - 1, 0))
+    values = values[: min(rank, _MOST_EIGENVALUES)]
+    return values[values > 1e-13 * max(values[0], 0.0)] if values.size else values
+
+
+def both_first(predicted: Mapping[Any, Any], collected: Mapping[Any, Any]) -> list[Any]:
+    """Keys of either side: those of both sides before those of one."""
+    common = [key for key in predicted if key in collected]
+    return common + [k for k in predicted if k not in collected] + [k for k in collected if k not in predicted]
+
+
+def difference_ratio(predicted: SpectralEstimate, collected: SpectralEstimate) -> tuple[Array, Array]:
+    """(predicted - collected) / collected and its standard uncertainty, both (B,), the sides independent."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        quotient = predicted.mean / collected.mean
+        u = np.hypot(predicted.standard_uncertainty, quotient * collected.standard_uncertainty)
+        return quotient - 1.0, u / np.abs(collected.mean)
+
+
+def _overlay(
+    axes: Axes, sides: Sides, predicted: SpectralEstimate | None, collected: SpectralEstimate | None
+) -> None:
+    inside: list[Array] = []
+    w = np.empty(0)
+    for side, estimate, look in ((sides[0], predicted, PREDICTED), (sides[1], collected, COLLECTED)):
+        if side is None or estimate is None:
+            continue
+        w = side.axis.centre_nm
+        half = _COVERAGE * estimate.standard_uncertainty
+        axes.fill_between(w, estimate.mean - half, estimate.mean + half, color=look.colour, alpha=0.2, linewidth=0)
+        axes.plot(w, estimate.mean, color=look.colour, linestyle=look.line)
+        keep = _keep(w)
+        inside += [estimate.mean[keep], (estimate.mean - half)[keep], (estimate.mean + half)[keep]]
+    _wavelength_axis(axes, w, style.robust_limits(inside, zero=True))
+
+
+def _difference(
+    axes: Axes,
+    sides: Sides,
+    predicted: SpectralEstimate | None,
+    collected: SpectralEstimate | None,
+    ratio: bool,
+) -> float | None:
+    """Draw the difference; its median absolute value in the windows, None when there is none."""
+    axes.axhline(0.0, color="#444444", linewidth=0.8)
+    side = sides[0] or sides[1]
+    if side is None:
+        return None
+    w = side.axis.centre_nm
+    if predicted is None or collected is None or sides[0] is None or sides[1] is None:
+        missing = "no prediction" if predicted is None else "no collection"
+        axes.text(0.5, 0.6, f"{missing} to compare with", ha="center", transform=axes.transAxes, color="#555555")
+        _wavelength_axis(axes, w, (-1.0, 1.0))
+        return None
+    if not sides[0].axis.matches(sides[1].axis):
+        axes.text(0.5, 0.6, "the two sides have different bands", ha="center", transform=axes.transAxes)
+        return None
+    if ratio:
+        value, u = difference_ratio(predicted, collected)
+    else:
+        value = predicted.mean - collected.mean
+        u = np.hypot(predicted.standard_uncertainty, collected.standard_uncertainty)
+    half = _COVERAGE * u
+    axes.fill_between(w, value - half, value + half, color="#555555", alpha=0.25, linewidth=0)
+    axes.plot(w, value, color="#222222", linewidth=1.2)
+    keep = _keep(w)
+    _wavelength_axis(
+        axes, w, style.robust_limits([value[keep], (value - half)[keep], (value + half)[keep]], zero=True)
+    )
+    inside = np.abs(value[keep])
+    inside = inside[np.isfinite(inside)]
+    return float(np.median(inside)) if inside.size else None
+
+
+def _wavelength_axis(axes: Axes, w: Array, limits: tuple[float, float] | None) -> None:
+    if w.size:
+        low, high = float(w[0]), float(w[-1])
+        style.shade_absorption(axes, low, high)
+        axes.set_xlim(low, high if high > low else low + 1.0)
+    if limits is not None:
+        axes.set_ylim(*limits)
+
+
+def _keep(w: Array) -> npt.NDArray[np.bool_]:
+    keep = in_window(w)
+    return keep if keep.any() else np.ones(w.shape, bool)
+
+
+def _eigenvalue_line(axes: Axes, values: Array, n: int | None, look: Look) -> None:
+    number = np.arange(1, values.size + 1)
+    if n is not None and n > 1:
+        # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
+        factor = np.exp(_COVERAGE * math.sqrt(2.0 / (n - 1)))
+        axes.fill_between(number, values / factor, values * factor, color=look.colour, alpha=0.2, linewidth=0)
+    axes.plot(number, values, color=look.colour, linestyle=look.line, marker=look.marker, markersize=3)
+
+
+def _variance_parts(estimate: SpectralEstimate, sources: Sequence[str]) -> Array:
+    """(S, B) variance by source; the last is everything that has no place of its own."""
+    parts = [np.asarray(estimate.budget.get(s, np.zeros(estimate.mean.shape)), dtype=float) ** 2 for s in sources]
+    if sources[-1] == "other sources":
+        named = set(sources[:-1])
+        rest = [np.asarray(u, dtype=float) ** 2 for s, u in estimate.budget.items() if s not in named]
+        parts[-1] = np.sum(rest, axis=0) if rest else parts[-1]
+    return np.stack(parts)
+
+
+def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> tuple[list[str], list[str]]:
+    """Sources by their largest median share of the variance, the small ones taken together."""
+    weight: dict[str, float] = {}
+    for estimate in estimates:
+        squares = {
+            s: float(np.nanmedian(np.square(u) / np.square(estimate.mean))) for s, u in estimate.budget.items()
+        }
+        total = sum(squares.values()) or 1.0
+        for source, square in squares.items():
+            weight[source] = max(weight.get(source, 0.0), square / total)
+    ranked = sorted(weight, key=lambda s: (-weight[s], s))
+    if len(ranked) > _MOST_SOURCES:
+        ranked = [*ranked[: _MOST_SOURCES - 1], "other sources"]
+    return ranked, list(style.SOURCE_COLOURS[: len(ranked)])
+
+
+def _legend(predicted: Mapping[Any, Any], collected: Mapping[Any, Any], *, absorption: bool = True) -> list[Any]:
+    handles: list[Any] = []
+    for held, look, name in ((predicted, PREDICTED, "predicted"), (collected, COLLECTED, "collected")):
+        if held:
+            handles.append(Line2D([], [], color=look.colour, linestyle=look.line, label=name))
+    handles.append(Patch(color="#555555", alpha=0.25, label="95 % interval"))
+    if absorption:
+        handles.append(Patch(color="#e9e9e9", label="absorption band"))
+    return handles
+
+
+def _held(side: Products | None, product: str) -> Mapping[str, SpectralEstimate]:
+    return {} if side is None else getattr(side, product)
+
+
+def _numbered(name: str, number: int, of: int) -> str:
+    return name if of == 1 else f"{name}-{number}"

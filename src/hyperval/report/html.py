@@ -1,0 +1,216 @@
+"""``report.html``: one page that a reviewer reads in five minutes, with nothing loaded from elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import datetime
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jinja2
+
+import hyperval
+from hyperval.report import verdict as v
+from hyperval.report.run import RunReport
+from hyperval.report.style import Drawing
+from hyperval.report.tables import row_name, status_counts
+from hyperval.results import Result, Status
+
+MAX_BYTES = 5_000_000  # of a page; figures beyond it are linked, not embedded
+_FIGURE_BYTES = 4_200_000  # of that, for figures
+_MOST_INFORMING = 40  # rows in the first table; more are moved to their sections
+_MOST_LISTED = 400  # per-band failures spelled out; results.csv has all
+_INPUTS_UNDER_FIGURE = 3
+
+_SECTIONS = {
+    "scene": "Scene",
+    "radiance": "Radiance",
+    "snr": "Signal-to-noise ratio",
+    "reflectance": "Reflectance",
+    "covariance": "Covariance",
+    "scores": "Detector scores",
+    "roc": "Detection and false alarms",
+    "abundance": "Abundance and target area",
+}
+_MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
+
+
+@dataclass(frozen=True)
+class Section:
+    """One product's part of the page."""
+
+    title: str
+    figures: list[dict[str, Any]]
+    rows: list[Result]
+
+
+def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
+    """The page of one campaign."""
+    rows = list(run.table)
+    tone, words = v.verdict(rows)
+    gates = sorted((r for r in rows if r.status is not Status.INFO), key=_severity)
+    bands = [r for r in gates if v.is_per_band(r)]
+    failed_bands = [r for r in bands if r.status in (Status.FAIL, Status.ERROR)]
+    informing = [r for r in rows if r.status is Status.INFO and not v.is_per_band(r)]
+    first = (
+        informing if len(informing) <= _MOST_INFORMING else [r for r in informing if v.informs_of_disagreement(r)]
+    )
+    shown = {id(r) for r in first}
+    return _environment().get_template("report.html.j2").render(
+        run=run,
+        tone=tone,
+        verdict=words,
+        counts=v.status_words(rows),
+        gates=[r for r in gates if not v.is_per_band(r)],
+        failed_bands=failed_bands,
+        failed_by_subject=_grouped(failed_bands),
+        unlisted_bands=len(bands) - len(failed_bands),
+        per_band=sum(v.is_per_band(r) for r in rows),
+        informing=first,
+        moved=len(informing) - len(first),
+        sections=_sections(run, drawings, [r for r in informing if id(r) not in shown]),
+        undone=[r for r in gates if r.status in (Status.SKIPPED, Status.ERROR)],
+        notes=_all_notes(run),
+        inputs=[_input(item) for item in run.provenance.get("inputs", ())],
+        facts=_facts(run),
+        maps=len(run.score_maps),
+        **_common(),
+    )  # fmt: skip
+
+
+def index_page(runs: Sequence[RunReport], folders: Mapping[str, str]) -> str:
+    """The page of several campaigns; ``folders`` maps a campaign to its folder beside the page."""
+    rows = [row for run in runs for row in run.table]
+    tone, words = v.verdict(rows)
+    entries = []
+    for run in runs:
+        own_tone, own_words = v.verdict(run.table)
+        link = f"{folders[run.campaign]}/report.html"
+        entries.append({"run": run, "tone": own_tone, "verdict": own_words, "link": link,
+                        "counts": status_counts(run.table)})  # fmt: skip
+    notable = [r for r in rows if r.status in (Status.FAIL, Status.ERROR, Status.SKIPPED)]
+    notable += [r for r in rows if v.informs_of_disagreement(r)]
+    single = [r for r in sorted(notable, key=_severity) if not v.is_per_band(r)]
+    failed_bands = [r for r in notable if v.is_per_band(r) and r.status in (Status.FAIL, Status.ERROR)]
+    return _environment().get_template("index.html.j2").render(
+        tone=tone, verdict=words, counts=v.status_words(rows), entries=entries, notable=single,
+        failed_by_subject=_grouped(failed_bands), simulated=[r.campaign for r in runs if r.simulated], **_common(),
+    )  # fmt: skip
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("hyperval.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters.update(
+        value=v.value_text, interval=v.interval_text, threshold=v.threshold_text, row_name=row_name, nm=_band_text
+    )
+    return environment
+
+
+def _common() -> dict[str, Any]:
+    return {"version": hyperval.__version__, "generated": _generated(), "most_listed": _MOST_LISTED}
+
+
+def _generated() -> str | None:
+    """When SOURCE_DATE_EPOCH says the page was made; None when it is not set."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    if not epoch.isdigit():
+        return None
+    return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _severity(row: Result) -> int:
+    order = (Status.FAIL, Status.ERROR, Status.PASS, Status.SKIPPED, Status.INFO)
+    return order.index(row.status)
+
+
+def _band_text(row: Result) -> str:
+    return f"{row.band_nm:.1f} nm" if v.is_per_band(row) else ""
+
+
+def _grouped(rows: Sequence[Result]) -> list[tuple[str, list[Result]]]:
+    """Rows about single bands by what they are about, each group in one table."""
+    groups: dict[str, list[Result]] = {}
+    for row in rows:
+        what = " ".join(p for p in (row.campaign, row.product, row.subject, row.method, row.metric) if p)
+        groups.setdefault(what, []).append(row)
+    return list(groups.items())
+
+
+def _sections(run: RunReport, drawings: Sequence[Drawing], rows: Sequence[Result]) -> list[Section]:
+    names = [*_SECTIONS, *dict.fromkeys(row.product for row in rows if row.product not in _SECTIONS)]
+    sections, room = [], _FIGURE_BYTES
+    for name in names:
+        figures = []
+        for drawing in (d for d in drawings if d.section == name):
+            encoded = base64.b64encode(drawing.content).decode("ascii")
+            room -= len(encoded)
+            source = f"data:{_MEDIA[drawing.kind]};base64,{encoded}"
+            fits = room >= 0
+            room += 0 if fits else len(encoded)
+            figures.append(
+                {"drawing": drawing, "source": source if fits else None, "from": _under_figure(run, name)}
+            )
+        own = [row for row in rows if row.product == name]
+        if figures or own:
+            sections.append(Section(_SECTIONS.get(name, name), figures, own))
+    return sections
+
+
+def _under_figure(run: RunReport, product: str) -> str:
+    """Inputs, their licence, version and seed of a figure, in one line."""
+    inputs = [
+        _input(item)
+        for item in run.provenance.get("inputs", ())
+        if not item.get("products") or product in item["products"]
+    ]
+    told = [i["reference"] + (f" ({i['licence']})" if i["licence"] else "") for i in inputs[:_INPUTS_UNDER_FIGURE]]
+    if len(inputs) > _INPUTS_UNDER_FIGURE:
+        told.append(f"{len(inputs) - _INPUTS_UNDER_FIGURE} more in the provenance table")
+    parts = [f"Inputs: {'; '.join(told)}" if told else "Inputs: none recorded"]
+    cited = list(dict.fromkeys(i["citation"] for i in inputs if i["citation"]))
+    if cited:
+        parts.append("; ".join(cited[:2]) + ("; …" if len(cited) > 2 else ""))
+    parts.append(f"hyperval {hyperval.__version__}")
+    parts += [f"{key} {run.provenance[key]}" for key in ("formulation", "seed") if key in run.provenance]
+    return ". ".join(part.rstrip(".") for part in parts) + "."
+
+
+def _input(item: Mapping[str, Any]) -> dict[str, str]:
+    return {key: str(item.get(key) or "") for key in ("reference", "sha256", "licence", "citation")}
+
+
+def _facts(run: RunReport) -> list[tuple[str, str]]:
+    """Everything in the provenance but the inputs, nested keys joined by dots."""
+    facts: list[tuple[str, str]] = []
+
+    def walk(prefix: str, value: Any) -> None:
+        if isinstance(value, Mapping):
+            for key, item in value.items():
+                walk(f"{prefix}.{key}" if prefix else str(key), item)
+        elif isinstance(value, list | tuple):
+            facts.append((prefix, ", ".join(str(item) for item in value)))
+        else:
+            facts.append((prefix, str(value)))
+
+    walk("", {key: value for key, value in run.provenance.items() if key != "inputs"})
+    for name, side in (("predicted", run.prediction), ("observed", run.observation)):
+        if side is not None:
+            walk(name, side.provenance)
+    return facts
+
+
+def _all_notes(run: RunReport) -> list[str]:
+    notes = list(run.notes)
+    for name, side in (("Prediction", run.prediction), ("Observation", run.observation)):
+        if side is not None:
+            notes += [f"{name}: {note}" for note in side.notes]
+    return list(dict.fromkeys(notes))

@@ -1,0 +1,63 @@
+"""Writing a run's folder, and the page that joins several."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from hyperval.files import write_text
+from hyperval.report.figures import draw_figures
+from hyperval.report.geotiff import file_stems, write_score_map
+from hyperval.report.html import index_page, report_page
+from hyperval.report.netcdf import write_products
+from hyperval.report.run import RunReport
+from hyperval.report.tables import json_value, junit_xml, results_csv, results_json
+from hyperval.results import ResultTable
+
+
+def write_outputs(run: RunReport, folder: Path) -> None:
+    """Write everything of ``run`` into the existing ``folder``.
+
+    results.csv, results.json, junit.xml, provenance.json, products.nc, figures/, scores/ (where there are
+    score maps) and report.html.  The same run gives the same bytes.
+    """
+    folder = Path(folder)
+    write_tables(run.table, folder)
+    write_text(
+        folder / "provenance.json",
+        json.dumps(json_value(dict(run.provenance)), indent=1, ensure_ascii=False) + "\n",
+    )
+    sides = {"predicted": run.prediction, "observed": run.observation}
+    write_products(folder / "products.nc", sides, title=run.title, simulated=run.simulated)
+    stems = file_stems(run.score_maps)
+    for name, score_map in run.score_maps.items():
+        (folder / "scores").mkdir(exist_ok=True)
+        write_score_map(folder / "scores" / f"{stems[name]}.tif", name, score_map)
+    drawings = draw_figures(run)
+    (folder / "figures").mkdir(exist_ok=True)
+    for drawing in drawings:
+        (folder / "figures" / drawing.file_name).write_bytes(drawing.content)
+    write_text(folder / "report.html", report_page(run, drawings))
+
+
+def write_index(runs: Sequence[RunReport], folder: Path) -> None:
+    """Write the page and the tables of several campaigns; each campaign's folder stands in ``folder``.
+
+    The folder of a campaign bears its name (``campaign_folders`` tells how a name is made harmless).
+    """
+    folder = Path(folder)
+    write_tables(ResultTable(row for run in runs for row in run.table), folder)
+    write_text(folder / "report.html", index_page(runs, campaign_folders(runs)))
+
+
+def write_tables(table: ResultTable, folder: Path) -> None:
+    """Write results.csv, results.json and junit.xml."""
+    write_text(folder / "results.csv", results_csv(table))
+    write_text(folder / "results.json", results_json(table))
+    write_text(folder / "junit.xml", junit_xml(table))
+
+
+def campaign_folders(runs: Sequence[RunReport]) -> dict[str, str]:
+    """Campaign name -> name of its folder."""
+    return file_stems(run.campaign for run in runs)

@@ -1,0 +1,87 @@
+"""What a report is made from: one results table, the two sides, and where everything came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.products import Observation, Prediction
+from hyperval.results import ResultTable
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ScoreMap:
+    """A detector's score for every pixel.
+
+    Attributes
+    ----------
+    values : (lines, samples) score [1]; NaN where there is none
+    transform : affine pixel-to-map transform (six numbers a, b, c, d, e, f, or an object that yields them
+        first), None for an image without georeference
+    crs : coordinate reference system as text (EPSG:32618 or WKT), None when unknown
+    outlines : name of a target -> (lines, samples) mask of its pixels
+    pixel_size_m : ground sampling distance for the scale [m], None when unknown
+    """
+
+    values: npt.NDArray[Any]
+    transform: Sequence[float] | None = None
+    crs: str | None = None
+    outlines: Mapping[str, Mask] = field(default_factory=dict)
+    pixel_size_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Quicklook:
+    """A picture of the scene with its regions of interest.
+
+    Attributes
+    ----------
+    rgb : (lines, samples, 3) uint8
+    regions : name -> (lines, samples) mask
+    band_nm : centres of the red, green and blue bands [nm]
+    pixel_size_m : ground sampling distance for the scale [m], None when unknown
+    """
+
+    rgb: npt.NDArray[np.uint8]
+    regions: Mapping[str, Mask] = field(default_factory=dict)
+    band_nm: tuple[float, ...] = ()
+    pixel_size_m: float | None = None
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """One campaign's run, ready to be written.
+
+    Attributes
+    ----------
+    campaign, title, description : name (also of the output folder), heading, a sentence or two
+    simulated : True when the collection is simulated; every page and figure then says so
+    table : every planned comparison, one row each
+    prediction, observation : the two sides, None where a side was not run
+    score_maps : "TARGET-DETECTOR" -> map
+    quicklook : picture of the scene
+    provenance : ``inputs`` is a list of mappings with the keys reference, sha256, licence, citation and,
+        optionally, products (the products that use it); the other keys (versions, command, seed,
+        formulation, ...) are shown as they are
+    notes : assumptions made, what was left out
+    references : literature
+    """
+
+    campaign: str
+    title: str
+    description: str
+    simulated: bool
+    table: ResultTable
+    prediction: Prediction | None = None
+    observation: Observation | None = None
+    score_maps: Mapping[str, ScoreMap] = field(default_factory=dict)
+    quicklook: Quicklook | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    references: Sequence[str] = ()

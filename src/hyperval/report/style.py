@@ -1,0 +1,176 @@
+"""One look for every figure, and bytes that depend on nothing but what is drawn.
+
+Predicted and collected differ in colour (Okabe and Ito's palette, distinct under the common colour
+deficiencies), in line style and in marker, so that a grey print still tells them apart.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
+
+from hyperval.spectra.windows import ABSORPTION_BANDS_NM
+
+RADIANCE_LABEL = "radiance [µW cm⁻² sr⁻¹ nm⁻¹]"
+WAVELENGTH_LABEL = "wavelength [nm]"
+SOURCE_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#777777")
+MAX_PANELS = 12
+
+_RC: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.0,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "lines.linewidth": 1.4,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "svg.hashsalt": "hyperval",
+    "svg.fonttype": "path",
+    "path.simplify": True,
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one side is drawn."""
+
+    colour: str
+    line: Literal["-", "--"]
+    marker: str
+
+
+PREDICTED = Look("#0072B2", "--", "o")
+COLLECTED = Look("#C2410C", "-", "s")
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A finished figure.
+
+    Attributes
+    ----------
+    name : file name without its ending
+    section : the product it belongs to
+    title, alt : caption, and the text for those who cannot see it
+    content, kind : the bytes of the file and their format
+    """
+
+    name: str
+    section: str
+    title: str
+    alt: str
+    content: bytes
+    kind: Literal["svg", "png"]
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file in ``figures/``."""
+        return f"{self.name}.{self.kind}"
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """The settings of this module, whatever the user's own matplotlib settings are."""
+    with matplotlib.style.context(["default", _RC]), warnings.catch_warnings():
+        # A subject may be named in a script that the font lacks; the figure is still of use.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        yield
+
+
+def new_figure(width_in: float, height_in: float, title: str, simulated: bool) -> Figure:
+    """An empty figure with its title, which says so when the collection is simulated."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(plain(title) + (" (simulated collection)" if simulated else ""), fontsize=10.5)
+    return figure
+
+
+def svg_bytes(figure: Figure) -> bytes:
+    """The figure as SVG, path coordinates rounded to 0.1 of a point (a seventh of a pixel)."""
+    out = io.BytesIO()
+    figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    text = out.getvalue().decode("utf-8")
+    return re.sub(r'(?<= d=")[^"]+(?=")', _rounded_path, text).encode("utf-8")
+
+
+def png_bytes(figure: Figure, dpi: float = 130.0) -> bytes:
+    """The figure as PNG without the writer's version in it."""
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
+    return out.getvalue()
+
+
+def _rounded_path(match: re.Match[str]) -> str:
+    return re.sub(r"-?\d+\.\d+", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), match[0])
+
+
+def plain(text: str) -> str:
+    """Text that matplotlib takes as it stands: no mathematics between dollar signs, no hidden label."""
+    text = " ".join(text.split()).replace("$", r"\$")
+    return f" {text}" if text.startswith("_") else text
+
+
+def shortened(text: str, length: int = 34) -> str:
+    """Text for a narrow place, its middle left out when it is too long."""
+    if len(text) <= length:
+        return text
+    head = (length - 1) * 2 // 3
+    return f"{text[:head]}…{text[len(text) - (length - 1 - head) :]}"
+
+
+def column_count(panels: int) -> int:
+    """Columns of a grid of small multiples."""
+    return 1 if panels == 1 else 2 if panels <= 4 else 3
+
+
+def pages(keys: Sequence[Any], page_limit: int = 2) -> list[list[Any]]:
+    """``keys`` in figures of at most MAX_PANELS panels, at most ``page_limit`` figures."""
+    kept = list(keys[: MAX_PANELS * page_limit])
+    return [kept[i : i + MAX_PANELS] for i in range(0, len(kept), MAX_PANELS)]
+
+
+def shade_absorption(axes: Axes, low_nm: float, high_nm: float) -> None:
+    """Grey where a gas absorbs."""
+    for start, end, _ in ABSORPTION_BANDS_NM:
+        if end > low_nm and start < high_nm:
+            axes.axvspan(max(start, low_nm), min(end, high_nm), color="#e9e9e9", linewidth=0, zorder=0)
+
+
+def log_ticks(axis: Any) -> None:
+    """Decade ticks with labels that do not crowd."""
+    axis.set_major_locator(LogLocator(base=10, numticks=7))
+    axis.set_major_formatter(LogFormatterSciNotation(base=10))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def robust_limits(values: Sequence[Any], *, zero: bool) -> tuple[float, float] | None:
+    """Limits of an axis that hold all but the extreme values, and 0 if asked; None when there are none."""
+    stack = np.concatenate([np.asarray(v, dtype=float).ravel() for v in values]) if values else np.empty(0)
+    stack = stack[np.isfinite(stack)]
+    if stack.size == 0:
+        return None
+    low, high = (float(x) for x in np.percentile(stack, [0.5, 99.5]))
+    if zero:
+        low, high = min(low, 0.0), max(high, 0.0)
+    margin = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - (margin if low < 0 or not zero else 0.0), high + margin

@@ -1,0 +1,139 @@
+"""The results table as CSV, JSON and JUnit XML.
+
+Floats are written as their shortest exact representation, so reading a file back gives the same
+numbers.  Nothing in these files depends on the time of writing.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import hyperval
+from hyperval.results import COLUMNS, Result, Status
+
+SCHEMA_VERSION = 1
+
+# What XML 1.0 cannot hold at all, not even escaped.
+_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def status_counts(rows: Iterable[Result]) -> dict[str, int]:
+    """Number of rows of each status, every status named."""
+    found = Counter(row.status for row in rows)
+    return {str(status): found[status] for status in Status}
+
+
+def results_csv(rows: Iterable[Result]) -> str:
+    """The table as CSV: the columns ``results.COLUMNS``, an empty cell for NaN and None."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in rows:
+        writer.writerow([_cell(getattr(row, column)) for column in COLUMNS])
+    return out.getvalue()
+
+
+def results_json(rows: Iterable[Result]) -> str:
+    """The table as JSON: a header and the rows; null for NaN, "inf" and "-inf" for infinities."""
+    rows = list(rows)
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "hyperval_version": hyperval.__version__,
+        "counts": status_counts(rows),
+        "columns": list(COLUMNS),
+        "rows": [{column: json_value(getattr(row, column)) for column in COLUMNS} for row in rows],
+    }
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def junit_xml(rows: Iterable[Result]) -> str:
+    """One test case for each row that is not INFO; FAIL, ERROR and SKIPPED with their reason."""
+    suites: dict[str, list[Result]] = {}
+    for row in rows:
+        suites.setdefault(row.campaign, [])
+        if row.status is not Status.INFO:
+            suites[row.campaign].append(row)
+    everything = [row for suite in suites.values() for row in suite]
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', f'<testsuites name="hyperval" {_totals(everything)}>']
+    for campaign, suite in suites.items():
+        lines.append(f" <testsuite name={_attribute(campaign)} {_totals(suite)}>")
+        lines.extend(_test_case(row) for row in suite)
+        lines.append(" </testsuite>")
+    lines.append("</testsuites>")
+    return "\n".join(lines) + "\n"
+
+
+def json_value(value: Any) -> Any:
+    """A value that JSON can hold: NaN becomes null, an infinity its name, anything unknown its text."""
+    if isinstance(value, dict):
+        return {str(key): json_value(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_value(item) for item in value]
+    if value is None or isinstance(value, bool):
+        return value
+    if isinstance(value, str):
+        return str(value)
+    if hasattr(value, "tolist"):  # NumPy scalars and arrays
+        return json_value(value.tolist())
+    if isinstance(value, int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None if math.isnan(value) else str(value)
+    if hasattr(value, "items"):
+        return json_value(dict(value.items()))
+    return str(value)
+
+
+def row_name(row: Result) -> str:
+    """Subject, method, metric and band in one line."""
+    parts = [row.subject, row.method, row.metric]
+    if math.isfinite(row.band_nm):
+        parts.append(f"{row.band_nm:g} nm")
+    return " ".join(part for part in parts if part)
+
+
+def why(row: Result) -> str:
+    """The reason of a row, or its numbers where it states none."""
+    numbers = f"{row.metric} = {row.value:.6g} {row.unit}"
+    if math.isfinite(row.threshold):
+        numbers += f", threshold {row.threshold:.6g}"
+    return f"{row.reason} ({numbers})" if row.reason and math.isfinite(row.value) else row.reason or numbers
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, float) or hasattr(value, "dtype"):
+        number = float(value)
+        if hasattr(value, "dtype") and value.dtype.kind in "iu":
+            return str(int(value))
+        return "" if math.isnan(number) else repr(number)
+    return str(value)
+
+
+def _totals(rows: Sequence[Result]) -> str:
+    count = status_counts(rows)
+    return f'tests="{len(rows)}" failures="{count["FAIL"]}" errors="{count["ERROR"]}" skipped="{count["SKIPPED"]}"'
+
+
+def _test_case(row: Result) -> str:
+    head = f"  <testcase classname={_attribute(f'{row.campaign}.{row.product}')} name={_attribute(row_name(row))}"
+    element = {Status.FAIL: "failure", Status.ERROR: "error", Status.SKIPPED: "skipped"}.get(row.status)
+    if element is None:
+        return head + "/>"
+    reason = row.reason or "no reason given" if row.status is Status.SKIPPED else why(row)
+    return f"{head}><{element} message={_attribute(reason)}/></testcase>"
+
+
+def _attribute(text: str) -> str:
+    return quoteattr(_NOT_XML.sub("\ufffd", text), {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})

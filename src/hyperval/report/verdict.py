@@ -1,0 +1,125 @@
+"""The verdict in words, and numbers as a reader wants them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from hyperval.report.tables import status_counts
+from hyperval.results import Result, Status
+
+# How a row that informs, and does not gate, says that it found a disagreement.
+_DISAGREES = ("disagree", "differ", "inconsistent", "outside")
+_MOST_NAMED = 6
+
+
+def verdict(rows: Iterable[Result]) -> tuple[str, str]:
+    """A tone (agree, disagree, undecided) and one sentence or two.
+
+    "Agrees" needs at least one PASS and neither FAIL nor ERROR.  A row that only informs and whose reason
+    begins with "disagrees", "differs", "inconsistent" or "outside" does not turn the verdict, but is told.
+    """
+    rows = list(rows)
+    count = status_counts(rows)
+    failed = [row for row in rows if row.status is Status.FAIL]
+    broken = [row for row in rows if row.status is Status.ERROR]
+    decided = count["PASS"] + count["FAIL"]
+    if failed:
+        tone = "disagree"
+        words = (
+            f"Does not agree: {count['FAIL']} of {_things(decided, 'gating comparison')} failed ({_named(failed)})."
+        )
+        if count["PASS"]:
+            words += f" {count['PASS']} passed."
+    elif decided and not broken:
+        tone = "agree"
+        where = "where it was checked" if count["SKIPPED"] else "within the stated limits"
+        words = f"Agrees {where}: {_passed(decided)}."
+    elif decided:
+        tone = "undecided"
+        words = f"Not decided: {count['PASS']} passed, but not every planned comparison could be made."
+    else:
+        tone = "undecided"
+        words = "Nothing was checked: no gating comparison was decided."
+    if broken:
+        words += f" {_things(count['ERROR'], 'comparison')} ended in an error ({_named(broken)})."
+    if count["SKIPPED"]:
+        skipped = [row for row in rows if row.status is Status.SKIPPED]
+        words += f" {_things(count['SKIPPED'], 'planned comparison')} skipped ({_named(skipped)})."
+    telling = [row for row in rows if informs_of_disagreement(row)]
+    if telling:
+        words += f" Without gating, {_things(len(telling), 'comparison')} found a disagreement ({_named(telling)})."
+    return tone, words
+
+
+def informs_of_disagreement(row: Result) -> bool:
+    """True for an INFO row whose reason says that the two sides do not agree."""
+    return row.status is Status.INFO and row.reason.lower().startswith(_DISAGREES)
+
+
+def status_words(rows: Iterable[Result]) -> str:
+    """Number of rows by status: "3 passed, 1 failed, 2 skipped, 40 inform"."""
+    count = status_counts(rows)
+    names = {"PASS": "passed", "FAIL": "failed", "ERROR": "in error", "SKIPPED": "skipped", "INFO": "inform"}
+    return ", ".join(f"{count[key]} {name}" for key, name in names.items() if count[key]) or "no rows"
+
+
+def is_per_band(row: Result) -> bool:
+    """True for a row about one band."""
+    return math.isfinite(row.band_nm)
+
+
+def number_text(value: float, spread: float = math.nan) -> str:
+    """``value`` with two digits of its ``spread``, or with four significant digits without one."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    magnitude = abs(value)
+    if value != 0 and not 1e-4 <= magnitude < 1e6:
+        return f"{value:.3g}".replace("-", "−")
+    if math.isfinite(spread) and spread > 0:
+        decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6)
+    elif float(value).is_integer():
+        decimals = 0
+    else:
+        decimals = min(max(3 - math.floor(math.log10(magnitude)), 0), 7)
+    text = f"{value:.{decimals}f}"
+    return text.replace("-", "−")
+
+
+def value_text(row: Result) -> str:
+    """The value of a row with its unit."""
+    text = number_text(row.value, _half_width(row))
+    return text if row.unit in ("1", "") or math.isnan(row.value) else f"{text} {row.unit}"
+
+
+def interval_text(row: Result) -> str:
+    """The interval of a row, empty when it has none."""
+    if math.isnan(row.lower) and math.isnan(row.upper):
+        return ""
+    spread = _half_width(row)
+    return f"{number_text(row.lower, spread)} to {number_text(row.upper, spread)}"
+
+
+def threshold_text(row: Result) -> str:
+    """The threshold of a row, empty when it has none."""
+    return "" if math.isnan(row.threshold) else number_text(row.threshold)
+
+
+def _half_width(row: Result) -> float:
+    return (row.upper - row.lower) / 2
+
+
+def _named(rows: Sequence[Result]) -> str:
+    names = list(dict.fromkeys(" ".join(p for p in (row.product, row.subject, row.method) if p) for row in rows))
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return "; ".join(names[:_MOST_NAMED]) + more
+
+
+def _things(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
+def _passed(decided: int) -> str:
+    return "the one gating comparison passed" if decided == 1 else f"all {decided} gating comparisons passed"

@@ -1,0 +1,277 @@
+"""What is written: complete, self-contained, honest, and the same bytes twice."""
+
+import dataclasses
+import json
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import xarray as xr
+from synthetic_run import NASTY, axis, make_run
+
+from hyperval.products import Observation, Prediction
+from hyperval.report import RunReport, write_index, write_outputs
+from hyperval.results import Result, ResultTable, Status
+
+# Elements that never have an end tag.
+_VOID = {"meta", "img", "br", "link", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """Tags, balanced or not, and the text that a reader sees."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.seen, self.open = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        if tag not in _VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open, f"</{tag}> ends nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.seen.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.seen).split())
+
+
+def written(run, folder):
+    folder.mkdir(parents=True)
+    write_outputs(run, folder)
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture(scope="module")
+def run():
+    return make_run()
+
+
+@pytest.fixture(scope="module")
+def files(run, tmp_path_factory):
+    return written(run, tmp_path_factory.mktemp("report") / "run")
+
+
+@pytest.fixture(scope="module")
+def page(files):
+    return Page(files["report.html"].decode())
+
+
+def test_every_file_of_the_contract_is_there(files):
+    expected = {"results.csv", "results.json", "report.html", "products.nc", "provenance.json", "junit.xml"}
+    expected |= {"scores/yellow_planks-CEM.tif", "scores/yellow_planks-ACE.tif"}
+    expected |= {
+        f"figures/{name}"
+        for name in (
+            "scene.png", "radiance-pair.svg", "radiance-budget.svg", "radiance-eigenvalues.svg", "snr-pair.svg",
+            "reflectance-pair.svg", "roc.svg", "scores.svg", "abundance.svg", "score-map-1.png", "score-map-2.png",
+        )
+    }  # fmt: skip
+    assert set(files) == expected
+
+
+def test_second_write_gives_the_same_bytes(files, run, tmp_path):
+    again = written(run, tmp_path / "again")
+    assert [name for name in files if files[name] != again[name]] == []
+    assert set(files) == set(again)
+
+
+def test_another_process_gives_the_same_bytes(files, tmp_path):
+    """Hash seeds, import order and the user's matplotlib settings change nothing."""
+    (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
+    code = (
+        "import sys; from pathlib import Path; sys.path.insert(0, sys.argv[1])\n"
+        "from synthetic_run import make_run\n"
+        "from hyperval.report import write_outputs; write_outputs(make_run(), Path(sys.argv[2]))"
+    )
+    out = tmp_path / "out"
+    out.mkdir()
+    environment = {**os.environ, "PYTHONHASHSEED": "12345", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc")}
+    subprocess.run([sys.executable, "-c", code, str(Path(__file__).parent), str(out)], check=True, env=environment)
+    again = {str(p.relative_to(out)): p.read_bytes() for p in out.rglob("*") if p.is_file()}
+    assert [name for name in files if files[name] != again.get(name)] == []
+
+
+def test_page_loads_nothing_from_elsewhere(page, files):
+    assert {tag for tag, _ in page.tags}.isdisjoint({"script", "link", "iframe", "object", "embed", "base", "form"})
+    for tag, attributes in page.tags:
+        for name in ("src", "srcset", "href", "data", "poster", "action", "background"):
+            value = attributes.get(name, "data:")
+            assert not re.match(r"(?i)\s*(https?:|//|ftp:|file:|javascript:)", value or ""), (tag, value[:80])
+    text = files["report.html"].decode()
+    assert "url(" not in text
+    assert "@import" not in text
+    assert "default-src 'none'" in text
+
+
+def test_page_is_balanced_and_every_figure_has_alternative_text(page, files):
+    assert page.open == []
+    images = [attributes for tag, attributes in page.tags if tag == "img"]
+    assert len(images) == sum(name.startswith("figures/") for name in files)
+    assert all(len(image["alt"]) > 40 for image in images)
+
+
+def test_simulated_is_said_everywhere(page, files, tmp_path):
+    assert "SIMULATED" in page.text
+    assert b"simulated" in files["report.html"].split(b"</title>")[0]
+    real = make_run(simulated=False, curves=1)
+    folder = tmp_path / "real"
+    folder.mkdir()
+    write_outputs(real, folder)
+    assert "simulated" not in Page((folder / "report.html").read_text()).text.lower()
+
+
+def test_names_are_escaped(tmp_path):
+    bad = Result("invented", NASTY, NASTY, NASTY, NASTY, 0.5, NASTY, status=Status.FAIL, reason=NASTY)
+    nasty = make_run(subjects=(NASTY, "_hidden"), curves=1, rows=[bad])
+    nasty = dataclasses.replace(
+        nasty, title=NASTY, description=NASTY, notes=(NASTY,), references=(NASTY,),
+        provenance={NASTY: NASTY, "inputs": [{"reference": NASTY, "citation": NASTY}]},
+        score_maps={f"../{NASTY}": next(iter(nasty.score_maps.values()))},
+    )  # fmt: skip
+    files = written(nasty, tmp_path / "nasty")
+    text = files["report.html"].decode()
+    assert "<script" not in text
+    assert NASTY in Page(text).text
+    assert all(".." not in name for name in files)
+    assert b"<script" not in files["figures/radiance-pair.svg"]
+
+
+def test_every_failure_is_on_the_page(tmp_path):
+    failures = [
+        Result("invented", "roc", f"target {i}", "CEM", "P_D", 0.25 + i, threshold=0.5, status=Status.FAIL,
+               reason=f"reason {i}") for i in range(70)
+    ]  # fmt: skip
+    failures += [
+        Result("invented", "radiance", "panel", "6S", "z", 3.0, band_nm=400.0 + i, status=Status.FAIL,
+               reason=f"band {i}") for i in range(30)
+    ]  # fmt: skip
+    folder = tmp_path / "failures"
+    text = Page(written(make_run(rows=failures, curves=1), folder)["report.html"].decode()).text
+    for row in failures:
+        assert row.reason in text
+        assert row.subject in text
+    assert "Does not agree" in text
+
+
+def test_falsified_result_turns_the_page(run, tmp_path):
+    assert run.table.exit_code() == 0
+    rows = list(run.table)
+    at = next(i for i, r in enumerate(rows) if r.metric.startswith("median") and r.subject == "grass")
+    rows[at] = dataclasses.replace(rows[at], value=9.0, status=Status.FAIL)
+    turned = dataclasses.replace(run, table=ResultTable(rows), quicklook=None, score_maps={})
+    before = Page(
+        written(dataclasses.replace(run, quicklook=None, score_maps={}), tmp_path / "a")["report.html"].decode()
+    )
+    after = Page(written(turned, tmp_path / "b")["report.html"].decode())
+    assert "Agrees where it was checked" in before.text
+    assert "Agrees" not in after.text
+    assert "Does not agree: 1 of 5 gating comparisons failed (radiance grass 6S)." in after.text
+
+
+def test_page_numbers_are_those_of_the_table(page, run):
+    assert "0.004 to 0.031" in page.text
+    for row in run.table.gates():
+        if np.isfinite(row.value):
+            shown = [float(t.replace("−", "-")) for t in re.findall(r"(?<![\w.])−?\d+\.?\d*(?![\w.])", page.text)]
+            assert any(abs(number - row.value) <= 0.005 for number in shown)
+
+
+def test_per_band_rows_stay_out(page, run):
+    bands = sum(np.isfinite(r.band_nm) for r in run.table)
+    assert f"{bands} rows about single bands are in results.csv" in page.text
+    assert sum(tag == "tr" for tag, _ in page.tags) < 60
+
+
+def test_nothing_at_all_is_undecided(tmp_path):
+    ax = axis(5)
+    for number, sides in enumerate([(None, None), (Prediction(ax), Observation(ax)), (Prediction(ax), None)]):
+        empty = RunReport("empty", "Empty", "", False, ResultTable(), *sides)
+        files = written(empty, tmp_path / str(number))
+        text = Page(files["report.html"].decode()).text
+        assert "Nothing was checked" in text
+        assert "Agrees" not in text
+        assert not any(name.startswith(("figures/", "scores/")) for name in files)
+
+
+@pytest.mark.parametrize("kept", ["prediction", "observation"])
+def test_one_side_alone_is_drawn(run, kept, tmp_path):
+    other = "observation" if kept == "prediction" else "prediction"
+    alone = dataclasses.replace(run, **{other: None}, score_maps={}, quicklook=None)
+    assert "figures/radiance-pair.svg" in written(alone, tmp_path / "alone")
+
+
+def test_large_run_stays_below_five_megabytes(tmp_path):
+    big = make_run(bands=360, subjects=[f"subject {i}" for i in range(12)], curves=12, shape=(300, 300))
+    files = written(big, tmp_path / "big")
+    assert 1_000_000 < len(files["report.html"]) < 5_000_000
+
+
+def test_score_maps_keep_values_and_place(files, run, tmp_path):
+    (tmp_path / "map.tif").write_bytes(files["scores/yellow_planks-CEM.tif"])
+    with rasterio.open(tmp_path / "map.tif") as read:
+        np.testing.assert_array_equal(read.read(1), run.score_maps["yellow planks-CEM"].values.astype(np.float32))
+        assert read.crs.to_epsg() == 32618
+        assert tuple(read.transform)[:6] == (0.5, 0, 287000.0, 0, -0.5, 4781000.0)
+        assert np.isnan(read.nodata)
+        assert read.dtypes == ("float32",)
+
+
+def test_products_file_holds_both_sides(files, run, tmp_path):
+    path = tmp_path / "products.nc"
+    path.write_bytes(files["products.nc"])
+    for group, side in (("predicted", run.prediction), ("observed", run.observation)):
+        with xr.open_dataset(path, group=group, engine="h5netcdf") as data:
+            assert list(data["radiance_subject"].values) == list(side.radiance)
+            grass = side.radiance["grass"]
+            at = list(side.radiance).index("grass")
+            np.testing.assert_array_equal(data["radiance"][at], grass.mean)
+            np.testing.assert_allclose(data["radiance_error_covariance"][at], grass.error_covariance, rtol=1e-7)
+            np.testing.assert_allclose(data["radiance_pixel_covariance"][at], grass.pixel_covariance, rtol=1e-7)
+            np.testing.assert_array_equal(data["radiance_uncertainty_from_aerosol"][at], grass.budget["aerosol"])
+            assert data["radiance"].attrs["units"] == "uW cm-2 sr-1 nm-1"
+            assert all("units" in data[name].attrs for name in data.data_vars)
+            key = next(iter(side.roc))
+            np.testing.assert_array_equal(data["roc_pd"][0], side.roc[key].pd)
+            assert data["roc_subject"].values[0] == key[0]
+
+
+def test_provenance_is_strict_json(files, run):
+    read = json.loads(files["provenance.json"])
+    assert read["seed"] == 7
+    assert read["inputs"][0]["sha256"] == "ab" * 32
+
+
+def test_time_of_writing_only_when_asked(files, run, tmp_path, monkeypatch):
+    assert b"written 20" not in files["report.html"]
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1348142400")
+    small = dataclasses.replace(run, quicklook=None, score_maps={}, prediction=None, observation=None)
+    text = Page(written(small, tmp_path / "dated")["report.html"].decode()).text
+    assert "written 2012-09-20 12:00 UTC" in text
+
+
+def test_index_joins_campaigns(run, tmp_path):
+    failed = Result("second <b>", "roc", "t", "CEM", "P_D", 0.1, status=Status.FAIL, reason="too low")
+    second = RunReport("second <b>", "Second", "", False, ResultTable([failed]))
+    write_index([run, second], tmp_path)
+    page = Page((tmp_path / "report.html").read_text())
+    links = [attributes["href"] for tag, attributes in page.tags if tag == "a"]
+    assert links == ["invented/report.html", "second_b_/report.html"]
+    assert "Does not agree" in page.text
+    assert "too low" in page.text
+    assert "SIMULATED collections among them: invented" in page.text
+    assert len(json.loads((tmp_path / "results.json").read_text())["rows"]) == len(run.table) + 1
+    assert (tmp_path / "junit.xml").read_text().count("<testsuite ") == 2

@@ -1,0 +1,83 @@
+"""CSV, JSON and JUnit are the same table."""
+
+import csv
+import io
+import json
+import math
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from synthetic_run import NASTY, make_run
+
+from hyperval.report.tables import junit_xml, results_csv, results_json
+from hyperval.results import COLUMNS, Result, ResultTable, Status
+
+ODD = Result(
+    NASTY, "radiance", 'comma, "quote"\nline', "", "ratio", 0.1 + 0.2, "1", band_nm=float(np.float64(1) / 3),
+    lower=-math.inf, n=np.int64(3), status=Status.FAIL, reason="µ \x00 ]]> <&>",
+)  # fmt: skip
+
+
+@pytest.fixture
+def table() -> ResultTable:
+    return make_run(rows=[ODD]).table
+
+
+def test_csv_reads_back_exactly(table):
+    rows = list(csv.DictReader(io.StringIO(results_csv(table), newline="")))
+    assert tuple(rows[0]) == COLUMNS
+    assert len(rows) == len(table)
+    for read, row in zip(rows, table, strict=True):
+        for column in COLUMNS:
+            value = getattr(row, column)
+            if isinstance(value, float):
+                got = float(read[column]) if read[column] else math.nan
+                assert got == value or (math.isnan(got) and math.isnan(value)), column
+            elif value is None:
+                assert read[column] == ""
+            elif column == "n":
+                assert int(read[column]) == value
+            else:
+                assert read[column] == str(value)
+
+
+def test_csv_writes_numpy_scalars_as_plain_numbers():
+    text = results_csv([Result("c", "p", "s", "m", "x", np.float64(0.1), n=np.int64(4))])
+    assert text.splitlines()[1] == "c,p,s,m,,x,0.1,1,,,4,,INFO,"
+
+
+def test_json_has_the_same_rows_and_is_strict(table):
+    def refuse(name):
+        raise AssertionError(f"{name} is not JSON")
+
+    document = json.loads(results_json(table), parse_constant=refuse)
+    assert document["counts"] == {"PASS": 5, "FAIL": 1, "ERROR": 0, "SKIPPED": 1, "INFO": 82}
+    assert sum(document["counts"].values()) == len(document["rows"]) == len(table)
+    last = document["rows"][-1]
+    assert last["value"] == ODD.value
+    assert last["upper"] is None
+    assert last["lower"] == "-inf"
+    assert last["n"] == 3
+    assert list(last) == list(COLUMNS)
+
+
+def test_junit_counts_match_the_table(table):
+    table.add(Result("other", "roc", "a", "CEM", "P_D", status=Status.ERROR, reason="singular"))
+    root = ElementTree.fromstring(junit_xml(table))  # noqa: S314 - our own text
+    gates = table.gates()
+    assert int(root.get("tests")) == len(root.findall(".//testcase")) == len(gates)
+    for status, element in ((Status.FAIL, "failure"), (Status.ERROR, "error"), (Status.SKIPPED, "skipped")):
+        found = root.findall(f".//{element}")
+        assert len(found) == len(gates.where(status=status))
+        assert all(item.get("message") for item in found)
+    assert int(root.get("failures")) == 1
+    assert int(root.get("errors")) == 1
+    assert int(root.get("skipped")) == 1
+    assert [suite.get("name") for suite in root] == ["invented", NASTY, "other"]
+    assert "difference ratio 400" not in junit_xml(table), "INFO rows are not test cases"
+
+
+def test_junit_of_an_empty_table_parses():
+    root = ElementTree.fromstring(junit_xml([]))  # noqa: S314 - our own text
+    assert root.get("tests") == "0"

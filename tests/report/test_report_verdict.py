@@ -1,0 +1,76 @@
+"""The verdict says "agrees" only when something passed and nothing failed."""
+
+import math
+
+import pytest
+
+from hyperval.report.verdict import interval_text, number_text, value_text, verdict
+from hyperval.results import Result, Status
+
+
+def row(status, reason="", subject="grass"):
+    return Result("c", "radiance", subject, "6S", "ratio", 0.01, status=status, reason=reason)
+
+
+@pytest.mark.parametrize(
+    ("statuses", "tone"),
+    [
+        ([Status.PASS, Status.PASS], "agree"),
+        ([Status.PASS, Status.SKIPPED], "agree"),
+        ([Status.PASS, Status.FAIL], "disagree"),
+        ([Status.FAIL], "disagree"),
+        ([Status.PASS, Status.ERROR], "undecided"),
+        ([Status.SKIPPED], "undecided"),
+        ([Status.INFO], "undecided"),
+        ([], "undecided"),
+    ],
+)
+def test_tone_follows_the_statuses(statuses, tone):
+    found, words = verdict([row(s) for s in statuses])
+    assert found == tone
+    assert words.startswith("Agrees") == (tone == "agree")
+    assert ("Nothing was checked" in words) == (Status.PASS not in statuses and not {Status.FAIL} & set(statuses))
+
+
+def test_failures_errors_and_skips_are_named():
+    _, words = verdict([row(Status.FAIL, subject="lawn"), row(Status.ERROR, subject="turf"), row(Status.PASS)])
+    assert "lawn" in words
+    assert "turf" in words
+    assert "1 of 2 gating comparisons failed" in words
+
+
+def test_a_falsified_pass_turns_the_verdict():
+    rows = [row(Status.PASS) for _ in range(20)]
+    assert verdict(rows)[0] == "agree"
+    rows[7] = row(Status.FAIL)
+    assert verdict(rows)[0] == "disagree"
+
+
+def test_informing_disagreement_is_told_and_does_not_turn():
+    tone, words = verdict([row(Status.PASS), row(Status.INFO, "disagrees: p = 0.001", "green planks")])
+    assert tone == "agree"
+    assert "found a disagreement (radiance green planks 6S)" in words
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "text"),
+    [
+        (0.123456, math.nan, "0.1235"),
+        (12345.678, math.nan, "12346"),
+        (3.0, math.nan, "3"),
+        (0.123456, 0.01, "0.123"),
+        (-0.5, 0.2, "−0.50"),
+        (1.2e-7, math.nan, "1.2e−07"),
+        (math.nan, math.nan, "–"),
+        (math.inf, math.nan, "∞"),
+        (0.0, math.nan, "0"),
+    ],
+)
+def test_numbers_have_sensible_digits(value, spread, text):
+    assert number_text(value, spread) == text
+
+
+def test_value_and_interval_share_their_digits():
+    r = Result("c", "abundance", "t", "CEM", "area", 8.21234, "m2", lower=7.1, upper=9.4)
+    assert value_text(r) == "8.2 m2"
+    assert interval_text(r) == "7.1 to 9.4"
