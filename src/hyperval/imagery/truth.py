@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,8 @@ class TargetObject:
     side_m : side of the (square) target [m], NaN when only the area is known
     area_m2 : area [m2], NaN when unknown
     mask : (lines, samples) the pixels that may hold a part of it; need not be connected
+    centre_pixel : (line, sample) of the pixel that holds the centre, None where only the mask is known
+    attributes : the columns of the list as text, for grouping
     """
 
     name: str
@@ -38,6 +40,8 @@ class TargetObject:
     side_m: float
     area_m2: float
     mask: Mask
+    centre_pixel: tuple[int, int] | None = None
+    attributes: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_targets(
@@ -108,7 +112,9 @@ def read_targets(
         doubt = number.get("position_uncertainty_m", math.nan)
         if doubt > 0:
             mask = guard(mask, doubt / pixel_size_m)
-        out.append(TargetObject(name, material, width if width == length else math.nan, area, mask))
+        side = width if width == length else math.nan
+        centre = (math.floor(y), math.floor(x))
+        out.append(TargetObject(name, material, side, area, mask, centre, dict(row)))
     if not out:
         raise InputError("the list holds no target", where=str(path))
     return out
@@ -144,7 +150,12 @@ def intersected_objects(
             here = mask & (classes == value)
             if not here.any():
                 raise InputError(f"{material} has no pixel of size class {value}")
-            out.append(TargetObject(f"{material} {side:g} m", material, float(side), float(side) ** 2, here))
+            attributes = {"material": material, "side_m": f"{side:g}"}
+            out.append(
+                TargetObject(
+                    f"{material} {side:g} m", material, float(side), float(side) ** 2, here, attributes=attributes
+                )
+            )
     return out
 
 
