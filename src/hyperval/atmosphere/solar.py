@@ -26,6 +26,7 @@ _FILES = {
 SPECTRA = ("astm-g173", *_FILES)
 _MAX_BYTES = 64 << 20
 _FINE_NM = 0.1
+_REACH_NM = 12.0  # how far the end value of a spectrum may be carried on (TSIS-1 here starts at 350 nm)
 
 
 def parse_utc(text: str) -> datetime:
@@ -76,13 +77,11 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     """
     grid = np.asarray(wavelength_nm, dtype=float)
     source_nm, irradiance = _spectrum(name, os.environ.get("HYPERVAL_DATA", ""))
-    if grid[0] < source_nm[0] or grid[-1] > source_nm[-1]:
-        # The end samples may reach half a step beyond; more than 10 nm is a mistake.
-        if grid[0] < source_nm[0] - 10.0 or grid[-1] > source_nm[-1] + 10.0:
-            raise UsageError(
-                f"the solar spectrum {name} covers {source_nm[0]:g}-{source_nm[-1]:g} nm, "
-                f"not {grid[0]:g}-{grid[-1]:g} nm"
-            )
+    if grid[0] < source_nm[0] - _REACH_NM or grid[-1] > source_nm[-1] + _REACH_NM:
+        raise UsageError(
+            f"the solar spectrum {name} covers {source_nm[0]:g}-{source_nm[-1]:g} nm",
+            expected=f"{grid[0]:g}-{grid[-1]:g} nm",
+        )
     step = np.gradient(grid)
     count = int(np.ceil(2.0 * step.max() / _FINE_NM)) | 1
     offset = np.linspace(-1.0, 1.0, count)

@@ -161,7 +161,9 @@ class AtmosphericState(Model):
         """Solar zenith and azimuth, east of north [deg]."""
         if self.solar_zenith_deg is not None and self.solar_azimuth_deg is not None:
             return self.solar_zenith_deg, self.solar_azimuth_deg
-        assert self.latitude_deg is not None and self.longitude_deg is not None and self.time_utc  # noqa: S101
+        assert self.latitude_deg is not None  # noqa: S101
+        assert self.longitude_deg is not None  # noqa: S101
+        assert self.time_utc is not None  # noqa: S101
         return solar.solar_position(self.latitude_deg, self.longitude_deg, solar.parse_utc(self.time_utc))
 
     @property
@@ -171,7 +173,7 @@ class AtmosphericState(Model):
             return self.earth_sun_distance_au
         if self.day_of_year is not None:
             return solar.distance_on_day(self.day_of_year)
-        assert self.time_utc  # noqa: S101
+        assert self.time_utc is not None  # noqa: S101
         return solar.earth_sun_distance_au(solar.parse_utc(self.time_utc))
 
     @property

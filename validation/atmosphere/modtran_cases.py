@@ -1,0 +1,92 @@
+"""MODTRAN 6 channel files of airborne states, and the same states for hyperval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, read_chn
+from hyperval.spectra.axis import SpectralAxis
+
+ALBEDOS = (0.0, 0.1, 0.5)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One MODTRAN state."""
+
+    name: str
+    path: Path
+    state: AtmosphericState
+    albedos: tuple[float, ...] | None
+
+
+def cases(locate: Callable[[str], Path]) -> Iterator[Case]:
+    """Every airborne state with a stated run template (rural aerosol, midlatitude summer, 0.3 atm cm ozone)."""
+    common = {"ozone_atm_cm": 0.3, "aerosol": "rural", "model": "midlatitude-summer"}
+    folder = "modtran/modtran6_airborne_lut"
+    for aot in (0.05, 0.2):
+        for water in (0.75, 1.25, 2.25):
+            name = f"AOT550-{aot:.4f}_H2OSTR-{water:.4f}"
+            yield Case(
+                f"topoflux {name}",
+                locate(f"{folder}/{name}.chn.gz"),
+                AtmosphericState(
+                    **common, aot550=aot, water_vapour_g_cm2=water,
+                    ground_altitude_km=0.401945, sensor_altitude_km=2.300449,
+                    latitude_deg=34.45333858, longitude_deg=-118.59692454, time_utc="2018-09-11T18:57:00Z",
+                ),
+                ALBEDOS,
+            )  # fmt: skip
+    for sub, aot, water in (
+        ("lut", 0.01, 1.5), ("lut", 0.01, 2.0), ("lut", 0.1, 1.5), ("lut", 0.1, 2.0), ("lut_multi", 0.1, 1.5),
+    ):  # fmt: skip
+        name = f"AOT550-{aot:.4f}_H2OSTR-{water:.4f}"
+        yield Case(
+            f"pasadena {sub} {name}",
+            locate(f"pasadena/{sub}/{name}.chn"),
+            AtmosphericState(
+                **common, aot550=aot, water_vapour_g_cm2=water, ground_altitude_km=0.35, sensor_altitude_km=2.3,
+                latitude_deg=34.139247, longitude_deg=-118.127521, time_utc="2017-11-08T18:42:29Z",
+            ),
+            ALBEDOS if sub == "lut_multi" else None,
+        )  # fmt: skip
+
+
+def matched(case: Case, terms: AtmosphericTerms) -> tuple[AtmosphericTerms, AtmosphericTerms]:
+    """(hyperval, MODTRAN) at the channels, both with the solar spectrum of the file.
+
+    The file gives mu0 E0 / pi averaged over the channel; each term of ours is divided by its own average
+    and multiplied by the file's.
+    """
+    from hyperval.atmosphere.modtran import read_chn_blocks
+
+    block = read_chn_blocks(case.path)[0]
+    reference = read_chn(case.path, case.albedos)
+    axis = SpectralAxis(block.wavelength_nm, np.clip(block.width_nm * 0.9394, 1.0, None))  # Gaussian of equal width
+    ours = terms.at_bands(axis)
+    mu0 = np.cos(np.deg2rad(case.state.sun[0]))
+    from hyperval.atmosphere.solar import extraterrestrial_irradiance
+    from hyperval.spectra.response import band_average
+
+    own = (
+        mu0
+        / np.pi
+        * extraterrestrial_irradiance(case.state.solar_spectrum, terms.wavelength_nm, case.state.distance_au)
+    )
+    ratio = block.unit_radiance / band_average(terms.wavelength_nm, own, axis)
+    return (
+        AtmosphericTerms(
+            ours.wavelength_nm, ours.path_radiance * ratio, ours.direct * ratio, ours.adjacency * ratio,
+            ours.spherical_albedo, ours.ground_irradiance * ratio, ours.gas_transmittance,
+        ),
+        reference,
+    )  # fmt: skip
+
+
+def total_radiance(terms: AtmosphericTerms, rho: float) -> np.ndarray:
+    """At-sensor radiance over uniform ground."""
+    return terms.path_radiance + (terms.direct + terms.adjacency) * rho / (1.0 - terms.spherical_albedo * rho)
