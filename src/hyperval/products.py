@@ -101,12 +101,18 @@ class Abundance:
     n: int | None = None
 
 
+def background_of(subject: str) -> str:
+    """Name under which ``scores`` holds the background's score for the filter of a target subject."""
+    return f"{subject} background"
+
+
 @dataclass(frozen=True)
 class Products:
     """Everything one side says of one scenario or collection.
 
     The keys of ``radiance``, ``snr``, ``reflectance`` are subjects (a class, panel or site); those of
-    ``scores`` are (subject, detector); those of ``roc`` and ``abundance`` are (subject, detector) with
+    ``scores`` are (subject, detector), with the background seen through a target's filter under
+    (:func:`background_of` (subject), detector); those of ``roc`` and ``abundance`` are (subject, detector) with
     the unit kept in the curve, so that (subject, detector, "pixel"|"object") names a curve.
     """
 
