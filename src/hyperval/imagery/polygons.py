@@ -69,7 +69,7 @@ def pixel_mask(rows: npt.ArrayLike, cols: npt.ArrayLike, shape: tuple[int, int],
     if out.any():
         i = int(np.flatnonzero(out)[0])
         raise InputError(
-            f"{int(out.sum())} of {r.size} pixels lie outside the image, first line {r[i]}, sample {c[i]} (0-based)",
+            f"{int(out.sum())} of {r.size} pixels are outside the image, first (line {r[i]}, sample {c[i]})",
             where=where,
             expected=f"lines 0-{shape[0] - 1}, samples 0-{shape[1] - 1}",
         )

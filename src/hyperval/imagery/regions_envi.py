@@ -130,7 +130,7 @@ def ascii_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
         raise InputError("no 'File Dimension' line", where=str(path))
     if len(names) != len(counts) or (announced is not None and announced != len(names)) or sum(counts) != len(rows):
         raise InputError(
-            f"{announced} regions announced, {len(names)} named, with {sum(counts)} points; {len(rows)} points follow",
+            f"{announced} regions announced, {len(names)} named with {sum(counts)} points; {len(rows)} follow",
             where=str(path),
             mend="the file is cut short or was edited: export it again",
         )

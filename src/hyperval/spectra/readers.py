@@ -1,0 +1,145 @@
+"""Field spectra and library spectra, from the files of the usual instruments and programs.
+
+The format is known from the content of a file.  Units are taken from the file or from the caller
+and never guessed; where detectors overlap, each join is cut in its middle.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hyperval.errors import InputError, UsageError
+from hyperval.paths import checked_file
+from hyperval.spectra import readers_asd, readers_instruments, readers_library, readers_text
+from hyperval.spectra.readers_record import MAX_BYTES, FieldSpectrum, Record, finished, mean_of
+
+__all__ = ["FieldSpectrum", "read_records", "read_spectrum"]
+
+
+def read_spectrum(
+    path: Path | str,
+    *,
+    record: str | int | None = None,
+    quantity: str = "reflectance",
+    wavelength_unit: str | None = None,
+    reflectance_unit: str | None = None,
+    unit: str | None = None,
+    columns: tuple[str | int, ...] | None = None,
+    root: Path | None = None,
+) -> FieldSpectrum:
+    """Read one spectrum.
+
+    Parameters
+    ----------
+    path : text or CSV, ENVI ASCII plot, ECOSTRESS text, ENVI spectral library (data or header), SVC .sig,
+        Spectral Evolution .sed, ASD binary
+    record : which spectrum of a file with several: its name, a part that only one name has, its number
+        from 0, or "mean" for mean, standard deviation and number of all
+    quantity : "reflectance" (values are handed out as fractions), "radiance" (uW cm-2 sr-1 nm-1; ``unit``
+        must be given) or "other" (as in the file)
+    wavelength_unit : nm or um where the file states none; must agree with the file otherwise
+    reflectance_unit : "fraction", "percent" or "scaled:F" (divided by F) where the file states none
+    unit : unit of a radiance
+    columns : (wavelength, value) or (wavelength, value, standard deviation) of a text file, by name or
+        by number from 0
+    root : folder that the file must lie in
+
+    Raises
+    ------
+    InputError : missing, too large (10 MB, 100,000 rows), not understood, or implausible values.
+    UsageError : a unit that nobody states, an unknown record, or one of several not chosen.
+    """
+    path = checked_file(path, root=root, what="spectrum file")
+    records = _records(path, columns, root)
+    chosen = _chosen(records, record, str(path))
+    return finished(
+        chosen,
+        quantity=quantity,
+        wavelength_unit=wavelength_unit,
+        reflectance_unit=reflectance_unit,
+        unit=unit,
+    )
+
+
+def read_records(
+    path: Path | str,
+    *,
+    quantity: str = "reflectance",
+    wavelength_unit: str | None = None,
+    reflectance_unit: str | None = None,
+    unit: str | None = None,
+    root: Path | None = None,
+) -> list[FieldSpectrum]:
+    """Read every spectrum of a file, by the rules of :func:`read_spectrum`."""
+    path = checked_file(path, root=root, what="spectrum file")
+    return [
+        finished(
+            record,
+            quantity=quantity,
+            wavelength_unit=wavelength_unit,
+            reflectance_unit=reflectance_unit,
+            unit=unit,
+        )
+        for record in _records(path, None, root)
+    ]
+
+
+def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None) -> list[Record]:
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise InputError(f"{size} bytes", where=str(path), expected=f"a spectrum file of at most {MAX_BYTES} bytes")
+    raw = path.read_bytes()
+    if not raw.strip():
+        raise InputError("the file is empty", where=str(path))
+    head = raw[:4096].lstrip(b"\xef\xbb\xbf")
+    if readers_asd.is_asd(raw):
+        return [readers_asd.asd_record(raw, path)]
+    if head.startswith(b"ENVI ASCII Plot File"):
+        return readers_text.plot_records(decoded(raw), path)
+    if head.startswith(b"ENVI") and head[4:5] in (b"\r", b"\n", b" "):
+        return readers_library.library_records(path, None, root)
+    if head.startswith(b"/*** Spectra Vista"):
+        return [readers_instruments.svc_record(decoded(raw), path)]
+    if b"Instrument:" in head and b"Columns [" in head:
+        return [readers_instruments.sed_record(decoded(raw), path)]
+    # A table may lie beside a cube of the same name, whose header is not its own.
+    header = None if path.suffix.lower() in (".txt", ".csv") else readers_library.library_header(path)
+    if header is not None:
+        return readers_library.library_records(path, header, root)
+    if b"\0" in head:
+        raise InputError(
+            "a binary file of unknown format",
+            where=str(path),
+            expected="text, ENVI spectral library with its header, ASD, SVC .sig or Spectral Evolution .sed",
+        )
+    return readers_text.text_records(decoded(raw), path, columns)
+
+
+def decoded(raw: bytes) -> str:
+    """Text in UTF-8 (with or without mark) or else Latin-1."""
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def _chosen(records: list[Record], record: str | int | None, where: str) -> Record:
+    names = ", ".join(repr(r.name) for r in records[:40])
+    if record is None:
+        if len(records) > 1:
+            raise UsageError(
+                f"the file holds {len(records)} spectra", where=where, expected=f"record: one of {names}, or 'mean'"
+            )
+        return records[0]
+    if isinstance(record, int):
+        if not 0 <= record < len(records):
+            raise UsageError(f"no record {record}", where=where, expected=f"0 to {len(records) - 1}")
+        return records[record]
+    exact = [r for r in records if r.name == record]
+    if not exact and record == "mean":
+        return mean_of(records)
+    found = exact or [r for r in records if record.lower() in r.name.lower()]
+    if len(found) != 1:
+        what = f"{len(found)} records match {record!r}" if found else f"no record {record!r}"
+        raise UsageError(what, where=where, expected=f"one of {names}")
+    return found[0]

@@ -1,0 +1,89 @@
+"""ASD binary files: reflectance as the stored spectrum over the stored reference.
+
+Layout (little-endian): 484 bytes of header, with the data type at 186, first wavelength and step at
+191 and 195, data format at 199, number of channels at 204; the spectrum; from version 2 on a
+reference block of a flag, two times, a description with its length, and the reference spectrum.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import InputError
+from hyperval.spectra.readers_record import Record
+
+_VERSIONS = (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
+_FORMATS = {0: "<f4", 1: "<i4", 2: "<f8"}
+_TYPES = {
+    0: "raw counts", 1: "reflectance", 2: "radiance", 3: "no units", 4: "irradiance", 5: "quality index",
+    6: "transmittance", 7: "unknown", 8: "absolute reflectance",
+}  # fmt: skip
+HEADER_BYTES = 484
+MAX_CHANNELS = 10_000
+
+
+def is_asd(raw: bytes) -> bool:
+    """True when the content is that of an ASD binary file."""
+    return raw[:3] in _VERSIONS and len(raw) > HEADER_BYTES and b"\0" in raw[3:HEADER_BYTES]
+
+
+def asd_record(raw: bytes, path: Path) -> Record:
+    """Reflectance (relative to the white reference) of an ASD file.
+
+    Raises
+    ------
+    InputError : cut short, a data type other than raw counts or reflectance, or no reference in it.
+    """
+    where = str(path)
+    kind = raw[186]
+    first, step = struct.unpack_from("<2f", raw, 191)
+    channels = struct.unpack_from("<H", raw, 204)[0]
+    if raw[199] not in _FORMATS or not 2 <= channels <= MAX_CHANNELS or not (np.isfinite(first) and step > 0):
+        raise InputError("the ASD header is not valid", where=where)
+    if kind not in (0, 1):
+        raise InputError(
+            f"the file holds {_TYPES.get(kind, 'unknown data')}",
+            where=where,
+            expected="reflectance, or raw counts with their white reference",
+            mend="export the reflectance as text",
+        )
+    dtype = np.dtype(_FORMATS[raw[199]])
+    spectrum = _array(raw, HEADER_BYTES, channels, dtype, where)
+    wavelength = first + step * np.arange(channels, dtype=float)
+    note: tuple[str, ...] = ()
+    if raw[:3] == b"ASD":  # version 1 stores the reflectance itself and no reference
+        if kind == 0:
+            raise InputError("raw counts without a white reference", where=where)
+    else:
+        at = HEADER_BYTES + channels * dtype.itemsize
+        if len(raw) < at + 20:
+            raise InputError("the ASD file is cut short", where=where)
+        flag, length = struct.unpack_from("<H", raw, at)[0], struct.unpack_from("<H", raw, at + 18)[0]
+        if not flag:
+            raise InputError(
+                "the file holds no white reference", where=where, mend="export the reflectance as text"
+            )
+        reference = _array(raw, at + 20 + length, channels, dtype, where)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spectrum = np.where(reference != 0, spectrum / reference, np.nan)
+        note = ("reflectance is the stored spectrum over the stored white reference",)
+    return Record(
+        name=path.stem,
+        wavelength=wavelength,
+        values=spectrum,
+        where=where,
+        wavelength_unit="nm",
+        reflectance_unit="fraction",
+        quantity="reflectance",
+        notes=note,
+    )
+
+
+def _array(raw: bytes, at: int, count: int, dtype: np.dtype, where: str) -> npt.NDArray[np.float64]:
+    if len(raw) < at + count * dtype.itemsize:
+        raise InputError("the ASD file is cut short", where=where)
+    return np.frombuffer(raw, dtype, count, at).astype(float)

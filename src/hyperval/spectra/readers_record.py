@@ -1,0 +1,238 @@
+"""What every reader of spectra hands over, and the checks that all of them share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import InputError, UsageError
+from hyperval.units import radiance_to_internal, wavelength_to_nm
+
+Array = npt.NDArray[np.float64]
+
+MAX_BYTES = 10_000_000
+MAX_ROWS = 100_000
+PLAUSIBLE_NM = (100.0, 100_000.0)
+PLAUSIBLE_REFLECTANCE = 1.5  # median above this: not a fraction
+DELETED = -1e30  # libraries mark deleted channels by -1.23e34
+MAX_JOINS = 4  # backward jumps of the wavelength: more is not a set of detectors
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSpectrum:
+    """One spectrum with what the file says of its spread.
+
+    Attributes
+    ----------
+    name : as in the file, or the file's name
+    wavelength_nm : (n,) strictly increasing [nm]
+    values : (n,) reflectance as a fraction, radiance in uW cm-2 sr-1 nm-1, or as in the file
+    standard_deviation : (n,) of the replicates behind the mean, in the unit of ``values``; None if unknown
+    n : number of replicates, None if unknown
+    source : the file
+    quantity : "reflectance", "radiance" or "other"
+    notes : what was converted, cut or left out
+    """
+
+    name: str
+    wavelength_nm: Array
+    values: Array
+    standard_deviation: Array | None
+    n: int | None
+    source: str
+    quantity: str = "reflectance"
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A spectrum as it stands in a file; units are None where the file states none."""
+
+    name: str
+    wavelength: Array
+    values: Array
+    where: str
+    standard_deviation: Array | None = None
+    n: int | None = None
+    wavelength_unit: str | None = None
+    reflectance_unit: str | None = None
+    quantity: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+def reflectance_factor(unit: str) -> float:
+    """What multiplies a reflectance in ``unit`` ("fraction", "percent", "scaled:F") to give a fraction."""
+    if unit in ("fraction", "1"):
+        return 1.0
+    if unit in ("percent", "%"):
+        return 0.01
+    head, _, tail = unit.partition(":")
+    try:
+        scale = float(tail)
+    except ValueError:
+        scale = float("nan")
+    if head.strip() != "scaled" or not (np.isfinite(scale) and scale > 0):
+        raise UsageError(f"unknown reflectance unit {unit!r}", expected="fraction, percent or scaled:10000")
+    return 1.0 / scale
+
+
+def finished(
+    record: Record,
+    *,
+    quantity: str,
+    wavelength_unit: str | None,
+    reflectance_unit: str | None,
+    unit: str | None = None,
+) -> FieldSpectrum:
+    """Convert units, put wavelengths in order, and refuse what cannot be true."""
+    if quantity not in ("reflectance", "radiance", "other"):
+        raise UsageError(f"unknown quantity {quantity!r}", expected="reflectance, radiance or other")
+    if record.quantity is not None and quantity not in ("other", record.quantity):
+        raise InputError(f"the file holds {record.quantity}, not {quantity}", where=record.where)
+    record = in_nm(record, wavelength_unit)
+    record = ordered(without_gaps(record))
+    factor = 1.0
+    if quantity == "radiance":
+        if unit is None:
+            raise UsageError("the unit of the radiance is not stated", where=record.where, mend="state unit:")
+        factor = radiance_to_internal(unit)
+    elif quantity == "reflectance":
+        factor = _reflectance(record, reflectance_unit)
+    spread = record.standard_deviation
+    if spread is not None and np.any(spread < 0):
+        raise InputError("standard deviations below 0", where=record.where)
+    notes = record.notes if factor == 1.0 else (*record.notes, f"values x {factor:g}")
+    return FieldSpectrum(
+        record.name,
+        record.wavelength,
+        record.values * factor,
+        None if spread is None else spread * factor,
+        record.n,
+        record.where,
+        quantity,
+        notes,
+    )
+
+
+def in_nm(record: Record, given: str | None) -> Record:
+    """The record with wavelengths in nm; UsageError when the unit is not stated or cannot be true."""
+    values = record.wavelength
+    if record.wavelength_unit is None and given is None:
+        raise UsageError(
+            f"the file does not say whether its wavelengths ({values.min():g} to {values.max():g}) are in nm or um",
+            where=record.where,
+            expected=f"nm, or um (then they are {values.min() * 1e3:g} to {values.max() * 1e3:g} nm)",
+            mend="state wavelength_unit",
+        )
+    unit = record.wavelength_unit or given or ""
+    factor = wavelength_to_nm(unit)
+    if given is not None and wavelength_to_nm(given) != factor:
+        raise UsageError(f"the file states wavelengths in {unit}, the caller in {given}", where=record.where)
+    nm = values * factor
+    low, high = PLAUSIBLE_NM
+    if not np.all(np.isfinite(nm)) or nm.min() < low or nm.max() > high:
+        raise UsageError(
+            f"wavelengths from {values.min():g} to {values.max():g} cannot be in {unit}",
+            where=record.where,
+            expected=f"{low:g} to {high:g} nm",
+            mend="correct wavelength_unit (nm or um)",
+        )
+    return replace(record, wavelength=nm, wavelength_unit="nm")
+
+
+def without_gaps(record: Record) -> Record:
+    """The record without channels that hold no value (NaN, or the mark of a deleted channel)."""
+    keep = np.isfinite(record.values) & (record.values > DELETED)
+    if record.standard_deviation is not None:
+        keep &= np.isfinite(record.standard_deviation)
+    if keep.all():
+        return record
+    if keep.sum() < 2:
+        raise InputError("fewer than two channels hold a value", where=record.where)
+    return _kept(record, np.flatnonzero(keep), f"{int((~keep).sum())} channels without a value left out")
+
+
+def ordered(record: Record) -> Record:
+    """The record in strictly increasing wavelength.
+
+    A file in falling order is turned round.  Where the wavelength jumps back, a new detector begins:
+    of the range that both cover, the lower half is taken from the earlier detector, the upper half
+    from the later one.
+    """
+    w = record.wavelength
+    if w.size < 2:
+        raise InputError(f"a spectrum of {w.size} channels", where=record.where, expected="at least two")
+    step = np.diff(w)
+    if np.all(step > 0):
+        return record
+    if np.all(step < 0):
+        return _kept(record, np.arange(w.size)[::-1], "wavelengths fall in the file: turned round")
+    starts = [0, *(np.flatnonzero(step <= 0) + 1).tolist(), w.size]
+    parts = [np.arange(a, b) for a, b in pairwise(starts)]
+    if len(parts) - 1 > MAX_JOINS:
+        raise InputError(
+            f"wavelengths jump back {len(parts) - 1} times, first to {w[starts[1]]:g} nm",
+            where=record.where,
+            expected="increasing wavelengths, or up to five detectors one after the other",
+        )
+    cuts = []
+    for i in range(len(parts) - 1):
+        before, after = parts[i], parts[i + 1]
+        if not (w[before[0]] < w[after[0]] <= w[before[-1]] < w[after[-1]]):
+            raise InputError(
+                f"wavelengths jump back from {w[before[-1]]:g} to {w[after[0]]:g} nm, not as where detectors overlap",
+                where=record.where,
+            )
+        cut = 0.5 * (w[before[-1]] + w[after[0]])
+        cuts.append(cut)
+        parts[i] = before[w[before] <= cut]
+        parts[i + 1] = after[w[after] > cut]
+    index = np.concatenate(parts)
+    joined = ", ".join(f"{c:.1f}" for c in cuts)
+    return _kept(record, index, f"overlapping detectors joined at {joined} nm")
+
+
+def mean_of(records: list[Record]) -> Record:
+    """Mean, standard deviation (n - 1) and number of replicates on one wavelength grid."""
+    first = records[0]
+    if len(records) < 2 or any(not np.array_equal(r.wavelength, first.wavelength) for r in records):
+        raise UsageError("a mean needs two or more spectra on the same wavelengths", where=first.where)
+    values = np.stack([r.values for r in records])
+    return replace(
+        first,
+        name="mean",
+        values=values.mean(axis=0),
+        standard_deviation=values.std(axis=0, ddof=1),
+        n=len(records),
+    )
+
+
+def _reflectance(record: Record, given: str | None) -> float:
+    stated = record.reflectance_unit
+    if stated is not None and given is not None and reflectance_factor(stated) != reflectance_factor(given):
+        raise UsageError(f"the file states reflectance in {stated}, the caller in {given}", where=record.where)
+    factor = reflectance_factor(stated or given or "fraction")
+    middle = float(np.median(record.values)) * factor
+    if middle > PLAUSIBLE_REFLECTANCE:
+        name = "scaled:10000" if middle > 150.0 else "percent"
+        raise InputError(
+            f"half of the reflectances exceed {middle:.4g}: the spectrum looks like {name}",
+            where=record.where,
+            expected="reflectance as a fraction",
+            mend=f"state reflectance_unit: {name}",
+        )
+    return factor
+
+
+def _kept(record: Record, index: npt.NDArray[np.intp], note: str) -> Record:
+    spread = record.standard_deviation
+    return replace(
+        record,
+        wavelength=record.wavelength[index],
+        values=record.values[index],
+        standard_deviation=None if spread is None else spread[index],
+        notes=(*record.notes, note),
+    )

@@ -1,0 +1,207 @@
+"""Spectra in text: columns by commas, blanks, tabs or semicolons under any header; ENVI plots; ECOSTRESS."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import InputError, UsageError
+from hyperval.spectra.readers_record import MAX_ROWS, Record
+
+Array = npt.NDArray[np.float64]
+MAX_HEADER_LINES = 1000
+MAX_COLUMNS = 2000
+
+_NUMBER = re.compile(r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
+_SPREAD = re.compile(r"stand\w*[ _.]*dev|std|(?<![a-z])sd(?![a-z])|sigma|uncertainty", re.IGNORECASE)
+_WAVE = re.compile(r"wave|wvl|lambda", re.IGNORECASE)
+_NM = re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE)
+_UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
+
+
+def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = None) -> list[Record]:
+    """Spectra of a text file: the first column is the wavelength, the others values.
+
+    A column whose title says standard deviation belongs to the one before it; a column that repeats the
+    wavelengths is left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
+    """
+    header, table, first_line = number_table(text, path)
+    titles = _titles(header, table.shape[1])
+    where = str(path)
+    if columns is not None:
+        picked = [_column(c, titles, where) for c in columns]
+        if len(picked) not in (2, 3):
+            raise UsageError(
+                "columns are (wavelength, value) or (wavelength, value, standard deviation)", where=where
+            )
+        table, titles = table[:, picked], [titles[i] for i in picked]
+        spread = {1: 2} if len(picked) == 3 else {}
+    else:
+        spread = {}
+        for i in range(2, len(titles)):
+            if _SPREAD.search(titles[i]) and i - 1 not in spread.values():
+                spread[i - 1] = i
+    if table.shape[1] < 2:
+        raise InputError(
+            "a single column", where=f"{path}:{first_line}", expected="a wavelength and a value in every row"
+        )
+    whole = "\n".join(header)
+    unit = _stated(titles[0], whole)
+    count = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole)
+    wavelength = table[:, 0]
+    records = []
+    for i in range(1, table.shape[1]):
+        if i in spread.values() or (i > 1 and np.array_equal(table[:, i], wavelength)):
+            continue
+        y_units = re.search(r"^\W*Y Units?\s*:(.*)$", whole, re.IGNORECASE | re.MULTILINE)
+        name = re.search(r"^\W*Name\s*:\s*(\S.*)$", whole, re.IGNORECASE | re.MULTILINE)
+        records.append(
+            Record(
+                name=titles[i] or (name.group(1).strip() if name else ""),
+                wavelength=wavelength,
+                values=table[:, i],
+                where=where,
+                standard_deviation=table[:, spread[i]] if i in spread else None,
+                n=int(count.group(1)) if count else None,
+                wavelength_unit=unit,
+                reflectance_unit=reflectance_unit_in(y_units.group(1) if y_units else titles[i]),
+            )
+        )
+    if len(records) == 1:
+        only = records[0]
+        records[0] = Record(**{**only.__dict__, "name": path.stem if only.name in ("", *titles) else only.name})
+        return records
+    return [Record(**{**r.__dict__, "name": r.name or f"column {k + 1}"}) for k, r in enumerate(records)]
+
+
+def plot_records(text: str, path: Path) -> list[Record]:
+    """Spectra of an ENVI ASCII plot file; it states no unit of the wavelengths unless the title does."""
+    header, table, _ = number_table(text, path)
+    titles = {}
+    for line in header:
+        found = re.match(r"^Column ([0-9]+):\s*(.*?)(~~[0-9]+)?\s*$", line)
+        if found:
+            titles[int(found.group(1)) - 1] = found.group(2)
+    if sorted(titles) != list(range(table.shape[1])) or table.shape[1] < 2:
+        raise InputError(f"{len(titles)} titles for {table.shape[1]} columns", where=str(path))
+    return [
+        Record(
+            name=titles[i],
+            wavelength=table[:, 0],
+            values=table[:, i],
+            where=str(path),
+            wavelength_unit=_stated(titles[0], ""),
+            reflectance_unit=reflectance_unit_in(titles[i]),
+        )
+        for i in range(1, table.shape[1])
+    ]
+
+
+def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Array, int]:
+    """Header lines, the (rows, columns) numbers below them, and the line where the numbers begin.
+
+    Raises
+    ------
+    InputError : no numbers, rows of different length, text among the numbers, or too many rows.
+    """
+    header: list[str] = []
+    rows: list[list[float]] = []
+    start = 0
+    for number, line in enumerate(text.splitlines(), start=first):
+        if not line.strip():
+            continue
+        cells = _cells(line)
+        numbers = len(cells) > 0 and all(_NUMBER.match(c) for c in cells)
+        if not rows and not (numbers and (len(cells) > 1 or not header or _only_number(line))):
+            header.append(line.strip())
+            if len(header) > MAX_HEADER_LINES:
+                raise InputError(f"no numbers in the first {MAX_HEADER_LINES} lines", where=str(path))
+            continue
+        if not numbers:
+            raise InputError(
+                f"not a row of numbers: {line.strip()[:60]!r}",
+                where=f"{path}:{number}",
+                expected="one row of numbers per channel",
+            )
+        if rows and len(cells) != len(rows[0]):
+            raise InputError(
+                f"{len(cells)} columns", where=f"{path}:{number}", expected=f"{len(rows[0])}, as above"
+            )
+        if len(rows) >= MAX_ROWS or len(cells) > MAX_COLUMNS:
+            raise InputError(f"more than {MAX_ROWS} rows or {MAX_COLUMNS} columns", where=f"{path}:{number}")
+        start = start or number
+        rows.append([float(c.replace("d", "e").replace("D", "e")) for c in cells])
+    if not rows:
+        raise InputError("the file holds no numbers", where=str(path))
+    return header, np.array(rows), start
+
+
+def reflectance_unit_in(title: str) -> str | None:
+    """The reflectance unit that a column title states, None when it states none."""
+    if re.search(r"%\s*\*\s*100", title):
+        return "scaled:10000"
+    if "%" in title or re.search(r"percent", title, re.IGNORECASE):
+        return "percent"
+    if re.search(r"\[1(\.0)?\]|fraction", title, re.IGNORECASE):
+        return "fraction"
+    return None
+
+
+def _cells(line: str) -> list[str]:
+    text = line.strip()
+    if ";" in text:  # as spreadsheets export where the comma is the decimal sign
+        cells = [c.strip() for c in text.rstrip(";").split(";")]
+        return [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in cells]
+    blanks = text.split()
+    if len(blanks) > 1 and all(_DECIMAL_COMMA.match(c) for c in blanks):
+        return [c.replace(",", ".") for c in blanks]
+    return [c for c in re.split(r"[,\s]+", text) if c]
+
+
+def _only_number(line: str) -> bool:
+    return bool(_NUMBER.match(line.strip()))
+
+
+def _titles(header: list[str], count: int) -> list[str]:
+    """Titles of the columns from the last header line; "" where it does not fit."""
+    if not header:
+        return [""] * count
+    line = header[-1].lstrip("#;%/ \t")
+    best: list[str] = []
+    for pattern in (";", "\t", ",", r"\s{2,}", r"\s+"):
+        parts = [p.strip().strip('"') for p in re.split(pattern, line)]
+        if len(parts) == count:
+            return parts
+        if len(parts) > count and pattern in (";", "\t", ",") and not best and _WAVE.search(parts[0]):
+            best = parts[:count]
+    return best or [""] * count
+
+
+def _stated(title: str, header: str) -> str | None:
+    """Wavelength unit in the title of the first column, else in an "X Units" or "Wavelength" header line."""
+    lines = [title] + [
+        line
+        for line in header.splitlines()
+        if re.match(r"^\W*(X Units?|Wavelength units?)\s*[:=]", line, re.IGNORECASE)
+    ]
+    for line in lines:
+        nm, um = bool(_NM.search(line)), bool(_UM.search(line))
+        if nm != um:
+            return "nm" if nm else "um"
+    return None
+
+
+def _column(wanted: str | int, titles: list[str], where: str) -> int:
+    if isinstance(wanted, int):
+        if not 0 <= wanted < len(titles):
+            raise UsageError(f"no column {wanted}", where=where, expected=f"0 to {len(titles) - 1}")
+        return wanted
+    if titles.count(wanted) != 1:
+        raise UsageError(
+            f"no column {wanted!r}", where=where, expected="one of " + ", ".join(t or "?" for t in titles)
+        )
+    return titles.index(wanted)
