@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dpocon
 
 from hyperval.errors import UsageError
 
@@ -32,7 +33,7 @@ class LinearFilter:
     weights : (B,) per unit of the data
     offset : what is subtracted from weights . x [1]; the score of the background mean is 0 for the
         matched filter, the offset is 0 for the correlation reading
-    condition : 2-norm condition number of the matrix that was inverted, after scaling to unit diagonal
+    condition : estimated 1-norm condition number of the inverted matrix, scaled to unit diagonal
     """
 
     weights: Array
@@ -138,21 +139,22 @@ def solve_positive_definite(matrix: Array, right: Array) -> tuple[Array, float]:
         )
     scale = 1.0 / np.sqrt(diagonal)
     scaled = matrix * scale[:, None] * scale[None, :]
-    eigenvalues = np.linalg.eigvalsh(scaled)
-    smallest, largest = float(eigenvalues[0]), float(eigenvalues[-1])
-    condition = largest / smallest if smallest > 0 else float("inf")
-    if condition > MAX_CONDITION:
-        rank = int(np.sum(eigenvalues > largest * bands * np.finfo(float).eps))
+    condition = float("inf")
+    try:
+        factor = cho_factor(scaled, lower=True)
+        reciprocal, _ = dpocon(factor[0], np.abs(scaled).sum(axis=0).max(), uplo="L")
+        condition = 1.0 / reciprocal if reciprocal > 0 else condition
+    except LinAlgError:
+        factor = None
+    if factor is None or condition > MAX_CONDITION:
+        eigenvalues = np.linalg.eigvalsh(scaled)
+        rank = int(np.sum(eigenvalues > eigenvalues[-1] * bands * np.finfo(float).eps))
         raise UsageError(
             f"the background matrix is singular to working precision: rank {rank} of {bands} bands, "
             f"condition number {condition:.3g}",
             expected="more background pixels than bands, and bands that are not copies of each other",
             mend="use fewer bands or features (PCA), more pixels, or add the sensor noise",
         )
-    try:
-        factor = cho_factor(scaled, lower=True)
-    except LinAlgError as error:  # pragma: no cover - the condition test above comes first
-        raise UsageError(f"the background matrix is not positive definite: {error}") from error
     return np.asarray(cho_solve(factor, right * scale) * scale), condition
 
 

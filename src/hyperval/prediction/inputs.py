@@ -1,0 +1,148 @@
+"""From the sources a scenario names to arrays on the axis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+from hyperval.scenario import CovarianceSource, SpectrumSource, Surface
+from hyperval.scene.builtin import builtin_class
+from hyperval.scene.statistics import ClassStatistics
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.response import band_average
+
+Array = npt.NDArray[np.float64]
+Resolve = Callable[[str], Path]
+
+
+@dataclass(frozen=True)
+class SurfaceStatistics:
+    """A surface on the axis; bands that its source does not cover are NaN in ``mean``.
+
+    Attributes
+    ----------
+    mean : (B,) reflectance [1]
+    covariance : (B, B), zero where nothing is known of the spread
+    standard_deviation : (B,) that a spectrum's file carries, None without
+    n : samples behind it
+    """
+
+    name: str
+    mean: Array
+    covariance: Array
+    source: str
+    tail_dof: float | None = None
+    standard_deviation: Array | None = None
+    n: int | None = None
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where spectra come from: the axis, statistics handed in, and how file names become paths."""
+
+    axis: SpectralAxis
+    measured: Mapping[str, ClassStatistics]
+    resolve: Resolve
+
+    def surface(self, surface: Surface) -> SurfaceStatistics:
+        """Mean and covariance of one surface of the scene (rho_m, Sigma_m of 3.8-3.12).
+
+        Raises
+        ------
+        UsageError : unknown built-in, or a measured region that was not handed in.
+        """
+        base = self.spectrum(surface.spectrum, surface.name)
+        if surface.covariance is None:
+            return base
+        covariance = self._covariance(surface.covariance, base.mean, surface.name)
+        return SurfaceStatistics(
+            surface.name, base.mean, covariance, base.source, base.tail_dof, base.standard_deviation, base.n
+        )
+
+    def spectrum(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
+        """The statistics that a spectrum source brings along."""
+        bands = len(self.axis)
+        if source.builtin is not None:
+            found = builtin_class(source.builtin, self.axis)
+            return SurfaceStatistics(name, found.mean, found.covariance, found.source)
+        if source.measured is not None:
+            known = self._measured(source.measured, name)
+            return SurfaceStatistics(
+                name, known.mean, known.covariance, known.source or "measured", known.tail_dof, None, known.n
+            )
+        if source.constant is not None:
+            flat = np.full(bands, source.constant)
+            return SurfaceStatistics(name, flat, np.zeros((bands, bands)), "constant reflectance")
+        return self._from_file(source, name)
+
+    def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
+        from hyperval.spectra.readers import read_spectrum
+
+        read = read_spectrum(
+            self.resolve(str(source.file)),
+            record=source.record,
+            wavelength_unit=source.wavelength_unit,
+            reflectance_unit=source.reflectance_unit,
+        )
+        mean = _on_bands(read.wavelength_nm, read.values, self.axis)
+        if not np.any(np.isfinite(mean)):
+            raise UsageError(
+                f"the spectrum of {name!r} ({source.file}) covers none of the bands",
+                expected=f"samples between {self.axis.centre_nm[0]:g} and {self.axis.centre_nm[-1]:g} nm",
+            )
+        spread = None
+        if read.standard_deviation is not None:
+            spread = _on_bands(read.wavelength_nm, read.standard_deviation, self.axis)
+        zero = np.zeros((len(self.axis), len(self.axis)))
+        return SurfaceStatistics(name, mean, zero, str(source.file), None, spread, read.n)
+
+    def _measured(self, region: str, name: str) -> ClassStatistics:
+        if region not in self.measured:
+            raise UsageError(
+                f"{name!r} takes the measured statistics of region {region!r}, which were not handed in",
+                expected="one of " + (", ".join(self.measured) or "none"),
+                mend="run it from a campaign whose collection has that region, or name another spectrum",
+            )
+        found = self.measured[region]
+        if not found.axis.matches(self.axis):
+            raise UsageError(f"the statistics of region {region!r} do not stand on the bands of the prediction")
+        return found
+
+    def _covariance(self, source: CovarianceSource, mean: Array, name: str) -> Array:
+        if source.builtin is not None:
+            return builtin_class(source.builtin, self.axis).covariance
+        if source.measured is not None:
+            return self._measured(source.measured, name).covariance
+        sd = (source.relative_sd or 0.0) * np.nan_to_num(mean)
+        return np.outer(sd, sd) * correlation(self.axis, source.correlation_nm) + source.band_sd**2 * np.eye(
+            mean.size
+        )
+
+
+def correlation(axis: SpectralAxis, length_nm: float | None) -> Array:
+    """(B, B) correlation exp(-(dl / length)^2 / 2) between bands; 1 everywhere when the length is None."""
+    if length_nm is None:
+        return np.ones((len(axis), len(axis)))
+    gap = axis.centre_nm[:, None] - axis.centre_nm[None, :]
+    return np.asarray(np.exp(-0.5 * (gap / length_nm) ** 2))
+
+
+def filled(values: Array) -> Array:
+    """(B,) with NaN replaced by the nearest known values: for the scene average alone."""
+    known = np.isfinite(values)
+    if known.all():
+        return values
+    at = np.arange(values.size)
+    return np.interp(at, at[known], values[known])
+
+
+def _on_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis) -> Array:
+    known = np.isfinite(values)
+    if known.sum() < 2:
+        return np.full(len(axis), np.nan)
+    return band_average(wavelength_nm[known], values[known], axis, outside="nan")
