@@ -30,7 +30,7 @@ from hyperval.scenario import Scenario
 from hyperval.scene.mixture import average_reflectance, mixture_covariance
 from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.sensor.noise import add_noise
+from hyperval.sensor.noise import NoiseModel, add_noise
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
@@ -143,7 +143,7 @@ def _surfaces(scenario: Scenario, sources: Sources) -> tuple[dict[str, SurfaceSt
 
 
 def _base_view(
-    scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], terms_of: Engine, noise: object
+    scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], terms_of: Engine, noise: NoiseModel | None
 ) -> View:
     classes = scenario.scene.classes
     fractions = np.array([c.fraction for c in classes])
@@ -153,7 +153,7 @@ def _base_view(
         terms_of(scenario.atmosphere) if scenario.atmosphere else None,
         average_reflectance(fractions, means),  # (3.8)
         mixture_covariance(fractions, means, covariances),
-        noise,  # type: ignore[arg-type]
+        noise,
         scenario.scene.adjacency.kappa,
         scenario.formulation,
         None if scenario.processing.elm == "none" else scenario.processing.elm.reflectances,

@@ -127,7 +127,7 @@ def spectrum_error_covariance(item: SpectrumUncertainty, surface: SurfaceStatist
         if item.divisor == "standard_error":
             if not surface.n:
                 raise UsageError(
-                    f"uncertainty of {item.subject!r}: its spectrum's file does not say how many spectra it averages",
+                    f"uncertainty of {item.subject!r}: the file does not say how many spectra it averages",
                     mend="use divisor: spread",
                 )
             sd = sd / np.sqrt(surface.n)

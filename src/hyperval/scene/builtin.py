@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -195,6 +196,12 @@ def builtin_class(name: str, axis: SpectralAxis) -> ClassStatistics:
     ------
     UsageError : unknown name, or bands outside 340-2600 nm.
     """
+    return _evaluated(name, axis.centre_nm.tobytes(), axis.fwhm_nm.tobytes(), axis.good.tobytes())
+
+
+@lru_cache(maxsize=64)
+def _evaluated(name: str, centre: bytes, fwhm: bytes, good: bytes) -> ClassStatistics:
+    axis = SpectralAxis(np.frombuffer(centre), np.frombuffer(fwhm), np.frombuffer(good, bool))
     grey = _GREY.match(name)
     if grey is None and name not in _SURFACES:
         raise UsageError(f"unknown built-in surface {name!r}", expected="one of " + ", ".join(BUILTIN_NAMES))

@@ -76,11 +76,12 @@ class Bands(Model):
     def axis(self) -> SpectralAxis:
         """The bands as an axis (for 3.13)."""
         if self.table is not None:
-            rows = np.array(self.table, dtype=np.float64)
+            rows: Array = np.array(self.table, dtype=np.float64)
             return SpectralAxis(rows[:, 0], rows[:, 1], rows[:, 2] > 0)
         assert self.regular is not None  # noqa: S101 - the validator has seen to it
         r = self.regular
-        return SpectralAxis(r.first_nm + r.step_nm * np.arange(r.count), np.full(r.count, r.fwhm_nm))
+        centre = r.first_nm + r.step_nm * np.arange(r.count, dtype=np.float64)
+        return SpectralAxis(centre, np.full(r.count, r.fwhm_nm))
 
 
 class Throughput(Model):
