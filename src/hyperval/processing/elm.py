@@ -64,7 +64,8 @@ class EmpiricalLine:
     covariance : (B, 2, 2) of (gain, offset) in that order
     residuals : (P, B) collected less fitted radiance by panel
     reduced_chi2 : (B,) chi-square over P - 2; NaN for two panels, which any line fits
-    leave_one_out : (P, B) reflectance error of each panel under the line of the others; None below 3 panels
+    leave_one_out : (P, B) reflectance error of each panel under the line of the others, an extrapolation for
+        the darkest and the brightest; None below 3 panels
     usable : (B,) False where the panels do not differ enough, or are too noisy, to fix a gain
     panels : names, in the order of the residuals
     """

@@ -119,11 +119,8 @@ class _Moments:
     def of(cls, pixels: Array) -> _Moments:
         mean = pixels.mean(axis=0)
         z = pixels - mean
-        # The mean of rounded sums is off by some eps |mean|; what is left is taken out exactly.
-        rest = z.mean(axis=0)
-        z -= rest
         q = np.einsum("ij,ij->i", z, z)
-        return cls(len(z), mean + rest, z.T @ z, q @ z, float(q @ q))
+        return cls(len(z), mean, z.T @ z, q @ z, float(q @ q))
 
     def about(self, point: Array) -> tuple[Array, Array, float]:
         """The moments about another point (y = z + e, e = mean - point, sum z = 0)."""
@@ -143,10 +140,10 @@ class _Moments:
         (s2, s3, s4), (o2, o3, o4) = self.about(mean), other.about(mean)
         return _Moments(n, mean, s2 + o2, s3 + o3, s4 + o4, self.left_out)
 
-    def statistics(self) -> SampleStatistics:
+    def statistics(self, shift: Array) -> SampleStatistics:
         covariance = self.second / (self.n - 1)
         return SampleStatistics(
-            self.mean, (covariance + covariance.T) / 2.0, self.n, self.left_out, max(self.fourth, 0.0)
+            self.mean + shift, (covariance + covariance.T) / 2.0, self.n, self.left_out, max(self.fourth, 0.0)
         )
 
 
@@ -155,9 +152,9 @@ def statistics_of(pixels: npt.ArrayLike, *, left_out: int = 0) -> SampleStatisti
     x = np.asarray(pixels, dtype=float)
     if x.ndim != 2 or x.shape[0] < 2 or not np.all(np.isfinite(x)):
         raise UsageError(f"statistics need two or more finite pixels (n, B), got an array of {x.shape}")
-    moments = _Moments.of(x)
+    moments = _Moments.of(x - x[0])
     moments.left_out = left_out
-    return moments.statistics()
+    return moments.statistics(x[0])
 
 
 def accumulate_statistics(
@@ -168,8 +165,9 @@ def accumulate_statistics(
 ) -> dict[str, SampleStatistics]:
     """Mean and covariance of every region and of the whole scene, in one pass.
 
-    Each block is centred on its own mean, summed in float64 and merged, so that the result does not
-    depend on how the cube is cut into blocks (to rounding, 1e-12 relative) nor lose digits on bright flat scenes.
+    Pixels are taken relative to the first one of their region, which keeps every digit on bright flat scenes;
+    each block is centred on its own mean, summed in float64 and merged.  The result does not depend on how
+    the cube is cut into blocks, to 1e-12 of a standard deviation.
 
     Parameters
     ----------
@@ -196,6 +194,7 @@ def accumulate_statistics(
     elif exclude is not None:
         without = {SCENE: np.asarray(exclude, dtype=bool)}
     found: dict[str, _Moments] = {}
+    shift: dict[str, Array] = {}
     left_out = dict.fromkeys(wanted, 0)
     lines_seen = 0
     for block in blocks:
@@ -213,7 +212,8 @@ def accumulate_statistics(
             left_out[name] += int(np.count_nonzero(inside) - np.count_nonzero(used))
             if not used.any():
                 continue
-            part = _Moments.of(pixels if used.all() else pixels[used])
+            chosen = pixels if used.all() else pixels[used]
+            part = _Moments.of(chosen - shift.setdefault(name, chosen[0].copy()))
             found[name] = found[name].merge(part) if name in found else part
     for name, mask in (*wanted.items(), *without.items()):
         if mask is not None and mask.shape[0] != lines_seen:
@@ -226,7 +226,7 @@ def accumulate_statistics(
                 expected="two or more",
             )
         found[name].left_out = left_out[name]
-    return {name: found[name].statistics() for name in wanted}
+    return {name: found[name].statistics(shift[name]) for name in wanted}
 
 
 def _rows(mask: npt.NDArray[np.bool_], rows: slice, samples: int, name: str) -> npt.NDArray[np.bool_]:

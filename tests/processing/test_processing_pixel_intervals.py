@@ -1,0 +1,86 @@
+"""Intervals of proportions against published values, closed forms and their own coverage."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from hyperval.errors import UsageError
+from hyperval.processing.intervals import clopper_pearson, joint_region, wilson, zero_count_upper_limit
+
+
+def test_fifteen_of_twenty():
+    low, high = clopper_pearson(15, 20)
+    assert round(float(low), 3) == 0.509
+    assert round(float(high), 3) == 0.913
+
+
+def test_no_alarm_in_12203_pixels():
+    limit = zero_count_upper_limit(12203)
+    assert 2.4e-4 < limit < 2.5e-4
+    assert limit == pytest.approx(float(clopper_pearson(0, 12203, sides="upper")[1]), rel=1e-9)
+    assert (1.0 - limit) ** 12203 == pytest.approx(0.05, rel=1e-9)  # the definition
+
+
+@given(st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_limits_solve_the_binomial_tails(case):
+    k, n = case
+    low, high = (float(x) for x in clopper_pearson(k, n))
+    assert low <= k / n <= high
+    if k > 0:
+        assert stats.binom.sf(k - 1, n, low) == pytest.approx(0.025, rel=1e-7)
+    else:
+        assert low == 0.0
+    if k < n:
+        assert stats.binom.cdf(k, n, high) == pytest.approx(0.025, rel=1e-7)
+    else:
+        assert high == 1.0
+
+
+def test_one_sided_limits_are_inside_the_two_sided():
+    two = clopper_pearson(15, 20)
+    lower, upper = clopper_pearson(15, 20, sides="lower"), clopper_pearson(15, 20, sides="upper")
+    assert lower[0] > two[0]
+    assert lower[1] == 1.0
+    assert upper[0] == 0.0
+    assert upper[1] < two[1]
+
+
+@pytest.mark.parametrize("p", [0.02, 0.3, 0.75, 0.99])
+def test_coverage_is_exact_or_more(p):
+    # Exact sum over all outcomes: no random numbers.
+    n = 20
+    k = np.arange(n + 1)
+    low, high = clopper_pearson(k, n)
+    covered = stats.binom.pmf(k, n, p)[(low <= p) & (p <= high)].sum()
+    assert covered >= 0.95
+
+
+def test_wilson_against_scipy():
+    for k, n in ((0, 7), (15, 20), (20, 20)):
+        ours = wilson(k, n)
+        theirs = stats.binomtest(k, n).proportion_ci(method="wilson")
+        assert (float(ours[0]), float(ours[1])) == pytest.approx((theirs.low, theirs.high), abs=1e-12)
+
+
+def test_joint_region_covers_both_at_once():
+    # Exact sum over both binomials at one true point.
+    m, n, pd, pfa = 20, 200, 0.8, 0.03
+    total = 0.0
+    k = np.arange(n + 1)
+    weights = stats.binom.pmf(k, n, pfa)
+    for d in range(m + 1):
+        for a in k[weights > 1e-9]:
+            region = joint_region(d, m, int(a), n)
+            if region.pd_lower <= pd <= region.pd_upper and region.pfa_lower <= pfa <= region.pfa_upper:
+                total += stats.binom.pmf(d, m, pd) * weights[a]
+    assert 0.95 <= total < 0.995
+
+
+@pytest.mark.parametrize(
+    ("k", "n", "level"), [(1, 0, 0.95), (3, 2, 0.95), (-1, 2, 0.95), (1, 2, 1.0), (np.nan, 2, 0.9)]
+)
+def test_impossible_counts_are_refused(k, n, level):
+    with pytest.raises(UsageError):
+        clopper_pearson(k, n, level)

@@ -1,0 +1,214 @@
+"""Empirical ROC and AUC against brute force, exact limits and coverage."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from hyperval.errors import UsageError
+from hyperval.processing.auc import auc_with_interval, partial_auc
+from hyperval.processing.intervals import clopper_pearson
+from hyperval.processing.objects import footprint, footprint_maxima, object_scores
+from hyperval.processing.roc import empirical_roc, pd_at_pfa, roc_points
+
+few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), min_size=1, max_size=25)
+
+
+@given(few_values, few_values)
+def test_every_corner_by_brute_force_with_ties_and_infinities(target, background):
+    pfa, pd, score = roc_points(target, background)
+    for x, y, s in zip(pfa[1:], pd[1:], score[1:], strict=True):
+        assert y == np.mean([t >= s for t in target])
+        assert x == np.mean([b >= s for b in background])
+    assert (pfa[0], pd[0], pfa[-1], pd[-1]) == (0.0, 0.0, 1.0, 1.0)
+
+
+@given(few_values, few_values, st.sampled_from([0.01, 0.1, 0.29, 0.3, 0.5, 1.0]))
+def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
+    found = pd_at_pfa(target, background, pfa)
+    allowed = [
+        np.mean([t > s for t in target])
+        for s in {*target, *background}
+        if np.mean([b > s for b in background]) <= pfa + 1e-12
+    ]
+    best = 1.0 if pfa == 1.0 else max(allowed)
+    assert found.pd[0] == pytest.approx(best, abs=1e-15)
+    assert found.alarms[0] <= pfa * len(background) + 1e-9
+    assert found.lower[0] <= found.binomial_lower[0] or pfa == 1.0
+    assert found.lower[0] <= found.pd[0] <= found.upper[0]
+
+
+@given(few_values, few_values)
+def test_auc_is_the_mann_whitney_count(target, background):
+    wins = [(t > b) + 0.5 * (t == b) for t in target for b in background]
+    found = auc_with_interval(target, background)
+    assert found.auc == pytest.approx(np.mean(wins), abs=1e-14)
+    assert 0.0 <= found.lower <= found.auc + 1e-12
+    assert found.auc - 1e-12 <= found.upper <= 1.0
+
+
+def test_auc_is_the_area_under_all_corners():
+    rng = np.random.default_rng(2)
+    t, b = rng.integers(0, 9, 40) + 2, rng.integers(0, 9, 300)
+    pfa, pd, _ = roc_points(t, b)
+    area = np.trapezoid(pd, pfa)
+    assert auc_with_interval(t, b).auc == pytest.approx(area, abs=1e-14)
+    assert partial_auc(t, b, 0.0, 1.0) == pytest.approx(area, abs=1e-14)
+    low, high = 0.013, 0.37
+    x = np.unique(np.concatenate([np.linspace(low, high, 200001), pfa[(pfa > low) & (pfa < high)]]))
+    even = np.trapezoid(np.interp(x, pfa, pd), x) / (high - low)
+    assert partial_auc(t, b, low, high) == pytest.approx(even, rel=1e-9)
+    u = np.log(x)
+    expected = np.trapezoid(np.interp(x, pfa, pd), u) / (u[-1] - u[0])
+    assert partial_auc(t, b, low, high, logarithmic=True) == pytest.approx(expected, rel=1e-8)
+
+
+def test_delong_variance_by_brute_force_and_interval_coverage():
+    rng = np.random.default_rng(3)
+    t, b = rng.normal(1.0, 1.0, 12), rng.normal(0.0, 1.0, 30)
+    wins = (t[:, None] > b[None, :]).astype(float)
+    by_hand = np.var(wins.mean(axis=1), ddof=1) / 12 + np.var(wins.mean(axis=0), ddof=1) / 30
+    assert auc_with_interval(t, b).variance == pytest.approx(by_hand, rel=1e-12)
+    # Normal scores: AUC = Phi(d/sqrt 2).  800 draws at 95 %: the count is binomial with sd 6.2 of 760;
+    # the band 0.92-0.98 is 4 sd away (false failure below 1e-3).
+    truth, hits = stats.norm.cdf(1.5 / np.sqrt(2)), 0
+    for _ in range(800):
+        found = auc_with_interval(rng.normal(1.5, 1, 30), rng.normal(0, 1, 200))
+        hits += found.lower <= truth <= found.upper
+    assert 0.92 < hits / 800 < 0.98
+
+
+def test_separated_samples_keep_an_honest_limit():
+    found = auc_with_interval(np.arange(20) + 100.0, np.arange(500.0) / 500)
+    assert (found.auc, found.upper) == (1.0, 1.0)
+    assert found.lower == pytest.approx(0.025 ** (1 / 20), rel=1e-9)
+    assert auc_with_interval([1.0], [0.0]).lower == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize("pfa", [1e-1, 1e-2])
+def test_interval_of_pd_covers_with_the_threshold_estimated(pfa):
+    # Normal scores: true P_D = Phi(d - z).  600 draws; the interval is conservative by design, so the share
+    # must exceed 0.935 (sd of the share at exactly 95 % is 0.0089: false failure 5 %, and the true
+    # coverage is above 96 %, where it is below 1e-3).
+    rng = np.random.default_rng(4)
+    d, m, n = 2.0, 25, 1000
+    truth = stats.norm.sf(stats.norm.isf(pfa) - d)
+    covered = narrow = 0
+    for _ in range(600):
+        found = pd_at_pfa(rng.normal(d, 1, m), rng.normal(0, 1, n), pfa)
+        covered += found.lower[0] <= truth <= found.upper[0]
+        narrow += found.binomial_lower[0] <= truth <= found.binomial_upper[0]
+    assert covered / 600 > 0.935
+    assert covered >= narrow
+
+
+def test_threshold_error_matters_where_the_background_is_small():
+    # 300 background pixels fix a threshold at 1e-2 (3 alarms expected) badly: many targets, so the binomial
+    # part is narrow and the plain interval misses.  400 draws.
+    rng = np.random.default_rng(5)
+    truth = stats.norm.sf(stats.norm.isf(0.01) - 2.0)
+    covered = narrow = 0
+    for _ in range(400):
+        found = pd_at_pfa(rng.normal(2, 1, 2000), rng.normal(0, 1, 300), 0.01)
+        covered += found.lower[0] <= truth <= found.upper[0]
+        narrow += found.binomial_lower[0] <= truth <= found.binomial_upper[0]
+    assert covered / 400 > 0.935
+    assert narrow / 400 < 0.5
+
+
+def test_a_background_too_small_gives_no_lower_limit():
+    found = pd_at_pfa(np.full(50, 10.0), np.arange(100.0) / 100, [1e-3, 1e-1])
+    assert found.pd.tolist() == [1.0, 1.0]
+    assert found.lower[0] == 0.0
+    assert found.lower[1] > 0.9
+    assert found.binomial_lower[0] == pytest.approx(float(clopper_pearson(50, 50)[0]))
+
+
+@given(st.integers(0, 2**31))
+@settings(max_examples=20, deadline=None)
+def test_unchanged_by_a_monotone_transform(seed):
+    rng = np.random.default_rng(seed)
+    t, b = rng.normal(1, 1, 15), rng.normal(0, 1, 200)
+    one, two = empirical_roc(t, b), empirical_roc(np.exp(t), np.exp(b))
+    for name in ("pfa", "pd", "pd_lower", "pd_upper"):
+        assert np.array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_curve_carries_its_counts_and_rises():
+    rng = np.random.default_rng(6)
+    curve = empirical_roc(rng.normal(2, 1, 30), rng.normal(0, 1, 4000), unit="object", background_area_km2=0.5)
+    assert (curve.unit, curve.n_target, curve.n_background, curve.background_area_km2) == ("object", 30, 4000, 0.5)
+    assert np.all(np.diff(curve.pfa) > 0)
+    for values in (curve.pd, curve.pd_lower, curve.pd_upper):
+        assert np.all(np.diff(values) >= 0)
+    assert curve.pfa[-1] == 1.0
+    assert any(np.isclose(curve.pfa, 1e-2, rtol=1e-12))
+
+
+def test_perfect_inverted_and_constant_scores():
+    assert pd_at_pfa([5, 6], [1, 2, 3], 0.01).pd[0] == 1.0
+    assert pd_at_pfa([0, 0], [1, 2, 3], 0.34).pd[0] == 0.0
+    constant = pd_at_pfa([1, 1, 1], [1, 1], [0.5, 1.0])
+    assert constant.pd.tolist() == [0.0, 1.0]  # all tied: nothing can be declared without everything
+    assert auc_with_interval([1, 1, 1], [1, 1]).auc == 0.5
+
+
+def test_missing_scores_are_refused_or_left_out_by_name():
+    with pytest.raises(UsageError, match="1 of 3 target scores are NaN"):
+        empirical_roc([1, np.nan, 2], [0, 1])
+    assert empirical_roc([1, np.nan, 2], [0, np.nan, 1], nan="omit").n_target == 2
+    with pytest.raises(UsageError, match="no target scores"):
+        empirical_roc([], [0.0])
+    with pytest.raises(UsageError, match="no background scores"):
+        empirical_roc([1.0], [np.nan], nan="omit")
+    with pytest.raises(UsageError, match="must lie in"):
+        pd_at_pfa([1.0], [0.0], 0.0)
+
+
+def test_objects_score_their_greatest_pixel_with_a_halo():
+    scores = np.zeros((8, 9))
+    scores[3, 4], scores[3, 6], scores[0, 0] = 1.0, 5.0, np.nan
+    mask = np.zeros((8, 9), bool)
+    mask[3, 4] = True
+    corner = np.zeros((8, 9), bool)
+    corner[0, 0] = True
+    assert object_scores(scores, {"a": mask})["a"] == 1.0
+    assert object_scores(scores, {"a": mask}, halo=1)["a"] == 1.0
+    assert object_scores(scores, {"a": mask}, halo=2)["a"] == 5.0
+    assert np.isnan(object_scores(scores, {"c": corner})["c"])
+    assert footprint(corner, 1).shape == (3, 3)  # not cut by the edge of the image
+    with pytest.raises(UsageError, match="holds no pixel"):
+        object_scores(scores, {"none": np.zeros((8, 9), bool)})
+    with pytest.raises(UsageError, match="shape"):
+        object_scores(scores, {"a": mask[:2]})
+
+
+def test_footprint_maxima_by_hand_and_without_the_excluded():
+    scores = np.arange(24.0).reshape(4, 6)
+    assert sorted(footprint_maxima(scores, np.ones((2, 3), bool))) == [8.0, 11.0, 20.0, 23.0]
+    cross = np.array([[True, False], [False, False]])
+    assert sorted(footprint_maxima(scores, cross)) == [0, 2, 4, 12, 14, 16]
+    exclude = np.zeros((4, 6), bool)
+    exclude[0, 0] = True
+    assert sorted(footprint_maxima(scores, np.ones((2, 3), bool), exclude)) == [11.0, 20.0, 23.0]
+    assert footprint_maxima(np.full((4, 4), np.nan), np.ones((2, 2), bool)).size == 0
+    with pytest.raises(UsageError, match="does not fit"):
+        footprint_maxima(scores, np.ones((5, 5), bool))
+
+
+def test_noise_scored_with_the_same_halo_on_both_sides_is_not_detection():
+    # Pure noise: with the halo on the targets alone the AUC looks like detection, with it on both sides
+    # it is 0.5.  3000 maxima against 60: sd of the AUC 0.038, band of 4 sd (false failure 6e-5).
+    rng = np.random.default_rng(7)
+    scores = rng.normal(size=(300, 300))
+    masks = {}
+    for i in range(60):
+        mask = np.zeros(scores.shape, bool)
+        mask[10 + 20 * (i // 10), 10 + 20 * (i % 10)] = True
+        masks[str(i)] = mask
+    target = list(object_scores(scores, masks, halo=2).values())
+    every = np.any(list(masks.values()), axis=0)
+    assert auc_with_interval(target, scores[~every]).auc > 0.9
+    background = footprint_maxima(scores, footprint(masks["0"], 2), exclude=every)
+    assert abs(auc_with_interval(target, background).auc - 0.5) < 0.152
