@@ -66,7 +66,6 @@ def simulate_to_folder(scene_yaml: Path, output: Path, *, show_progress: bool | 
     UsageError : an invalid scene, or ``output`` holds files that no simulation wrote.
     InputError : no such scene file.
     """
-    scene = load_scene(scene_yaml)
     output = Path(output)
     if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "truth.json").is_file()):
         raise UsageError(
@@ -74,29 +73,34 @@ def simulate_to_folder(scene_yaml: Path, output: Path, *, show_progress: bool | 
             where=str(output),
             mend="name a new or empty folder",
         )
-    inputs = load_inputs(scene, Path(scene_yaml).parent)
     with whole_folder(output) as folder:
-        simulate(scene, folder, inputs=inputs, show_progress=show_progress)
+        simulate(scene_yaml, folder, show_progress=show_progress)
     return 0
 
 
 def simulate(
-    scene: SceneFile,
+    scene: SceneFile | Path,
     folder: Path,
     *,
     inputs: SimulationInputs | None = None,
     lines_per_block: int = LINES_PER_BLOCK,
     show_progress: bool | None = None,
 ) -> SimulatedCollection:
-    """Simulate ``scene`` into an existing or new ``folder``.
+    """Simulate a scene, or the scene file of that name, into an existing or new ``folder``.
 
     The same scene gives the same bytes whatever the block size: every line has its own random streams.
 
     Raises
     ------
-    UsageError : a layout that contradicts itself, a scene too large, radiance that does not fit the integers.
+    UsageError : an invalid scene, a layout that contradicts itself, a scene too large, radiance that does not
+        fit the integers.
+    InputError, EngineError : a missing file or atmosphere engine.
     """
-    inputs = inputs or load_inputs(scene, Path())
+    beside = Path()
+    if not isinstance(scene, SceneFile):
+        beside = Path(scene).parent
+        scene = load_scene(Path(scene))
+    inputs = inputs or load_inputs(scene, beside)
     bands = len(inputs.sensor.axis)
     _check_size(scene, bands)
     folder = Path(folder)
@@ -126,7 +130,7 @@ def simulate(
         "sensor": inputs.sensor.name,
         "atmosphere": {k: str(v) for k, v in inputs.terms.provenance.items()},
         "classes": {name: c.source for name, c in inputs.classes.items()},
-        "surfaces": {str(i): name for i, name in enumerate(ground.surfaces)},
+        "surfaces": {str(i): name for i, name in enumerate(ground.surfaces, start=1)},
         "wavelength_nm": inputs.sensor.axis.centre_nm.tolist(),
         "average_reflectance": average.tolist(),
         "negative_reflectance_fraction": dark,
@@ -209,14 +213,14 @@ def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: Gro
     place = {"transform": _transform(scene), "crs": _crs(scene)}
     write_cube(
         class_path,
-        ground.class_map[:, :, None],
+        ground.class_map[:, :, None] + np.uint8(1),  # 0 stands for "no class" in this format
         data_type=1,
         interleave="bsq",
         description="SIMULATED truth: surface class",
         file_type="ENVI Classification",
         extra={
-            "classes": str(len(ground.surfaces)),
-            "class names": "{" + ", ".join(ground.surfaces) + "}",
+            "classes": str(len(ground.surfaces) + 1),
+            "class names": "{" + ", ".join(("Unclassified", *ground.surfaces)) + "}",
         },
         **place,
     )

@@ -106,13 +106,13 @@ def _place(scene: SceneFile, number: int, group: TargetGroup) -> list[Plank]:
         heading = float(rng.uniform(0.0, 90.0)) if group.heading_deg == "random" else group.heading_deg
         y, x = row + 0.5 + shift[0], column + 0.5 + shift[1]
         if group.phase == "random" or group.heading_deg == "random" or same is None:
-            print_ = square_footprint(y, x, side, heading, psf)
-            same, first = print_, (int(row), int(column))
+            seen = square_footprint(y, x, side, heading, psf)
+            same, first = seen, (int(row), int(column))
         else:
-            print_ = Footprint(
+            seen = Footprint(
                 same.first_line + int(row) - first[0], same.first_sample + int(column) - first[1], same.fill
             )
-        planks.append(Plank(f"{group.name}-{index:03d}", group, y, x, side, heading, print_))
+        planks.append(Plank(f"{group.name}-{index:03d}", group, y, x, side, heading, seen))
     return planks
 
 
@@ -123,9 +123,7 @@ def touched(plank: Plank) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], n
     return rows + plank.footprint.first_line, columns + plank.footprint.first_sample, fill[rows, columns]
 
 
-def _add_fill(
-    plank: Plank, host: int, class_map: npt.NDArray[np.uint8], total: npt.NDArray[np.float32]
-) -> None:
+def _add_fill(plank: Plank, host: int, class_map: npt.NDArray[np.uint8], total: npt.NDArray[np.float32]) -> None:
     lines, samples, fill = touched(plank)
     inside = (lines >= 0) & (samples >= 0) & (lines < total.shape[0]) & (samples < total.shape[1])
     if not inside.all() or np.any(class_map[lines, samples] != host):
@@ -166,10 +164,10 @@ def regions(scene: SceneFile, ground: Ground) -> dict[str, Mask]:
         mask[panel.lines[0] + b : panel.lines[1] - b, panel.samples[0] + b : panel.samples[1] - b] = True
         found[panel.name] = mask
     for region in scene.regions:
-        found[region.name] = class_region(
-            ground, region.surface, region.border_pixels, scene.target_guard_pixels
-        )
+        found[region.name] = class_region(ground, region.surface, region.border_pixels, scene.target_guard_pixels)
     for name, mask in found.items():
         if not mask.any():
-            raise UsageError(f"the region {name!r} holds no pixel", where=scene.name, mend="lower its border_pixels")
+            raise UsageError(
+                f"the region {name!r} holds no pixel", where=scene.name, mend="lower its border_pixels"
+            )
     return found

@@ -43,7 +43,7 @@ class Panel(PaintedArea):
     """A calibration panel: a painted rectangle whose interior becomes a region of interest."""
 
     name: Name
-    border_pixels: int = Field(1, ge=0, description="pixels left out along the border of the region")
+    border_pixels: int = Field(default=1, ge=0, description="pixels left out along the border of the region")
 
 
 class TargetGroup(Model):
@@ -53,12 +53,17 @@ class TargetGroup(Model):
     material: str = Field(description="surface class of the planks")
     host: str = Field(description="surface class they lie on")
     fill: float | None = Field(
-        None, gt=0.0, lt=1.0, description="share of the brightest pixel of a plank centred on it: sets the side"
+        default=None,
+        gt=0.0,
+        lt=1.0,
+        description="share of the brightest pixel of a plank centred on it: sets the side",
     )
-    side_m: float | None = Field(None, gt=0.0, description="side [m], when given instead of the fill")
+    side_m: float | None = Field(default=None, gt=0.0, description="side [m], when given instead of the fill")
     count: int = Field(ge=1, le=100_000)
     area: Area
-    spacing_pixels: int = Field(7, ge=6, description="of the grid; planks closer than 6 pixels would overlap")
+    spacing_pixels: int = Field(
+        default=7, ge=6, description="of the grid; planks closer than 6 pixels would overlap"
+    )
     phase: Literal["centred", "random"] = "centred"
     heading_deg: float | Literal["random"] = 0.0
 
@@ -78,7 +83,7 @@ class Region(Model):
 
     name: Name
     surface: str
-    border_pixels: int = Field(3, ge=0)
+    border_pixels: int = Field(default=3, ge=0)
 
 
 class Admixture(Model):
@@ -88,7 +93,7 @@ class Admixture(Model):
     surface: str
     mean: float = Field(gt=0.0, lt=1.0, description="mean share")
     sd: float = Field(gt=0.0, lt=0.5, description="standard deviation of the share")
-    correlation_pixels: float = Field(0.0, ge=0.0, le=200.0)
+    correlation_pixels: float = Field(default=0.0, ge=0.0, le=200.0)
 
     @model_validator(mode="after")
     def _possible(self) -> Admixture:
@@ -101,7 +106,7 @@ class HeavyTails(Model):
     """Pixels of a class drawn from a multivariate t of the same mean and covariance."""
 
     dof: float = Field(gt=2.0, le=1000.0)
-    surfaces: list[str] | None = Field(None, description="None: every class that covers ground")
+    surfaces: list[str] | None = Field(default=None, description="None: every class that covers ground")
 
 
 class Texture(Model):
@@ -122,7 +127,7 @@ class Shade(Model):
 class Broken(Model):
     """Which assumptions of the model the surfaces break; each stands alone."""
 
-    soft_edges: bool = Field(False, description="class borders blurred by the point spread function")
+    soft_edges: bool = Field(default=False, description="class borders blurred by the point spread function")
     admixtures: list[Admixture] = Field(default_factory=list)
     heavy_tails: HeavyTails | None = None
     texture: Texture | None = None
@@ -145,8 +150,10 @@ class MapOrigin(Model):
 class FieldSpectra(Model):
     """What the field spectrometer delivers of the panels: means of repeated readings at 1 nm."""
 
-    readings: int = Field(10, ge=1)
-    relative_noise: float = Field(0.0, ge=0.0, le=0.1, description="of one reading, independent between samples")
+    readings: int = Field(default=10, ge=1)
+    relative_noise: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="of one reading, independent between samples"
+    )
 
 
 class SceneFile(Model):
@@ -160,16 +167,16 @@ class SceneFile(Model):
     samples: int = Field(ge=1, le=20_000)
     gsd_m: float = Field(gt=0.0, le=100.0)
     map: MapOrigin
-    acquired_utc: str = Field("", description="written into the header")
+    acquired_utc: str = Field(default="", description="written into the header")
     atmosphere: AtmosphericState
     sensor: str = Field(description="name of a sensor of the library, or a sensor file")
     psf_fwhm_pixels: float = Field(gt=0.0, le=4.0)
-    counts_per_radiance: float = Field(1000.0, gt=0.0, description="stored integers per uW cm-2 sr-1 nm-1")
+    counts_per_radiance: float = Field(default=1000.0, gt=0.0, description="stored integers per uW cm-2 sr-1 nm-1")
     layout: list[PaintedArea] = Field(min_length=1)
     panels: list[Panel] = Field(default_factory=list)
     targets: list[TargetGroup] = Field(default_factory=list)
     regions: list[Region] = Field(default_factory=list)
-    target_guard_pixels: int = Field(3, ge=0, description="around planks, left out of the regions")
+    target_guard_pixels: int = Field(default=3, ge=0, description="around planks, left out of the regions")
     field_spectra: FieldSpectra = FieldSpectra()
     header: dict[str, str] = Field(
         default_factory=dict, description="further entries of the cube's header, as files of this sensor carry them"

@@ -17,7 +17,7 @@ from hyperval.simulate.schema import SceneFile
 
 Array = npt.NDArray[np.float32]
 
-_SMALLEST_EIGENVALUE = 1e-12  # of the largest: float32 draws resolve no less
+_SMALLEST_VARIANCE = 1e-10  # of the mean variance of a band
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,22 @@ class Sampler:
 
 
 def sampler(statistics: ClassStatistics, dof: float | None = None) -> Sampler:
-    """Sampler of a class, from the eigenvectors of its covariance."""
-    values, vectors = np.linalg.eigh(statistics.covariance)
-    keep = values > _SMALLEST_EIGENVALUE * max(float(values[-1]), 0.0)
-    factor = (np.sqrt(values[keep])[:, None] * vectors[:, keep].T).astype(np.float32)
+    """Sampler of a class, from the Cholesky factor of its covariance.
+
+    The factor is unique, so that the draws do not depend on the linear algebra library as eigenvectors of
+    near-equal eigenvalues would.
+    """
+    covariance = statistics.covariance
+    variance = float(np.trace(covariance)) / covariance.shape[0]
+    try:
+        # A covariance of less than full rank gains a spread that float32 draws hardly resolve.
+        lower = np.linalg.cholesky(covariance + _SMALLEST_VARIANCE * variance * np.eye(covariance.shape[0]))
+        factor = lower.T
+    except np.linalg.LinAlgError:  # semi-definite up to rounding
+        values, vectors = np.linalg.eigh(covariance)
+        factor = np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T
     tails = dof if dof is not None else statistics.tail_dof
-    return Sampler(statistics.mean.astype(np.float32), factor, tails)
+    return Sampler(statistics.mean.astype(np.float32), factor.astype(np.float32), tails)
 
 
 class SurfaceRenderer:
@@ -76,15 +86,17 @@ class SurfaceRenderer:
         self._texture = fields.texture_factor(scene)
         self._light = fields.illumination(scene, ndimage.binary_dilation(ground.on_panel, iterations=3))
         self._shares = [fields.admixture_share(scene, a, i) for i, a in enumerate(scene.broken.admixtures)]
-        self.target_spectra = self._draw_targets(classes)
+        self.target_spectra = self._draw_targets(
+            {n: sampler(classes[n]) for n in {g.material for g in scene.targets}}
+        )
         self._seen_by = self._index_planks()
 
-    def _draw_targets(self, classes: Mapping[str, ClassStatistics]) -> Array:
+    def _draw_targets(self, materials: Mapping[str, Sampler]) -> Array:
         spectra = np.zeros((len(self.ground.planks), self.bands), np.float32)
         at = 0
         for number, group in enumerate(self.scene.targets):
             rng = streams.generator(self.scene.seed, streams.TARGET_SPECTRA, number)
-            spectra[at : at + group.count] = sampler(classes[group.material]).draw(group.count, rng)
+            spectra[at : at + group.count] = materials[group.material].draw(group.count, rng)
             at += group.count
         return spectra
 

@@ -21,8 +21,8 @@ from hyperval.simulate.schema import SceneFile
 from hyperval.spectra.axis import SpectralAxis
 
 TARGET_COLUMNS = (
-    "name", "group", "material", "host", "nominal_fill", "side_m", "area_m2", "centre_line", "centre_sample",
-    "row", "col", "phase", "heading_deg", "best_row", "best_col", "best_fill", "pixels",
+    "name", "group", "material", "host", "nominal_fill", "side_m", "area_m2", "line", "sample",
+    "phase", "heading_deg", "best_line", "best_sample", "best_fill", "pixels",
 )  # fmt: skip
 
 FIELD_AXIS_NM = (350.0, 2500.0, 1.0)  # what a field spectrometer delivers: first, last, step
@@ -30,9 +30,10 @@ FIELD_FWHM_NM = 3.0
 
 
 def write_regions(path: Path, scene: SceneFile, masks: Mapping[str, Mask]) -> None:
-    """Regions of interest as GeoJSON polygons along pixel edges, x = sample, y = line, (0, 0) the upper left corner.
+    """Regions of interest as GeoJSON polygons along pixel edges, x = sample, y = line.
 
-    GeoJSON proper is in degrees; ``coordinates: pixel`` among the members says that this file is not.
+    (0, 0) is the upper left corner of the first pixel.  GeoJSON proper is in degrees;
+    ``coordinates: pixel`` among the members says that this file is not.
     """
     found = []
     for name, mask in masks.items():
@@ -48,11 +49,15 @@ def write_regions(path: Path, scene: SceneFile, masks: Mapping[str, Mask]) -> No
         properties = {"name": name, "surface": surface, "pixels": int(mask.sum())}
         found.append({"type": "Feature", "properties": properties, "geometry": geometry})
     content = {"type": "FeatureCollection", "name": scene.name, "coordinates": "pixel", "features": found}
-    write_text(path, json.dumps(content, indent=1) + "\n")
+    write_text(path, json.dumps(content) + "\n")
 
 
 def target_rows(scene: SceneFile, ground: Ground) -> list[dict[str, Any]]:
-    """One row per plank, with the fills as rendered and not as asked for."""
+    """One row per plank, with the fills as rendered and not as asked for.
+
+    ``line``, ``sample``: its centre, continuous; ``best_line``, ``best_sample``: the pixel it fills most, whole
+    numbers; ``pixels``: how many hold at least 1e-4 of it.
+    """
     rows = []
     for plank in ground.planks:
         group = plank.group
@@ -68,14 +73,12 @@ def target_rows(scene: SceneFile, ground: Ground) -> list[dict[str, Any]]:
                 "nominal_fill": "" if group.fill is None else group.fill,
                 "side_m": round(side, 6),
                 "area_m2": round(side**2, 6),
-                "centre_line": round(plank.centre_line, 4),
-                "centre_sample": round(plank.centre_sample, 4),
-                "row": int(plank.centre_line),
-                "col": int(plank.centre_sample),
+                "line": round(plank.centre_line, 4),
+                "sample": round(plank.centre_sample, 4),
                 "phase": group.phase,
                 "heading_deg": round(plank.heading_deg, 3),
-                "best_row": int(lines[best]),
-                "best_col": int(samples[best]),
+                "best_line": int(lines[best]),
+                "best_sample": int(samples[best]),
                 "best_fill": round(float(fill[best]), 6),
                 "pixels": int(fill.size),
             }
