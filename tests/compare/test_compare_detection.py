@@ -1,0 +1,285 @@
+"""Scores, ROC, areas and the drive over all products."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hyperval.compare.abundance import compare_abundance
+from hyperval.compare.products import compare_products
+from hyperval.compare.roc import compare_roc, curve_auc, difference_interval, equivalent, value_at
+from hyperval.compare.rows import scientific
+from hyperval.compare.scores import (
+    compare_object_scores,
+    compare_scores,
+    probability_integral_transform,
+    uniformity_p_value,
+)
+from hyperval.errors import UsageError
+from hyperval.processing.auc import auc_with_interval
+from hyperval.processing.roc import empirical_roc
+from hyperval.products import (
+    Abundance,
+    Observation,
+    Prediction,
+    RocCurve,
+    ScoreDistribution,
+    SpectralEstimate,
+)
+from hyperval.results import ResultTable, Status
+from hyperval.spectra.axis import SpectralAxis
+
+NAMES = {"campaign": "c", "subject": "planks", "method": "cem/object"}
+
+
+def model_curve(separation, width=0.0, unit="object"):
+    pfa = np.geomspace(1e-9, 1.0, 400)
+    threshold = stats.norm.isf(pfa)
+    pd = [stats.norm.sf(threshold - d) for d in (separation - width, separation, separation + width)]
+    return RocCurve(pfa, pd[1], pd[0], pd[2], threshold, unit)
+
+
+def measured_curve(separation, seed=1, targets=30, background=20000):
+    rng = np.random.default_rng(seed)
+    return empirical_roc(rng.normal(separation, 1, targets), rng.normal(0, 1, background), unit="object")
+
+
+def by_metric(rows):
+    return {r.metric: r for r in rows}
+
+
+def test_a_true_prediction_is_inside_and_a_false_one_outside():
+    good = by_metric(compare_roc(model_curve(3.0), measured_curve(3.0), **NAMES))
+    bad = by_metric(compare_roc(model_curve(5.5), measured_curve(3.0), **NAMES))
+    for level in ("1e-1", "1e-2", "1e-3"):
+        assert good[f"pd_inside_interval@{level}"].value == 1.0
+    assert bad["pd_inside_interval@1e-3"].value == 0.0
+    assert bad["pd_inside_measured_interval@1e-3"].value == 0.0
+    assert bad["pd_difference@1e-3"].lower > 0
+    assert bad["auc_difference"].value > good["auc_difference"].value
+
+
+def test_true_predictions_are_inside_95_times_of_100():
+    # 300 collections: the rule is conservative; at exactly 95 % the sd is 1.3 %, so above 92 % (2.4 sd, 1 %).
+    inside = [
+        by_metric(compare_roc(model_curve(2.5), measured_curve(2.5, seed, 25, 5000), pfa=[1e-2], **NAMES))[
+            "pd_inside_interval@1e-2"
+        ].value
+        for seed in range(300)
+    ]
+    assert np.mean(inside) > 0.92
+
+
+def test_overlapping_intervals_are_not_enough():
+    curve = lambda pd, low, high: RocCurve(  # noqa: E731
+        np.array([0.01, 1.0]), np.array([pd, 1.0]), np.array([low, 1.0]), np.array([high, 1.0]), np.zeros(2)
+    )
+    predicted, observed = curve(0.80, 0.70, 0.90), curve(0.62, 0.52, 0.72)
+    assert predicted.pd_lower[0] < observed.pd_upper[0]  # they overlap
+    rows = by_metric(compare_roc(predicted, observed, pfa=[0.01], **NAMES))
+    assert rows["pd_inside_interval@1e-2"].value == 0.0
+    nearer = by_metric(compare_roc(curve(0.74, 0.64, 0.84), observed, pfa=[0.01], **NAMES))
+    assert nearer["pd_inside_interval@1e-2"].value == 1.0
+    assert nearer["pd_inside_measured_interval@1e-2"].value == 0.0  # the width of the prediction was needed
+
+
+def test_difference_interval_covers():
+    # Two binomial proportions with Clopper-Pearson limits: conservative, 1000 draws, above 93 %.
+    from hyperval.processing.intervals import clopper_pearson
+
+    rng = np.random.default_rng(2)
+    hits = 0
+    for a, b in zip(rng.binomial(40, 0.8, 1000), rng.binomial(25, 0.6, 1000), strict=True):
+        one, two = (float(x) for x in clopper_pearson(a, 40)), (float(x) for x in clopper_pearson(b, 25))
+        low, high = difference_interval(a / 40, tuple(one), b / 25, tuple(two))
+        hits += low <= 0.2 <= high
+    assert hits / 1000 > 0.93
+
+
+def test_equivalence_needs_a_narrow_interval_not_a_missing_difference():
+    assert equivalent((-0.04, 0.05), 0.1)
+    assert not equivalent((-0.3, 0.3), 0.1)
+    assert not equivalent((0.06, 0.12), 0.1)
+    with pytest.raises(UsageError, match="margin"):
+        equivalent((0.0, 0.1), 1.0)
+    few = by_metric(compare_roc(model_curve(3.0), measured_curve(3.0), equivalence_margin=0.1, **NAMES))
+    assert few["pd_inside_interval@1e-1"].value == 1.0
+    assert few["pd_equivalent@1e-2"].value == 0.0
+    many = by_metric(
+        compare_roc(model_curve(3.0), measured_curve(3.0, targets=3000), equivalence_margin=0.1, **NAMES)
+    )
+    assert many["pd_equivalent@1e-2"].value == 1.0
+    assert many["pd_equivalent@1e-2"].reason == "margin 0.1"
+
+
+def test_lower_false_alarm_rates_only_where_the_background_allows():
+    small = by_metric(compare_roc(model_curve(3.0), measured_curve(3.0, background=2000), **NAMES))
+    assert small["pd_difference@1e-3"].status is Status.SKIPPED
+    assert "2000 background samples expect 2 alarms" in small["pd_difference@1e-3"].reason
+    assert "pd_difference@1e-4" not in small
+    large = by_metric(compare_roc(model_curve(3.0), measured_curve(3.0, background=200_000), **NAMES))
+    assert large["pd_difference@1e-4"].status is Status.INFO
+    assert "pd_difference@1e-5" not in large
+
+
+def test_a_curve_that_ends_early_or_has_no_interval():
+    short = RocCurve(*(np.array(x) for x in ([0.05, 1.0], [0.5, 1.0], [0.4, 1], [0.6, 1], [1, 0])), "object")
+    rows = by_metric(compare_roc(model_curve(2.0), short, pfa=[1e-2], **NAMES))
+    assert rows["pd_measured@1e-2"].reason == "the measured curve has no point at P_FA 1e-2"
+    nan = np.full(2, np.nan)
+    bare = RocCurve(np.array([1e-3, 1.0]), np.array([0.5, 1.0]), nan, nan, nan, "object")
+    rows = by_metric(compare_roc(model_curve(2.0), bare, pfa=[1e-2], **NAMES))
+    assert np.isnan(rows["pd_inside_interval@1e-2"].value)  # unknown is neither inside nor outside
+    rows = by_metric(compare_roc(bare, measured_curve(2.0), pfa=[1e-2], **NAMES))
+    assert rows["pd_predicted@1e-2"].lower == rows["pd_predicted@1e-2"].value
+
+
+def test_units_of_the_curves_must_agree():
+    with pytest.raises(UsageError, match="by pixel, the measured by object"):
+        compare_roc(model_curve(2.0, unit="pixel"), measured_curve(2.0), **NAMES)
+
+
+def test_auc_with_and_without_estimates():
+    rng = np.random.default_rng(3)
+    t, b = rng.normal(2, 1, 200), rng.normal(0, 1, 50000)
+    truth = stats.norm.cdf(2 / np.sqrt(2))
+    assert curve_auc(model_curve(2.0), 1e-6) == pytest.approx(truth, abs=2e-4)
+    assert curve_auc(empirical_roc(t, b), 1e-4) == pytest.approx(auc_with_interval(t, b).auc, abs=2e-3)
+    rows = by_metric(
+        compare_roc(
+            model_curve(2.0),
+            empirical_roc(t, b, unit="object"),
+            predicted_auc=truth,
+            observed_auc=auc_with_interval(t, b),
+            **NAMES,
+        )
+    )
+    assert rows["auc_difference"].lower < rows["auc_difference"].value < rows["auc_difference"].upper
+    assert rows["auc_difference"].value == pytest.approx(truth - auc_with_interval(t, b).auc)
+
+
+def test_value_between_grid_points_is_linear_in_the_logarithm():
+    curve = RocCurve(np.array([1e-4, 1e-2, 1.0]), np.array([0.2, 0.6, 1.0]), *(np.zeros(3),) * 3)
+    assert value_at(curve, curve.pd, 1e-3) == pytest.approx(0.4)
+    assert value_at(curve, curve.pd, 1e-2) == 0.6
+    assert np.isnan(value_at(curve, curve.pd, 1e-5))
+
+
+def test_labels():
+    assert [scientific(x) for x in (0.1, 0.01, 1e-3, 2.5e-4, 1.0)] == ["1e-1", "1e-2", "1e-3", "2.5e-4", "1e0"]
+
+
+def test_score_moments():
+    predicted, observed = ScoreDistribution(0.5, 0.2), ScoreDistribution(0.4, 0.1, 26)
+    rows = by_metric(compare_scores(predicted, observed, **NAMES))
+    half = stats.t.ppf(0.975, 25) * 0.1 / np.sqrt(26)
+    assert rows["score_mean_difference"].value == pytest.approx(0.1)
+    assert rows["score_mean_difference"].upper == pytest.approx(0.1 + half)
+    assert rows["score_sd_ratio"].value == pytest.approx(2.0)
+    assert rows["score_sd_ratio"].lower < 2.0 < rows["score_sd_ratio"].upper
+    single = by_metric(compare_scores(predicted, ScoreDistribution(0.4, 0.0, 1), **NAMES))
+    assert single["score_sd_ratio"].status is Status.SKIPPED
+    (row,) = compare_scores(predicted, None, **NAMES)
+    assert (row.status, row.reason) == (Status.SKIPPED, "no scores of planks in the observation")
+
+
+def test_sd_ratio_interval_covers():
+    # 1000 samples of 15: sd of the share 0.7 %, band 4 sd.
+    rng = np.random.default_rng(4)
+    hits = 0
+    for _ in range(1000):
+        x = rng.normal(0, 0.1, 15)
+        observed = ScoreDistribution(x.mean(), x.std(ddof=1), 15)
+        row = by_metric(compare_scores(ScoreDistribution(0.0, 0.2), observed, **NAMES))["score_sd_ratio"]
+        hits += row.lower <= 2.0 <= row.upper
+    assert 0.92 < hits / 1000 < 0.98
+
+
+def test_objects_of_different_kinds_are_judged_together():
+    rng = np.random.default_rng(5)
+    predicted = {f"t{i:02d}": ScoreDistribution(m, s) for i, (m, s) in enumerate(rng.uniform(0.1, 1, (25, 2)))}
+    measured = {k: rng.normal(d.mean, d.sd) for k, d in predicted.items()}
+    rows = compare_object_scores(predicted, measured, campaign="c", method="cem")
+    table = ResultTable(rows)
+    assert len(table.where(metric="object_score_inside_95")) == 25
+    summary = by_metric([r for r in rows if r.subject == "all objects"])
+    inside = [r.value for r in table.where(metric="object_score_inside_95")]
+    assert summary["objects_inside_95"].value == np.mean(inside)
+    assert summary["pit_uniformity_p_value"].value > 1e-3  # fixed seed; 0.1 % of seeds would fail
+    shifted = {k: v + 3 * predicted[k].sd for k, v in measured.items()}
+    off = by_metric(r for r in compare_object_scores(predicted, shifted, campaign="c", method="cem"))
+    assert off["objects_inside_95"].value < 0.5
+    assert off["pit_uniformity_p_value"].value < 1e-6
+
+
+def test_an_object_without_a_side_is_named():
+    rows = compare_object_scores(
+        {"a": ScoreDistribution(0, 1), "b": ScoreDistribution(0, 1)},
+        {"a": 0.1, "b": np.nan, "c": 1.0},
+        campaign="c",
+        method="cem",
+    )
+    skipped = {(r.subject, r.reason) for r in rows if r.status is Status.SKIPPED}
+    assert skipped == {("b", "no measured score"), ("c", "no predicted distribution")}
+    assert by_metric(rows)["objects_inside_95"].reason == "without b, c"
+    none = compare_object_scores({}, {"c": 1.0}, campaign="c", method="cem")
+    assert {r.status for r in none} == {Status.SKIPPED}
+
+
+def test_transform_values():
+    assert probability_integral_transform(0.3, ScoreDistribution(0.3, 0.1)) == pytest.approx(0.5)
+    assert probability_integral_transform(0.3 + 0.196, ScoreDistribution(0.3, 0.1)) == pytest.approx(
+        0.975, abs=1e-4
+    )
+    assert np.isnan(probability_integral_transform(0.3, ScoreDistribution(0.3, 0.0)))
+    assert uniformity_p_value(np.linspace(0.01, 0.99, 50)) > 0.99
+    with pytest.raises(UsageError, match="between 0 and 1"):
+        uniformity_p_value([0.5, np.nan])
+
+
+def test_areas():
+    rows = by_metric(compare_abundance(Abundance(11.0, 0.3), Abundance(10.0, 0.4, 50), **NAMES))
+    assert rows["area_difference_ratio"].value == pytest.approx(0.1)
+    assert rows["area_z"].value == pytest.approx(2.0)
+    assert rows["area_inside_95"].value == 0.0
+    assert rows["area_observed"].unit == "m2"
+    half = 1.959964 * np.hypot(0.03, 11 * 0.4 / 100)
+    assert rows["area_difference_ratio"].upper == pytest.approx(0.1 + half, rel=1e-6)
+    none = by_metric(compare_abundance(Abundance(11.0, 0.0), Abundance(-1.0, 0.0), **NAMES))
+    assert none["area_difference_ratio"].status is Status.SKIPPED
+    assert none["area_inside_95"].status is Status.SKIPPED
+
+
+def test_every_subject_of_either_side_has_rows():
+    axis = SpectralAxis(np.arange(450.0, 900.0, 10.0), 10.0)
+    one = SpectralEstimate(np.ones(len(axis)), 1e-4 * np.eye(len(axis)))
+    predicted = Prediction(
+        axis,
+        radiance={"grass": one, "only model": one},
+        reflectance={"grass": one},
+        roc={("t", "cem", "object"): model_curve(3.0)},
+        scores={("t", "cem"): ScoreDistribution(1, 0.1)},
+        abundance={("t", "cem"): Abundance(1.0, 0.1)},
+    )
+    observed = Observation(
+        axis,
+        radiance={"grass": one, "only data": one},
+        snr={"grass": one},
+        roc={("t", "cem", "object"): measured_curve(3.0), ("t", "ace", "object"): measured_curve(3.0)},
+        scores={("t", "cem"): ScoreDistribution(1, 0.1, 20)},
+        abundance={("t", "cem"): Abundance(1.0, 0.1)},
+    )
+    rows = compare_products(predicted, observed, campaign="c")
+    skipped = {
+        (r.product, r.subject, r.method) for r in rows if r.status is Status.SKIPPED and r.metric == "comparison"
+    }
+    assert skipped == {
+        ("radiance", "only model", "model"),
+        ("radiance", "only data", "model"),
+        ("snr", "grass", "model"),
+        ("reflectance", "grass", "model"),
+        ("roc", "t", "ace/object"),
+    }
+    assert {r.product for r in rows} == {"radiance", "snr", "reflectance", "scores", "roc", "abundance"}
+    other = Observation(SpectralAxis(np.arange(451.0, 901.0, 10.0), 10.0))
+    with pytest.raises(UsageError, match="not on the same spectral axis"):
+        compare_products(predicted, other, campaign="c")

@@ -1,0 +1,256 @@
+"""Difference ratios and consistency tests: closed forms, Monte Carlo, and a tilt that only one test sees."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hyperval.compare.consistency import (
+    bias_and_shape,
+    chi_square_diagonal,
+    chi_square_full,
+    spectral_angle_degrees,
+    z_scores,
+)
+from hyperval.compare.difference import (
+    comparable_bands,
+    difference_ratio,
+    difference_ratio_covariance,
+    median_interval,
+    regions,
+)
+from hyperval.compare.radiance import compare_radiance
+from hyperval.compare.reflectance import compare_reflectance
+from hyperval.compare.snr import compare_snr
+from hyperval.errors import UsageError
+from hyperval.products import SpectralEstimate
+from hyperval.results import Status
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.windows import in_window
+
+AXIS = SpectralAxis(np.arange(420.0, 2450.0, 20.0), 20.0)
+B = len(AXIS)
+NAMES = {"campaign": "c", "subject": "grass", "method": "model", "axis": AXIS}
+
+
+def spectrum(mean, covariance=1e-4, n=100):
+    mean = np.broadcast_to(np.asarray(mean, float), (B,)).copy()
+    covariance = covariance * np.eye(B) if np.ndim(covariance) == 0 else covariance
+    return SpectralEstimate(mean, covariance, n=n)
+
+
+def value(rows, metric):
+    (row,) = [r for r in rows if r.metric == metric]
+    return row
+
+
+def test_difference_ratio_by_hand_and_where_nothing_was_collected():
+    assert difference_ratio([1.1, 0.9], [1.0, 1.0]) == pytest.approx([0.1, -0.1])
+    assert np.isnan(difference_ratio([1.0, 1.0], [0.0, -1.0])).all()
+
+
+def test_ratio_covariance_by_monte_carlo():
+    # 40000 draws, errors of 1 % so that the first order holds: covariances good to 1 %; band 5 %.
+    rng = np.random.default_rng(1)
+    common = lambda u, r: u**2 * (r * np.ones((3, 3)) + (1 - r) * np.eye(3))  # noqa: E731
+    p = SpectralEstimate(np.array([5.0, 4.0, 3.0]), common(0.04, 0.8))
+    c = SpectralEstimate(np.array([4.8, 4.2, 2.0]), common(0.03, 0.3))
+    draws = difference_ratio(
+        rng.multivariate_normal(p.mean, p.error_covariance, 40000),
+        rng.multivariate_normal(c.mean, c.error_covariance, 40000),
+    )
+    assert np.cov(draws.T) == pytest.approx(difference_ratio_covariance(p, c), rel=0.05)
+
+
+def test_median_interval_covers():
+    # 41 bands, errors half common, half of each band: 2000 draws, sd of the share 0.005; the interval of
+    # the mean is used for the median, a little narrow for the independent part: 0.93 to 0.97.
+    rng = np.random.default_rng(2)
+    covariance = 0.01**2 * (0.5 * np.ones((41, 41)) + 0.5 * np.eye(41))
+    hits = 0
+    for r in rng.multivariate_normal(np.full(41, 0.02), covariance, 2000):
+        low, high = median_interval(r, covariance)
+        hits += low <= 0.02 <= high
+    assert 0.93 < hits / 2000 < 0.97
+
+
+def test_diagonal_and_full_agree_without_correlation():
+    rng = np.random.default_rng(3)
+    variance = rng.uniform(0.5, 2.0, 30)
+    r = rng.normal(size=30)
+    diagonal, full = chi_square_diagonal(r, np.diag(variance)), chi_square_full(r, np.diag(variance))
+    assert diagonal.value == pytest.approx(np.sum(r**2 / variance))
+    assert full.value == pytest.approx(diagonal.value, rel=1e-12)
+    assert (full.dof, diagonal.dof) == (30, 30)
+    assert full.p_value == pytest.approx(stats.chi2.sf(full.value, 30))
+
+
+def test_full_test_rejects_true_cases_at_its_level():
+    # 2000 consistent residuals with a correlated covariance: 5 % rejected, sd 0.5 %; 3 to 7 % is 4 sd.
+    rng = np.random.default_rng(4)
+    x = np.linspace(0, 1, 25)
+    covariance = 0.03**2 * np.exp(-np.abs(x[:, None] - x[None, :])) + 0.005**2 * np.eye(25)
+    draws = rng.multivariate_normal(np.zeros(25), covariance, 2000)
+    rejected = np.mean([chi_square_full(r, covariance).p_value < 0.05 for r in draws])
+    assert 0.03 < rejected < 0.07
+
+
+def test_a_tilt_outside_the_budget_is_seen_by_the_full_test_alone():
+    # A 3 % tilt from end to end with 2.6 % of common gain error and 0.85 % of independent error per band.
+    mean = spectrum(5.0).mean
+    tilt = 0.03 * np.linspace(-1, 1, B) * mean
+    covariance = (0.026**2 * np.ones((B, B)) + 0.0085**2 * np.eye(B)) * np.outer(mean, mean)
+    diagonal, full = chi_square_diagonal(tilt, covariance), chi_square_full(tilt, covariance)
+    assert diagonal.reduced == pytest.approx(0.41, abs=0.02)
+    assert diagonal.p_value > 0.999
+    assert full.reduced == pytest.approx(4.15, abs=0.2)
+    assert full.p_value < 1e-6
+    rows = compare_radiance(spectrum(mean + tilt, covariance), spectrum(mean, 0.0), **NAMES)
+    assert value(rows, "p_value_diagonal").value > 0.99
+    assert value(rows, "p_value_full").value < 1e-6
+    # In the budget, the same tilt is accepted by both.
+    budgeted = covariance + np.outer(tilt, tilt)
+    assert chi_square_full(tilt, budgeted).p_value > 0.05
+
+
+def test_tilts_are_found_above_noise():
+    # The same covariance with true errors drawn from it plus the tilt: the power asked for is 90 %.
+    rng = np.random.default_rng(5)
+    mean = np.full(B, 5.0)
+    tilt = 0.03 * np.linspace(-1, 1, B) * mean
+    covariance = (0.026**2 * np.ones((B, B)) + 0.0085**2 * np.eye(B)) * np.outer(mean, mean)
+    draws = rng.multivariate_normal(tilt, covariance, 200)
+    assert np.mean([chi_square_full(r, covariance).p_value < 0.05 for r in draws]) > 0.9
+
+
+def test_singular_covariance_keeps_only_real_directions():
+    direction = np.linspace(1, 2, 10)
+    covariance = np.outer(direction, direction)
+    full = chi_square_full(2.0 * direction, covariance)
+    assert full.dof == 1
+    assert full.value == pytest.approx(4.0)
+    assert chi_square_full(np.zeros(3), np.zeros((3, 3))).dof == 0
+    assert np.isnan(chi_square_full(np.zeros(3), np.zeros((3, 3))).p_value)
+    # Two copies of one band: one direction less, same verdict as without the copy.
+    rng = np.random.default_rng(6)
+    a = rng.normal(size=(4, 4))
+    cov, r = a @ a.T, rng.normal(size=4)
+    twice = np.array([0, 1, 2, 3, 3])
+    doubled = chi_square_full(r[twice], cov[np.ix_(twice, twice)])
+    assert doubled.dof == 4
+    assert doubled.value == pytest.approx(chi_square_full(r, cov).value, rel=1e-6)
+
+
+def test_bias_and_shape_add_up_and_separate():
+    rng = np.random.default_rng(7)
+    a = rng.normal(size=(12, 12))
+    covariance, reference, r = a @ a.T, rng.uniform(1, 2, 12), rng.normal(size=12)
+    parts = bias_and_shape(r, reference, covariance)
+    full = chi_square_full(r, covariance)
+    assert (parts.bias / parts.bias_sd) ** 2 + parts.shape.value == pytest.approx(full.value, rel=1e-7)
+    assert parts.shape.dof == 11
+    inverse = np.linalg.inv(covariance)
+    assert parts.bias == pytest.approx(reference @ inverse @ r / (reference @ inverse @ reference), rel=1e-6)
+    pure = bias_and_shape(0.07 * reference, reference, covariance)
+    assert pure.bias == pytest.approx(0.07)
+    assert pure.shape.value == pytest.approx(0.0, abs=1e-9)
+
+
+def test_z_and_angle():
+    assert z_scores([3.0, 1.0], np.diag([9.0, 0.0]))[0] == 1.0
+    assert np.isnan(z_scores([3.0, 1.0], np.diag([9.0, 0.0]))[1])
+    assert spectral_angle_degrees([1, 2, 3], [2, 4, 6]) == pytest.approx(0.0, abs=1e-12)
+    assert spectral_angle_degrees([1, 0], [0, 1]) == pytest.approx(90.0)
+    small = 1e-9  # arccos of a dot product gives 0 or 1e-8 here
+    assert spectral_angle_degrees([1, 0], [1, small]) == pytest.approx(np.degrees(small), rel=1e-6)
+    assert np.isnan(spectral_angle_degrees([0, 0], [1, 1]))
+
+
+def test_nan_never_reaches_a_test_statistic():
+    with pytest.raises(UsageError, match="NaN"):
+        chi_square_full([1.0, np.nan], np.eye(2))
+    broken = np.eye(2)
+    broken[0, 1] = broken[1, 0] = np.nan
+    with pytest.raises(UsageError, match="NaN"):
+        chi_square_full([1.0, 1.0], broken)
+
+
+@pytest.mark.parametrize(
+    ("compare", "product"),
+    [(compare_radiance, "radiance"), (compare_snr, "snr"), (compare_reflectance, "reflectance")],
+)
+def test_rows_of_a_known_offset(compare, product):
+    rows = compare(spectrum(5.25, 0.01), spectrum(5.0, 0.03), **NAMES)
+    assert {r.product for r in rows} == {product}
+    assert {r.status for r in rows} == {Status.INFO}
+    per_band = [r for r in rows if r.metric == "difference_ratio"]
+    assert [r.band_nm for r in per_band] == AXIS.centre_nm.tolist()
+    half = 1.959964 * np.sqrt((0.1 / 5) ** 2 + (5.25 * np.sqrt(0.03) / 25) ** 2)
+    assert per_band[0].value == pytest.approx(0.05)
+    assert (per_band[0].lower, per_band[0].upper) == pytest.approx((0.05 - half, 0.05 + half), rel=1e-6)
+    for region in ("windows", "vnir", "swir1", "swir2", "absorption"):
+        assert value(rows, f"median_abs_difference_ratio_{region}").value == pytest.approx(0.05)
+    assert value(rows, "chi2_reduced_diagonal").value == pytest.approx(0.25**2 / 0.04)
+    assert value(rows, "chi2_reduced_full").value == pytest.approx(0.25**2 / 0.04)
+    assert value(rows, "bias_ratio").value == pytest.approx(0.05)
+    assert value(rows, "chi2_reduced_shape").value == pytest.approx(0.0, abs=1e-9)
+    assert value(rows, "fraction_inside_95").value == 1.0
+    assert value(rows, "spectral_angle").value == pytest.approx(0.0, abs=1e-5)
+    assert value(rows, "chi2_reduced_diagonal").n == in_window(AXIS.centre_nm).sum()
+
+
+def test_the_sign_says_who_is_brighter():
+    rows = compare_radiance(spectrum(4.5), spectrum(5.0), **NAMES)
+    assert value(rows, "median_difference_ratio_windows").value == pytest.approx(-0.1)
+    assert value(rows, "bias_ratio").value == pytest.approx(-0.1)
+
+
+def test_absorption_bands_do_not_touch_the_windows():
+    mean = np.full(B, 5.0)
+    mean[~in_window(AXIS.centre_nm)] = 50.0
+    rows = compare_radiance(spectrum(mean), spectrum(5.0), **NAMES)
+    assert value(rows, "max_abs_difference_ratio_windows").value == 0.0
+    assert value(rows, "chi2_reduced_full").value == 0.0
+    assert value(rows, "median_abs_difference_ratio_absorption").value == pytest.approx(9.0)
+
+
+def test_bad_bands_and_gaps_are_left_out():
+    good = np.ones(B, bool)
+    good[3] = False
+    axis = SpectralAxis(AXIS.centre_nm, AXIS.fwhm_nm, good)
+    observed = spectrum(5.0)
+    observed.mean[7] = np.nan
+    observed.error_covariance[9, 9] = np.nan
+    usable = comparable_bands(spectrum(5.0), observed, axis)
+    assert np.flatnonzero(~usable).tolist() == [3, 7, 9]
+    rows = compare_radiance(spectrum(5.0), observed, **{**NAMES, "axis": axis})
+    assert sum(r.metric == "difference_ratio" for r in rows) == B - 3
+    assert all(np.isfinite(r.value) for r in rows)
+
+
+def test_a_missing_side_or_region_is_skipped_with_its_reason():
+    (row,) = compare_radiance(None, spectrum(5.0), **NAMES)
+    assert row.status is Status.SKIPPED
+    assert row.reason == "no radiance of grass in the prediction"
+    (row,) = compare_radiance(None, None, **NAMES)
+    assert "in the prediction and in the observation" in row.reason
+    vnir = SpectralAxis(np.arange(420.0, 900.0, 20.0), 20.0)
+    part = SpectralEstimate(np.ones(len(vnir)), np.eye(len(vnir)) * 1e-4)
+    rows = compare_radiance(part, part, **{**NAMES, "axis": vnir})
+    skipped = value(rows, "median_abs_difference_ratio_swir2")
+    assert (skipped.status, skipped.reason) == (Status.SKIPPED, "no comparable band in swir2")
+    exact = spectrum(5.0, 0.0)
+    assert value(compare_radiance(exact, exact, **NAMES), "p_value_full").status is Status.SKIPPED
+
+
+def test_spectra_of_another_axis_are_refused():
+    with pytest.raises(UsageError, match=f"expected: the {B} bands"):
+        compare_radiance(SpectralEstimate(np.ones(3), np.eye(3)), spectrum(5.0), **NAMES)
+
+
+def test_regions_do_not_overlap_and_fill_the_windows():
+    found = regions(AXIS)
+    assert np.array_equal(
+        found["vnir"].astype(int) + found["swir1"].astype(int) + found["swir2"].astype(int),
+        found["windows"].astype(int),
+    )
+    assert not np.any(found["windows"] & found["absorption"])
