@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from hyperval.products import Products, RocCurve
 from hyperval.report import style
@@ -35,13 +34,15 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         for at, key in enumerate(keys):
             axes = figure.add_subplot(rows, columns, at + 1)
             _roc_panel(axes, predicted.get(key), measured.get(key), low)
-            axes.set_title(style.plain(_roc_title(key)), loc="left")
+            axes.set_title(
+                style.plain(_roc_title(key)) + "\n" + _counted(measured.get(key)), loc="left", fontsize=8.5
+            )
             told.append(_roc_words(key, predicted.get(key), measured.get(key)))
             if at % columns == 0:
-                axes.set_ylabel("P_D [1]")
+                axes.set_ylabel("$P_D$ [1]")
             if at + columns >= len(keys):
-                axes.set_xlabel("P_FA per pixel [1]")
-        figure.legend(handles=_roc_legend(predicted, measured), loc="outside lower center", ncols=4)
+                axes.set_xlabel("$P_{FA}$ per pixel [1]")
+        style.add_legend(figure, _roc_legend(predicted, measured))
         name = "roc" if len(found) == 1 else f"roc-{number}"
         alt = (
             "Probability of detection against probability of false alarm (logarithmic), predicted (dashed) and "
@@ -70,7 +71,7 @@ def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     axes.axvline(1.0, color="#777777", linewidth=0.8, linestyle=":")
     _row_labels(axes, keys, {k: measured[k].n for k in keys if k in measured})
     axes.set_xlabel("score [1] (dot: mean; bar: mean ± 1.96 standard deviations)")
-    figure.legend(handles=_dot_legend(predicted, measured), loc="outside lower center", ncols=2)
+    style.add_legend(figure, _dot_legend(predicted, measured))
     told = "; ".join(
         f"{s} {d}: " + ", ".join(f"{n} {h[s, d].mean:.3g} ± {h[s, d].sd:.2g}"
                                  for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
@@ -106,7 +107,7 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         axes.axvline(0.0, color="#777777", linewidth=0.8)
     _row_labels(axes, keys, {})
     axes.set_xlabel("area [m²] (bar: 95 % interval)")
-    figure.legend(handles=_dot_legend(predicted, measured), loc="outside lower center", ncols=2)
+    style.add_legend(figure, _dot_legend(predicted, measured))
     told = "; ".join(
         f"{s} {d}: " + ", ".join(f"{n} {h[s, d].area_m2:.3g} m²"
                                  for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
@@ -134,10 +135,6 @@ def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None
         axes.plot(x, measured.pd[keep], color=COLLECTED.colour, linestyle=COLLECTED.line, drawstyle="steps-post")
         if measured.n_background:
             axes.axvline(1.0 / measured.n_background, color="#444444", linewidth=1.0, linestyle=":")
-        axes.text(
-            0.97, 0.04, _counted(measured), transform=axes.transAxes, ha="right", va="bottom", fontsize=7.5,
-            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.5},
-        )  # fmt: skip
     axes.set_xscale("log")
     axes.set_xlim(low, 1.0)
     axes.set_ylim(-0.02, 1.04)
@@ -153,12 +150,16 @@ def _lowest_pfa(curves: list[RocCurve]) -> float:
     return max(min([*lowest, *limits], default=1e-3), floor, _LOWEST_PFA)
 
 
-def _counted(curve: RocCurve) -> str:
-    target = (
-        "" if curve.n_target is None else f"{curve.n_target:,} {curve.unit}{'s' if curve.n_target != 1 else ''}"
-    )
-    background = "" if curve.n_background is None else f"{curve.n_background:,} background pixels"
-    return "\n".join(part for part in (target, background) if part).replace(",", "\u202f")
+def _counted(curve: RocCurve | None) -> str:
+    """What a measured curve rests on, in a line; empty for no curve."""
+    if curve is None:
+        return "not measured"
+    parts = []
+    if curve.n_target is not None:
+        parts.append(f"{curve.n_target:,} {curve.unit}{'s' if curve.n_target != 1 else ''}")
+    if curve.n_background is not None:
+        parts.append(f"{curve.n_background:,} background pixels")
+    return "measured on " + " and ".join(parts).replace(",", "\u202f") if parts else "counts unknown"
 
 
 def _roc_title(key: tuple[str, str, str]) -> str:
@@ -178,16 +179,17 @@ def _roc_words(key: tuple[str, str, str], predicted: RocCurve | None, measured: 
     return f"{', '.join(key)}: {'; '.join(words) or 'no points'}."
 
 
-def _roc_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, RocCurve]) -> list[Any]:
-    handles: list[Any] = []
-    if predicted:
-        handles.append(Line2D([], [], color=PREDICTED.colour, linestyle=PREDICTED.line, label="predicted"))
-    if measured:
-        handles.append(Line2D([], [], color=COLLECTED.colour, linestyle=COLLECTED.line, label="measured"))
-    handles.append(Patch(color="#555555", alpha=0.25, label="95 % interval"))
+def _roc_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, RocCurve]) -> list[tuple[Any, str]]:
+    entries: list[tuple[Any, str]] = []
+    colours = []
+    for held, look, name in ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, "measured")):
+        if held:
+            entries.append((Line2D([], [], color=look.colour, linestyle=look.line), name))
+            colours.append(look.colour)
+    entries.append((style.interval_handle(*colours), "95 % interval"))
     if any(curve.n_background for curve in measured.values()):
-        handles.append(Line2D([], [], color="#444444", linestyle=":", label="resolution: 1 / background pixels"))
-    return handles
+        entries.append((Line2D([], [], color="#444444", linestyle=":"), "resolution: 1 / background pixels"))
+    return entries
 
 
 def _dots(axes: Axes, rows: list[tuple[float, float, float]], look: Look) -> None:
@@ -211,17 +213,13 @@ def _row_labels(axes: Axes, keys: list[tuple[str, str]], counts: Mapping[Any, in
     axes.grid(visible=False, axis="y")
 
 
-def _dot_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[Any]:
-    handles = []
+def _dot_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[tuple[Any, str]]:
+    entries: list[tuple[Any, str]] = []
     for held, look, name in ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, "measured")):
         if held:
             face = "white" if look is PREDICTED else look.colour
-            handles.append(
-                Line2D(
-                    [], [], color=look.colour, marker=look.marker, markerfacecolor=face, label=name, linestyle="-"
-                )
-            )
-    return handles
+            entries.append((Line2D([], [], color=look.colour, marker=look.marker, markerfacecolor=face), name))
+    return entries
 
 
 def _held(side: Products | None, product: str) -> Mapping[Any, Any]:

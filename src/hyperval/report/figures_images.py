@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
 from hyperval.report import style
 from hyperval.report.run import Quicklook, ScoreMap
@@ -31,7 +32,9 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     width, height = _figure_size(lines, samples, with_names=bool(names))
     figure = style.new_figure(width, height, "Scene", simulated)
     axes = figure.add_subplot()
-    axes.imshow(rgb[::step, ::step], extent=(0, samples, lines, 0), interpolation="nearest")
+    shown = rgb[::step, ::step]
+    axes.imshow(shown, extent=(0, step * shown.shape[1], step * shown.shape[0], 0), interpolation="nearest")
+    axes.set(xlim=(0, samples), ylim=(lines, 0))
     _pixel_axes(axes)
     _outlines(axes, quicklook.regions)
     _scale_bar(axes, quicklook.pixel_size_m, samples, lines)
@@ -51,7 +54,7 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     alt = (
         f"Picture of the scene, {lines} lines by {samples} samples; outlined regions: {', '.join(names) or 'none'}."
     )
-    return Drawing("scene", "scene", title, alt, style.png_bytes(figure), "png")
+    return Drawing("scene", "scene", title, alt, style.png_bytes(figure), "png", width_px=_css_width(figure))
 
 
 def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
@@ -62,16 +65,16 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
         values, block = block_maximum(np.asarray(score_map.values, dtype=float), _MOST_PIXELS)
         lines, samples = np.asarray(score_map.values).shape
         width, height = _figure_size(lines, samples, with_names=False)
-        figure = style.new_figure(width + 0.6, height, f"Score map {name}", simulated)
+        figure = style.new_figure(width + 1.2, height, f"Score map {name}", simulated)
         axes = figure.add_subplot()
-        finite = values[np.isfinite(values)]
-        low, high = (float(v) for v in np.percentile(finite, [1.0, 99.9])) if finite.size else (0.0, 1.0)
+        low, high = _score_limits(score_map)
         image = axes.imshow(
-            values, cmap="viridis", vmin=low, vmax=max(high, low + 1e-9),
-            extent=(0, samples, lines, 0), interpolation="nearest",
+            values, cmap="viridis", vmin=low, vmax=high,
+            extent=(0, block * values.shape[1], block * values.shape[0], 0), interpolation="nearest",
         )  # fmt: skip
         figure.colorbar(image, ax=axes, shrink=0.8, extend="both", label="score [1]")
         _pixel_axes(axes)
+        axes.set(xlim=(0, samples), ylim=(lines, 0))
         _outlines(axes, score_map.outlines)
         _scale_bar(axes, score_map.pixel_size_m, samples, lines)
         outlined = ", ".join(score_map.outlines) or "none"
@@ -81,13 +84,31 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
             Drawing(
                 f"score-map-{number}",
                 "scores",
-                f"Score map {name}, targets outlined{note}",
+                f"Score map {name}{', targets outlined' if score_map.outlines else ''}{note}",
                 alt,
                 style.png_bytes(figure, dpi=110.0),
                 "png",
+                width_px=_css_width(figure),
+                legend="; ".join(f"{i} {name}" for i, name in enumerate(score_map.outlines, 1)),
             )
         )
     return drawings
+
+
+def _score_limits(score_map: ScoreMap) -> tuple[float, float]:
+    """Ends of the colour scale: almost all of the image, and the better half of the targets' pixels."""
+    values = np.asarray(score_map.values, dtype=float)
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return 0.0, 1.0
+    low, high = (float(v) for v in np.percentile(finite, [1.0, 99.9]))
+    on_target = np.zeros(values.shape, bool)
+    for mask in score_map.outlines.values():
+        on_target |= np.asarray(mask, bool)
+    scores = values[on_target & np.isfinite(values)]
+    if scores.size:
+        high = max(high, float(np.percentile(scores, 75.0)))
+    return low, max(high, low + 1e-9)
 
 
 def block_maximum(values: npt.NDArray[np.float64], most: int) -> tuple[npt.NDArray[np.float64], int]:
@@ -163,6 +184,10 @@ def _figure_size(lines: int, samples: int, *, with_names: bool) -> tuple[float, 
     extra = 2.6 if with_names and samples < 2 * lines else 0.6
     below = 1.2 if with_names and samples >= 2 * lines else 0.0
     return width + extra, min(width * aspect, 9.0) + 1.0 + below
+
+
+def _css_width(figure: Figure) -> int:
+    return round(96 * float(figure.get_figwidth()))
 
 
 def _step(shape: tuple[int, ...]) -> int:

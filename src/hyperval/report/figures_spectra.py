@@ -30,7 +30,7 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
     label, title, ratio = {
         "radiance": (style.RADIANCE_LABEL, "Radiance at the sensor", True),
         "reflectance": ("reflectance [1]", "Reflectance", False),
-        "snr": ("signal-to-noise ratio [1]", "Signal-to-noise ratio", True),
+        "snr": ("signal-to-noise\nratio [1]", "Signal-to-noise ratio", True),
     }[product]
     predicted, collected = _held(sides[0], product), _held(sides[1], product)
     drawings = []
@@ -53,10 +53,11 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
             top.tick_params(labelbottom=False)
             if column == 0:
                 top.set_ylabel(label)
-                below.set_ylabel("difference ratio [1]" if ratio else "difference [1]")
+                below.set_ylabel("difference\nratio [1]" if ratio else "difference\n[1]")
             if at + columns >= len(subjects):
                 below.set_xlabel(style.WAVELENGTH_LABEL)
-        figure.legend(handles=_legend(predicted, collected), loc="outside lower center", ncols=4)
+        figure.align_ylabels()
+        style.add_legend(figure, _legend(predicted, collected, difference=True))
         alt = (
             f"{title} against wavelength for {', '.join(subjects)}: predicted (dashed) and collected (solid) with "
             f"95 % intervals; below each, predicted minus collected{' over collected' if ratio else ''}."
@@ -79,14 +80,15 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
 def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Relative uncertainty of the radiance by source, stacked to the total."""
     panels: list[tuple[str, str, Products, SpectralEstimate]] = []
-    for name, side in (("predicted", sides[0]), ("collected", sides[1])):
-        if side is not None:
-            panels += [(subject, name, side, e) for subject, e in side.radiance.items() if e.budget]
+    for subject in both_first(_held(sides[0], "radiance"), _held(sides[1], "radiance")):
+        for name, side in (("predicted", sides[0]), ("collected", sides[1])):
+            if side is not None and subject in side.radiance and side.radiance[subject].budget:
+                panels.append((subject, name, side, side.radiance[subject]))
     if not panels:
         return []
     panels = panels[: style.MAX_PANELS]
     sources, colours = _ranked_sources([e for *_, e in panels])
-    columns = style.column_count(len(panels))
+    columns = min(len(panels), 2)  # predicted beside collected where both have a budget
     rows = math.ceil(len(panels) / columns)
     figure = style.new_figure(10.0, 1.1 + 2.3 * rows, "Uncertainty of the radiance by source", simulated)
     for at, (subject, name, side, estimate) in enumerate(panels):
@@ -105,9 +107,9 @@ def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             axes.set_ylabel("standard uncertainty\n[% of radiance]")
         if at + columns >= len(panels):
             axes.set_xlabel(style.WAVELENGTH_LABEL)
-    handles: list[Any] = [Patch(color=c, label=style.plain(s)) for s, c in zip(sources, colours, strict=True)]
-    handles.append(Patch(color="#e9e9e9", label="absorption band"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    entries: list[tuple[Any, str]] = [(Patch(color=c), s) for s, c in zip(sources, colours, strict=True)]
+    entries.append((Patch(color=style.ABSORPTION_COLOUR), "absorption band"))
+    style.add_legend(figure, entries, columns=4)
     alt = (
         "Relative standard uncertainty of the radiance against wavelength, stacked by source in proportion to its "
         f"share of the variance. Sources, largest first: {', '.join(sources)}. "
@@ -140,12 +142,13 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
                 firsts.append(f"{values[0]:.3g}" if values.size else "none")
         told.append(f"{subject} {' and '.join(firsts)}")
         axes.set_yscale("log")
+        axes.set_xlim(left=0.0)
         style.log_ticks(axes.yaxis)
         if at % columns == 0:
             axes.set_ylabel("eigenvalue\n[(µW cm⁻² sr⁻¹ nm⁻¹)²]")
         if at + columns >= len(subjects):
             axes.set_xlabel("number of the eigenvalue [1]")
-    figure.legend(handles=_legend(predicted, collected, absorption=False), loc="outside lower center", ncols=4)
+    style.add_legend(figure, _legend(predicted, collected, difference=False))
     alt = (
         f"The largest {_MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
         f"logarithmic scale, predicted and collected. Largest: {'; '.join(told)}."
@@ -225,8 +228,8 @@ def _difference(
         value = predicted.mean - collected.mean
         u = np.hypot(predicted.standard_uncertainty, collected.standard_uncertainty)
     half = _COVERAGE * u
-    axes.fill_between(w, value - half, value + half, color="#555555", alpha=0.25, linewidth=0)
-    axes.plot(w, value, color="#222222", linewidth=1.2)
+    axes.fill_between(w, value - half, value + half, color=style.DIFFERENCE_COLOUR, alpha=0.25, linewidth=0)
+    axes.plot(w, value, color=style.DIFFERENCE_COLOUR, linewidth=1.2)
     keep = _keep(w)
     _wavelength_axis(
         axes, w, style.robust_limits([value[keep], (value - half)[keep], (value + half)[keep]], zero=True)
@@ -256,7 +259,11 @@ def _eigenvalue_line(axes: Axes, values: Array, n: int | None, look: Look) -> No
         # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
         factor = np.exp(_COVERAGE * math.sqrt(2.0 / (n - 1)))
         axes.fill_between(number, values / factor, values * factor, color=look.colour, alpha=0.2, linewidth=0)
-    axes.plot(number, values, color=look.colour, linestyle=look.line, marker=look.marker, markersize=3)
+    hollow = look is PREDICTED  # and larger and on top, so that neither hides the other
+    axes.plot(
+        number, values, color=look.colour, linestyle=look.line, linewidth=1.0, marker=look.marker,
+        markersize=6 if hollow else 3, markerfacecolor="none" if hollow else look.colour, zorder=3 if hollow else 2,
+    )  # fmt: skip
 
 
 def _variance_parts(estimate: SpectralEstimate, sources: Sequence[str]) -> Array:
@@ -285,15 +292,22 @@ def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> tuple[list[str], l
     return ranked, list(style.SOURCE_COLOURS[: len(ranked)])
 
 
-def _legend(predicted: Mapping[Any, Any], collected: Mapping[Any, Any], *, absorption: bool = True) -> list[Any]:
-    handles: list[Any] = []
+def _legend(
+    predicted: Mapping[Any, Any], collected: Mapping[Any, Any], *, difference: bool
+) -> list[tuple[Any, str]]:
+    entries: list[tuple[Any, str]] = []
+    colours = []
     for held, look, name in ((predicted, PREDICTED, "predicted"), (collected, COLLECTED, "collected")):
         if held:
-            handles.append(Line2D([], [], color=look.colour, linestyle=look.line, label=name))
-    handles.append(Patch(color="#555555", alpha=0.25, label="95 % interval"))
-    if absorption:
-        handles.append(Patch(color="#e9e9e9", label="absorption band"))
-    return handles
+            entries.append((Line2D([], [], color=look.colour, linestyle=look.line), name))
+            colours.append(look.colour)
+    if difference:
+        entries.append((Line2D([], [], color=style.DIFFERENCE_COLOUR), "difference"))
+        colours.append(style.DIFFERENCE_COLOUR)
+    entries.append((style.interval_handle(*colours), "95 % interval"))
+    if difference:
+        entries.append((Patch(color=style.ABSORPTION_COLOUR), "absorption band"))
+    return entries
 
 
 def _held(side: Products | None, product: str) -> Mapping[str, SpectralEstimate]:

@@ -21,6 +21,7 @@ from hyperval.results import Result, Status
 MAX_BYTES = 5_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 4_200_000  # of that, for figures
 _MOST_INFORMING = 40  # rows in the first table; more are moved to their sections
+_MOST_PASSES = 40  # in the first table; the others are folded below it
 _MOST_LISTED = 400  # per-band failures spelled out; results.csv has all
 _INPUTS_UNDER_FIGURE = 3
 
@@ -51,6 +52,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     rows = list(run.table)
     tone, words = v.verdict(rows)
     gates = sorted((r for r in rows if r.status is not Status.INFO), key=_severity)
+    whole = [r for r in gates if not v.is_per_band(r)]
+    folded = {id(r) for r in [r for r in whole if r.status is Status.PASS][_MOST_PASSES:]}
     bands = [r for r in gates if v.is_per_band(r)]
     failed_bands = [r for r in bands if r.status in (Status.FAIL, Status.ERROR)]
     informing = [r for r in rows if r.status is Status.INFO and not v.is_per_band(r)]
@@ -63,7 +66,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         tone=tone,
         verdict=words,
         counts=v.status_words(rows),
-        gates=[r for r in gates if not v.is_per_band(r)],
+        gates=[r for r in whole if id(r) not in folded],
+        folded_passes=[r for r in whole if id(r) in folded],
         failed_bands=failed_bands,
         failed_by_subject=_grouped(failed_bands),
         unlisted_bands=len(bands) - len(failed_bands),
@@ -147,22 +151,28 @@ def _grouped(rows: Sequence[Result]) -> list[tuple[str, list[Result]]]:
 
 def _sections(run: RunReport, drawings: Sequence[Drawing], rows: Sequence[Result]) -> list[Section]:
     names = [*_SECTIONS, *dict.fromkeys(row.product for row in rows if row.product not in _SECTIONS)]
-    sections, room = [], _FIGURE_BYTES
+    embedded, sections = _embedded(drawings), []
     for name in names:
-        figures = []
-        for drawing in (d for d in drawings if d.section == name):
-            encoded = base64.b64encode(drawing.content).decode("ascii")
-            room -= len(encoded)
-            source = f"data:{_MEDIA[drawing.kind]};base64,{encoded}"
-            fits = room >= 0
-            room += 0 if fits else len(encoded)
-            figures.append(
-                {"drawing": drawing, "source": source if fits else None, "from": _under_figure(run, name)}
-            )
+        figures = [
+            {"drawing": d, "source": embedded.get(d.name), "from": _under_figure(run, name)}
+            for d in drawings
+            if d.section == name
+        ]
         own = [row for row in rows if row.product == name]
         if figures or own:
             sections.append(Section(_SECTIONS.get(name, name), figures, own))
     return sections
+
+
+def _embedded(drawings: Sequence[Drawing]) -> dict[str, str]:
+    """Name of a figure -> its data URI, for as many as the page has room for; score maps come last."""
+    sources, room = {}, _FIGURE_BYTES
+    for drawing in sorted(drawings, key=lambda d: d.name.startswith("score-map")):
+        source = f"data:{_MEDIA[drawing.kind]};base64,{base64.b64encode(drawing.content).decode('ascii')}"
+        if len(source) <= room:
+            room -= len(source)
+            sources[drawing.name] = source
+    return sources
 
 
 def _under_figure(run: RunReport, product: str) -> str:

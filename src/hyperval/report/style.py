@@ -19,11 +19,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
+from PIL import Image
 
 from hyperval.spectra.windows import ABSORPTION_BANDS_NM
 
-RADIANCE_LABEL = "radiance [µW cm⁻² sr⁻¹ nm⁻¹]"
+RADIANCE_LABEL = "radiance\n[µW cm⁻² sr⁻¹ nm⁻¹]"
+DIFFERENCE_COLOUR = "#5B3A8C"
+ABSORPTION_COLOUR = "#e9e9e9"
 WAVELENGTH_LABEL = "wavelength [nm]"
 SOURCE_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#777777")
 MAX_PANELS = 12
@@ -73,6 +78,8 @@ class Drawing:
     section : the product it belongs to
     title, alt : caption, and the text for those who cannot see it
     content, kind : the bytes of the file and their format
+    width_px : width at which the text of a PNG has the size of the page's [CSS pixels]; None for SVG
+    legend : what the numbers in a picture stand for, for the caption
     """
 
     name: str
@@ -81,6 +88,8 @@ class Drawing:
     alt: str
     content: bytes
     kind: Literal["svg", "png"]
+    width_px: int | None = None
+    legend: str = ""
 
     @property
     def file_name(self) -> str:
@@ -106,21 +115,60 @@ def new_figure(width_in: float, height_in: float, title: str, simulated: bool) -
 
 
 def svg_bytes(figure: Figure) -> bytes:
-    """The figure as SVG, path coordinates rounded to 0.1 of a point (a seventh of a pixel)."""
+    """The figure as SVG, coordinates rounded to 0.1 of a point (a seventh of a pixel), not indented."""
     out = io.BytesIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue().decode("utf-8")
-    return re.sub(r'(?<= d=")[^"]+(?=")', _rounded_path, text).encode("utf-8")
+    text = re.sub(r'(?<= d=")[^"]+(?=")', lambda m: compact_path(m[0]), text)
+    text = re.sub(r'(?<= [xy]=")[^"]+(?=")', _rounded, text)
+    return re.sub(r"\n\s+", "\n", text).encode("utf-8")
 
 
-def png_bytes(figure: Figure, dpi: float = 130.0) -> bytes:
-    """The figure as PNG without the writer's version in it."""
-    out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
+def png_bytes(figure: Figure, dpi: float = 120.0) -> bytes:
+    """The figure as PNG of 256 colours, without the writer's version in it."""
+    drawn, out = io.BytesIO(), io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=dpi)
+    with Image.open(drawn) as image:
+        image.convert("RGB").quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
+            out, format="png", optimize=True
+        )
     return out.getvalue()
 
 
-def _rounded_path(match: re.Match[str]) -> str:
+def compact_path(path: str) -> str:
+    """SVG path data rounded to 0.1, its straight runs as relative steps; others rounded as they stand.
+
+    The steps join rounded points, so rounding does not add up along a line.
+    """
+    tokens = path.split()
+    if set("".join(tokens)) & set("CQHVASTclqhvast"):
+        return re.sub(r"-?\d+\.\d+", _rounded, path)
+    out: list[str] = []
+    at, last, i = (0, 0), "", 0
+    while i < len(tokens):
+        command = tokens[i]
+        if command in "zZ":
+            out.append(command)
+            last, i = command, i + 1
+            continue
+        point = round(float(tokens[i + 1]) * 10), round(float(tokens[i + 2]) * 10)
+        if command == "M":
+            out.append(f"M{_tenths(point[0])} {_tenths(point[1])}")
+        else:
+            step = f"{_tenths(point[0] - at[0])} {_tenths(point[1] - at[1])}"
+            out.append(step if last == "L" else f"l{step}")
+        at, last, i = point, command, i + 3
+    return " ".join(out)
+
+
+def _tenths(number: int) -> str:
+    """A number of tenths as the shortest decimal."""
+    whole, part = divmod(abs(number), 10)
+    digits = f"{whole or ''}.{part}" if part else str(whole)
+    return f"-{digits}" if number < 0 else digits
+
+
+def _rounded(match: re.Match[str]) -> str:
     return re.sub(r"-?\d+\.\d+", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), match[0])
 
 
@@ -149,18 +197,34 @@ def pages(keys: Sequence[Any], page_limit: int = 2) -> list[list[Any]]:
     return [kept[i : i + MAX_PANELS] for i in range(0, len(kept), MAX_PANELS)]
 
 
+def interval_handle(*colours: str) -> tuple[Any, ...]:
+    """A legend entry of patches side by side, in the colours that intervals have in the figure."""
+    return tuple(Patch(color=colour, alpha=0.25, linewidth=0) for colour in colours)
+
+
+def add_legend(figure: Figure, entries: Sequence[tuple[Any, str]], columns: int = 6) -> None:
+    """A legend below all panels."""
+    figure.legend(
+        [handle for handle, _ in entries],
+        [plain(label) for _, label in entries],
+        loc="outside lower center",
+        ncols=columns,
+        handler_map={tuple: HandlerTuple(None, pad=0.2)},
+    )
+
+
 def shade_absorption(axes: Axes, low_nm: float, high_nm: float) -> None:
     """Grey where a gas absorbs."""
     for start, end, _ in ABSORPTION_BANDS_NM:
         if end > low_nm and start < high_nm:
-            axes.axvspan(max(start, low_nm), min(end, high_nm), color="#e9e9e9", linewidth=0, zorder=0)
+            axes.axvspan(max(start, low_nm), min(end, high_nm), color=ABSORPTION_COLOUR, linewidth=0, zorder=0)
 
 
 def log_ticks(axis: Any) -> None:
     """Decade ticks with labels that do not crowd."""
     axis.set_major_locator(LogLocator(base=10, numticks=7))
     axis.set_major_formatter(LogFormatterSciNotation(base=10))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_locator(NullLocator())
 
 
 def robust_limits(values: Sequence[Any], *, zero: bool) -> tuple[float, float] | None:

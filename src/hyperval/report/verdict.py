@@ -85,6 +85,10 @@ def number_text(value: float, spread: float = math.nan) -> str:
     else:
         decimals = min(max(3 - math.floor(math.log10(magnitude)), 0), 7)
     text = f"{value:.{decimals}f}"
+    if "." in text and not (math.isfinite(spread) and spread > 0):
+        text = text.rstrip("0").removesuffix(".")
+    if float(text) == 0.0:
+        text = text.removeprefix("-")
     return text.replace("-", "−")
 
 

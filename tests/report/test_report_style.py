@@ -1,0 +1,72 @@
+"""Small helpers of the figures, each against a plain statement of what it must do."""
+
+import re
+
+import numpy as np
+import pytest
+
+from hyperval.report.figures_images import block_maximum, outline_segments
+from hyperval.report.style import compact_path, plain, shortened
+
+
+def corners(path):
+    """Absolute points of a path of M, L, l and z."""
+    points, at, command = [], np.zeros(2), ""
+    tokens = re.findall(r"[MLlz]|-?[\d.]+", path)
+    while tokens:
+        if tokens[0] in "MLlz":
+            command = tokens.pop(0)
+            if command == "z":
+                continue
+        step = np.array([float(tokens.pop(0)), float(tokens.pop(0))])
+        at = at + step if command == "l" else step
+        points.append(at)
+    return np.array(points)
+
+
+def test_compact_path_is_the_same_line_to_a_twentieth_of_a_point():
+    rng = np.random.default_rng(1)
+    points = rng.normal(0, 40, (500, 2)).cumsum(axis=0)
+    text = (
+        " \n".join(f"{'M' if i in (0, 200) else 'L'} {x:.6f} {y:.6f}" for i, (x, y) in enumerate(points)) + " \nz"
+    )
+    compact = compact_path(text)
+    assert len(compact) < 0.6 * len(text)
+    assert compact.endswith("z")
+    assert compact.count("M") == 2
+    np.testing.assert_allclose(corners(compact), points, atol=0.05 + 1e-6)
+
+
+def test_curves_are_rounded_only():
+    assert compact_path("M 1.26 2 C 1.04 2.5 3 4 5.55 6 z") == "M 1.3 2 C 1 2.5 3 4 5.5 6 z"
+
+
+def test_outline_is_the_edge_between_pixels():
+    mask = np.zeros((4, 5), bool)
+    mask[0:2, 3:5] = True  # touches two borders
+    segments = {tuple(map(tuple, s)) for s in outline_segments(mask)}
+    assert len(segments) == 8  # perimeter of a 2 by 2 block
+    assert ((3.0, 0.0), (3.0, 1.0)) in segments
+    assert ((3.0, 2.0), (4.0, 2.0)) in segments
+    assert outline_segments(np.zeros((3, 3), bool)).shape == (0, 2, 2)
+
+
+@pytest.mark.parametrize("shape", [(10, 10), (23, 7), (7, 23)])
+def test_block_maximum_keeps_every_peak(shape):
+    values = np.random.default_rng(2).standard_normal(shape)
+    values[3, 4] = 99.0
+    values[5:7, 0:4] = np.nan
+    reduced, block = block_maximum(values, 8)
+    assert max(reduced.shape) <= 8
+    assert reduced[3 // block, 4 // block] == 99.0
+    assert np.nanmax(reduced) == np.nanmax(values)
+    same, one = block_maximum(values, 100)
+    assert one == 1
+    assert same is values
+
+
+def test_text_is_taken_as_it_stands():
+    assert plain("a $x$\n b") == r"a \$x\$ b"
+    assert plain("_hidden") == " _hidden"
+    assert shortened("a" * 50, 11) == "aaaaaa…aaaa"
+    assert shortened("short", 11) == "short"
