@@ -119,7 +119,7 @@ def simulate(
         "fill_map": folder / f"{scene.name}_fill.img",
         "truth": folder / "truth.json",
     }
-    _write_cube(files["cube"], scene, inputs, renderer, chain, lines_per_block, show_progress)
+    saturated = _write_cube(files["cube"], scene, inputs, renderer, chain, lines_per_block, show_progress)
     truth.write_regions(files["regions"], scene, masks)
     truth.write_table(files["targets"], truth.TARGET_COLUMNS, truth.target_rows(scene, ground))
     truth.write_panel_spectra(files["panel_spectra"], scene, class_source)
@@ -134,6 +134,7 @@ def simulate(
         "wavelength_nm": inputs.sensor.axis.centre_nm.tolist(),
         "average_reflectance": average.tolist(),
         "negative_reflectance_fraction": dark,
+        "saturated_fraction": saturated,
     }
     write_text(files["truth"], json.dumps(facts, indent=1) + "\n")
     return SimulatedCollection(folder, **files, average_reflectance=average)
@@ -166,17 +167,20 @@ def _write_cube(
     chain: Detector,
     lines_per_block: int,
     show: bool | None,
-) -> None:
-    def stored(line: int) -> npt.NDArray[np.int16]:
+) -> float:
+    """Write the cube; returns the share of samples beyond the detector's full scale."""
+
+    def stored(line: int) -> tuple[npt.NDArray[np.int16], int]:
         rng = streams.generator(scene.seed, streams.NOISE, line)
-        values, clipped = chain.stored(chain.measured(chain.radiance(renderer.lit_reflectance(line)), rng))
+        radiance = chain.radiance(renderer.lit_reflectance(line))
+        values, clipped = chain.stored(chain.measured(radiance, rng))
         if clipped:
             raise UsageError(
                 f"{clipped} radiances of line {line} do not fit 16-bit integers",
                 where=scene.name,
                 mend="lower counts_per_radiance",
             )
-        return values
+        return values, chain.saturated(radiance)
 
     axis = inputs.sensor.axis
     scale = 1.0 / scene.counts_per_radiance
@@ -205,8 +209,11 @@ def _write_cube(
         },
     ) as writer:
         lines = track(_in_order(stored, range(scene.lines)), "cube", scene.lines, show=show)
+        saturated = 0
         for block in _blocks(lines, lines_per_block):
-            writer.write(np.stack(block))
+            writer.write(np.stack([values for values, _ in block]))
+            saturated += sum(count for _, count in block)
+    return saturated / (scene.lines * scene.samples * len(axis))
 
 
 def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: Ground) -> None:

@@ -35,6 +35,12 @@ class Detector:
         out += self.offset
         return out
 
+    def saturated(self, radiance: Array) -> int:
+        """How many of the radiances lie beyond the full scale of the digital numbers."""
+        s = self.sensor
+        full = np.where(s.lsb_radiance > 0.0, s.lsb_radiance * (2**s.bits - 1), np.inf)
+        return int(np.count_nonzero(radiance > full.astype(np.float32)))
+
     def measured(self, radiance: Array, rng: np.random.Generator) -> Array:
         """(samples, B) radiance as the sensor delivers it [uW cm-2 sr-1 nm-1].
 

@@ -153,6 +153,9 @@ class SurfaceRenderer:
             np.add.at(total, samples, fills)
             rho *= (1.0 - total)[:, None]
             np.add.at(rho, samples, fills[:, None] * self.target_spectra[numbers])
+        if self.scene.mode == "broken":
+            # Heavy tails reach where no surface can; in closure the model's own law is kept whole.
+            np.clip(rho, 0.0, 1.0, out=rho)
         return rho
 
     def lit_reflectance(self, line: int) -> Array:
