@@ -21,7 +21,7 @@ def checked_file(path: Path | str, *, root: Path | None = None, what: str = "fil
     InputError : no such file, or not a regular file (a folder, pipe or device).
     """
     text = os.fspath(path)
-    scheme = re.match(r"^[A-Za-z][A-Za-z0-9+.-]+:", text)
+    scheme = re.match(r"^[A-Za-z][A-Za-z0-9+._-]+:", text)
     if scheme or text.startswith("/vsi") or "\0" in text:
         raise UsageError(f"not a path of a local {what}", where=text[:200], expected="a path in the file system")
     given = Path(text)

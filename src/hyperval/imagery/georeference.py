@@ -20,7 +20,9 @@ def transform_of(header: EnviHeader) -> Affine | None:
 
     ``map info = {projection, x, y, easting, northing, dx, dy, ...}`` ties the 1-based reference pixel
     (x, y), whose (1, 1) is the upper left corner of the first pixel, to the map; ``rotation=`` turns
-    the grid counter-clockwise in degrees.  None when the header has no ``map info``.
+    the grid counter-clockwise in degrees about that pixel.  None when the header has no ``map info``.
+
+    GDAL agrees for square pixels whose reference is the first pixel; for others it shears the grid.
     """
     parts = header.strings("map info")
     if parts is None:

@@ -183,7 +183,7 @@ def ordered(record: Record) -> Record:
         before, after = parts[i], parts[i + 1]
         if not (w[before[0]] < w[after[0]] <= w[before[-1]] < w[after[-1]]):
             raise InputError(
-                f"wavelengths jump back from {w[before[-1]]:g} to {w[after[0]]:g} nm, not as where detectors overlap",
+                f"wavelengths jump back from {w[before[-1]]:g} to {w[after[0]]:g} nm, but no detectors overlap",
                 where=record.where,
             )
         cut = 0.5 * (w[before[-1]] + w[after[0]])

@@ -1,0 +1,54 @@
+"""Small ENVI files to read and to break."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperval.imagery.envi_write import write_cube
+from hyperval.spectra.axis import SpectralAxis
+
+LINES, SAMPLES, BANDS = 6, 5, 4
+
+
+@pytest.fixture
+def axis() -> SpectralAxis:
+    return SpectralAxis(np.array([450.0, 550.0, 650.0, 850.0]), np.full(BANDS, 9.5))
+
+
+@pytest.fixture
+def values() -> np.ndarray:
+    """Reflectances that int16 x 10000 holds exactly; no pixel is 0 in every band."""
+    return np.random.default_rng(11).integers(1, 9000, (LINES, SAMPLES, BANDS)) / 10000.0
+
+
+@pytest.fixture
+def cube_file(tmp_path: Path, axis: SpectralAxis, values: np.ndarray) -> Path:
+    """A valid int16 BIL reflectance cube."""
+    return write_cube(
+        tmp_path / "cube.img", values, data_type=2, interleave="bil", axis=axis, reflectance_scale_factor=10000.0
+    )
+
+
+@pytest.fixture
+def edit(cube_file: Path) -> Callable[..., Path]:
+    """Change, drop (None) or add lines of the header of ``cube_file``."""
+
+    def change(**entries: str | None) -> Path:
+        header = cube_file.with_suffix(".hdr")
+        text = header.read_text()
+        for name, value in entries.items():
+            key = name.replace("_", " ")
+            before, found, rest = text.partition(f"\n{key} = ")
+            if not found:
+                text += f"{key} = {value}\n"
+                continue
+            end = rest.index("}\n") + 1 if rest.startswith("{") else rest.index("\n")
+            text = before + ("" if value is None else f"\n{key} = {value}") + rest[end:]
+        header.write_text(text)
+        return cube_file
+
+    return change

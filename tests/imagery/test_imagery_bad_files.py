@@ -1,0 +1,203 @@
+"""Files that lie about themselves or lead elsewhere: each is refused with one clear error."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.cube import open_cube
+from hyperval.imagery.envi_write import write_cube
+from hyperval.paths import checked_file
+from hyperval.spectra.axis import SpectralAxis
+
+SIZE = 6 * 5 * 4 * 2
+
+
+def test_truncated_cube_names_the_missing_percent(cube_file: Path):
+    os.truncate(cube_file, SIZE * 6 // 10)
+    with pytest.raises(InputError, match="40 % missing") as caught:
+        open_cube(cube_file, quantity="reflectance")
+    assert caught.value.exit_code == 3
+    assert str(cube_file) in str(caught.value)
+
+
+@pytest.mark.parametrize("change", [-1, 1, 2, SIZE])
+def test_wrong_size_by_any_amount(cube_file: Path, change: int):
+    os.truncate(cube_file, SIZE + change)
+    with pytest.raises(InputError, match="truncated" if change < 0 else "longer than its header"):
+        open_cube(cube_file, quantity="reflectance")
+
+
+def test_header_offset_past_the_end(edit):
+    with pytest.raises(InputError, match="truncated"):
+        open_cube(edit(header_offset="100000"), quantity="reflectance")
+
+
+def test_enormous_dimensions_are_refused_before_memory_is_taken(edit):
+    with pytest.raises(InputError, match="truncated"):
+        open_cube(edit(samples="1000000000", lines="1000000000"), quantity="reflectance")
+
+
+def test_sparse_120_gb_file_is_read_by_blocks(edit):
+    # Apparent size as the header says, no block on disk: opening must not touch it all.
+    lines = 3_000_000_000
+    path = edit(lines=str(lines))
+    os.truncate(path, lines * 5 * 4 * 2)
+    cube = open_cube(path, quantity="reflectance")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    block = next(cube.blocks())
+    grown_mb = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    assert block.values.nbytes <= 16 << 20
+    assert grown_mb < 100
+    assert cube.pixels((np.array([0, lines - 1]), np.array([0, 4]))).shape == (2, 4)
+
+
+@pytest.mark.parametrize("which", ["cube.img", "cube.hdr"])
+def test_missing_files_are_named(cube_file: Path, which: str):
+    (cube_file.parent / which).unlink()
+    with pytest.raises(InputError, match=r"no such|no header") as caught:
+        open_cube(cube_file, quantity="reflectance")
+    assert "cube" in str(caught.value)
+
+
+def test_two_headers_must_be_chosen_from(cube_file: Path):
+    second = cube_file.with_name("cube.img.hdr")
+    shutil.copy(cube_file.with_suffix(".hdr"), second)
+    with pytest.raises(UsageError, match="two headers"):
+        open_cube(cube_file, quantity="reflectance")
+    assert open_cube(cube_file, quantity="reflectance", header=second).lines == 6
+
+
+def test_header_may_be_named_instead_of_the_data(cube_file: Path):
+    assert open_cube(cube_file.with_suffix(".hdr"), quantity="reflectance").raster.path == cube_file
+
+
+def test_symlink_out_of_the_root(cube_file: Path, tmp_path: Path):
+    root = tmp_path / "root"
+    root.mkdir()
+    for suffix in (".img", ".hdr"):
+        (root / f"link{suffix}").symlink_to(cube_file.with_suffix(suffix))
+    with pytest.raises(UsageError, match="outside the data root"):
+        open_cube(root / "link.img", quantity="reflectance", root=root)
+    with pytest.raises(UsageError, match="outside the data root"):
+        open_cube(root / ".." / "cube.img", quantity="reflectance", root=root)
+    assert open_cube(root / "link.img", quantity="reflectance", root=tmp_path).lines == 6
+
+
+def test_header_outside_the_root(cube_file: Path, tmp_path: Path):
+    root = tmp_path / "root"
+    root.mkdir()
+    shutil.copy(cube_file, root / "a.img")
+    with pytest.raises(UsageError, match="header lies outside"):
+        open_cube(root / "a.img", quantity="reflectance", root=root, header=cube_file.with_suffix(".hdr"))
+
+
+def test_folder_pipe_and_device(tmp_path: Path):
+    pipe = tmp_path / "pipe.img"
+    os.mkfifo(pipe)
+    for path in (tmp_path, pipe, Path("/dev/zero")):
+        with pytest.raises(InputError, match=r"is a folder|is a pipe"):
+            open_cube(path, quantity="reflectance")
+
+
+def test_circle_of_links(tmp_path: Path):
+    (tmp_path / "a.img").symlink_to(tmp_path / "b.img")
+    (tmp_path / "b.img").symlink_to(tmp_path / "a.img")
+    with pytest.raises(InputError):
+        open_cube(tmp_path / "a.img", quantity="reflectance")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/vsicurl/http://example.invalid/a.tif", "/vsizip/a.zip/a.tif", "http://example.invalid/a.img",
+        "s3://bucket/a.tif", "GTIFF_DIR:1:a.tif", "a\0b.img",
+    ],
+)  # fmt: skip
+def test_urls_and_virtual_paths(path: str):
+    with pytest.raises(UsageError, match="not a path of a local"):
+        checked_file(path)
+
+
+# GeoTIFF ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def tiff(tmp_path: Path, values: np.ndarray) -> Path:
+    path = tmp_path / "t.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", height=6, width=5, count=4, dtype="int16", crs="EPSG:32618",
+        transform=Affine(2, 0, 3e5, 0, -2, 47e5), nodata=-99,
+    ) as dataset:  # fmt: skip
+        dataset.write(np.rint(values * 10000).astype("int16").transpose(2, 0, 1))
+    return path
+
+
+def test_geotiff_with_given_axis(tiff: Path, values: np.ndarray, axis: SpectralAxis):
+    cube = open_cube(tiff, quantity="reflectance", scale=1e-4, axis=axis)
+    assert np.allclose(np.concatenate([b.values for b in cube.blocks(4)]), values, atol=1e-15)
+    assert np.allclose(cube.pixels((np.array([5, 0]), np.array([1, 4]))), values[[5, 0], [1, 4]], atol=1e-15)
+    assert (cube.ignore_value, cube.pixel_area_m2, cube.crs.to_epsg()) == (-99, 4.0, 32618)
+
+
+def test_geotiff_without_wavelengths(tiff: Path):
+    with pytest.raises(InputError, match="lists no wavelengths"):
+        open_cube(tiff, quantity="reflectance")
+
+
+def test_sidecar_that_changes_the_meaning_is_not_read(tiff: Path, axis: SpectralAxis):
+    tiff.with_name("t.tif.aux.xml").write_text(
+        "<PAMDataset><PAMRasterBand band='1'><NoDataValue>5</NoDataValue><Scale>7</Scale>"
+        "</PAMRasterBand></PAMDataset>"
+    )
+    cube = open_cube(tiff, quantity="reflectance", scale=1e-4, axis=axis)
+    assert cube.ignore_value == -99
+    assert cube.scaling.gain.tolist() == [1e-4] * 4
+
+
+def test_geotiff_scale_tags_are_applied_once(tiff: Path, axis: SpectralAxis, values: np.ndarray):
+    with rasterio.open(tiff, "r+") as dataset:
+        dataset.scales, dataset.offsets = (1e-4,) * 4, (0.01,) * 4
+    cube = open_cube(tiff, quantity="reflectance", axis=axis)
+    assert np.allclose(cube.read(0, 6).values, values + 0.01, atol=1e-12)
+
+
+def test_sidecar_header_of_another_size(tiff: Path, cube_file: Path):
+    header = cube_file.with_suffix(".hdr")
+    tiff.with_suffix(".hdr").write_text(header.read_text().replace("lines = 6", "lines = 7"))
+    with pytest.raises(InputError, match="its header says"):
+        open_cube(tiff, quantity="reflectance")
+
+
+def test_a_vrt_or_a_broken_file_named_tif_is_refused(tmp_path: Path, tiff: Path):
+    fake = tmp_path / "v.tif"
+    fake.write_text(f"<VRTDataset rasterXSize='5' rasterYSize='6'><SRSDataset>{tiff}</SRSDataset></VRTDataset>")
+    with pytest.raises(InputError, match="not a readable GeoTIFF"):
+        open_cube(fake, quantity="reflectance")
+    os.truncate(tiff, tiff.stat().st_size // 2)
+    with pytest.raises(InputError, match="GeoTIFF"):
+        list(open_cube(tiff, quantity="other", axis=SpectralAxis(np.arange(4) + 400.0, 1.0)).blocks())
+
+
+def test_memory_does_not_grow_with_the_cube(tmp_path: Path):
+    # 40 MB on disk through blocks of 0.2 MB: the peak must stay far below the cube.
+    axis = SpectralAxis(400.0 + np.arange(100), 1.0)
+    path = write_cube(tmp_path / "big.img", np.ones((1000, 200, 100), "i2"), data_type=2, axis=axis)
+    cube = open_cube(path, quantity="other")
+    list(zip(range(2), cube.blocks(1), strict=False))
+    import tracemalloc
+
+    tracemalloc.start()
+    total = sum(float(block.values.sum()) for block in cube.blocks(1))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert total == 1000 * 200 * 100
+    assert peak < 2_000_000

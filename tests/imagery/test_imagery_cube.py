@@ -1,0 +1,417 @@
+"""Cubes: written and read back, against SPy and rasterio, scaled once, valid pixels, position."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import spectral
+from affine import Affine
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rasterio.crs import CRS
+
+from hyperval.envi_header import DATA_TYPES
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.cube import open_cube
+from hyperval.imagery.envi_write import envi_writer, write_cube
+from hyperval.imagery.georeference import transform_of
+from hyperval.imagery.rasters import open_raster
+from hyperval.spectra.axis import SpectralAxis
+
+UTM18 = CRS.from_epsg(32618)
+NORTH_UP = Affine(1.5, 0, 300000.25, 0, -1.5, 4700000.5)
+
+
+def by_rasterio(path: Path) -> np.ndarray:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(path, driver="ENVI") as dataset:
+            return dataset.read().transpose(1, 2, 0)
+
+
+def by_spy(path: Path) -> np.ndarray:
+    image = spectral.open_image(str(path.with_suffix(".hdr")))
+    return np.array(image.open_memmap(interleave="bip"))
+
+
+@pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize("code", sorted(DATA_TYPES))
+def test_own_reader_equals_spy_and_rasterio(
+    tmp_path: Path, axis: SpectralAxis, interleave: str, order: int, code: int
+):
+    dtype = np.dtype(DATA_TYPES[code])
+    rng = np.random.default_rng(code)
+    high = 200 if code == 1 else 30000
+    stored = rng.integers(1, high, (6, 5, 4)).astype(dtype) + (dtype.type(0.25) if dtype.kind == "f" else 0)
+    path = write_cube(
+        tmp_path / "c.img", stored.astype(dtype), data_type=code, interleave=interleave, byte_order=order,
+        axis=axis, header_offset=0 if order else 17,
+    )  # fmt: skip
+    cube = open_cube(path, quantity="other")
+    own = np.concatenate([b.values for b in cube.blocks(4)])
+    assert np.array_equal(own, stored)
+    assert np.array_equal(by_spy(path), stored)
+    assert np.array_equal(by_rasterio(path), stored)
+    rows, cols = np.array([0, 5, 2]), np.array([4, 0, 3])
+    assert np.array_equal(cube.pixels((rows, cols)), stored[rows, cols].astype(float))
+    assert cube.raster.dtype == dtype.newbyteorder("<>"[order])
+
+
+@given(
+    data=arrays(
+        np.float64, st.tuples(*[st.integers(1, 5)] * 3), elements=st.floats(-1e6, 1e6, allow_subnormal=False)
+    ),
+    interleave=st.sampled_from(["bsq", "bil", "bip"]),
+    order=st.sampled_from([0, 1]),
+    offset=st.integers(0, 9),
+    step=st.integers(1, 5),
+)
+@settings(max_examples=60, deadline=None)
+def test_round_trip(tmp_path_factory, data, interleave, order, offset, step):
+    lines, samples, bands = data.shape
+    path = tmp_path_factory.mktemp("trip") / "c.dat"
+    axis = SpectralAxis(400.0 + 10.0 * np.arange(bands), np.full(bands, 8.0))
+    options = {"interleave": interleave, "byte_order": order, "header_offset": offset, "axis": axis, "data_type": 5}
+    with envi_writer(path, lines=lines, samples=samples, bands=bands, **options) as writer:
+        for first in range(0, lines, step):
+            writer.write(data[first : first + step])
+    cube = open_cube(path, quantity="other")
+    assert np.array_equal(cube.pixels(np.ones((lines, samples), bool)).reshape(data.shape), data)
+    assert np.array_equal(np.concatenate([b.values for b in cube.blocks(step)]), data)
+    assert np.array_equal(cube.axis.centre_nm, axis.centre_nm)
+    assert np.array_equal(cube.axis.fwhm_nm, axis.fwhm_nm)
+
+
+def test_blocks_do_not_depend_on_their_size(cube_file: Path, values: np.ndarray):
+    cube = open_cube(cube_file, quantity="reflectance")
+    for step in (1, 2, 5, 6, 100, None):
+        blocks = list(cube.blocks(step))
+        assert np.array_equal(
+            np.concatenate([b.values for b in blocks]), np.concatenate([b.values for b in cube.blocks(1)])
+        )
+        assert [b.first_line for b in blocks] == list(np.cumsum([0, *[len(b.values) for b in blocks[:-1]]]))
+    assert np.allclose(cube.read(0, 6).values, values, rtol=0, atol=1e-15)
+
+
+def test_float32_blocks_agree_to_single_precision(cube_file: Path, values: np.ndarray):
+    block = open_cube(cube_file, quantity="reflectance").read(0, 6, np.float32)
+    assert block.values.dtype == np.float32
+    assert np.allclose(block.values, values, rtol=2e-7, atol=0)
+
+
+# Scale ------------------------------------------------------------------------------------------
+
+
+def test_header_scale_factor_divides_once(cube_file: Path, values: np.ndarray):
+    cube = open_cube(cube_file, quantity="reflectance")
+    assert np.allclose(cube.read(0, 6).values, values, atol=1e-15)
+    assert np.allclose(cube.pixels(np.ones((6, 5), bool)), values.reshape(-1, 4), atol=1e-15)
+    # SPy applies the factor when it loads; the values agree with that.
+    loaded = spectral.open_image(str(cube_file.with_suffix(".hdr"))).load()
+    assert np.allclose(np.asarray(loaded), values, atol=1e-7)
+
+
+def test_stated_scale_replaces_that_of_the_header(cube_file: Path, values: np.ndarray):
+    cube = open_cube(cube_file, quantity="reflectance", scale=2e-5)
+    assert np.allclose(cube.read(0, 6).values, values * 0.2, atol=1e-15)
+
+
+def test_gain_and_offset_per_band(edit, values: np.ndarray):
+    path = edit(
+        reflectance_scale_factor=None,
+        data_gain_values="{1e-3, 2e-3, 3e-3, 4e-3}",
+        data_offset_values="{0, 0.5, -0.25, 1}",
+    )
+    cube = open_cube(path, quantity="radiance", unit="W m-2 sr-1 um-1")
+    stored = np.rint(values * 10000)
+    expected = 0.1 * (stored * [1e-3, 2e-3, 3e-3, 4e-3] + [0, 0.5, -0.25, 1])
+    assert np.allclose(cube.read(0, 6).values, expected, rtol=1e-12)
+    assert cube.unit == "uW cm-2 sr-1 nm-1"
+
+
+def test_two_kinds_of_scale_are_refused(edit):
+    path = edit(data_gain_values="{1, 1, 1, 1}")
+    with pytest.raises(InputError, match="exclude each other"):
+        open_cube(path, quantity="reflectance")
+
+
+def test_reflectance_factor_on_a_radiance_is_refused_unless_scale_is_stated(cube_file: Path):
+    with pytest.raises(InputError, match="exclude each other"):
+        open_cube(cube_file, quantity="radiance", unit="uW cm-2 sr-1 nm-1")
+    cube = open_cube(cube_file, quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=0.001)
+    assert cube.read(0, 1).values.max() < 10
+
+
+def test_written_gain_is_read_back(tmp_path: Path, axis: SpectralAxis, values: np.ndarray):
+    path = write_cube(tmp_path / "g.img", values, data_type=2, axis=axis, gain=[1e-4, 2e-4, 1e-4, 5e-5])
+    cube = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1")
+    assert np.abs(cube.read(0, 6).values - values).max() <= 1e-4 + 1e-12  # half a step of the coarsest gain
+
+
+def test_unstated_radiance_unit_is_refused(cube_file: Path):
+    with pytest.raises(UsageError, match="unit of the radiance is not stated"):
+        open_cube(cube_file, quantity="radiance", scale=0.001)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "scale"),
+    [("reflectance", None, 0.01), ("reflectance", "percent", 1.0), ("radiance", "uW cm-2 sr-1 nm-1", 1.0)],
+)
+def test_values_too_large_for_the_quantity_are_refused(cube_file: Path, quantity, unit, scale):
+    with pytest.raises(InputError, match="state scale"):
+        open_cube(cube_file, quantity=quantity, unit=unit, scale=scale)
+
+
+def test_percent_is_converted(cube_file: Path, values: np.ndarray):
+    cube = open_cube(cube_file, quantity="reflectance", unit="percent", scale=0.01)
+    assert np.allclose(cube.read(0, 6).values, values, atol=1e-15)
+
+
+# Valid pixels -----------------------------------------------------------------------------------
+
+
+def test_ignore_value_never_enters_a_mean(tmp_path: Path, axis: SpectralAxis, values: np.ndarray):
+    marked = values.copy()
+    marked[2, 3] = np.nan
+    marked[4, 1, 2] = np.nan  # one band is enough
+    path = write_cube(
+        tmp_path / "i.img", marked, data_type=2, axis=axis, reflectance_scale_factor=10000.0, ignore_value=-9999
+    )
+    cube = open_cube(path, quantity="reflectance")
+    assert cube.ignore_value == -9999
+    block = cube.read(0, 6)
+    expected = np.ones((6, 5), bool)
+    expected[2, 3] = expected[4, 1] = False
+    assert np.array_equal(block.valid, expected)
+    assert np.isnan(block.values[2, 3]).all()
+    assert np.isnan(block.values[4, 1]).tolist() == [False, False, True, False]
+    assert np.allclose(cube.spectra(np.ones((6, 5), bool)).mean(0), values[expected].mean(0), atol=1e-12)
+    assert np.array_equal(cube.valid_pixels(np.ones((6, 5), bool)), expected.ravel())
+
+
+def test_ignore_value_in_a_bad_band_keeps_the_pixel(tmp_path: Path, values: np.ndarray):
+    axis = SpectralAxis([450.0, 550.0, 650.0, 850.0], 9.0, np.array([True, True, True, False]))
+    marked = values.copy()
+    marked[:, :, 3] = 0.0
+    path = write_cube(
+        tmp_path / "i.img", marked, data_type=4, axis=axis, ignore_value=0
+    )  # a dead band filled with the ignore value
+    cube = open_cube(path, quantity="reflectance")
+    assert cube.axis.good.tolist() == [True, True, True, False]
+    assert cube.read(0, 6).valid.all()
+    assert np.isnan(cube.read(0, 6).values[..., 3]).all()
+
+
+def test_zero_in_every_band_is_fill(tmp_path: Path, axis: SpectralAxis, values: np.ndarray):
+    marked = values.copy()
+    marked[0, 0] = 0
+    path = write_cube(tmp_path / "z.img", marked, axis=axis)
+    assert not open_cube(path, quantity="reflectance").read(0, 1).valid[0, 0]
+    assert open_cube(path, quantity="other").read(0, 1).valid.all()
+
+
+@pytest.mark.parametrize("ignore", [-9999.0, 1.5, 1e30])
+def test_ignore_value_that_the_type_cannot_hold_marks_nothing(edit, ignore: float):
+    path = edit(data_type="12", data_ignore_value=f"{ignore}")
+    assert open_cube(path, quantity="reflectance").read(0, 6).valid.all()
+
+
+# Bands ------------------------------------------------------------------------------------------
+
+
+def test_bbl_means_good_where_it_is_1(edit):
+    cube = open_cube(edit(bbl="{1, 0, 1, 1}"), quantity="reflectance")
+    assert cube.axis.good.tolist() == [True, False, True, True]
+    assert any("1 of 4 bands are bad" in note for note in cube.notes)
+
+
+def test_missing_fwhm_is_taken_from_the_spacing_with_a_note(edit):
+    cube = open_cube(edit(fwhm=None), quantity="reflectance")
+    assert cube.axis.fwhm_nm.tolist() == [100.0, 100.0, 150.0, 200.0]
+    assert any("no fwhm" in note for note in cube.notes)
+
+
+def test_micrometres(edit):
+    path = edit(
+        wavelength_units="Micrometers", wavelength="{0.45, 0.55, 0.65, 0.85}", fwhm="{0.01, 0.01, 0.01, 0.02}"
+    )
+    axis = open_cube(path, quantity="reflectance").axis
+    assert np.allclose(axis.centre_nm, [450, 550, 650, 850])
+    assert np.allclose(axis.fwhm_nm, [10, 10, 10, 20])
+
+
+def test_missing_unit_must_be_stated_by_the_campaign(edit):
+    path = edit(wavelength_units="Unknown")
+    with pytest.raises(UsageError, match="state wavelength_unit"):
+        open_cube(path, quantity="reflectance")
+    assert open_cube(path, quantity="reflectance", wavelength_unit="nm").axis.centre_nm[0] == 450.0
+    with pytest.raises(UsageError, match="cannot be in um"):
+        open_cube(path, quantity="reflectance", wavelength_unit="um")
+
+
+def test_um_stated_as_nm_and_contradictions(edit):
+    path = edit(wavelength="{0.45, 0.55, 0.65, 0.85}")
+    with pytest.raises(UsageError, match="cannot be in Nanometers"):
+        open_cube(path, quantity="reflectance")
+    with pytest.raises(UsageError, match="the campaign in um"):
+        open_cube(path, quantity="reflectance", wavelength_unit="um")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"wavelength": "{450, 550}"}, "2 values for 4 bands"),
+        ({"wavelength": "{450, nan, 650, 850}"}, "not finite"),
+        ({"wavelength": "{450, x, 650, 850}"}, "not a number"),
+        ({"wavelength": "{450, 650, 550, 850}"}, r"band 3 \(550 nm\) follows band 2"),
+        ({"wavelength": "{450, 550, 550, 850}"}, "share a wavelength"),
+        ({"wavelength": None}, "lists no wavelengths"),
+        ({"fwhm": "{9, -1, 9, 9}"}, "band 2 has a width"),
+        ({"fwhm": "{9, 9}"}, "2 values for 4 bands"),
+        ({"bbl": "{1, 1, 1}"}, "3 values for 4 bands"),
+        ({"bbl": "{1, 2, 1, 1}"}, "other values than 0"),
+        ({"bbl": "{0, 0, 0, 0}"}, "every band as bad"),
+        ({"wavelength_units": "Wavenumber"}, "cannot be used"),
+        ({"reflectance_scale_factor": "0"}, "scale factor' is 0"),
+        ({"reflectance_scale_factor": "nan"}, "scale factor' is nan"),
+        ({"data_ignore_value": "none"}, "not a number"),
+    ],
+)
+def test_bad_band_tables_are_input_errors_with_the_header_named(edit, changes, message):
+    with pytest.raises(InputError, match=message) as caught:
+        open_cube(edit(**changes), quantity="reflectance")
+    assert "cube." in str(caught.value)
+
+
+def test_overlapping_detectors_are_sorted_on_request(edit, values: np.ndarray):
+    path = edit(wavelength="{450, 950, 940, 1050}", fwhm="{1, 2, 3, 4}", bbl="{1, 0, 1, 1}")
+    with pytest.raises(InputError, match="sort_bands"):
+        open_cube(path, quantity="reflectance")
+    cube = open_cube(path, quantity="reflectance", sort_bands=True)
+    assert cube.stored_band.tolist() == [0, 2, 1, 3]
+    assert cube.axis.fwhm_nm.tolist() == [1, 3, 2, 4]
+    assert cube.axis.good.tolist() == [True, True, False, True]
+    assert np.allclose(cube.read(0, 6).values, values[:, :, [0, 2, 1, 3]], atol=1e-15)
+    assert np.allclose(cube.pixels((np.array([3]), np.array([2]))), values[3, 2, [0, 2, 1, 3]], atol=1e-15)
+
+
+def test_extra_entries_are_kept(tmp_path: Path, axis: SpectralAxis, values: np.ndarray):
+    extra = {"gain file": "line_0920.gain", "gps start time": "16:31:02.5", "co2 shift": "0.35"}
+    path = write_cube(tmp_path / "s.img", values, axis=axis, extra=extra, description="flight line 3")
+    cube = open_cube(path, quantity="reflectance")
+    assert {k: cube.extras[k] for k in extra} == extra
+    assert cube.description == "flight line 3"
+    assert [p.name for p in cube.source_files] == ["s.img", "s.hdr"]
+
+
+# Position ---------------------------------------------------------------------------------------
+
+
+def test_position_is_written_and_read_as_rasterio_reads_it(tmp_path: Path, axis: SpectralAxis, values: np.ndarray):
+    path = write_cube(tmp_path / "p.img", values, axis=axis, transform=NORTH_UP, crs=UTM18)
+    cube = open_cube(path, quantity="reflectance")
+    assert cube.transform == NORTH_UP
+    assert cube.crs == UTM18
+    assert cube.pixel_area_m2 == pytest.approx(2.25)
+    with rasterio.open(path, driver="ENVI") as dataset:
+        assert dataset.transform == NORTH_UP
+        assert dataset.crs == UTM18
+
+
+@pytest.mark.parametrize("rotation", [0.0, 12.5, -40.0])
+def test_rotated_map_info_is_that_of_gdal(edit, rotation: float):
+    info = f"{{UTM, 1, 1, 300000.0, 4700000.0, 1.5, 1.5, 18, North, WGS-84, units=Meters, rotation={rotation}}}"
+    path = edit(map_info=info)
+    own = transform_of(open_raster(path).header)
+    with rasterio.open(path, driver="ENVI") as dataset:
+        assert np.allclose(own[:6], dataset.transform[:6], rtol=1e-12, atol=1e-7)
+
+
+def test_rotated_map_info_keeps_right_angles_and_pixel_sizes(edit):
+    info = "{UTM, 2.5, 3.0, 300000.0, 4700000.0, 1.5, 1.25, 18, North, WGS-84, units=Meters, rotation=30}"
+    t = transform_of(open_raster(edit(map_info=info)).header)
+    assert np.hypot(t.a, t.d) == pytest.approx(1.5)  # one sample on
+    assert np.hypot(t.b, t.e) == pytest.approx(1.25)  # one line on
+    assert t.a * t.b + t.d * t.e == pytest.approx(0.0, abs=1e-12)
+    # The reference pixel (2.5, 3.0), counted from 1, lies at the stated place whatever the rotation.
+    assert t.a * 1.5 + t.b * 2.0 + t.c == pytest.approx(300000.0)
+    assert t.d * 1.5 + t.e * 2.0 + t.f == pytest.approx(4700000.0)
+
+
+def test_no_position(cube_file: Path):
+    cube = open_cube(cube_file, quantity="reflectance")
+    assert cube.transform is None
+    assert cube.crs is None
+    assert cube.pixel_area_m2 is None
+
+
+def test_area_of_geographic_pixels_is_unknown(tmp_path: Path, axis: SpectralAxis, values: np.ndarray):
+    path = write_cube(
+        tmp_path / "g.img", values, axis=axis, transform=Affine(1e-5, 0, -77, 0, -1e-5, 43), crs=CRS.from_epsg(4326)
+    )
+    assert open_cube(path, quantity="reflectance").pixel_area_m2 is None
+
+
+def test_map_info_that_is_not_understood(edit):
+    with pytest.raises(InputError, match="'map info' is not understood"):
+        _ = open_cube(edit(map_info="{UTM, 1, 1, x}"), quantity="reflectance").transform
+
+
+# Pixels -----------------------------------------------------------------------------------------
+
+
+def test_pixels_by_mask_come_in_line_order(cube_file: Path, values: np.ndarray):
+    mask = np.zeros((6, 5), bool)
+    mask[4, 0] = mask[1, 3] = mask[1, 2] = True
+    got = open_cube(cube_file, quantity="reflectance").pixels(mask)
+    assert np.allclose(got, values[[1, 1, 4], [2, 3, 0]], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "where", [(np.array([6]), np.array([0])), (np.array([0]), np.array([-1])), np.ones((5, 6), bool)]
+)
+def test_pixels_outside_are_refused(cube_file: Path, where):
+    with pytest.raises(UsageError):
+        open_cube(cube_file, quantity="reflectance").pixels(where)
+
+
+# Writing ----------------------------------------------------------------------------------------
+
+
+def test_interrupted_writing_leaves_the_old_cube(cube_file: Path, axis: SpectralAxis, values: np.ndarray):
+    before = cube_file.read_bytes(), cube_file.with_suffix(".hdr").read_bytes()
+    with (
+        pytest.raises(UsageError, match="4 of 6 lines"),
+        envi_writer(cube_file, lines=6, samples=5, bands=4, axis=axis) as writer,
+    ):
+        writer.write(values[:4])
+    assert (cube_file.read_bytes(), cube_file.with_suffix(".hdr").read_bytes()) == before
+    assert sorted(p.name for p in cube_file.parent.iterdir()) == ["cube.hdr", "cube.img"]
+
+
+@pytest.mark.parametrize(
+    ("block", "options", "message"),
+    [
+        (np.full((1, 5, 4), 40000.0), {"data_type": 2}, "do not fit int16"),
+        (np.full((1, 5, 4), -1.0), {"data_type": 12}, "do not fit uint16"),
+        (np.full((1, 5, 4), np.nan), {"data_type": 2}, "need an ignore value"),
+        (np.zeros((7, 5, 4)), {}, "more than 6 lines"),
+        (np.zeros((1, 4, 5)), {}, "for 5 samples and 4 bands"),
+        (np.zeros((1, 5, 4)), {"interleave": "xyz"}, "cannot write"),
+        (np.zeros((1, 5, 4)), {"gain": 1.0, "reflectance_scale_factor": 1.0}, "either a gain"),
+        (np.zeros((1, 5, 4)), {"transform": Affine.rotation(30)}, "north-up"),
+    ],
+)
+def test_what_cannot_be_stored_is_refused(tmp_path: Path, block, options, message):
+    with (
+        pytest.raises(UsageError, match=message),
+        envi_writer(tmp_path / "w.img", lines=6, samples=5, bands=4, **options) as writer,
+    ):
+        writer.write(block)
+    assert list(tmp_path.iterdir()) == []

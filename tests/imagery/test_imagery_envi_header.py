@@ -1,0 +1,164 @@
+"""The header parser: what it understands, and what it refuses with file and line."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyperval.envi_header import DATA_TYPES, MAX_HEADER_BYTES, parse_header, read_header
+from hyperval.errors import HypervalError, InputError
+
+BASE = {
+    "samples": "5", "lines": "6", "bands": "4", "header offset": "0", "data type": "2", "interleave": "bil",
+    "byte order": "0",
+}  # fmt: skip
+NAME = Path("a.hdr")
+
+
+def header_text(**changes: str | None) -> str:
+    entries = BASE | {k.replace("_", " "): v for k, v in changes.items()}
+    return "ENVI\n" + "".join(f"{k} = {v}\n" for k, v in entries.items() if v is not None)
+
+
+def test_fields_and_lines_are_read():
+    header = parse_header(header_text(wavelength="{ 1.5,\n 2.5, 3,4 }", note="a = b = c"), NAME)
+    assert (header.samples, header.lines, header.bands, header.interleave) == (5, 6, 4, "bil")
+    assert header.dtype == np.dtype("<i2")
+    assert header.numbers("wavelength", 4).tolist() == [1.5, 2.5, 3.0, 4.0]
+    assert header.text("note") == "a = b = c"  # "=" inside a value belongs to the value
+    assert header.where("wavelength") == "a.hdr:9"
+    assert header.line_of["note"] == 11
+    assert set(header.extras) == {"wavelength", "note"}
+
+
+def test_size_is_exact_beyond_64_bits_of_float():
+    header = parse_header(header_text(samples="999999937", lines="999999893", bands="7", header_offset="3"), NAME)
+    assert header.expected_bytes == 3 + 999999937 * 999999893 * 7 * 2
+
+
+@pytest.mark.parametrize(
+    ("given_text", "expected"), [("Bil", "bil"), ("BSQ ; band sequential", "bsq"), ("bip   ", "bip")]
+)
+def test_interleave_ignores_case_and_trailing_comment(given_text: str, expected: str):
+    assert parse_header(header_text(interleave=given_text), NAME).interleave == expected
+
+
+def test_comments_blank_lines_windows_line_ends_and_key_case():
+    text = header_text().replace("samples = 5", "; a comment = 1\n\nSAMPLES   =   5").replace("\n", "\r\n")
+    assert parse_header(text, NAME).samples == 5
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
+def test_encodings(tmp_path: Path, encoding: str):
+    path = tmp_path / "a.hdr"
+    path.write_bytes(header_text(description="{Größe µm}").encode(encoding))
+    assert read_header(path).text("description") == "Größe µm"
+
+
+@pytest.mark.parametrize("code", sorted(DATA_TYPES))
+@pytest.mark.parametrize("order", [0, 1])
+def test_types_are_those_of_spy(code: int, order: int):
+    from spectral.io.envi import envi_to_dtype
+
+    header = parse_header(header_text(data_type=str(code), byte_order=str(order)), NAME)
+    assert header.dtype == np.dtype(envi_to_dtype[str(code)]).newbyteorder("<>"[order])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message", "where"),
+    [
+        ({"samples": "10.0"}, "'10.0'", ":2"),
+        ({"samples": "-5"}, "positive integer", ":2"),
+        ({"lines": "0"}, "positive integer", ":3"),
+        ({"lines": "5_0"}, "positive integer", ":3"),
+        ({"bands": "1e3"}, "positive integer", ":4"),
+        ({"bands": "9" * 40}, "positive integer", ":4"),
+        ({"samples": None}, "'samples' is missing", ""),
+        ({"data_type": "99"}, "1 (uint8), 2 (int16)", ":6"),
+        ({"data_type": "6"}, "complex", ":6"),
+        ({"data_type": None}, "'data type' is missing", ""),
+        ({"interleave": "xyz"}, "one of bsq, bil, bip", ":7"),
+        ({"interleave": None}, "'interleave' is missing", ""),
+        ({"interleave": "tif"}, "unknown interleave", ":7"),
+        ({"byte_order": "9"}, "0 (little-endian) or 1", ":8"),
+        ({"byte_order": None}, "'byte order' is missing", ""),
+        ({"header_offset": "-1"}, "0 or more", ":5"),
+        ({"file_compression": "1"}, "compressed", ":9"),
+        ({"major_frame_offsets": "{4, 0}"}, "frame offsets", ":9"),
+        ({"wavelength": "{1, 2, 3, 4"}, "never closed", ":9"),
+        ({"wavelength": "{1, 2} 3"}, "after the closing brace", ":9"),
+        ({"wavelength": "{1\nfwhm = {2}"}, "'wavelength' is never closed", ":9"),
+        ({"Samples": "5"}, "stands twice (first on line 2)", ":9"),
+    ],
+)
+def test_refused(changes: dict[str, str | None], message: str, where: str):
+    text = header_text(**changes)
+    with pytest.raises(InputError) as caught:
+        parse_header(text, NAME)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(f"a.hdr{where}:")
+
+
+def test_line_without_equals_sign_is_refused_with_its_line():
+    with pytest.raises(InputError, match=r"a\.hdr:9: not of the form"):
+        parse_header(header_text() + "garbage\n", NAME)
+
+
+@pytest.mark.parametrize("text", ["", "XENVI\n", "samples = 5\n", "\x00\x01\x02"])
+def test_not_a_header(text: str):
+    with pytest.raises(InputError, match="first line is not 'ENVI'"):
+        parse_header(text, NAME)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{1, NaN, 3, 4}", "item 2 .* not finite"),
+        ("{1, inf, 3, 4}", "not finite"),
+        ("{1, two, 3, 4}", "item 2 .* not a number: 'two'"),
+        ("{1,5, 2,5, 3,5, 4,5}", "8 values for 4 bands"),  # decimal commas
+        ("{1, 2}", "2 values for 4 bands"),
+        ("{1, 2_0, 3, 4}", "not a number"),
+        ("{1, , 3, 4}", "not a number"),
+    ],
+)
+def test_number_lists(text: str, message: str):
+    header = parse_header(header_text(wavelength=text), NAME)
+    with pytest.raises(InputError, match=message):
+        header.numbers("wavelength", 4)
+
+
+def test_larger_than_the_cap_is_refused_unread(tmp_path: Path):
+    path = tmp_path / "a.hdr"
+    text = header_text() + "; "
+    path.write_text(text + "x" * (MAX_HEADER_BYTES - len(text)))
+    assert read_header(path).samples == 5  # exactly at the cap
+    path.write_text(text + "x" * (MAX_HEADER_BYTES - len(text) + 1))
+    with pytest.raises(InputError, match="larger than 1048576 bytes"):
+        read_header(path)
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_400000_lines_take_less_than_half_a_second(inside: bool):
+    # Inside a brace and outside: general readers need 30 s, quadratic in the number of lines.
+    filler = "x\n" * 400_000
+    text = header_text() + (f"description = {{{filler}}}\n" if inside else ";\n" * 400_000)
+    start = time.perf_counter()
+    assert parse_header(text, NAME).samples == 5
+    assert time.perf_counter() - start < 0.5
+
+
+@given(st.text(max_size=300))
+@settings(max_examples=200, deadline=None)
+def test_any_text_gives_a_header_or_a_clear_error(text: str):
+    for body in (text, "ENVI\n" + text, header_text() + text):
+        try:
+            samples = parse_header(body, NAME).samples
+        except HypervalError:  # anything else fails the test
+            samples = 1
+        assert samples >= 1
