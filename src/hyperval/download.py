@@ -41,9 +41,8 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
         retry_if_failed=ATTEMPTS - 1,
     )
 
-    def attempt(url: str, output: str, caller: Any) -> None:
-        guard = _SizeGuard(size)
-        pooch.HTTPDownloader(progressbar=guard, chunk_size=CHUNK_BYTES, timeout=TIMEOUT_S)(url, output, caller)
+    def attempt(url: str, output: str, _: Any) -> None:
+        _stream(url, output, size)
 
     try:
         store.fetch(published.name, downloader=attempt)
@@ -66,26 +65,18 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
     return target
 
 
-class _SizeGuard:
-    """Stops a download that grows past its size; pooch drives it as if it were a progress bar."""
+def _stream(address: str, output: str, size: int) -> None:
+    """Write the answer to ``output``; an answer longer than ``size`` bytes is cut off with ValueError."""
+    import requests
 
-    total = 0
-
-    def __init__(self, size: int):
-        # pooch counts whole chunks, so that the last one may reach past the end.
-        self.limit, self.received = size + CHUNK_BYTES, 0
-
-    def update(self, count: int) -> None:
-        self.received += count
-        if self.received > self.limit:
-            raise ValueError("the answer is longer than the registered file")
-
-    def reset(self) -> None:
-        """At the end pooch starts anew and counts the announced length once."""
-        self.received = 0
-
-    def close(self) -> None:
-        """Nothing to tidy."""
+    received = 0
+    with requests.get(address, stream=True, timeout=TIMEOUT_S) as answer, open(output, "wb") as stream:
+        answer.raise_for_status()
+        for chunk in answer.iter_content(CHUNK_BYTES):
+            received += len(chunk)
+            if received > size:
+                raise ValueError("the answer is longer than the registered file")
+            stream.write(chunk)
 
 
 def _reason(error: Exception) -> str:

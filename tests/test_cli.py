@@ -1,0 +1,255 @@
+"""The command line: exit codes, streams, and that each command calls its function."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+import hyperval
+from hyperval import cli
+from hyperval.errors import EngineError, InputError, MissingDataError, UsageError
+
+
+@pytest.fixture(autouse=True)
+def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "100")
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    """Stand-ins for the rooms behind the commands: they record the call and do what `result` says."""
+    record: dict[str, object] = {"result": 0}
+
+    def stand_in(name: str):
+        def function(*args: object, **options: object) -> object:
+            record[name] = (args, options)
+            result = record["result"]
+            if isinstance(result, BaseException):
+                raise result
+            return result
+
+        return function
+
+    for module, names in {
+        "hyperval.campaign.run": ["validate", "observe", "predict_to_folder"],
+        "hyperval.simulate": ["simulate_to_folder"],
+    }.items():
+        fake = types.ModuleType(module)
+        for name in names:
+            setattr(fake, name, stand_in(name))
+        monkeypatch.setitem(sys.modules, module, fake)
+    return record
+
+
+def test_each_command_calls_its_function(calls):
+    assert cli.run(["validate", "a.yaml", "b.yaml", "-o", "out"]) == 0
+    assert calls["validate"] == (([Path("a.yaml"), Path("b.yaml")], Path("out")), {"show_progress": False})
+    assert cli.run(["observe", "a.yaml", "--output", "out"]) == 0
+    assert calls["observe"] == ((Path("a.yaml"), Path("out")), {})
+    assert cli.run(["predict", "panels", "-o", "out"]) == 0
+    assert calls["predict_to_folder"] == (("panels", Path("out")), {})
+    assert cli.run(["simulate", "scene.yaml", "-o", "out"]) == 0
+    assert calls["simulate_to_folder"] == ((Path("scene.yaml"), Path("out")), {})
+
+
+@pytest.mark.parametrize("code", [0, 1, 3, 5])
+def test_exit_code_of_the_run_is_passed_on(calls, code):
+    calls["result"] = code
+    assert cli.run(["validate", "a.yaml", "-o", "out"]) == code
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (UsageError("bad key", where="c.yaml:3"), 2),
+        (InputError("cut short", where="cube.img"), 3),
+        (MissingDataError("not here", where="data:x", mend="hyperval data fetch x"), 3),
+        (EngineError("6S is missing"), 3),
+        (KeyboardInterrupt(), 130),
+        (ValueError("a bug"), 4),
+        (RecursionError("a bug"), 4),
+        (OSError(28, "No space left on device"), 4),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else str(value),
+)
+def test_each_error_has_its_exit_code_and_no_traceback(calls, capsys, error, code):
+    calls["result"] = error
+    assert cli.run(["observe", "c.yaml", "-o", "out"]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("hyperval: ")
+    assert "Traceback" not in err
+
+
+def test_message_says_what_where_and_how_to_mend(calls, capsys):
+    calls["result"] = MissingDataError("not on this machine", where="data:x/y", mend="hyperval data fetch x")
+    cli.run(["observe", "c.yaml", "-o", "out"])
+    assert capsys.readouterr().err == (
+        "hyperval: data:x/y: not on this machine\n  to mend it: hyperval data fetch x\n"
+    )
+
+
+def test_internal_error_says_where_its_traceback_is(calls, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    calls["result"] = ZeroDivisionError("a bug")
+    assert cli.run(["observe", "c.yaml", "-o", "out"]) == 4
+    (line,) = capsys.readouterr().err.splitlines()
+    named = re.search(r"traceback in (\S+\.log)", line)
+    assert named is not None
+    assert "Traceback" in Path(named[1]).read_text()
+    assert "ZeroDivisionError: a bug" in Path(named[1]).read_text()
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("a bug"), UsageError("bad key")])
+def test_debug_shows_the_traceback(calls, capsys, error):
+    calls["result"] = error
+    assert cli.run(["--debug", "observe", "c.yaml", "-o", "out"]) == (
+        4 if isinstance(error, ArithmeticError) else 2
+    )
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [], ["bogus"], ["validate"], ["validate", "a.yaml"], ["validate", "-o", "out"],
+        ["observe", "a", "b", "-o", "x"], ["--bogus"], ["data"], ["data", "fetch"], ["data", "fetch", "bogus"],
+        ["sensor", "show"], ["sensor", "show", "bogus"], ["--data-dir", "/nowhere/at/all", "data", "list"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_wrong_usage_is_exit_code_2(arguments, capsys):
+    assert cli.run(arguments) == 2
+    out, err = capsys.readouterr()
+    assert "Traceback" not in err
+    assert out or err.startswith("hyperval: ")
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["-h"], ["validate", "--help"], ["data", "--help"], ["--version"]]
+)
+def test_help_and_version_go_to_standard_output(arguments, capsys):
+    assert cli.run(arguments) == 0
+    out, err = capsys.readouterr()
+    assert out
+    assert err == ""
+
+
+def test_version_is_the_package_version(capsys):
+    cli.run(["--version"])
+    assert capsys.readouterr().out == f"hyperval {hyperval.__version__}\n"
+
+
+def test_no_colour_when_told_so(capsys):
+    cli.run(["--help"])
+    assert "\x1b[" not in capsys.readouterr().out
+
+
+def test_notes_go_to_standard_error_and_quiet_leaves_them_out(calls, capsys):
+    cli.run(["observe", "c.yaml", "-o", "out"])
+    assert capsys.readouterr() == ("", "results in out\n")
+    cli.run(["--quiet", "observe", "c.yaml", "-o", "out"])
+    assert capsys.readouterr() == ("", "")
+    cli.run(["observe", "c.yaml", "-o", "out"])
+    assert capsys.readouterr().err != "", "the options of one run do not reach the next"
+
+
+def test_data_list_is_tab_separated_for_programs(capsys):
+    assert cli.run(["data", "list"]) == 0
+    header, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert header[0] == "name"
+    assert {"hysu", "pasadena"} <= {row[0] for row in rows}
+    assert {len(row) for row in rows} == {len(header)}
+
+
+def test_data_verify_fails_when_a_file_is_missing(capsys):
+    assert cli.run(["data", "verify", "hysu"]) == 3
+    assert "\tmissing\n" in capsys.readouterr().out
+
+
+@pytest.mark.data
+def test_data_verify_passes_on_the_real_files(data_dir, monkeypatch, capsys):
+    monkeypatch.undo()
+    data_dir("hysu/published/full/DLR_HySU_HS_full.hdr")
+    assert cli.run(["data", "verify", "hysu"]) == 0
+    states = {line.split("\t")[2] for line in capsys.readouterr().out.splitlines()[1:]}
+    assert states == {"ok"}
+
+
+def test_data_dir_option_is_a_local_copy(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HYPERVAL_DATA", "")
+    place = tmp_path / "copy"
+    (place / "hysu/published/full").mkdir(parents=True)
+    (place / "hysu/published/full/DLR_HySU_HS_full.hdr").write_text("not the real one")
+    assert cli.run(["--data-dir", str(place), "data", "verify", "hysu"]) == 3
+    assert "DLR_HySU_HS_full.hdr\tdiffers" in capsys.readouterr().out
+
+
+def test_sensors_are_listed_and_shown(capsys):
+    assert cli.run(["sensor", "list"]) == 0
+    names = [line.split("\t")[0] for line in capsys.readouterr().out.splitlines()[1:]]
+    assert "prospectir-vs" in names
+    assert cli.run(["sensor", "show", "prospectir-vs"]) == 0
+    shown = capsys.readouterr().out
+    assert "name: prospectir-vs" in shown
+    assert shown.count("source:") > 5, "every number stands with its source"
+
+
+# The installed command, as a process.
+
+COMMAND = [sys.executable, "-c", "from hyperval.cli import main; main()"]
+
+
+def test_main_ends_the_process_with_the_exit_code():
+    done = subprocess.run([*COMMAND, "bogus"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stdout == ""
+
+
+def test_closed_pipe_does_not_look_like_a_failed_comparison():
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run([*COMMAND, "data", "verify"], stdout=write, stderr=subprocess.PIPE, check=False)
+    os.close(write)
+    assert done.returncode == 141
+    assert b"Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_signals_end_the_run_and_remove_what_is_half_written(tmp_path, number, code):
+    script = f"""
+import sys, types, time
+from pathlib import Path
+from hyperval.files import whole_folder
+fake = types.ModuleType("hyperval.campaign.run")
+def observe(campaign, output):
+    with whole_folder(output) as t:
+        (t / "half").write_text("x")
+        print("ready", flush=True)
+        time.sleep(30)
+fake.observe = observe
+sys.modules["hyperval.campaign.run"] = fake
+sys.argv = ["hyperval", "observe", "c.yaml", "-o", {str(tmp_path / "out")!r}]
+from hyperval.cli import main
+main()
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        process.send_signal(number)
+        _, err = process.communicate(timeout=20)
+    assert process.returncode == code
+    assert err.startswith(b"hyperval: ")
+    assert list(tmp_path.iterdir()) == []

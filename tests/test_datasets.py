@@ -1,0 +1,294 @@
+"""Data sets: where a reference leads, what is recorded of it, and what a download leaves behind."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import re
+import threading
+from collections.abc import Iterator
+from functools import partial
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+
+from hyperval import datasets, download
+from hyperval.datasets import DataFile, DataSet, InputLog
+from hyperval.errors import InputError, MissingDataError, UsageError
+
+
+@pytest.fixture(autouse=True)
+def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """An empty local copy and an empty cache."""
+    local, cache = tmp_path / "local", tmp_path / "cache"
+    local.mkdir()
+    monkeypatch.setenv("HYPERVAL_DATA", str(local))
+    monkeypatch.setenv("HYPERVAL_CACHE", str(cache))
+    return local, cache / "data"
+
+
+def put(root: Path, path: str, content: bytes = b"x") -> Path:
+    target = root / path
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(content)
+    return target
+
+
+HEADER = "hysu/published/full/DLR_HySU_HS_full.hdr"
+
+
+def test_registry_is_complete_and_pinned():
+    assert {"hysu", "pasadena"} <= set(datasets.registry())
+    for name, entry in datasets.registry().items():
+        assert re.fullmatch(r"[0-9a-f]{10,40}", entry.commit), name
+        assert entry.licence
+        assert entry.citation
+        assert entry.files, name
+        for file in entry.files:
+            assert re.fullmatch(r"[0-9a-f]{64}", file.sha256)
+            assert file.size > 0
+            assert f"/{entry.repository}/{entry.commit}/" in file.address
+            assert file.address.startswith("https://")
+            assert datasets._data_path("data:" + file.path) == file.path
+    paths = [f.path for entry in datasets.registry().values() for f in entry.files]
+    assert len(paths) == len(set(paths))
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["hysu", "pasadena", "modtran6-airborne"])
+def test_registry_agrees_with_the_real_files(data_dir, monkeypatch, name):
+    # The fixture `places` has hidden the real folder; the session's value is in data_dir's own lookup.
+    first = datasets.dataset(name).files[0].path
+    monkeypatch.undo()
+    root = Path(str(data_dir(first)).removesuffix(first))
+    monkeypatch.setenv("HYPERVAL_DATA", str(root))
+    assert [c.path for c in datasets.verify(name) if c.state != "ok"] == []
+    assert datasets.missing(name) == []
+
+
+def test_local_copy_wins_over_the_cache(places):
+    local, cache = places
+    cached = put(cache, HEADER)
+    assert datasets.resolve("data:" + HEADER) == cached
+    copy = put(local, HEADER)
+    assert datasets.resolve("data:" + HEADER) == copy
+
+
+def test_set_data_dir_is_looked_at_first(places, tmp_path: Path):
+    put(places[0], HEADER)
+    other = put(tmp_path / "other", HEADER)
+    datasets.set_data_dir(tmp_path / "other")
+    assert datasets.resolve("data:" + HEADER) == other
+
+
+def test_set_data_dir_refuses_what_is_no_folder(tmp_path: Path):
+    with pytest.raises(UsageError, match="not a directory"):
+        datasets.set_data_dir(tmp_path / "none")
+
+
+def test_missing_file_names_the_command_that_fetches_it():
+    with pytest.raises(MissingDataError, match="hyperval data fetch hysu") as caught:
+        datasets.resolve("data:" + HEADER)
+    assert caught.value.exit_code == 3
+
+
+def test_missing_file_of_no_registered_set_names_the_data_directory():
+    with pytest.raises(MissingDataError, match="HYPERVAL_DATA") as caught:
+        datasets.resolve("data:mine/cube.img")
+    assert "fetch" not in str(caught.value)
+
+
+def test_unregistered_file_of_the_local_copy_is_found(places):
+    target = put(places[0], "mine/cube.img")
+    assert datasets.resolve("data:mine/cube.img") == target
+
+
+def test_plain_reference_is_relative_to_the_file_that_holds_it(tmp_path: Path):
+    target = put(tmp_path / "campaign", "truth/a.csv")
+    assert datasets.resolve("truth/a.csv", tmp_path / "campaign") == target
+    with pytest.raises(InputError, match="no such file"):
+        datasets.resolve("truth/b.csv", tmp_path / "campaign")
+
+
+def test_folder_in_place_of_a_file(tmp_path: Path):
+    with pytest.raises(InputError, match="folder"):
+        datasets.resolve(".", tmp_path)
+
+
+def test_describe_knows_registered_references_only():
+    known = datasets.describe("data:" + HEADER)
+    assert known["dataset"] == "hysu"
+    assert known["licence"] == "CC-BY-4.0"
+    assert "Cerra" in str(known["citation"])
+    assert len(str(known["sha256"])) == 64
+    assert set(datasets.describe("cube.img").values()) == {None}
+    assert set(datasets.describe("data:mine/cube.img").values()) == {None}
+
+
+def test_unknown_set_lists_the_known_ones():
+    with pytest.raises(UsageError, match="hysu, pasadena"):
+        datasets.verify("hysuu")
+
+
+def test_log_records_what_was_read(places, tmp_path: Path):
+    put(places[0], HEADER, b"not the real header")
+    put(tmp_path, "campaign/b.csv", b"1,2")
+    log = InputLog(tmp_path / "campaign")
+    log.resolve("b.csv")
+    log.resolve("data:" + HEADER)
+    log.resolve("b.csv")
+    entries = log.entries()
+    assert [e["reference"] for e in entries] == ["b.csv", "data:" + HEADER]
+    assert entries[0]["sha256"] == hashlib.sha256(b"1,2").hexdigest()
+    assert entries[0]["bytes"] == 3
+    assert entries[0]["licence"] is None
+    assert entries[1]["licence"] == "CC-BY-4.0"
+    assert entries[1]["as_registered"] is False
+
+
+def test_log_holds_no_path_of_this_machine(places, tmp_path: Path):
+    inside = put(places[0], "mine/a.hdr")
+    beside = put(tmp_path / "campaign", "x/b.csv")
+    outside = put(tmp_path / "elsewhere", "c.csv")
+    log = InputLog(tmp_path / "campaign")
+    for path in (inside, beside, outside):
+        assert log.add(path) == path
+    assert log.resolve(str(beside)) == beside
+    assert [e["reference"] for e in log.entries()] == ["c.csv", "data:mine/a.hdr", "x/b.csv"]
+    assert str(tmp_path) not in repr(log.entries())
+
+
+# Downloads, from a server on the loopback address.
+
+
+class Handler(BaseHTTPRequestHandler):
+    content: dict[str, bytes]
+    asked: list[str]
+
+    def do_GET(self) -> None:
+        self.asked.append(self.path)
+        body = self.content.get(self.path)
+        self.send_response(404 if body is None else 200)
+        self.send_header("Content-Length", str(len(body or b"")))
+        self.end_headers()
+        self.wfile.write(body or b"")
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Handler]]:
+    """A registry of one set, `toy`, served by this machine."""
+    content = {"/a.txt": b"first", "/b.chn": b"packed" * 100}
+    handler = type("Local", (Handler,), {"content": dict(content), "asked": []})
+    with HTTPServer(("127.0.0.1", 0), handler) as http:
+        thread = threading.Thread(target=partial(http.serve_forever, poll_interval=0.01))
+        thread.start()
+        root = f"http://127.0.0.1:{http.server_port}"
+        files = tuple(
+            DataFile(path, root + at, len(content[at]), hashlib.sha256(content[at]).hexdigest())
+            for path, at in (("toy/a.txt", "/a.txt"), ("toy/b.chn.gz", "/b.chn"))
+        )
+        toy = DataSet("toy", "Toy", "nobody/toy", "0" * 40, "CC0", "none", files)
+        monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
+        monkeypatch.setattr(download, "ATTEMPTS", 1)
+        monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+        yield handler
+        http.shutdown()
+        thread.join()
+
+
+def files_below(folder: Path) -> list[str]:
+    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+
+
+def test_fetch_fills_the_cache_and_a_second_fetch_asks_for_nothing(server, places):
+    assert datasets.missing("toy") == ["data:toy/a.txt", "data:toy/b.chn.gz"]
+    assert len(datasets.fetch("toy")) == 2
+    assert files_below(places[1]) == ["toy/a.txt", "toy/b.chn.gz"]
+    assert gzip.decompress((places[1] / "toy/b.chn.gz").read_bytes()) == b"packed" * 100
+    assert {c.state for c in datasets.verify("toy")} == {"ok"}
+    server.asked.clear()
+    assert datasets.fetch("toy") == []
+    assert server.asked == []
+
+
+def test_packed_files_have_the_same_bytes_every_time(server, places):
+    datasets.fetch("toy")
+    first = (places[1] / "toy/b.chn.gz").read_bytes()
+    (places[1] / "toy/b.chn.gz").unlink()
+    datasets.fetch("toy")
+    assert (places[1] / "toy/b.chn.gz").read_bytes() == first
+
+
+@pytest.mark.parametrize("answer", [b"fIrst", b"", b"first and more", b"x" * 10_000_000], ids=lambda b: str(len(b)))
+def test_another_content_is_never_kept(server, places, answer):
+    server.content["/a.txt"] = answer
+    with pytest.raises(InputError, match="not the registered file") as caught:
+        datasets.fetch("toy")
+    assert "hyperval data fetch toy" in str(caught.value)
+    assert files_below(places[1]) == []
+
+
+def test_a_failed_fetch_keeps_what_came_and_goes_on(server, places):
+    body = server.content.pop("/b.chn")
+    with pytest.raises(InputError, match="the server answered 404"):
+        datasets.fetch("toy")
+    assert files_below(places[1]) == ["toy/a.txt"]
+    server.content["/b.chn"] = body
+    server.asked.clear()
+    datasets.fetch("toy")
+    assert server.asked == ["/b.chn"]
+
+
+def test_a_damaged_file_of_the_cache_is_seen_and_fetched_again(server, places):
+    datasets.fetch("toy")
+    put(places[1], "toy/a.txt", b"fIrst")
+    put(places[1], "toy/b.chn.gz", b"no gzip at all")
+    assert {c.state for c in datasets.verify("toy")} == {"differs"}
+    datasets.fetch("toy")
+    assert {c.state for c in datasets.verify("toy")} == {"ok"}
+
+
+def test_a_local_copy_that_differs_is_reported_and_not_hidden(server, places):
+    put(places[0], "toy/a.txt", b"mine!")
+    with pytest.raises(InputError, match="local copy") as caught:
+        datasets.fetch("toy")
+    assert "HYPERVAL_DATA" in str(caught.value)
+
+
+def test_a_failed_attempt_is_repeated(server, places, monkeypatch):
+    monkeypatch.setattr(download, "ATTEMPTS", 2)
+    body, answers = server.content["/a.txt"], []
+
+    class Once(dict):
+        def get(self, key, default=None):
+            if key == "/a.txt":
+                answers.append(key)
+                return b"wrong" if len(answers) == 1 else body
+            return dict.get(self, key, default)
+
+    server.content = Once(server.content)
+    datasets.fetch("toy")
+    assert len(answers) == 2
+    assert (places[1] / "toy/a.txt").read_bytes() == body
+
+
+def test_no_connection_is_one_clear_error(server, monkeypatch):
+    # Port 9 (discard) of the loopback address: nothing listens there.
+    gone = DataFile("toy/a.txt", "http://127.0.0.1:9/a.txt", 5, "0" * 64)
+    toy = DataSet("toy", "Toy", "nobody/toy", "0" * 40, "CC0", "none", (gone,))
+    monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
+    with pytest.raises(InputError, match="cannot be downloaded: no connection") as caught:
+        datasets.fetch("toy")
+    assert caught.value.exit_code == 3
+    assert "hyperval data fetch toy" in str(caught.value)
+
+
+def test_cache_that_cannot_be_written(server, places, tmp_path: Path, monkeypatch):
+    put(tmp_path, "a-file")
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "a-file"))
+    with pytest.raises(InputError, match="cannot write"):
+        datasets.fetch("toy")
