@@ -32,14 +32,16 @@ class SpectrumSource(Model):
     constant: float | None = Field(None, ge=0, le=1.5, description="the same reflectance in every band [1]")
     file: str | None = Field(None, description="field spectrum or library file")
     measured: str | None = Field(None, description="region of the collection whose statistics are handed in")
-    record: str | None = Field(None, description="which spectrum of a file of several")
+    record: str | int | None = Field(
+        None, description="which spectrum of a file of several: name, number from 0, or mean of all"
+    )
     wavelength_unit: str | None = Field(None, description="stated when the file does not say")
     reflectance_unit: str | None = Field(None, description="stated when the file does not say: fraction, percent")
 
     @model_validator(mode="after")
     def _check(self) -> SpectrumSource:
         _exactly_one(self, ("builtin", "constant", "file", "measured"))
-        if self.file is None and (self.record or self.wavelength_unit or self.reflectance_unit):
+        if self.file is None and (self.record is not None or self.wavelength_unit or self.reflectance_unit):
             raise ValueError("record and units belong to a file")
         return self
 
@@ -225,6 +227,9 @@ class Processing(Model):
     filter_statistics: Literal["background", "scene"] = Field(
         "background", description="the filter's mean and covariance: background alone, or with the target pixels"
     )
+    filter_classes: list[str] = Field(
+        default_factory=list, description="classes that give the filter its statistics; empty: all of them"
+    )
     false_alarm_grid: FalseAlarmGrid = FalseAlarmGrid()
 
     @model_validator(mode="after")
@@ -301,6 +306,10 @@ class Scenario(Model):
         if self.atmosphere is not None and self.sensor is None:
             raise ValueError("a scenario with an atmosphere needs a sensor")
         known = {s.name for s in (*self.scene.classes, *self.scene.panels, *self.scene.sites, *self.scene.targets)}
+        classes = {c.name for c in self.scene.classes}
+        for name in self.processing.filter_classes:
+            if name not in classes:
+                raise ValueError(f"filter_classes: {name!r} is none of {sorted(classes)}")
         for item in self.uncertainty.field_spectra:
             if item.subject not in known:
                 raise ValueError(f"uncertainty of {item.subject!r}: no such class, panel, site or target")

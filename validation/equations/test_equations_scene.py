@@ -1,0 +1,234 @@
+"""Equations 3.7-3.12 against numbers worked out by hand, derivatives and Monte Carlo.
+
+Worked atmosphere of one band: L_a = 2, A = 10, B = 3, S = 0.2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import dblquad
+
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.scene.builtin import builtin_class, builtin_modes
+from hyperval.scene.fill import (
+    TargetGeometry,
+    aligned_fill,
+    best_pixel_fill,
+    beta_fill,
+    fixed_fill,
+    object_fills,
+    pixel_fills,
+    ranked_pixel_fill,
+)
+from hyperval.scene.mixture import average_reflectance, mixture_covariance
+from hyperval.scene.radiance import (
+    adjacency_slope,
+    direct_slope,
+    mean_radiance,
+    radiance_covariance,
+    target_pixel_covariance,
+    target_pixel_reflectance,
+)
+from hyperval.spectra.axis import SpectralAxis
+
+
+def atmosphere(bands: int = 1) -> AtmosphericTerms:
+    one = np.ones(bands)
+    return AtmosphericTerms(500 + 10 * np.arange(bands), 2 * one, 10 * one, 3 * one, 0.2 * one, one, one)
+
+
+def test_3_7_mean_radiance_by_hand():
+    # 1 - S rho_ave = 0.95; (10 * 0.4 + 3 * 0.25) / 0.95 = 4.75 / 0.95 = 5; plus 2 is 7.
+    assert mean_radiance(atmosphere(), [0.4], [0.25]) == pytest.approx([7.0], rel=1e-14)
+    # Printed: 4 / (1 - 0.08) = 4.347826; 0.75 / 0.95 = 0.789474; plus 2.
+    assert mean_radiance(atmosphere(), [0.4], [0.25], "thesis") == pytest.approx([7.137299771], rel=1e-9)
+
+
+def test_3_7_limits():
+    black = mean_radiance(atmosphere(), [0.0], [0.0])
+    assert black == pytest.approx([2.0])  # path radiance alone
+    # Over uniform ground the printed and the corrected form are one: A + B share the trapping term.
+    for form in ("corrected", "thesis"):
+        assert mean_radiance(atmosphere(), [0.5], [0.5], form) == pytest.approx([2 + 6.5 / 0.9], rel=1e-14)
+
+
+def test_3_7_is_the_sum_of_all_bounces():
+    # Light that goes between ground and sky: sum of (S rho_ave)^n, n = 0, 1, 2...
+    bounces = sum((0.2 * 0.25) ** n for n in range(40))
+    assert mean_radiance(atmosphere(), [0.4], [0.25]) == pytest.approx([2 + (4 + 0.75) * bounces], rel=1e-14)
+
+
+def test_3_8_average_and_mixture_by_hand():
+    assert average_reflectance([0.25, 0.75], [[0.4], [0.2]]) == pytest.approx([0.25])
+    # Within 0.25 * 4e-4 + 0.75 * 1e-4 = 1.75e-4; between 0.25 * 0.15^2 + 0.75 * 0.05^2 = 7.5e-3.
+    found = mixture_covariance([0.25, 0.75], [[0.4], [0.2]], [[[4e-4]], [[1e-4]]])
+    assert found == pytest.approx(np.array([[7.675e-3]]), rel=1e-12)
+
+
+def test_3_10_target_pixel_by_hand():
+    assert target_pixel_reflectance(0.4, [0.6], [0.1]) == pytest.approx([0.30])
+    assert target_pixel_reflectance([0.0, 1.0], [0.6], [0.1]) == pytest.approx(np.array([[0.1], [0.6]]))
+
+
+def test_3_11_slopes_by_hand_and_by_differences():
+    assert direct_slope(atmosphere(), [0.25]) == pytest.approx([10 / 0.95])
+    assert direct_slope(atmosphere(), [0.25], "thesis") == pytest.approx([12.5])
+    assert adjacency_slope(atmosphere(), [0.4], [0.25]) == pytest.approx([3.8 / 0.9025])
+    assert adjacency_slope(atmosphere(), [0.4], [0.25], "thesis") == pytest.approx([3.75])
+    h = 1e-6
+    own = (mean_radiance(atmosphere(), [0.4 + h], [0.25]) - mean_radiance(atmosphere(), [0.4 - h], [0.25])) / (
+        2 * h
+    )
+    around = (mean_radiance(atmosphere(), [0.4], [0.25 + h]) - mean_radiance(atmosphere(), [0.4], [0.25 - h])) / (
+        2 * h
+    )
+    assert direct_slope(atmosphere(), [0.25]) == pytest.approx(own, rel=1e-8)
+    assert adjacency_slope(atmosphere(), [0.4], [0.25]) == pytest.approx(around, rel=1e-8)
+
+
+def test_3_11_covariance_by_hand():
+    # Sigma = 4e-4, Sigma_ave = 2.5e-3, kappa = 0.01, g_B = 2 on the adjacency term.
+    # (10/0.95)^2 * 4e-4 = 0.04432133; 2 * 0.01 * (3.8/0.9025)^2 * 2.5e-3 = 8.864266e-4.
+    found = radiance_covariance(atmosphere(), [0.4], [[4e-4]], [0.25], [[2.5e-3]], adjacency_gain=2.0, kappa=0.01)
+    assert found == pytest.approx(np.array([[0.04432133 + 8.864266e-4]]), rel=1e-6)
+    # Printed: 12.5^2 * 4e-4 + 3.75^2 * 2.5e-3, whatever kappa is.
+    printed = radiance_covariance(
+        atmosphere(), [0.4], [[4e-4]], [0.25], [[2.5e-3]], kappa=0.01, formulation="thesis"
+    )
+    assert printed == pytest.approx(np.array([[0.0625 + 0.03515625]]), rel=1e-12)
+
+
+def covariance_z(sample: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """(sample covariance - expected) in standard errors: normal data, var S_ij = (s_ii s_jj + s_ij^2)/(n-1)."""
+    found = np.cov(sample.T)
+    error = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / (len(sample) - 1))
+    return (found - expected) / error
+
+
+def test_3_11_covariance_by_monte_carlo():
+    """Pixel and neighbourhood drawn, the exact radiance formed: 6 entries, |z| < 5, false failure 4e-6."""
+    rng = np.random.default_rng(311)
+    terms, n, kappa = atmosphere(3), 400_000, 0.04
+    rho, ave = np.array([0.3, 0.4, 0.2]), np.array([0.25, 0.3, 0.2])
+    sigma = 1e-4 * np.array([[4, 2, 1], [2, 5, -1], [1, -1, 3]])
+    sigma_ave = 1e-4 * np.array([[9, 5, 2], [5, 8, 3], [2, 3, 7]])
+    pixel = rng.multivariate_normal(rho, sigma, n)
+    around = rng.multivariate_normal(ave, kappa * sigma_ave, n)
+    trapping = 1 - 0.2 * around
+    radiance = 2 + (10 * pixel + 3 * around) / trapping
+    expected = radiance_covariance(terms, rho, sigma, ave, sigma_ave, kappa=kappa)
+    assert np.abs(covariance_z(radiance, expected)).max() < 5
+    printed = radiance_covariance(terms, rho, sigma, ave, sigma_ave, kappa=kappa, formulation="thesis")
+    assert np.abs(covariance_z(radiance, printed)).max() > 50  # the printed form is ruled out by the same draw
+
+
+def test_3_12_by_hand():
+    # f = 0.4 +- 0.1: E[f^2] = 0.17, E[(1-f)^2] = 0.37; contrast 0.5; g_T = 2, g_B = 3.
+    # 0.17 * 2 * 1e-4 + 0.37 * 3 * 2e-4 + 0.01 * 0.25 = 2.756e-3
+    common = dict(target_gain=2.0, host_gain=3.0)
+    found = target_pixel_covariance(0.4, 0.01, [0.6], [[1e-4]], [0.1], [[2e-4]], **common)
+    assert found == pytest.approx(np.array([[2.756e-3]]), rel=1e-12)
+    # Printed: 0.16 * 2e-4 + 0.36 * 6e-4 = 2.48e-4
+    printed = target_pixel_covariance(0.4, 0.01, [0.6], [[1e-4]], [0.1], [[2e-4]], formulation="thesis", **common)
+    assert printed == pytest.approx(np.array([[2.48e-4]]), rel=1e-12)
+
+
+def test_3_12_by_monte_carlo():
+    """Fill, target and host drawn; per entry a z from 200 batches, |z| < 5, false failure under 1e-5."""
+    rng = np.random.default_rng(312)
+    n = 400_000
+    target, host = np.array([0.6, 0.3]), np.array([0.1, 0.25])
+    s_t, s_h = 1e-4 * np.array([[4, 1], [1, 2]]), 1e-4 * np.array([[3, -1], [-1, 5]])
+    fill = beta_fill(0.4, 0.1)
+    f = rng.choice(fill.values, n, p=fill.weights)[:, None]
+    x = f * rng.multivariate_normal(target, s_t, n) + (1 - f) * rng.multivariate_normal(host, s_h, n)
+    expected = target_pixel_covariance(fill.mean, fill.variance, target, s_t, host, s_h)
+    batches = np.array([np.cov(part.T) for part in x.reshape(200, -1, 2)])
+    z = (batches.mean(axis=0) - expected) / (batches.std(axis=0, ddof=1) / np.sqrt(200))
+    assert np.abs(z).max() < 5
+    printed = target_pixel_covariance(fill.mean, fill.variance, target, s_t, host, s_h, formulation="thesis")
+    assert expected[0, 0] / printed[0, 0] > 5  # the variance of the fill dominates at this contrast
+
+
+def test_fill_of_an_aligned_square_by_hand():
+    # A square of 1 pixel side shifted by (0.25, 0.4): (1 - 0.25)(1 - 0.4) = 0.45 of the pixel.
+    assert aligned_fill(1.0, 1.0, [0.25, 0.4]) == pytest.approx(0.45, rel=1e-14)
+    # Side 0.5 inside the pixel: its area, 0.25.
+    assert aligned_fill(0.5, 0.5, [0.1, 0.1]) == pytest.approx(0.25, rel=1e-14)
+
+
+def test_fill_with_blur_by_numerical_integration():
+    s = 0.8 / (2 * np.sqrt(2 * np.log(2)))
+    from scipy.stats import norm
+
+    def response(x: float) -> float:
+        return float(norm.cdf((x + 0.5) / s) - norm.cdf((x - 0.5) / s))
+
+    value, _ = dblquad(lambda y, x: response(x) * response(y), 0.1 - 0.6, 0.1 + 0.6, 0.2 - 0.9, 0.2 + 0.9)
+    assert aligned_fill(1.8, 1.2, [0.1, 0.2], 0.8) == pytest.approx(value, abs=1e-8)
+
+
+@pytest.mark.parametrize("blur", [0.0, 0.7, 1.5])
+def test_pixel_fills_agree_with_the_closed_form_and_conserve_area(blur):
+    geometry = TargetGeometry(1.3, 0.8, 0.7, 0.0, blur)
+    offset = np.array([[0.13, -0.31], [0.5, 0.5]])
+    fills = pixel_fills(geometry, offset, [0.0, 0.0])
+    half = fills.shape[1] // 2
+    for k in range(2):
+        for along in (-1, 0, 1):
+            for across in (-1, 0, 1):
+                expected = aligned_fill(1.3 / 0.7, 0.8 / 0.7, offset[k] - [across, along], blur)
+                assert fills[k, half + along, half + across] == pytest.approx(expected, abs=1e-9)
+    turned = pixel_fills(geometry, offset, [37.0, 81.0])
+    for each in (fills, turned):
+        assert each.sum(axis=(1, 2)) * 0.7**2 == pytest.approx([1.3 * 0.8] * 2, rel=1e-6)
+
+
+def test_rotated_fill_by_counting_points():
+    """2e5 points in the target, aperture alone: binomial, |z| < 5 over 9 pixels, false failure 5e-6."""
+    rng = np.random.default_rng(7)
+    n, angle = 200_000, np.deg2rad(30.0)
+    along, across = rng.uniform(-1, 1, n) * 0.9, rng.uniform(-1, 1, n) * 0.4
+    x = along * np.sin(angle) + across * np.cos(angle) + 0.2
+    y = along * np.cos(angle) - across * np.sin(angle) - 0.1
+    fills = pixel_fills(TargetGeometry(1.8, 0.8, 1.0, 30.0), np.array([[0.2, -0.1]]), [30.0])[0]
+    half = fills.shape[0] // 2
+    for j in (-1, 0, 1):
+        for i in (-1, 0, 1):
+            part = np.mean((np.abs(x - i) <= 0.5) & (np.abs(y - j) <= 0.5))
+            expected = fills[half + j, half + i] / (1.8 * 0.8)
+            error = np.sqrt(max(expected * (1 - expected), 1e-9) / n)
+            assert abs(part - expected) < 5 * error + 1e-9
+
+
+def test_best_pixel_of_a_small_square_by_closed_form():
+    # A square of side a < 1 at a random place: in one direction the best pixel holds a when it does not
+    # cross an edge (probability 1 - a), else uniform between a/2 and a: mean a - a^2/4, squared for two.
+    a = 0.6
+    found = best_pixel_fill(TargetGeometry(a, a, 1.0))
+    assert found.mean == pytest.approx((a - a**2 / 4) ** 2, rel=1e-4)  # 377 positions stand for the integral
+    centred = best_pixel_fill(TargetGeometry(a, a, 1.0, phase="centred"))
+    assert (centred.mean, centred.variance) == pytest.approx((0.36, 0.0))
+
+
+def test_ranked_pixels_hold_the_whole_target():
+    geometry = TargetGeometry(1.0, 1.0, 1.0, 0.0, 0.5)
+    objects = object_fills(geometry, 25)
+    assert np.all(np.diff(objects, axis=1) <= 0)
+    assert objects.sum(axis=1) == pytest.approx(np.ones(len(objects)), abs=1e-6)
+    assert ranked_pixel_fill(geometry, 4).mean == pytest.approx(objects[:, :4].mean(), rel=1e-12)
+
+
+def test_fills_by_moments():
+    assert (fixed_fill(0.3).mean, fixed_fill(0.3).variance) == (0.3, 0.0)
+    fill = beta_fill(0.4, 0.1)
+    assert fill.mean == pytest.approx(0.4, rel=1e-12)
+    assert fill.variance == pytest.approx(0.01, rel=1e-12)
+
+
+def test_builtin_covariance_is_the_sum_of_its_modes():
+    axis = SpectralAxis(np.linspace(400, 2450, 50), np.full(50, 10.0))
+    modes, spread = builtin_modes("grass", axis)
+    expected = sum(np.outer(m, m) for m in modes) + spread**2 * np.eye(50)
+    assert builtin_class("grass", axis).covariance == pytest.approx(expected, rel=1e-12)

@@ -1,0 +1,118 @@
+"""Equations 3.13-3.20 against numbers worked out by hand and simulated detectors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperval.sensor.noise import (
+    add_noise,
+    bit_error_variance,
+    calibration_variance,
+    detector_radiance_variance,
+    detector_variance,
+    measured_noise_variance,
+    quantisation_variance,
+    shot_variance,
+    signal_to_noise,
+)
+from hyperval.sensor.response import (
+    ELECTRONS_PER_UNIT,
+    aperture_throughput,
+    electrons_per_radiance,
+    f_number_throughput,
+    solid_angle,
+)
+
+
+def test_3_13_electrons_through_the_energy_of_a_photon():
+    # L = 6 mW cm-2 sr-1 um-1 = 60 W m-2 sr-1 um-1; A Omega = 9.4e-7 cm2 sr = 9.4e-11 m2 sr; 4.66 nm.
+    power = 60 * 9.4e-11 * 4.66e-3  # W
+    energy = power * 0.25 * 3e-3  # J after optics and detector in 3 ms
+    photon = 6.62607015e-34 * 299792458.0 / 550e-9  # J, 3.612e-19
+    g = electrons_per_radiance(
+        [550.0],
+        [4.66],
+        throughput_cm2_sr=9.4e-7,
+        optical_transmittance=0.5,
+        quantum_efficiency=0.5,
+        integration_time_s=3e-3,
+    )
+    assert 6 * g == pytest.approx([energy / photon], rel=1e-12)
+    assert 6 * g[0] == pytest.approx(5.457e4, rel=1e-3)
+    assert pytest.approx(5.034e15, rel=1e-4) == ELECTRONS_PER_UNIT
+
+
+def test_3_14_throughput():
+    # 0.1 m aperture: 78.5398 cm2; 1 mrad square: 1e-6 sr.
+    assert aperture_throughput(0.1, 1e-3) == pytest.approx(78.53982e-6, rel=1e-6)
+    assert aperture_throughput(0.1, 1e-3, obscuration=0.2) == pytest.approx(0.8 * 78.53982e-6, rel=1e-6)
+    # The printed cone is pi/4 of the square for a small angle, and 2 pi (1 - cos(theta/2)) for any.
+    assert solid_angle(1e-3, "cone") / solid_angle(1e-3) == pytest.approx(np.pi / 4, rel=1e-6)
+    assert solid_angle(1.0, "cone") == pytest.approx(2 * np.pi * (1 - np.cos(0.5)), rel=1e-12)
+    # F/2.4 behind a 30 um x 24 um slit piece: 7.2e-6 cm2 * pi / 24.04 = 9.409e-7.
+    assert f_number_throughput(2.4, 30 * 24) == pytest.approx(9.409e-7, rel=1e-3)
+
+
+def test_3_15_3_16_by_hand():
+    assert shot_variance(5.0, 1000.0) == pytest.approx(5000.0)
+    assert detector_variance(5.0, 1000.0, 60.0) == pytest.approx(5000 + 3600)
+    # g_d = 1.5: 2.25 * 8600 / 1e6
+    assert detector_radiance_variance(5.0, 1000.0, 60.0, 1.5) == pytest.approx(0.01935)
+
+
+def test_3_15_by_a_simulated_detector():
+    """1e6 readings, Poisson and normal; s.e. of a variance is sigma^2 sqrt(2/n): |z| < 5, false failure 6e-7."""
+    rng = np.random.default_rng(315)
+    n = 1_000_000
+    electrons = rng.poisson(5000, n) + rng.normal(0, 60, n)
+    expected = float(detector_variance(5.0, 1000.0, 60.0))
+    assert abs(electrons.var() - expected) < 5 * expected * np.sqrt(2 / n)
+
+
+def test_3_17_by_hand_and_its_cap_on_snr():
+    assert calibration_variance(4.0, 0.5) == pytest.approx(0.0004)
+    # With the calibration error alone the SNR is 100 / C_R = 200 at any level.
+    assert signal_to_noise([4.0, 9.0], calibration_variance([4.0, 9.0], 0.5)) == pytest.approx([200.0, 200.0])
+
+
+def test_3_18_by_rounding():
+    """1e6 rounded values; s.e. of a uniform law's variance: LSB^2/12 sqrt(0.8/n); |z| < 5, false failure 6e-7."""
+    rng = np.random.default_rng(318)
+    x = rng.uniform(0, 4095 * 3.0, 1_000_000)
+    error = np.round(x / 3.0) * 3.0 - x
+    expected = float(quantisation_variance(3.0))
+    assert expected == 0.75
+    assert abs(error.var() - expected) < 5 * expected * np.sqrt(0.8 / x.size)
+
+
+def test_3_19_by_flipping_bits():
+    """4e6 words of 8 bits, each bit wrong with 1e-3: z from 200 batches, |z| < 5, false failure 1e-6."""
+    rng = np.random.default_rng(319)
+    n, bits, rate = 4_000_000, 8, 1e-3
+    words = rng.integers(0, 2**bits, n, dtype=np.int64)
+    flips = np.zeros(n, np.int64)
+    for b in range(bits):
+        flips |= (rng.random(n) < rate).astype(np.int64) << b
+    square = (2.0 * ((words ^ flips) - words)) ** 2  # LSB = 2
+    batch = square.reshape(200, -1).mean(axis=1)
+    expected = float(bit_error_variance(2.0, bits, rate))
+    assert expected == pytest.approx(4 * 1e-3 * 65535 / 3)
+    assert abs(batch.mean() - expected) < 5 * batch.std(ddof=1) / np.sqrt(200)
+
+
+def test_3_19_per_word_is_the_printed_form():
+    # One of N bits wrong with probability B_e: the mean of 4^n over n = 0..3 is 85/4.
+    assert bit_error_variance(1.0, 4, 1e-3, "word") == pytest.approx(1e-3 * (1 + 4 + 16 + 64) / 4)
+
+
+def test_3_20_by_hand():
+    assert signal_to_noise(6.0, 0.01935 + 0.0009) == pytest.approx(6 / np.sqrt(0.02025))
+    assert np.array_equal(add_noise([[1.0, 0.5], [0.5, 2.0]], [0.1, 0.2]), [[1.1, 0.5], [0.5, 2.2]])
+
+
+def test_measured_noise_is_the_physical_model():
+    # a = 0.01, b = 1.2: G = 1e4, sigma_f = sqrt(1.2)/0.01 = 109.54 electrons.
+    found = measured_noise_variance(5.0, 0.01, 1.2, 0.0)
+    assert found == pytest.approx(1e-4 * 6.2)
+    assert found == pytest.approx(float(detector_radiance_variance(5.0, 1e4, np.sqrt(1.2) / 0.01)), rel=1e-12)
