@@ -272,7 +272,7 @@ def _detection(
         background = seen_background(with_view, scene.classes, surfaces, bands)
         return detect(
             background, scene.targets, looked_for, processing.detectors, pfa,
-            whole_scene=whole, spectrum_error=errors, shift=shift,
+            whole_scene=whole, filter_classes=processing.filter_classes, spectrum_error=errors, shift=shift,
         )  # fmt: skip
 
     base = run(view)

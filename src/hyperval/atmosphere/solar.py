@@ -26,6 +26,7 @@ _FILES = {
 SPECTRA = ("astm-g173", *_FILES)
 _MAX_BYTES = 64 << 20
 _FINE_NM = 0.1
+_EXTENSION_NM = 110.0
 _REACH_NM = 12.0  # how far the end value of a spectrum may be carried on (TSIS-1 here starts at 350 nm)
 
 
@@ -76,7 +77,7 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     MissingDataError : the file is not at hand.
     """
     grid = np.asarray(wavelength_nm, dtype=float)
-    source_nm, irradiance = _spectrum(name, os.environ.get("HYPERVAL_DATA", ""))
+    source_nm, irradiance = _extended(*_spectrum(name, os.environ.get("HYPERVAL_DATA", "")), grid)
     if grid[0] < source_nm[0] - _REACH_NM or grid[-1] > source_nm[-1] + _REACH_NM:
         raise UsageError(
             f"the solar spectrum {name} covers {source_nm[0]:g}-{source_nm[-1]:g} nm",
@@ -89,6 +90,28 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     positions = grid[:, None] + offset[None, :] * step[:, None]
     values = np.interp(positions, source_nm, irradiance)
     return np.asarray(values @ weight / weight.sum()) / distance_au**2
+
+
+def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, Array]:
+    """The spectrum continued to the ends of the grid with the shape of ASTM G173.
+
+    At most ``_EXTENSION_NM``, which serves the edges of the first and last band responses only; the level is that
+    of the two spectra's averages over the last 20 nm they share.
+    """
+    wide_nm, wide = _spectrum("astm-g173", "")
+    for below in (True, False):
+        end = source_nm[0] if below else source_nm[-1]
+        gap = end - grid[0] if below else grid[-1] - end
+        if not 0.0 < gap <= _EXTENSION_NM:
+            continue
+        near = (end, end + 20.0) if below else (end - 20.0, end)
+        level = np.mean(irradiance[(source_nm >= near[0]) & (source_nm <= near[1])])
+        level /= np.mean(np.interp(np.linspace(*near, 41), wide_nm, wide))
+        more = (wide_nm < end) if below else (wide_nm > end)
+        parts = [(wide_nm[more], wide[more] * level), (source_nm, irradiance)]
+        first, last = parts if below else parts[::-1]
+        source_nm, irradiance = np.concatenate([first[0], last[0]]), np.concatenate([first[1], last[1]])
+    return source_nm, irradiance
 
 
 @lru_cache(maxsize=8)

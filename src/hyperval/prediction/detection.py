@@ -114,6 +114,7 @@ def detector_filter(
     detector: str,
     looked_for: Array,
     populations: Sequence[tuple[float, Array, Array]] = (),
+    filter_classes: Sequence[str] = (),
 ) -> LinearFilter:
     """The filter over the mixture background (3.22-3.25).
 
@@ -122,8 +123,13 @@ def detector_filter(
     looked_for : (B,) reflectance of the target that the detector looks for
     populations : (part of the scene, mean (F,), covariance (F, F)) of target pixels, for statistics
         taken over the whole scene
+    filter_classes : names of the classes whose mixture the filter is built on; empty: all
     """
     fractions, means, covariances = background.fractions, background.means, background.covariances
+    if filter_classes:
+        chosen = np.array([c.name in filter_classes for c in background.classes])
+        fractions = fractions[chosen] / fractions[chosen].sum()
+        means, covariances = means[chosen], covariances[chosen]
     if populations:
         part = np.array([p for p, _, _ in populations])
         fractions = np.concatenate([(1.0 - part.sum()) * fractions, part])
@@ -232,6 +238,7 @@ def detect(
     pfa: Array,
     *,
     whole_scene: bool = False,
+    filter_classes: Sequence[str] = (),
     spectrum_error: Mapping[str, Array] | None = None,
     shift: float = 0.0,
 ) -> Detection:
@@ -242,6 +249,7 @@ def detect(
     looked_for : target name -> (B,) reflectance that its filter looks for
     pfa : (K,) false-alarm probabilities
     whole_scene : take the filter's statistics over background and target pixels
+    filter_classes : classes whose mixture the filter is built on; empty: all
     spectrum_error, shift : target name -> (B, B) error covariance of the target's spectrum, and by how many
         standard deviations the true target departs from it, the filter unchanged
     """
@@ -258,7 +266,7 @@ def detect(
         ]
     for target in targets:
         for name in detectors:
-            detector = detector_filter(background, name, looked_for[target.name], populations)
+            detector = detector_filter(background, name, looked_for[target.name], populations, filter_classes)
             classes = class_scores(background, detector)
             threshold = threshold_at(pfa, classes)
             error = spectrum_error.get(target.name) if spectrum_error else None

@@ -78,6 +78,21 @@ def footprint_maxima(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDAr
     (n,) maxima: the ``background_scores`` that belong with haloed object scores.  One of them stands for a
     false alarm per footprint, not per pixel.
     """
+    values = _tiles(score_map, shape, exclude)
+    return values.max(axis=1) if values.size else np.empty(0)
+
+
+def footprint_sums(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None = None) -> Array:
+    """Sum of scores over each placement of an object's footprint on the background.
+
+    Their spread is the standard uncertainty of the same sum over the object, with the correlation between
+    neighbouring pixels in it.  Parameters and placements as :func:`footprint_maxima`.
+    """
+    return np.asarray(_tiles(score_map, shape, exclude).sum(axis=1))
+
+
+def _tiles(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None) -> Array:
+    """(n, pixels of the footprint) scores of every placement that touches no invalid or excluded pixel."""
     scores = np.array(score_map, dtype=float)
     if exclude is not None:
         scores[np.asarray(exclude, dtype=bool)] = np.nan
@@ -87,5 +102,4 @@ def footprint_maxima(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDAr
         raise UsageError(f"a footprint of {h} x {w} pixels does not fit a score map of {scores.shape}")
     tiles = scores[: rows * h, : columns * w].reshape(rows, h, columns, w).transpose(0, 2, 1, 3)
     values = tiles.reshape(rows * columns, h * w)[:, shape.ravel()]
-    values = values[~np.isnan(values).any(axis=1)]
-    return values.max(axis=1) if values.size else np.empty(0)
+    return np.asarray(values[~np.isnan(values).any(axis=1)])

@@ -5,6 +5,7 @@ A pixel is declared a target when its score lies strictly above the threshold.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -159,6 +160,43 @@ def empirical_roc(
         n_target=found.n_target,
         n_background=found.n_background,
         background_area_km2=background_area_km2,
+    )
+
+
+def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
+    """One curve for several groups of targets, each with its own detector, at the same false-alarm probability.
+
+    P_D is the share of all targets detected; its interval is that of Clopper & Pearson on the pooled count and
+    does not hold the sampling of the thresholds, of which there are several.
+
+    Raises
+    ------
+    UsageError : no curve, curves that count different things, or that have no false-alarm probability in common.
+    """
+    if not curves:
+        raise UsageError("no curve to pool")
+    if len({c.unit for c in curves}) > 1 or any(not c.n_target for c in curves):
+        raise UsageError("only measured curves that count the same thing can be pooled")
+    grid = curves[0].pfa
+    for curve in curves[1:]:
+        grid = grid[np.any(np.abs(grid[:, None] / curve.pfa[None, :] - 1.0) < 1e-9, axis=1)]
+    if grid.size == 0:
+        raise UsageError("the curves have no false-alarm probability in common")
+    at = [[int(np.argmin(np.abs(c.pfa / x - 1.0))) for x in grid] for c in curves]
+    detected = sum(np.rint(c.pd[i] * int(c.n_target or 0)) for c, i in zip(curves, at, strict=True))
+    total = sum(int(c.n_target or 0) for c in curves)
+    low, high = clopper_pearson(np.asarray(detected, dtype=np.int64), total, level)
+    backgrounds = [c.n_background for c in curves if c.n_background is not None]
+    return RocCurve(
+        pfa=grid,
+        pd=np.asarray(detected) / total,
+        pd_lower=low,
+        pd_upper=high,
+        threshold=np.full(grid.shape, np.nan),  # every curve has its own
+        unit=curves[0].unit,
+        n_target=total,
+        n_background=min(backgrounds) if backgrounds else None,
+        background_area_km2=curves[0].background_area_km2,
     )
 
 

@@ -1,0 +1,71 @@
+"""Rows of one side alone, where there is nothing to compare with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperval.products import Products
+from hyperval.results import Result
+
+
+def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
+    """INFO rows of one side alone: spectra by band, score moments, P_D at decades of P_FA, areas."""
+    rows: list[Result] = []
+    for product, unit in (("radiance", "uW cm-2 sr-1 nm-1"), ("snr", "1"), ("reflectance", "1")):
+        for subject, estimate in getattr(products, product).items():
+            half = 1.96 * estimate.standard_uncertainty
+            for b in np.flatnonzero(np.isfinite(estimate.mean)):
+                rows.append(
+                    Result(
+                        campaign,
+                        product,
+                        subject,
+                        side,
+                        "mean",
+                        float(estimate.mean[b]),
+                        unit,
+                        float(products.axis.centre_nm[b]),
+                        float(estimate.mean[b] - half[b]),
+                        float(estimate.mean[b] + half[b]),
+                        estimate.n,
+                    )
+                )
+    for (subject, detector), score in products.scores.items():
+        for metric in ("mean", "sd"):
+            rows.append(Result(campaign, "scores", subject, detector, metric, getattr(score, metric), n=score.n))
+    for (subject, detector, unit), curve in products.roc.items():
+        for decade in range(-9, 0):
+            at = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
+            if abs(np.log10(curve.pfa[at]) - decade) > 1e-6:
+                continue
+            rows.append(
+                Result(
+                    campaign,
+                    "roc",
+                    subject,
+                    f"{detector}/{unit}",
+                    f"pd@1e{decade}",
+                    float(curve.pd[at]),
+                    "1",
+                    lower=float(curve.pd_lower[at]),
+                    upper=float(curve.pd_upper[at]),
+                    n=curve.n_target,
+                )
+            )
+    for (subject, detector), area in products.abundance.items():
+        half_area = 1.96 * area.standard_uncertainty
+        rows.append(
+            Result(
+                campaign,
+                "abundance",
+                subject,
+                detector,
+                "area",
+                area.area_m2,
+                "m2",
+                lower=area.area_m2 - half_area,
+                upper=area.area_m2 + half_area,
+                n=area.n,
+            )
+        )
+    return rows

@@ -1,0 +1,106 @@
+"""What a run was made of: inputs, versions, command, seed, formulation."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hyperval
+
+
+def provenance(
+    *,
+    command: Sequence[str],
+    inputs: Sequence[Mapping[str, Any]],
+    seed: int | None,
+    formulation: str,
+    configuration: Mapping[str, Any],
+    engines: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Collect the provenance record of one run.
+
+    It holds nothing that differs between two runs of the same inputs on the same machine: no
+    times, no absolute paths, and the command without its output folder.
+    """
+    return {
+        "hyperval": hyperval.__version__,
+        "source_revision": source_revision(),
+        "command": list(command),
+        "configuration": configuration,
+        "formulation": formulation,
+        "seed": seed,
+        "inputs": sorted((dict(i) for i in inputs), key=lambda i: str(i.get("reference"))),
+        "engines": dict(engines),
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "linear_algebra": linear_algebra(),
+        "packages": package_versions(),
+    }
+
+
+def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
+    """The command line, with the output folder and the place of files left out.
+
+    Two runs into different folders have the same provenance.
+    """
+    given = list(sys.argv if arguments is None else arguments)
+    out = [Path(given[0]).name] if given else []
+    skip = False
+    for word in given[1:]:
+        if skip:
+            skip = False
+            continue
+        if word in {"-o", "--output", "--data-dir", "--junit"}:
+            skip = True
+            continue
+        if re.match(r"^(--output|--data-dir|--junit)=", word):
+            continue
+        path = Path(word)
+        out.append("/".join(path.parts[-2:]) if path.is_absolute() else word)
+    return out
+
+
+def package_versions() -> dict[str, str]:
+    """Name and version of every installed distribution, sorted."""
+    found = {
+        d.metadata["Name"].lower(): d.version for d in importlib.metadata.distributions() if d.metadata["Name"]
+    }
+    return dict(sorted(found.items()))
+
+
+def linear_algebra() -> dict[str, str]:
+    """Name and version of the BLAS that NumPy was built with."""
+    blas = np.show_config(mode="dicts").get("Build Dependencies", {}).get("blas", {})
+    return {k: str(blas.get(k, "unknown")) for k in ("name", "version")}
+
+
+def source_revision() -> dict[str, Any] | None:
+    """Commit of the source tree and whether it was changed; None for an installed package."""
+    root = Path(hyperval.__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    try:
+        commit = _git(root, "rev-parse", "HEAD")
+        changed = bool(_git(root, "status", "--porcelain", "--", "src"))
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return {"commit": commit, "changed": changed}
+
+
+def _git(root: Path, *arguments: str) -> str:
+    done = subprocess.run(  # noqa: S603 - fixed arguments
+        ["git", "-C", str(root), *arguments],  # noqa: S607
+        capture_output=True,
+        text=True,
+        timeout=10,
+        check=True,
+    )
+    return done.stdout.strip()

@@ -1,0 +1,204 @@
+"""What a campaign says of its collection: files, regions, truth, and how targets are looked for."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from hyperval.config import Model
+from hyperval.scenario import SpectrumSource
+
+
+class CubeSource(Model):
+    """An image cube on disk."""
+
+    path: str
+    header: str | None = Field(None, description="ENVI header that describes it, when it is not beside the cube")
+    quantity: Literal["radiance", "reflectance"]
+    unit: str = Field("uW cm-2 sr-1 nm-1", description="unit of the scaled radiance; not used for reflectance")
+    scale: float | None = Field(
+        None, gt=0, description="stored value times this is the quantity; None: the header's"
+    )
+    wavelength_unit: str | None = Field(None, description="stated when the header does not say nm or um")
+
+
+class SpectrumCollection(Model):
+    """A collected radiance spectrum of one site, where no cube is held."""
+
+    subject: str
+    path: str
+    unit: str = "uW cm-2 sr-1 nm-1"
+    wavelength_unit: Literal["nm", "um"] = "nm"
+    pixels: int | None = Field(None, ge=1, description="pixels averaged, when known")
+
+
+class BandTable(Model):
+    """A text table with the band centres and widths of collected spectra."""
+
+    path: str
+    wavelength_unit: Literal["nm", "um"]
+    centre_column: int = Field(0, ge=0, description="0-based column of the band centres")
+    fwhm_column: int | None = Field(None, ge=0, description="0-based column of the FWHM; None: the band spacing")
+
+
+class NormalizedDifference(Model):
+    """Pixels whose normalised difference of two band averages lies between two limits."""
+
+    high_nm: tuple[float, float]
+    low_nm: tuple[float, float]
+    above: float = -1.0
+    below: float = 1.0
+
+
+class RegionSource(Model):
+    """One region of interest, or every region of a file."""
+
+    name: str | None = Field(None, description="None: take the names of the file")
+    file: str | None = None
+    coordinates: Literal["pixel", "map", "lonlat"] | None = Field(None, description="of a GeoJSON file")
+    rectangle: tuple[int, int, int, int] | None = Field(
+        None, description="first line, first sample, lines, samples (0-based pixels)"
+    )
+    normalized_difference: NormalizedDifference | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> RegionSource:
+        given = [k for k in ("file", "rectangle", "normalized_difference") if getattr(self, k) is not None]
+        if len(given) != 1:
+            raise ValueError("give exactly one of file, rectangle, normalized_difference")
+        if self.name is None and self.file is None:
+            raise ValueError("a region that is not read from a file needs a name")
+        return self
+
+
+class TargetRasters(Model):
+    """Target objects as the overlap of a material mask with a size-class raster."""
+
+    materials: dict[str, str] = Field(description="material: mask file")
+    size_classes: str = Field(description="raster whose values name the size of the target in each pixel")
+    side_m: dict[int, float] = Field(description="raster value: side of the square target [m]")
+
+
+class TargetTruth(Model):
+    """Where the target objects are."""
+
+    rasters: TargetRasters | None = None
+    csv: str | None = None
+    pixels: Literal["touched", "centre"] = Field(
+        "touched", description="pixels of an object: all it may touch, or the one that holds its centre (csv only)"
+    )
+    guard_pixels: int = Field(1, ge=0, description="pixels around every target left out of the background")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> TargetTruth:
+        if (self.rasters is None) == (self.csv is None):
+            raise ValueError("give exactly one of rasters, csv")
+        if self.rasters is not None and self.pixels == "centre":
+            raise ValueError("rasters do not say where a target's centre is: pixels must be 'touched'")
+        return self
+
+
+class PanelReference(Model):
+    """A calibration panel of the image with its reflectance measured on the ground."""
+
+    region: str
+    spectrum: SpectrumSource
+    relative_uncertainty: float = Field(0.0, ge=0, lt=1, description="of the panel reflectance, standard")
+
+
+class EmpiricalLineSource(Model):
+    """Panels for the empirical line."""
+
+    panels: list[PanelReference] = Field(min_length=2)
+
+
+class CalibrationUncertainty(Model):
+    """Relative standard uncertainty of the collected radiance, common to all pixels."""
+
+    relative: float | None = Field(None, ge=0, lt=1)
+    file: str | None = Field(None, description="text table: wavelength nm, relative standard uncertainty")
+    correlation_nm: float | None = Field(
+        None, gt=0, description="correlation length between bands; None: fully correlated"
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> CalibrationUncertainty:
+        if (self.relative is None) == (self.file is None):
+            raise ValueError("give exactly one of relative, file")
+        return self
+
+
+class Collection(Model):
+    """What was collected."""
+
+    simulate: str | None = Field(
+        None, description="scene file: the collection is generated; its files are 'simulated:NAME' below"
+    )
+    cube: CubeSource | None = None
+    spectra: list[SpectrumCollection] = Field(default_factory=list)
+    bands: BandTable | None = Field(None, description="needed with spectra")
+    regions: list[RegionSource] = Field(default_factory=list)
+    targets: TargetTruth | None = None
+    leave_out: list[str] = Field(
+        default_factory=list, description="regions that count as neither background nor false alarm"
+    )
+    empirical_line: EmpiricalLineSource | None = None
+    calibration: CalibrationUncertainty | None = None
+    snr_regions: list[str] = Field(
+        default_factory=list, description="regions whose SNR is estimated from the image"
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Collection:
+        if bool(self.cube) == bool(self.spectra):
+            raise ValueError("give exactly one of cube, spectra")
+        if self.simulate and self.cube is None:
+            raise ValueError("a simulated collection is a cube: give cube.path as simulated:NAME_rad.img")
+        if self.spectra and self.bands is None:
+            raise ValueError("spectra need 'bands': a table of band centres and widths")
+        return self
+
+
+class DetectionTarget(Model):
+    """A spectrum to look for and the material of the truth it stands for."""
+
+    name: str = Field(description="names the score map; several spectra may stand for one material")
+    material: str
+    spectrum: SpectrumSource
+
+
+class Pool(Model):
+    """Curves of several subjects counted together, such as all materials of one size."""
+
+    name: str
+    subjects: list[str] = Field(min_length=2)
+
+
+class AreaCheck(Model):
+    """Area of each target object from the sum of its scores."""
+
+    target: str = Field(description="name of a detection target")
+    detector: str
+    margin_pixels: int = Field(1, ge=0, description="pixels around the object included in the sum")
+
+
+class Detection(Model):
+    """How targets are looked for in the image."""
+
+    targets: list[DetectionTarget] = Field(min_length=1)
+    detectors: list[str] = Field(default_factory=lambda: ["cem"], min_length=1)
+    background: list[str] = Field(
+        default_factory=lambda: ["scene"],
+        description="regions whose pixels give the filter its statistics; 'scene': all that is not left out",
+    )
+    false_alarms: list[str] = Field(
+        default_factory=lambda: ["scene"], description="regions whose pixels count for the false-alarm rate"
+    )
+    bands: Literal["all", "good", "windows"] = "good"
+    group: str = Field(
+        "{name}",
+        description="subject of a target object; the columns of the truth stand in braces, such as {material}",
+    )
+    pools: list[Pool] = Field(default_factory=list)
+    areas: list[AreaCheck] = Field(default_factory=list)

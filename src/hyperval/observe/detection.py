@@ -1,0 +1,236 @@
+"""Filters, scores and detection curves of one collection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.collection import AreaCheck, Detection, DetectionTarget
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.truth import TargetObject
+from hyperval.observe.place import Place
+from hyperval.prediction.inputs import Sources
+from hyperval.processing.elm import EmpiricalLine
+from hyperval.processing.filters import LinearFilter, design_filter
+from hyperval.processing.objects import footprint, footprint_sums, object_scores, with_halo
+from hyperval.processing.roc import empirical_roc, pooled_roc
+from hyperval.processing.scoring import score_blocks
+from hyperval.processing.streaming import SampleStatistics
+from hyperval.products import Abundance, RocCurve, ScoreDistribution, background_of
+from hyperval.progress import track
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.windows import in_window
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+# Below this many pixels for each band a sample covariance is shrunk (Ledoit & Wolf 2004).
+FEW_PIXELS_PER_BAND = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """What the detectors found.
+
+    Attributes
+    ----------
+    score_maps : "TARGET-DETECTOR" -> (lines, samples) score
+    outlines : "TARGET-DETECTOR" -> mask of each object that was looked for
+    scores, roc, abundance : products by their keys
+    filters : "TARGET-DETECTOR" -> filter
+    bands : (B,) the bands that the filters use
+    nominal_area_m2 : area of the targets as the truth states it, by the keys of ``abundance``
+    """
+
+    score_maps: Mapping[str, Array]
+    outlines: Mapping[str, Mapping[str, Mask]]
+    scores: Mapping[tuple[str, str], ScoreDistribution]
+    roc: Mapping[tuple[str, str, str], RocCurve]
+    abundance: Mapping[tuple[str, str], Abundance]
+    filters: Mapping[str, LinearFilter]
+    bands: Mask
+    nominal_area_m2: Mapping[tuple[str, str], float]
+    notes: tuple[str, ...] = field(default=())
+
+
+def usable_bands(choice: str, axis: SpectralAxis, spectra: Sequence[Array], elm: EmpiricalLine | None) -> Mask:
+    """Bands (B,) in which every target spectrum is known and the empirical line has a gain."""
+    keep = np.ones(len(axis), bool)
+    if choice in ("good", "windows"):
+        keep &= axis.good
+    if choice == "windows":
+        keep &= in_window(axis.centre_nm)
+    for spectrum in spectra:
+        keep &= np.isfinite(spectrum)
+    if elm is not None:
+        keep &= elm.usable
+    if not keep.any():
+        raise UsageError(
+            "no band is left for the detectors", mend="look at the bad-band list and the target spectra"
+        )
+    return keep
+
+
+def in_reflectance(statistics: SampleStatistics, elm: EmpiricalLine | None) -> tuple[Array, Array]:
+    """Mean (B,) and covariance (B, B) after the empirical line; as they stand without one."""
+    if elm is None:
+        return statistics.mean, statistics.covariance
+    return elm.reflectance(statistics.mean), statistics.covariance / np.outer(elm.gain, elm.gain)
+
+
+def detect(
+    place: Place,
+    detection: Detection,
+    background: SampleStatistics,
+    elm: EmpiricalLine | None,
+    resolve: Callable[[str], Path],
+    *,
+    show_progress: bool | None = None,
+) -> Detected:
+    """Score the image with every detector and target, and count what is found.
+
+    Raises
+    ------
+    UsageError : names that do not fit, a singular background.
+    InputError : target spectra or truth that are missing.
+    """
+    axis = place.cube.axis
+    sources = Sources(axis, {}, resolve)
+    spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
+    bands = usable_bands(detection.bands, axis, list(spectra.values()), elm)
+    notes = [f"detectors use {int(bands.sum())} of {len(axis)} bands"]
+    if background.n < FEW_PIXELS_PER_BAND * int(bands.sum()):
+        background = replace(background, covariance=background.shrunk_covariance)
+        notes.append(f"{background.n} background pixels are few: covariance shrunk by {background.shrinkage:.3g}")
+    mean, covariance = in_reflectance(background, elm)
+    cut = np.ix_(bands, bands)
+    filters = {
+        f"{t.name}-{detector}": design_filter(detector, spectra[t.name][bands], mean[bands], covariance[cut])
+        for t in detection.targets
+        for detector in detection.detectors
+    }
+    worst = max(f.condition for f in filters.values())
+    notes.append(f"condition number of the background matrix at unit diagonal: {worst:.3g}")
+    blocks = track(place.cube.blocks(), "scores", show=show_progress)
+    maps = score_blocks(blocks, filters, elm, bands)
+
+    alarms = place.background(detection.false_alarms)
+    area_km2 = None if place.pixel_area_m2 is None else float(alarms.sum()) * place.pixel_area_m2 / 1e6
+    scores: dict[tuple[str, str], ScoreDistribution] = {}
+    roc: dict[tuple[str, str, str], RocCurve] = {}
+    outlines: dict[str, dict[str, Mask]] = {}
+    for target in detection.targets:
+        groups = _groups(place.targets, target, detection.group)
+        for detector in detection.detectors:
+            key = f"{target.name}-{detector}"
+            found = maps[key]
+            outlines[key] = {o.name: o.mask for members in groups.values() for o in members}
+            noise = found[alarms]
+            noise = noise[np.isfinite(noise)]
+            for subject, members in groups.items():
+                pixels = np.concatenate([found[_pixels(o, place)] for o in members])
+                pixels = pixels[np.isfinite(pixels)]
+                if pixels.size == 0:
+                    raise InputError(f"no valid pixel on the targets of {subject!r}")
+                scores[subject, detector] = _moments(pixels)
+                scores[background_of(subject), detector] = _moments(noise)
+                roc[subject, detector, "pixel"] = empirical_roc(
+                    pixels, noise, unit="pixel", background_area_km2=area_km2
+                )
+                best = np.array(list(object_scores(found, {o.name: _pixels(o, place) for o in members}).values()))
+                roc[subject, detector, "object"] = empirical_roc(
+                    best[np.isfinite(best)], noise, unit="object", background_area_km2=area_km2
+                )
+    for pool in detection.pools:
+        for detector in detection.detectors:
+            for unit in ("pixel", "object"):
+                curves = [roc[s, detector, unit] for s in pool.subjects if (s, detector, unit) in roc]
+                if len(curves) < len(pool.subjects):
+                    lacking = [s for s in pool.subjects if (s, detector, unit) not in roc]
+                    raise UsageError(f"pool {pool.name!r}: no curve of {', '.join(lacking)}")
+                roc[pool.name, detector, unit] = pooled_roc(curves)
+    areas: dict[tuple[str, str], Abundance] = {}
+    nominal: dict[tuple[str, str], float] = {}
+    for check in detection.areas:
+        measured, known = _areas(place, detection, check, maps)
+        areas.update(measured)
+        nominal.update(known)
+    return Detected(maps, outlines, scores, roc, areas, filters, bands, nominal, tuple(notes))
+
+
+def _pixels(target: TargetObject, place: Place) -> Mask:
+    """The pixels of an object that are scored."""
+    if place.target_pixels == "touched" or target.centre_pixel is None:
+        return target.mask
+    only = np.zeros_like(target.mask)
+    only[target.centre_pixel] = True
+    return only
+
+
+def _groups(objects: Sequence[TargetObject], target: DetectionTarget, form: str) -> dict[str, list[TargetObject]]:
+    """Objects of the target's material by subject name, in the order of the truth."""
+    out: dict[str, list[TargetObject]] = {}
+    for item in objects:
+        if item.material != target.material:
+            continue
+        words = {"name": item.name, "material": item.material, **item.attributes, "target": target.name}
+        try:
+            subject = form.format_map(words)
+        except (KeyError, ValueError, IndexError) as error:
+            raise UsageError(
+                f"detection.group {form!r} does not fit the truth: {error}",
+                expected="names in braces out of " + ", ".join(sorted(words)),
+            ) from error
+        out.setdefault(subject, []).append(item)
+    if not out:
+        known = sorted({o.material for o in objects})
+        raise UsageError(
+            f"target {target.name!r}: the truth has no object of material {target.material!r}",
+            expected="one of " + ", ".join(known) if known else "a truth with targets",
+        )
+    return out
+
+
+def _moments(values: Array) -> ScoreDistribution:
+    sd = float(np.std(values, ddof=1)) if values.size > 1 else float("nan")
+    return ScoreDistribution(float(np.mean(values)), sd, int(values.size))
+
+
+def _areas(
+    place: Place, detection: Detection, check: AreaCheck, maps: Mapping[str, Array]
+) -> tuple[dict[tuple[str, str], Abundance], dict[tuple[str, str], float]]:
+    """Sum of scores over each object times the pixel area, and the area that the truth states.
+
+    The uncertainty is the spread of the same sum over background that has the object's footprint.  Both are
+    means over the objects of a subject.
+    """
+    if place.pixel_area_m2 is None:
+        raise UsageError("areas need the ground area of a pixel; the cube is not georeferenced")
+    target = next((t for t in detection.targets if t.name == check.target), None)
+    if target is None or check.detector not in detection.detectors:
+        raise UsageError(f"areas: no score map of target {check.target!r} with detector {check.detector!r}")
+    scores = maps[f"{check.target}-{check.detector}"]
+    everything = np.logical_or.reduce([o.mask for o in place.targets])
+    out: dict[tuple[str, str], Abundance] = {}
+    nominal: dict[tuple[str, str], float] = {}
+    counted = place.background(detection.background)
+    for subject, members in _groups(place.targets, target, detection.group).items():
+        total = 0.0
+        pixels = 0
+        variance = 0.0
+        for item in members:
+            summed = with_halo(item.mask, check.margin_pixels) & (~everything | item.mask)
+            total += float(np.nansum(scores[summed]))
+            pixels += int(summed.sum())
+            elsewhere = footprint_sums(scores, footprint(summed), ~counted)
+            variance += float(np.var(elsewhere, ddof=1)) if elsewhere.size > 1 else float("nan")
+        area = place.pixel_area_m2
+        out[subject, check.detector] = Abundance(
+            total / len(members) * area, float(np.sqrt(variance)) / len(members) * area, pixels
+        )
+        nominal[subject, check.detector] = float(np.mean([o.area_m2 for o in members]))
+    return out, nominal

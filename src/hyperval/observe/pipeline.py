@@ -1,0 +1,206 @@
+"""The empirical pipeline: open, measure, compensate, detect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from dataclasses import field as attribute
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.collection import Collection, Detection, EmpiricalLineSource
+from hyperval.errors import UsageError
+from hyperval.observe.detection import Detected, detect, in_reflectance
+from hyperval.observe.place import Place, open_place
+from hyperval.observe.site_spectra import observe_spectra
+from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
+from hyperval.prediction.inputs import Sources
+from hyperval.processing.elm import EmpiricalLine, PanelMeasurement, fit_elm
+from hyperval.processing.snr import snr_decorrelated
+from hyperval.processing.streaming import SampleStatistics, accumulate_statistics
+from hyperval.products import Observation, SpectralEstimate
+from hyperval.progress import track
+from hyperval.scene.statistics import ClassStatistics
+from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Resolve = Callable[[str], Path]
+
+BACKGROUND = "detector background"
+# At most this many pixels of a region are held in memory for its SNR.
+MAX_SNR_PIXELS = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """An observation with what only the imagery can give.
+
+    Attributes
+    ----------
+    observation : the products
+    statistics : region -> mean and covariance in reflectance (after the empirical line), for scenarios that
+        take measured statistics
+    place : the opened collection, None where there is no cube
+    detected : filters and score maps, None without detection
+    elm : the empirical line, None without panels
+    """
+
+    observation: Observation
+    statistics: Mapping[str, ClassStatistics] = attribute(default_factory=dict)
+    place: Place | None = None
+    detected: Detected | None = None
+    elm: EmpiricalLine | None = None
+
+
+def observe(
+    collection: Collection, detection: Detection | None, resolve: Resolve, *, show_progress: bool | None = None
+) -> Observed:
+    """Measure what a collection holds.
+
+    Parameters
+    ----------
+    collection, detection : as in a campaign file; a simulated collection must have been written first and
+        stands here as its cube
+    resolve : turns a file reference into a path
+
+    Raises
+    ------
+    InputError, MissingDataError : files that are missing or corrupt.
+    UsageError : names and settings that do not fit.
+    """
+    if collection.spectra:
+        return Observed(observe_spectra(collection, resolve))
+    place = open_place(collection, resolve, show_progress=show_progress)
+    cube = place.cube
+    masks: dict[str, Mask] = {
+        name: mask & ~place.near_targets if np.any(mask & ~place.near_targets) else mask
+        for name, mask in place.regions.items()
+    }
+    if detection is not None:
+        masks[BACKGROUND] = place.background(detection.background)
+    blocks = track(cube.blocks(), "statistics", show=show_progress)
+    measured = accumulate_statistics(blocks, masks, place.left_out)
+    elm = _empirical_line(collection.empirical_line, measured, cube.axis, resolve)
+    regions = {name: measured[name] for name in place.regions}
+
+    radiance: dict[str, SpectralEstimate] = {}
+    reflectance: dict[str, SpectralEstimate] = {}
+    if cube.quantity == "radiance":
+        radiance = {n: _radiance(s, collection, cube.axis, resolve) for n, s in regions.items()}
+        if elm is not None:
+            reflectance = {n: _reflectance(s, elm) for n, s in regions.items()}
+    else:
+        reflectance = {n: _sampled(s) for n, s in regions.items()}
+    snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
+
+    detected = None
+    if detection is not None:
+        if cube.quantity == "radiance" and elm is None:
+            raise UsageError(
+                "detection on radiance needs an empirical line",
+                mend="add collection.empirical_line with two panels",
+            )
+        detected = detect(place, detection, measured[BACKGROUND], elm, resolve, show_progress=show_progress)
+    notes = list(place.notes)
+    if elm is not None:
+        notes.append(f"empirical line through {', '.join(elm.panels)}: usable in {int(elm.usable.sum())} bands")
+    observation = Observation(
+        axis=cube.axis,
+        radiance=radiance,
+        snr=snr,
+        reflectance=reflectance,
+        scores=detected.scores if detected else {},
+        roc=detected.roc if detected else {},
+        abundance=detected.abundance if detected else {},
+        notes=(*notes, *(detected.notes if detected else ())),
+        provenance={"quantity": cube.quantity, "description": cube.description},
+    )
+    return Observed(observation, _classes(regions, cube.axis, elm, cube.quantity), place, detected, elm)
+
+
+def _radiance(
+    sample: SampleStatistics, collection: Collection, axis: SpectralAxis, resolve: Resolve
+) -> SpectralEstimate:
+    parts = {"sampling": sample.covariance / sample.n}
+    if collection.calibration is not None:
+        parts["calibration"] = calibration_covariance(sample.mean, axis, collection.calibration, resolve)
+    return spectral_estimate(sample.mean, parts, pixel_covariance=sample.covariance, n=sample.n)
+
+
+def _reflectance(sample: SampleStatistics, elm: EmpiricalLine) -> SpectralEstimate:
+    mean, covariance = in_reflectance(sample, elm)
+    line = np.diag(elm.reflectance_error_variance(sample.mean))
+    return spectral_estimate(
+        mean,
+        {"sampling": covariance / sample.n, "empirical line": line},
+        pixel_covariance=covariance,
+        n=sample.n,
+    )
+
+
+def _sampled(sample: SampleStatistics) -> SpectralEstimate:
+    return spectral_estimate(
+        sample.mean, {"sampling": sample.covariance / sample.n}, pixel_covariance=sample.covariance, n=sample.n
+    )
+
+
+def _empirical_line(
+    source: EmpiricalLineSource | None,
+    measured: Mapping[str, SampleStatistics],
+    axis: SpectralAxis,
+    resolve: Resolve,
+) -> EmpiricalLine | None:
+    if source is None:
+        return None
+    panels = []
+    for panel in source.panels:
+        if panel.region not in measured:
+            raise UsageError(
+                f"empirical line: no region {panel.region!r}", expected="one of " + ", ".join(measured)
+            )
+        sample = measured[panel.region]
+        field = Sources(axis, {}, resolve).spectrum(panel.spectrum, panel.region)
+        spread = np.zeros(len(axis))
+        if field.standard_deviation is not None:
+            spread = field.standard_deviation / np.sqrt(field.n or 1)
+        panels.append(
+            PanelMeasurement(
+                panel.region,
+                field.mean,
+                np.hypot(spread, panel.relative_uncertainty * field.mean),
+                sample.mean,
+                np.diag(sample.covariance) / sample.n,
+                sample.n,
+            )
+        )
+    return fit_elm(panels)
+
+
+def _some_pixels(place: Place, name: str) -> Array:
+    """Valid pixels (n, B) of a region, evenly thinned to what memory should hold."""
+    lines, samples = np.nonzero(place.region(name))
+    step = -(-lines.size // MAX_SNR_PIXELS)
+    return place.cube.spectra((lines[::step], samples[::step]))
+
+
+def _classes(
+    regions: Mapping[str, SampleStatistics], axis: SpectralAxis, elm: EmpiricalLine | None, quantity: str
+) -> dict[str, ClassStatistics]:
+    """Statistics of each region in reflectance; none where the image holds radiance without a line."""
+    if quantity == "radiance" and elm is None:
+        return {}
+    out = {}
+    for name, sample in regions.items():
+        mean, covariance = in_reflectance(sample, elm)
+        known = np.isfinite(mean)
+        if not known.all():
+            # A band without a gain has no reflectance; the detectors do not use it either.
+            mean = np.where(known, mean, 0.0)
+            covariance = np.where(np.outer(known, known), covariance, 0.0)
+        out[name] = ClassStatistics(
+            name, axis, mean, (covariance + covariance.T) / 2.0, sample.n, f"{sample.n} pixels of region {name}"
+        )
+    return out

@@ -1,0 +1,193 @@
+"""A collection opened: the cube, its regions, its targets, and which pixels count for what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.collection import Collection, CubeSource, NormalizedDifference, RegionSource, TargetTruth
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.cube import Cube, open_cube
+from hyperval.imagery.regions import Region, guard, overlaps, read_regions, rectangle_region
+from hyperval.imagery.truth import TargetObject, intersected_objects, read_targets
+from hyperval.progress import track
+
+Mask = npt.NDArray[np.bool_]
+Resolve = Callable[[str], Path]
+SCENE = "scene"
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """An opened collection.
+
+    Attributes
+    ----------
+    cube : the image
+    regions : name -> mask, as drawn
+    targets : the target objects of the truth
+    near_targets : target pixels with their guard ring
+    left_out : pixels that count as neither background nor false alarm (targets with guard, named regions)
+    pixel_area_m2 : ground area of a pixel, None when the cube is not georeferenced
+    target_pixels : which pixels of an object are scored: "touched" or "centre"
+    notes : what was assumed or found on opening
+    """
+
+    cube: Cube
+    regions: Mapping[str, Mask]
+    targets: Sequence[TargetObject] = ()
+    near_targets: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
+    left_out: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
+    pixel_area_m2: float | None = None
+    target_pixels: str = "touched"
+    notes: tuple[str, ...] = ()
+
+    def background(self, names: Sequence[str]) -> Mask:
+        """Pixels of the union of regions (or of the whole scene) that are not left out."""
+        if SCENE in names:
+            return ~self.left_out
+        union = np.zeros(self.cube.shape, bool)
+        for name in names:
+            union |= self.region(name)
+        return union & ~self.near_targets
+
+    def region(self, name: str) -> Mask:
+        """The mask of a region; raises UsageError for a name that no region has."""
+        if name not in self.regions:
+            raise UsageError(
+                f"no region {name!r}", expected="one of " + ", ".join(self.regions) if self.regions else "a region"
+            )
+        return self.regions[name]
+
+
+def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool | None = None) -> Place:
+    """Open the cube of a collection with its regions and truth.
+
+    Raises
+    ------
+    InputError : missing or corrupt files, regions outside the image.
+    UsageError : names that do not fit.
+    """
+    if collection.cube is None:
+        raise UsageError("the collection has no cube")
+    cube = open_source(collection.cube, resolve)
+    regions = _regions(cube, collection.regions, resolve, show_progress)
+    targets = _targets(cube, collection.targets, resolve) if collection.targets else []
+    near = np.zeros(cube.shape, bool)
+    for target in targets:
+        near |= target.mask
+    if targets and collection.targets and collection.targets.guard_pixels:
+        near = guard(near, collection.targets.guard_pixels)
+    left_out = near.copy()
+    for name in collection.leave_out:
+        if name not in regions:
+            raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
+        left_out |= regions[name].mask
+    notes = list(cube.notes)
+    notes += [
+        f"the regions {first!r} and {second!r} share {count} pixels"
+        for first, second, count in overlaps(regions.values())
+    ]
+    return Place(
+        cube,
+        {name: region.mask for name, region in regions.items()},
+        targets,
+        near,
+        left_out,
+        cube.pixel_area_m2,
+        collection.targets.pixels if collection.targets else "touched",
+        tuple(notes),
+    )
+
+
+def open_source(source: CubeSource, resolve: Resolve) -> Cube:
+    """Open the cube that a campaign names."""
+    return open_cube(
+        resolve(source.path),
+        quantity=source.quantity,
+        unit=source.unit if source.quantity == "radiance" else None,
+        scale=source.scale,
+        wavelength_unit=source.wavelength_unit,
+        header=resolve(source.header) if source.header else None,
+    )
+
+
+def normalized_difference(cube: Cube, rule: NormalizedDifference, *, show: bool | None = None) -> Mask:
+    """Pixels (lines, samples) whose (high - low)/(high + low) lies above and below the limits of ``rule``."""
+    centre = cube.axis.centre_nm
+    chosen = []
+    for low, high in (rule.high_nm, rule.low_nm):
+        bands = np.flatnonzero((centre >= low) & (centre <= high) & cube.axis.good)
+        if bands.size == 0:
+            raise UsageError(f"no usable band between {low:g} and {high:g} nm for a normalised difference")
+        chosen.append(bands)
+    out = np.zeros(cube.shape, bool)
+    for block in track(cube.blocks(dtype=np.float32), "normalised difference", show=show):
+        high, low = (block.values[..., bands].mean(axis=-1, dtype=np.float64) for bands in chosen)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            index = (high - low) / (high + low)
+        rows = slice(block.first_line, block.first_line + block.values.shape[0])
+        out[rows] = block.valid & (index >= rule.above) & (index < rule.below)
+    return out
+
+
+def _regions(cube: Cube, sources: Sequence[RegionSource], resolve: Resolve, show: bool | None) -> dict[str, Region]:
+    found: dict[str, Region] = {}
+    for source in sources:
+        new: dict[str, Region]
+        if source.file is not None:
+            path = resolve(source.file)
+            new = read_regions(
+                path,
+                cube.shape,
+                transform=cube.transform,
+                crs=cube.crs,
+                coordinates=source.coordinates,
+                names=None,
+            )
+            if source.name is not None:
+                if len(new) == 1:
+                    new = {source.name: Region(source.name, next(iter(new.values())).mask, str(source.file))}
+                elif source.name in new:
+                    new = {source.name: new[source.name]}
+                else:
+                    raise InputError(f"no region {source.name!r} among {', '.join(new)}", where=str(path))
+        elif source.rectangle is not None:
+            line, sample, lines, samples = source.rectangle
+            name = str(source.name)
+            new = {name: rectangle_region(name, (line, line + lines), (sample, sample + samples), cube.shape)}
+        else:
+            name = str(source.name)
+            rule = source.normalized_difference
+            assert rule is not None  # noqa: S101 - one of the three is given
+            new = {name: Region(name, normalized_difference(cube, rule, show=show), "normalised difference")}
+        twice = sorted(set(new) & set(found))
+        if twice:
+            raise UsageError(f"two regions are named {twice[0]!r}")
+        found.update(new)
+    return found
+
+
+def _targets(cube: Cube, truth: TargetTruth, resolve: Resolve) -> list[TargetObject]:
+    if truth.csv is not None:
+        return read_targets(resolve(truth.csv), cube.shape, transform=cube.transform)
+    rasters = truth.rasters
+    assert rasters is not None  # noqa: S101 - one of the two is given
+    masks = {}
+    for material, reference in rasters.materials.items():
+        union = np.zeros(cube.shape, bool)
+        for region in read_regions(resolve(reference), cube.shape, transform=cube.transform, crs=cube.crs).values():
+            union |= region.mask
+        masks[material] = union
+    sizes = np.zeros(cube.shape, np.int64)
+    path = resolve(rasters.size_classes)
+    wanted: dict[str | int, str] = {value: str(value) for value in rasters.side_m}
+    for name, region in read_regions(
+        path, cube.shape, transform=cube.transform, crs=cube.crs, names=wanted
+    ).items():
+        sizes[region.mask] = int(name)
+    return intersected_objects(masks, sizes, rasters.side_m)
