@@ -1,0 +1,454 @@
+"""Regions: the same region from every format, the pixel-centre rule, and what is refused."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rasterio.crs import CRS
+from rasterio.warp import transform as reproject
+from scipy import ndimage
+
+from hyperval.errors import HypervalError, InputError, UsageError
+from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.regions import (
+    Region,
+    guard,
+    objects,
+    overlaps,
+    polygon_region,
+    read_regions,
+    rectangle_region,
+)
+
+SHAPE = (10, 12)  # lines, samples
+SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
+TRANSFORM = Affine(2.0, 0, 300000.0, 0, -2.0, 4700000.0)
+UTM18 = CRS.from_epsg(32618)
+
+
+def expected() -> np.ndarray:
+    mask = np.zeros(SHAPE, bool)
+    mask[3:8, 2:6] = True
+    return mask
+
+
+def on_map(points) -> list[list[float]]:
+    return [[300000.0 + 2 * x, 4700000.0 - 2 * y] for x, y in points]
+
+
+def feature(geometry: dict, **properties) -> dict:
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def polygon(points) -> dict:
+    return {"type": "Polygon", "coordinates": [[*points, points[0]]]}
+
+
+def collection(*features) -> str:
+    return json.dumps({"type": "FeatureCollection", "features": list(features)})
+
+
+def xml(body: str, system: str = "none", name: str = "grass") -> str:
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<RegionsOfInterest version="1.1">'
+        f'<Region name="{name}" color="0,255,0">'
+        f"<GeometryDef><CoordSysStr>{system}</CoordSysStr>{body}</GeometryDef></Region></RegionsOfInterest>"
+    )
+
+
+def ring(points, kind: str = "Exterior") -> str:
+    text = " ".join(f"{x:.10g} {y:.10g}" for x, y in [*points, points[0]])
+    return f"<{kind}><LinearRing><Coordinates>{text}</Coordinates></LinearRing></{kind}>"
+
+
+def roi_ascii(mask: np.ndarray, name: str = "grass", dimension: str = "12 x 10") -> str:
+    rows, cols = np.nonzero(mask)
+    head = [
+        "; ENVI Output of ROIs (4.8) [x]", "; Number of ROIs: 1", f"; File Dimension: {dimension}", ";",
+        f"; ROI name: {name}", "; ROI rgb value: {0, 1, 2}", f"; ROI npts: {rows.size}", ";   ID    X    Y",
+    ]  # fmt: skip
+    return "\r\n".join(
+        [*head, *(f"{i + 1} {c + 1} {r + 1}" for i, (r, c) in enumerate(zip(rows, cols, strict=True)))]
+    )
+
+
+def roi_binary(name: str, *, points=(), polygons=(), size=(12, 10)) -> bytes:
+    table = [0] * 45
+    table[0], table[1], table[3] = size[0], size[1], len(points)
+    table[42], table[44] = len(polygons), int(bool(points))
+    padded = name.encode() + b"\0" * (-len(name) % 4)
+    out = b"JoeB" + struct.pack(">3i", 1, len(name), len(name)) + padded + struct.pack(">45i", *table)
+    if points:
+        out += struct.pack(f">{1 + len(points)}i", 3, *points)
+    for vertices in polygons:
+        x, y = zip(*vertices, strict=True)
+        out += struct.pack(f">2i{2 * len(x)}f", len(x), 4, *x, *y)
+    return out
+
+
+def written(tmp_path: Path, kind: str) -> tuple[Path, dict]:
+    """The square of ``expected`` in one of the formats, with the arguments that reading it needs."""
+    path = tmp_path / f"r.{kind.split('-')[0]}"
+    position = {"transform": TRANSFORM, "crs": UTM18}
+    rows, cols = np.nonzero(expected())
+    if kind == "geojson-pixel":
+        path.write_text(collection(feature(polygon(SQUARE), name="grass")))
+        return path, {"coordinates": "pixel"}
+    if kind == "geojson-map":
+        path.write_text(collection(feature(polygon(on_map(SQUARE)), name="grass")))
+        return path, {"coordinates": "map", **position}
+    if kind == "geojson-lonlat":
+        x, y = zip(*on_map(SQUARE), strict=True)
+        lonlat = list(zip(*reproject(UTM18, CRS.from_epsg(4326), x, y), strict=True))
+        path.write_text(collection(feature(polygon(lonlat), name="grass")))
+        return path, {"coordinates": "lonlat", **position}
+    if kind == "geojson-points":
+        centres = [[c + 0.5, r + 0.5] for r, c in zip(rows, cols, strict=True)]
+        path.write_text(collection(feature({"type": "MultiPoint", "coordinates": centres}, region="grass")))
+        return path, {"coordinates": "pixel"}
+    if kind == "xml-pixel":
+        path.write_text(xml(f"<Polygon>{ring(SQUARE)}</Polygon>"))
+        return path, {}
+    if kind == "xml-map":
+        path.write_text(xml(f"<Polygon>{ring(on_map(SQUARE))}</Polygon>", UTM18.to_wkt(version="WKT1_ESRI")))
+        return path, position
+    if kind == "txt":
+        path.write_bytes(roi_ascii(expected()).encode())
+        return path, {}
+    if kind == "gz":
+        path.write_bytes(gzip.compress(roi_ascii(expected()).encode()))
+        return path, {}
+    if kind == "csv-0":
+        path.write_text("region,row0,col0\n" + "".join(f"grass,{r},{c}\n" for r, c in zip(rows, cols, strict=True)))
+        return path, {}
+    if kind == "csv-1":
+        path.write_text(
+            "col1, row1, class\r\n"
+            + "".join(f"{c + 1},{r + 1}, grass\r\n" for r, c in zip(rows, cols, strict=True))
+        )
+        return path, {}
+    if kind == "roi-points":
+        path.write_bytes(roi_binary("grass", points=(rows * 12 + cols).tolist()))
+        return path, {}
+    if kind == "roi-polygon":
+        path.write_bytes(roi_binary("grass", polygons=[SQUARE]))
+        return path, {}
+    if kind == "img":
+        extra = {"classes": "2", "class names": "{\n Unclassified, grass [Green] 20 points}"}
+        write_cube(path, expected().astype("u1")[:, :, None] * 1, data_type=1, interleave="bsq", extra=extra)
+        return path, {}
+    with rasterio.open(
+        path, "w", driver="GTiff", height=10, width=12, count=1, dtype="uint8", transform=TRANSFORM
+    ) as out:
+        out.write(expected().astype("u1") * 7, 1)
+    return path, {"names": {7: "grass"}}
+
+
+KINDS = [
+    "geojson-pixel", "geojson-map", "geojson-lonlat", "geojson-points", "xml-pixel", "xml-map", "txt", "gz",
+    "csv-0", "csv-1", "roi-points", "roi-polygon", "img", "tif",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_format_gives_the_same_region(tmp_path: Path, kind: str):
+    path, options = written(tmp_path, kind)
+    regions = read_regions(path, SHAPE, **options)
+    assert list(regions) == ["grass"]
+    assert np.array_equal(regions["grass"].mask, expected())
+    assert regions["grass"].n == 20
+    assert regions["grass"].source == str(path)
+
+
+def test_pixel_centre_rule():
+    # From 2.4 to 5.6 the centres 2.5, 3.5, 4.5, 5.5 lie inside; from 2.6 to 5.4 only 3.5 and 4.5.
+    wide = polygon_region("w", [(2.4, 0), (5.6, 0), (5.6, 1), (2.4, 1)], SHAPE)
+    narrow = polygon_region("n", [(2.6, 0), (5.4, 0), (5.4, 1), (2.6, 1)], SHAPE)
+    assert np.flatnonzero(wide.mask[0]).tolist() == [2, 3, 4, 5]
+    assert np.flatnonzero(narrow.mask[0]).tolist() == [3, 4]
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 12, width=16), st.floats(0, 10, width=16)), min_size=3, max_size=3, unique=True)
+)
+@settings(max_examples=100, deadline=None)
+def test_triangles_hold_the_centres_on_the_inner_side_of_their_edges(points):
+    x, y = np.meshgrid(np.arange(12) + 0.5, np.arange(10) + 0.5)
+    sides = []
+    for (x0, y0), (x1, y1) in zip(points, [*points[1:], points[0]], strict=True):
+        length = np.hypot(x1 - x0, y1 - y0)
+        sides.append(((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) / length)  # signed distance of every centre
+    # Centres closer than 1e-6 to an edge may fall either way.
+    low, high = np.min(sides, axis=0), np.max(sides, axis=0)
+    inside, outside = (low > 1e-6) | (high < -1e-6), (low < -1e-6) & (high > 1e-6)
+    try:
+        mask = polygon_region("t", points, SHAPE).mask
+    except InputError:
+        mask = np.zeros(SHAPE, bool)
+    assert np.all(mask[inside])
+    assert not np.any(mask[outside])
+
+
+def test_holes_and_united_features(tmp_path: Path):
+    hole = [(3.0, 4.0), (5.0, 4.0), (5.0, 6.0), (3.0, 6.0)]
+    mask = expected()
+    mask[4:6, 3:5] = False
+    assert np.array_equal(polygon_region("h", SQUARE, SHAPE, holes=[hole]).mask, mask)
+    path = tmp_path / "h.xml"
+    path.write_text(xml(f"<Polygon>{ring(SQUARE)}{ring(hole, 'Interior')}</Polygon>"))
+    assert np.array_equal(read_regions(path, SHAPE)["grass"].mask, mask)
+    path = tmp_path / "h.geojson"
+    geometry = {"type": "Polygon", "coordinates": [[*SQUARE, SQUARE[0]], [*hole, hole[0]]]}
+    point = {"type": "Point", "coordinates": [0.2, 9.9]}
+    path.write_text(collection(feature(geometry, name="a"), feature(point, name="a")))
+    mask[9, 0] = True
+    assert np.array_equal(read_regions(path, SHAPE, coordinates="pixel")["a"].mask, mask)
+
+
+def test_duplicate_points_count_once_and_a_single_pixel_is_a_region(tmp_path: Path):
+    path = tmp_path / "one.csv"
+    path.write_text("line,sample\n4,5\n4,5\n")
+    region = read_regions(path, SHAPE)["one"]
+    assert region.n == 1
+    assert region.mask[4, 5]
+
+
+def test_self_crossing_polygon_follows_the_even_odd_rule():
+    bow = polygon_region("bow", [(1, 1), (9, 9), (9, 1), (1, 9)], SHAPE).mask
+    # Centres above and below the crossing lie between the two loops, those beside it inside one.
+    assert not bow[2, 4]
+    assert not bow[7, 4]
+    assert bow[4, 2]
+    assert bow[4, 7]
+
+
+def test_names_select_and_rename(tmp_path: Path):
+    path = tmp_path / "two.csv"
+    path.write_text("region,line,sample\na,1,1\nb,2,2\n")
+    assert list(read_regions(path, SHAPE, names=["b"])) == ["b"]
+    assert list(read_regions(path, SHAPE, names={"a": "grass"})) == ["grass"]
+    with pytest.raises(UsageError, match="no region 'c'"):
+        read_regions(path, SHAPE, names=["c"])
+    with pytest.raises(UsageError, match="same name"):
+        read_regions(path, SHAPE, names={"a": "x", "b": "x"})
+
+
+def test_bands_of_a_mask_cube_are_regions(tmp_path: Path):
+    stored = np.zeros((10, 12, 2), "u1")
+    stored[1, 1, 0], stored[2, 2, 1] = 1, 3
+    path = write_cube(tmp_path / "m.img", stored, data_type=1, band_names=["metal", "cloth"])
+    assert {k: r.n for k, r in read_regions(path, SHAPE).items()} == {"metal": 1, "cloth": 1}
+
+
+# What is refused --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([(2, 3), (13, 3), (13, 8)], r"samples 2.00 to 13.00.*\n.*samples 0 to 12, lines 0 to 10"),
+        ([(-1, 3), (6, 3), (6, 8)], "leaves the image"),
+        ([(1, 1), (2, 2)], "2 different vertices"),
+        ([(1, 1), (2, 2), (1, 1)], "2 different vertices"),
+        ([(1, 1), (float("nan"), 2), (3, 3)], "not finite"),
+        ([(1.6, 1.6), (1.9, 1.6), (1.9, 1.9)], "holds no pixel"),
+    ],
+)
+def test_bad_polygons(points, message: str):
+    with pytest.raises(InputError, match=message):
+        polygon_region("p", points, SHAPE)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.txt", roi_ascii(np.ones(SHAPE, bool), dimension="10 x 12"), "12 lines x 10 samples"),
+        ("a.txt", roi_ascii(np.ones(SHAPE, bool)).rsplit("\r\n", 1)[0], "119 follow"),
+        ("a.txt", roi_ascii(np.ones(SHAPE, bool)).replace("120 12 10", "120 13 10"), "sample 12"),
+        ("a.txt", roi_ascii(np.ones(SHAPE, bool)).replace("120 12 10", "120 0 10"), "sample -1"),
+        ("a.txt", roi_ascii(np.ones(SHAPE, bool)).replace("120 12 10", "120 x 10"), "not a whole number"),
+        ("a.txt", "; ENVI Output of ROIs (4.8)\n; Number of ROIs: 0\n", "no 'File Dimension'"),
+        ("a.xml", '<!DOCTYPE a [<!ENTITY b "c">]>' + xml(""), "DOCTYPE"),
+        ("a.xml", xml("<Polygon>"), "not valid XML"),
+        ("a.xml", "<kml></kml>", "RegionsOfInterest"),
+        ("a.xml", xml("<LineString/>"), "has no area"),
+        ("a.xml", xml("<Polygon></Polygon>"), "0 exterior rings"),
+        ("a.xml", xml(f"<Polygon>{ring(SQUARE)}</Polygon>").replace("2 3 6", "2 3 6 6"), "pairs x y"),
+        ("a.xml", xml(f"<Polygon>{ring(SQUARE)}</Polygon>", "NONSENSE[]"), "unknown coordinate system"),
+        ("a.xml", xml(f"<Polygon>{ring(SQUARE)}</Polygon>", UTM18.to_wkt()), "coordinate system of the cube"),
+        ("a.xml", xml(""), "holds no pixel"),
+        ("a.csv", "x,y\n1,2\n", "row0,col0"),
+        ("a.csv", "line,sample\n1,2.5\n", "no whole numbers"),
+        ("a.csv", "line,sample\n1\n", "no whole numbers"),
+        ("a.csv", "line,sample\n1,2,3\n", "3 cells for 2 columns"),
+        ("a.csv", "line,line\n1,2\n", "same name"),
+        ("a.csv", "line,sample\n", "no region"),
+        ("a.csv", "line,sample\n10,0\n", "outside the image"),
+        ("a.csv", 'line,sample\n1,"' + "9" * 200_000 + '"\n', "not a CSV file"),
+    ],
+)
+def test_bad_files(tmp_path: Path, name: str, text: str, message: str):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_regions(path, SHAPE)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not valid GeoJSON"),
+        ('{"type": "Feature"}', "without geometry"),
+        ('{"type": 5}', "geometry 5"),
+        ('{"type": "FeatureCollection", "features": 3}', "not a GeoJSON object"),
+        ('{"type": "Point", "type": "Point", "coordinates": [1, 2]}', "stands twice"),
+        ('{"type": "Point", "coordinates": [NaN, 2]}', "no JSON number"),
+        ('{"type": "Point", "coordinates": "ab"}', "not pairs of numbers"),
+        ('{"type": "Point", "coordinates": [1]}', "not pairs of numbers"),
+        ('{"type": "LineString", "coordinates": [[1, 2], [3, 4]]}', "LineString"),
+        ('{"type": "Polygon", "coordinates": []}', "without vertices"),
+        ('{"type": "MultiPolygon", "coordinates": 7}', "without vertices"),
+        ('{"type": "Point", "coordinates": [1, 2], "crs": 7}', None),
+        ("{" + '"a":[' * 100_000, "not valid GeoJSON"),
+    ],
+)
+def test_bad_geojson(tmp_path: Path, text: str, message: str | None):
+    path = tmp_path / "g.geojson"
+    path.write_text(text)
+    if message is None:
+        assert read_regions(path, SHAPE, coordinates="pixel")["g"].n == 1
+        return
+    with pytest.raises(InputError, match=message):
+        read_regions(path, SHAPE, coordinates="pixel")
+
+
+def test_geojson_must_be_told_its_coordinates(tmp_path: Path):
+    path, _ = written(tmp_path, "geojson-pixel")
+    with pytest.raises(UsageError, match="coordinates: pixel, map"):
+        read_regions(path, SHAPE)
+    with pytest.raises(InputError, match="has no position"):
+        read_regions(path, SHAPE, coordinates="map")
+
+
+def test_longitude_and_latitude_read_as_map_leave_the_image(tmp_path: Path):
+    path, options = written(tmp_path, "geojson-lonlat")
+    with pytest.raises(InputError, match="longitude/latitude"):
+        read_regions(path, SHAPE, **{**options, "coordinates": "map"})
+
+
+def test_geojson_of_another_system(tmp_path: Path):
+    path = tmp_path / "g.geojson"
+    path.write_text(
+        json.dumps(
+            {
+                "type": "FeatureCollection",
+                "crs": {"type": "name", "properties": {"name": "EPSG:32617"}},
+                "features": [feature(polygon(on_map(SQUARE)), name="a")],
+            }
+        )
+    )
+    with pytest.raises(InputError, match="EPSG:32617"):
+        read_regions(path, SHAPE, coordinates="map", transform=TRANSFORM, crs=UTM18)
+
+
+def test_large_xml_is_refused_unparsed(tmp_path: Path):
+    path = tmp_path / "big.xml"
+    path.write_text("<RegionsOfInterest>" + " " * (8 << 20))
+    with pytest.raises(InputError, match="larger than 8 MiB"):
+        read_regions(path, SHAPE)
+
+
+def test_class_raster_of_another_size_or_without_classes(tmp_path: Path):
+    path = write_cube(tmp_path / "c.img", np.ones((9, 12, 1)), data_type=1)
+    with pytest.raises(InputError, match="9 lines and 12 samples"):
+        read_regions(path, SHAPE)
+    path = write_cube(tmp_path / "d.img", np.full((10, 12, 1), 1.5))
+    with pytest.raises(InputError, match="no class numbers"):
+        read_regions(path, SHAPE)
+
+
+@pytest.mark.parametrize("cut", [4, 8, 20, 100, 200, 210])
+def test_binary_regions_cut_short(tmp_path: Path, cut: int):
+    path = tmp_path / "b.roi"
+    path.write_bytes(roi_binary("grass", points=list(range(20)))[:cut])
+    with pytest.raises(InputError):
+        read_regions(path, SHAPE)
+
+
+def test_binary_regions_of_another_image(tmp_path: Path):
+    path = tmp_path / "b.roi"
+    path.write_bytes(roi_binary("grass", points=[1], size=(11, 10)))
+    with pytest.raises(InputError, match="made for 10 lines x 11 samples"):
+        read_regions(path, SHAPE)
+
+
+def test_unknown_format(tmp_path: Path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"\x01\x02\x03")
+    with pytest.raises(UsageError, match="format of the region file"):
+        read_regions(path, SHAPE)
+
+
+@given(st.binary(max_size=200), st.sampled_from(["", "<", "{", "JoeB", "; ENVI Output of ROIs\n", "line,sample\n"]))
+@settings(max_examples=150, deadline=None)
+def test_any_bytes_give_regions_or_a_clear_error(tmp_path_factory, data: bytes, head: str):
+    path = tmp_path_factory.mktemp("fuzz") / "f.csv"
+    path.write_bytes(head.encode() + data)
+    try:
+        found = read_regions(path, SHAPE, coordinates="pixel")
+    except HypervalError:  # anything else fails the test
+        found = {}
+    assert all(r.mask.shape == SHAPE for r in found.values())
+
+
+# Sets -------------------------------------------------------------------------------------------
+
+
+def test_overlaps_are_counted():
+    a = rectangle_region("a", (0, 3), (0, 3), SHAPE)
+    b = rectangle_region("b", (3, 5), (2, 5), SHAPE)
+    c = rectangle_region("c", (8, 9), (8, 9), SHAPE)
+    assert overlaps([a, b, c]) == [("a", "b", 2)]
+    assert a.n == 16
+
+
+@pytest.mark.parametrize(("lines", "samples"), [((0, 10), (0, 1)), ((3, 2), (0, 1)), ((0, 1), (-1, 1))])
+def test_rectangles_outside_the_image(lines, samples):
+    with pytest.raises(InputError, match="not in the image"):
+        rectangle_region("r", lines, samples, SHAPE)
+
+
+def test_objects_join_over_corners():
+    mask = np.zeros(SHAPE, bool)
+    mask[1, 1] = mask[2, 2] = mask[5, 5] = True
+    labels, count = objects(mask)
+    assert count == 2
+    assert labels[1, 1] == labels[2, 2] != labels[5, 5]
+    assert labels[0, 0] == 0
+
+
+@pytest.mark.parametrize(("radius", "pixels"), [(0, 1), (0.9, 1), (1, 5), (1.5, 9), (2, 13)])
+def test_guard_is_a_disc(radius: float, pixels: int):
+    mask = np.zeros(SHAPE, bool)
+    mask[5, 5] = True
+    grown = guard(mask, radius)
+    assert grown.sum() == pixels  # lattice points of a circle: 1, 5, 9, 13
+    assert np.array_equal(guard(mask, 1), ndimage.binary_dilation(mask))
+    assert not guard(np.zeros(SHAPE, bool), 3).any()
+    with pytest.raises(UsageError):
+        guard(mask, float("nan"))
+
+
+def test_a_region_needs_a_boolean_mask():
+    with pytest.raises(UsageError):
+        Region("a", np.ones(SHAPE), "x")

@@ -1,0 +1,100 @@
+"""Target lists and objects from rasters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from affine import Affine
+
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.truth import intersected_objects, read_targets
+
+SHAPE = (20, 30)
+TRANSFORM = Affine(2.0, 0, 1000.0, 0, -2.0, 5000.0)
+
+
+def targets(tmp_path: Path, text: str, **options):
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    return read_targets(path, SHAPE, **options)
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["row0,col0\n{},7,11", "row1,col1\n{},8,12", "line,sample\n{},7.5,11.5", "easting,northing\n{},1023,4985"],
+)
+def test_one_place_in_every_coordinate_system(tmp_path: Path, place: str):
+    head, row = place.split("\n")
+    text = f"material,{head},side_m,name\n{row.format('plank')},2.0,p1\n"
+    (target,) = targets(tmp_path, text, transform=TRANSFORM)
+    assert (target.name, target.material, target.side_m, target.area_m2) == ("p1", "plank", 2.0, 4.0)
+    # 2 m is one pixel: the target fills pixel (7, 11) and at most touches its neighbours.
+    assert target.mask[7, 11]
+    assert not target.mask[:6].any()
+    assert not target.mask[9:].any()
+
+
+def test_small_target_lies_in_its_pixel_and_a_shifted_one_in_four(tmp_path: Path):
+    text = "material,line,sample,side_m\na,7.5,11.5,0.5\nb,3.0,5.0,0.5\n"
+    inside, corner = targets(tmp_path, text, pixel_size_m=1.0)
+    assert np.argwhere(inside.mask).tolist() == [[7, 11]]
+    assert np.argwhere(corner.mask).tolist() == [[2, 4], [2, 5], [3, 4], [3, 5]]
+    assert [inside.name, corner.name] == ["a 1", "b 2"]
+
+
+def test_heading_turns_a_long_target(tmp_path: Path):
+    text = "material,line,sample,width_m,length_m,heading_deg\na,10.5,10.5,0.2,8,0\nb,10.5,10.5,0.2,8,90\n"
+    north, east = targets(tmp_path, text, pixel_size_m=1.0)
+    assert sorted(set(np.argwhere(north.mask)[:, 1])) == [10]
+    assert sorted(set(np.argwhere(east.mask)[:, 0])) == [10]
+    assert north.mask.sum() == east.mask.sum() == 9
+    assert north.area_m2 == pytest.approx(1.6)
+    assert np.isnan(north.side_m)
+
+
+def test_position_uncertainty_widens_the_mask(tmp_path: Path):
+    text = "material,line,sample,side_m,position_uncertainty_m\na,7.5,11.5,0.5,0\nb,7.5,11.5,0.5,2\n"
+    sure, unsure = targets(tmp_path, text, pixel_size_m=1.0)
+    assert sure.mask.sum() == 1
+    assert unsure.mask.sum() == 13  # lattice points within 2 pixels
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("material,side_m\na,1\n", "row0,col0"),
+        ("row0,col0,side_m\n1,1,1\n", "expected: material"),
+        ("material,row0,col0,side_m\na,1,x,1\n", "col0 is 'x'"),
+        ("material,row0,col0,side_m\na,1,inf,1\n", "col0 is 'inf'"),
+        ("material,row0,col0,side_m\na,1,,1\n", "no row0, col0"),
+        ("material,row0,col0,side_m\na,1,1,0\n", "no size"),
+        ("material,row0,col0,side_m\na,1,1,\n", "no size"),
+        ("material,row0,col0,side_m\na,25,1,1\n", "leaves the image"),
+        ("material,name,row0,col0,side_m\na,p,1,1,1\na,p,2,2,1\n", "stands twice"),
+        ("material,row0,col0,side_m\n", "holds no target"),
+    ],
+)
+def test_bad_lists(tmp_path: Path, text: str, message: str):
+    with pytest.raises(InputError, match=message):
+        targets(tmp_path, text, pixel_size_m=1.0)
+
+
+def test_pixel_size_must_be_known(tmp_path: Path):
+    with pytest.raises(UsageError, match="pixel_size_m"):
+        targets(tmp_path, "material,row0,col0,side_m\na,1,1,1\n")
+
+
+def test_objects_are_the_intersection_and_need_not_be_connected():
+    cloth = np.zeros(SHAPE, bool)
+    cloth[2, 2] = cloth[2, 9] = cloth[8, 3] = True
+    sizes = np.zeros(SHAPE, int)
+    sizes[2], sizes[8] = 1, 2
+    large, small = intersected_objects({"cloth": cloth}, sizes, {1: 3.0, 2: 0.5})
+    assert (large.name, large.area_m2, large.mask.sum()) == ("cloth 3 m", 9.0, 2)
+    assert (small.name, small.area_m2, small.mask.sum()) == ("cloth 0.5 m", 0.25, 1)
+    with pytest.raises(InputError, match="size class 4"):
+        intersected_objects({"cloth": cloth}, sizes, {4: 1.0})
+    with pytest.raises(InputError, match="differ in shape"):
+        intersected_objects({"cloth": cloth[:5]}, sizes, {1: 1.0})
