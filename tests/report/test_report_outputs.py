@@ -18,8 +18,9 @@ from synthetic_run import NASTY, axis, make_run
 from hyperval.products import Observation, Prediction
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.figures import draw_figures
+from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.html import report_page
-from hyperval.report.style import Drawing
+from hyperval.report.style import Drawing, house_style, pages
 from hyperval.results import Result, ResultTable, Status
 
 # Elements that never have an end tag.
@@ -86,26 +87,27 @@ def test_every_file_of_the_contract_is_there(files):
     assert set(files) == expected
 
 
-def test_second_write_gives_the_same_bytes(files, run, tmp_path):
-    again = written(run, tmp_path / "again")
-    assert [name for name in files if files[name] != again[name]] == []
-    assert set(files) == set(again)
+SMALL = {"bands": 12, "subjects": ("grass",), "curves": 1, "shape": (12, 12)}
 
 
-def test_another_process_gives_the_same_bytes(files, tmp_path):
-    """Hash seeds, import order and the user's matplotlib settings change nothing."""
+def test_second_write_gives_the_same_bytes(tmp_path):
+    """Nor do time, process, hash seed, import order and the user's matplotlib settings change any file."""
+    here = written(make_run(**SMALL), tmp_path / "here")
     (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
     code = (
         "import sys; from pathlib import Path; sys.path.insert(0, sys.argv[1])\n"
         "from synthetic_run import make_run\n"
-        "from hyperval.report import write_outputs; write_outputs(make_run(), Path(sys.argv[2]))"
+        "from hyperval.report import write_outputs\n"
+        f"write_outputs(make_run(**{SMALL!r}), Path(sys.argv[2]))"
     )
     out = tmp_path / "out"
     out.mkdir()
     environment = {**os.environ, "PYTHONHASHSEED": "12345", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc")}
     subprocess.run([sys.executable, "-c", code, str(Path(__file__).parent), str(out)], check=True, env=environment)
-    again = {str(p.relative_to(out)): p.read_bytes() for p in out.rglob("*") if p.is_file()}
-    assert [name for name in files if files[name] != again.get(name)] == []
+    there = {str(p.relative_to(out)): p.read_bytes() for p in out.rglob("*") if p.is_file()}
+    assert [name for name in here if here[name] != there.get(name)] == []
+    assert set(here) == set(there)
+    assert sum(name.startswith("figures/") for name in here) == 11
 
 
 def test_page_loads_nothing_from_elsewhere(page, files):
@@ -132,7 +134,7 @@ def test_simulated_is_said_everywhere(page, files, tmp_path):
     assert b"simulated" in files["report.html"].split(b"</title>")[0]
     real = Page(report_page(make_run(simulated=False, curves=1), []))
     assert "simulated" not in real.text.lower()
-    for drawing in draw_figures(make_run(subjects=("a",), curves=1)):
+    for drawing in draw_figures(make_run(**SMALL)):
         if drawing.kind == "svg":
             assert b"<!-- " in drawing.content  # matplotlib keeps the text of each label as a comment
             assert b"(simulated collection)" in drawing.content
@@ -140,7 +142,7 @@ def test_simulated_is_said_everywhere(page, files, tmp_path):
 
 def test_names_are_escaped(tmp_path):
     bad = Result("invented", NASTY, NASTY, NASTY, NASTY, 0.5, NASTY, status=Status.FAIL, reason=NASTY)
-    nasty = make_run(subjects=(NASTY, "_hidden"), curves=1, rows=[bad])
+    nasty = make_run(subjects=(NASTY, "_hidden"), curves=1, rows=[bad], shape=(12, 12))
     nasty = dataclasses.replace(
         nasty, title=NASTY, description=NASTY, notes=(NASTY,), references=(NASTY,),
         provenance={NASTY: NASTY, "inputs": [{"reference": NASTY, "citation": NASTY}]},
@@ -217,7 +219,7 @@ def test_one_side_alone_is_drawn(kept):
 
 
 def test_large_run_stays_below_five_megabytes():
-    big = make_run(bands=360, subjects=[f"subject {i}" for i in range(12)], curves=12, shape=(300, 300))
+    big = make_run(bands=360, subjects=[f"subject {i}" for i in range(12)], curves=4, shape=(300, 300))
     drawings = draw_figures(big)
     page = report_page(big, drawings)
     assert 1_000_000 < len(page.encode()) < 5_000_000
@@ -233,11 +235,13 @@ def test_figures_that_do_not_fit_are_linked():
 
 
 def test_number_of_figures_is_bounded():
-    many = make_run(bands=8, subjects=[f"s{i}" for i in range(60)], curves=60)
-    drawings = draw_figures(many)
-    assert len(drawings) <= 20
-    names = [drawing.name for drawing in drawings]
-    assert len(set(names)) == len(names)
+    assert [len(page) for page in pages(range(1000))] == [12, 12]
+    assert pages([]) == []
+    many = make_run(bands=6, subjects=[f"s{i}" for i in range(26)], curves=0, shape=(4, 4))
+    with house_style():
+        drawings = pair_figures((many.prediction, many.observation), "snr", simulated=False)
+    assert [drawing.name for drawing in drawings] == ["snr-pair-1", "snr-pair-2"]
+    assert all(drawing.title.endswith("; 24 of 26 are drawn, all are in products.nc") for drawing in drawings)
 
 
 def test_score_maps_keep_values_and_place(files, run, tmp_path):

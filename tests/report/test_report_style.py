@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from hyperval.report.figures_images import block_maximum, outline_segments
+from hyperval.report.figures_images import Window, block_maximum, outline_segments, shown_window
 from hyperval.report.style import compact_path, plain, shortened
 
 
@@ -70,3 +70,12 @@ def test_text_is_taken_as_it_stands():
     assert plain("_hidden") == " _hidden"
     assert shortened("a" * 50, 11) == "aaaaaa…aaaa"
     assert shortened("short", 11) == "short"
+
+
+def test_a_long_strip_is_cut_to_its_regions():
+    mask = np.zeros((1000, 100), bool)
+    mask[500:520, 40:50] = True
+    assert shown_window(mask.shape, {"a": mask}) == Window(490, 530, 0, 100)
+    assert shown_window(mask.T.shape, {"a": mask.T}) == Window(0, 100, 490, 530)
+    assert shown_window(mask.shape, {}) == Window(0, 1000, 0, 100)
+    assert shown_window((300, 200), {"a": mask[:300]}) == Window(0, 300, 0, 200)

@@ -23,7 +23,8 @@ _LOWEST_PFA = 1e-9
 def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """P_D against P_FA on a logarithmic axis, a panel for each subject, detector and unit."""
     predicted, measured = _held(sides[0], "roc"), _held(sides[1], "roc")
-    found = style.pages(both_first(predicted, measured))
+    every = both_first(predicted, measured)
+    found = style.pages(every)
     drawings = []
     for number, keys in enumerate(found, start=1):
         columns = style.column_count(len(keys))
@@ -49,7 +50,14 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             f"measured (steps), with 95 % intervals. {' '.join(told)}"
         )
         drawings.append(
-            Drawing(name, "roc", "ROC: predicted and measured", alt, style.svg_bytes(figure), "svg"),
+            Drawing(
+                name,
+                "roc",
+                f"ROC: predicted and measured{style.left_out(found, every)}",
+                alt,
+                style.svg_bytes(figure),
+                "svg",
+            ),
         )
     return drawings
 
@@ -57,7 +65,8 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
 def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Mean and 95 % range of each population's score."""
     predicted, measured = _held(sides[0], "scores"), _held(sides[1], "scores")
-    keys = both_first(predicted, measured)[:_MOST_ROWS]
+    every = both_first(predicted, measured)
+    keys = every[:_MOST_ROWS]
     if not keys:
         return []
     figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Detector scores", simulated)
@@ -77,7 +86,7 @@ def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
                                  for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
         for s, d in keys
     )  # fmt: skip
-    title = "Score distributions: predicted and measured"
+    title = f"Score distributions: predicted and measured{style.left_out([keys], every)}"
     alt = f"Mean and standard deviation of the detector scores. {told}."
     return [Drawing("scores", "scores", title, alt, style.svg_bytes(figure), "svg")]
 
@@ -85,7 +94,8 @@ def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
 def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Area of each target from its abundance, predicted and measured."""
     predicted, measured = _held(sides[0], "abundance"), _held(sides[1], "abundance")
-    keys = both_first(predicted, measured)[:_MOST_ROWS]
+    every = both_first(predicted, measured)
+    keys = every[:_MOST_ROWS]
     if not keys:
         return []
     figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Target area from abundance", simulated)
@@ -113,7 +123,7 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
                                  for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
         for s, d in keys
     )  # fmt: skip
-    title = "Target area from the sum of abundances: predicted and measured"
+    title = f"Target area from the sum of abundances: predicted and measured{style.left_out([keys], every)}"
     return [Drawing("abundance", "abundance", title, f"Target areas. {told}.", style.svg_bytes(figure), "svg")]
 
 
@@ -158,8 +168,8 @@ def _counted(curve: RocCurve | None) -> str:
     if curve.n_target is not None:
         parts.append(f"{curve.n_target:,} {curve.unit}{'s' if curve.n_target != 1 else ''}")
     if curve.n_background is not None:
-        parts.append(f"{curve.n_background:,} background pixels")
-    return "measured on " + " and ".join(parts).replace(",", "\u202f") if parts else "counts unknown"
+        parts.append(f"{curve.n_background:,} background px")
+    return ", ".join(part.replace(",", "\u202f") for part in parts) or "counts unknown"
 
 
 def _roc_title(key: tuple[str, str, str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,81 +19,108 @@ from hyperval.report.style import Drawing
 
 _MOST_PIXELS = 1200  # along the longer side of a picture
 _MOST_MAPS = 6
-_MOST_NAMED = 40
+_MOST_NAMED = 60
+_LONGEST_STRIP = 2.5  # ratio of the sides beyond which an image is cut to its regions
 _OUTLINE_COLOURS = ("#FFD700", "#00E5FF", "#FF4FD8", "#7CFC00", "#FF8C00", "#FFFFFF")
 
 
 def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     """The scene in three bands, its regions outlined and numbered, with a scale."""
     rgb = np.asarray(quicklook.rgb)
-    step = _step(rgb.shape)
-    lines, samples = rgb.shape[:2]
-    tall = lines > samples
-    names = list(quicklook.regions)[:_MOST_NAMED]
-    width, height = _figure_size(lines, samples, with_names=bool(names))
-    figure = style.new_figure(width, height, "Scene", simulated)
+    view = shown_window(rgb.shape[:2], quicklook.regions)
+    step = max(1, math.ceil(max(view.lines, view.samples) / _MOST_PIXELS))
+    picture = rgb[view.first_line : view.end_line : step, view.first_sample : view.end_sample : step]
+    figure = style.new_figure(*_figure_size(view), "Scene", simulated)
     axes = figure.add_subplot()
-    shown = rgb[::step, ::step]
-    axes.imshow(shown, extent=(0, step * shown.shape[1], step * shown.shape[0], 0), interpolation="nearest")
-    axes.set(xlim=(0, samples), ylim=(lines, 0))
-    _pixel_axes(axes)
-    _outlines(axes, quicklook.regions)
-    _scale_bar(axes, quicklook.pixel_size_m, samples, lines)
-    if names:
-        text = "\n".join(f"{i}  {style.plain(style.shortened(name, 30))}" for i, name in enumerate(names, 1))
-        if len(quicklook.regions) > len(names):
-            text += f"\nand {len(quicklook.regions) - len(names)} more"
-        if tall or samples < 2 * lines:
-            axes.annotate(text, (1.02, 1.0), xycoords="axes fraction", va="top", fontsize=8, linespacing=1.35)
-        else:
-            axes.annotate(
-                text, (0.0, 0.0), (0, -34), xycoords="axes fraction", textcoords="offset points", va="top",
-                fontsize=8, linespacing=1.35,
-            )  # fmt: skip
+    axes.imshow(picture, extent=_extent(view, picture.shape, step), interpolation="nearest")
+    _finish(axes, view, quicklook.regions, quicklook.pixel_size_m)
     bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
     title = "Scene with its regions of interest" + (f" (red, green, blue: {bands} nm)" if bands else "")
-    alt = (
-        f"Picture of the scene, {lines} lines by {samples} samples; outlined regions: {', '.join(names) or 'none'}."
-    )
-    return Drawing("scene", "scene", title, alt, style.png_bytes(figure), "png", width_px=_css_width(figure))
+    cut = _cut(rgb.shape, view)
+    title += f"; {cut}" if cut else ""
+    alt = f"Picture of the scene, {_where(rgb.shape, view)}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
+    return Drawing(
+        "scene", "scene", title, alt, style.png_bytes(figure), "png",
+        width_px=_css_width(figure), legend=_numbered_names(quicklook.regions),
+    )  # fmt: skip
 
 
 def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
-    """The first maps, one figure: scores as colours, targets outlined."""
-    shown = list(maps.items())[:_MOST_MAPS]
+    """The first maps, each a figure: scores as colours, targets outlined."""
     drawings = []
-    for number, (name, score_map) in enumerate(shown, start=1):
-        values, block = block_maximum(np.asarray(score_map.values, dtype=float), _MOST_PIXELS)
-        lines, samples = np.asarray(score_map.values).shape
-        width, height = _figure_size(lines, samples, with_names=False)
+    for number, (name, score_map) in enumerate(list(maps.items())[:_MOST_MAPS], start=1):
+        scores = np.asarray(score_map.values, dtype=float)
+        view = shown_window(scores.shape, score_map.outlines)
+        values, block = block_maximum(
+            scores[view.first_line : view.end_line, view.first_sample : view.end_sample], _MOST_PIXELS
+        )
+        width, height = _figure_size(view)
         figure = style.new_figure(width + 1.2, height, f"Score map {name}", simulated)
         axes = figure.add_subplot()
         low, high = _score_limits(score_map)
-        image = axes.imshow(
-            values, cmap="viridis", vmin=low, vmax=high,
-            extent=(0, block * values.shape[1], block * values.shape[0], 0), interpolation="nearest",
-        )  # fmt: skip
+        extent = _extent(view, values.shape, block)
+        image = axes.imshow(values, cmap="viridis", vmin=low, vmax=high, extent=extent, interpolation="nearest")
         figure.colorbar(image, ax=axes, shrink=0.8, extend="both", label="score [1]")
-        _pixel_axes(axes)
-        axes.set(xlim=(0, samples), ylim=(lines, 0))
-        _outlines(axes, score_map.outlines)
-        _scale_bar(axes, score_map.pixel_size_m, samples, lines)
-        outlined = ", ".join(score_map.outlines) or "none"
-        note = f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
-        alt = f"Map of the detector score {name}, {lines} lines by {samples} samples{note}; outlined: {outlined}."
+        _finish(axes, view, score_map.outlines, score_map.pixel_size_m)
+        cut = _cut(scores.shape, view)
+        note = f"; {cut}" if cut else ""
+        note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
+        title = f"Score map {name}{', targets outlined' if score_map.outlines else ''}{note}"
+        alt = (
+            f"Map of the detector score {name}, {scores.shape[0]} lines by {scores.shape[1]} samples{note}; "
+            f"outlined: {', '.join(score_map.outlines) or 'nothing'}."
+        )
         drawings.append(
             Drawing(
                 f"score-map-{number}",
                 "scores",
-                f"Score map {name}{', targets outlined' if score_map.outlines else ''}{note}",
+                title,
                 alt,
                 style.png_bytes(figure, dpi=110.0),
                 "png",
                 width_px=_css_width(figure),
-                legend="; ".join(f"{i} {name}" for i, name in enumerate(score_map.outlines, 1)),
+                legend=_numbered_names(score_map.outlines),
             )
         )
     return drawings
+
+
+@dataclass(frozen=True)
+class Window:
+    """The part of an image that is drawn: lines and samples from the first to before the end."""
+
+    first_line: int
+    end_line: int
+    first_sample: int
+    end_sample: int
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return self.end_line - self.first_line
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.end_sample - self.first_sample
+
+
+def shown_window(shape: tuple[int, ...], regions: Mapping[str, Any]) -> Window:
+    """The whole image; of a long strip only the part around its regions, where it has any."""
+    lines, samples = shape[:2]
+    whole = Window(0, lines, 0, samples)
+    if max(lines, samples) <= _LONGEST_STRIP * min(lines, samples):
+        return whole
+    held = np.zeros((lines, samples), bool)
+    for mask in regions.values():
+        held |= np.asarray(mask, bool)
+    if not held.any():
+        return whole
+    line, sample = (np.flatnonzero(held.any(axis=axis)) for axis in (1, 0))
+    margin = max(10, min(lines, samples) // 10)
+    if lines > samples:
+        return Window(max(int(line[0]) - margin, 0), min(int(line[-1]) + 1 + margin, lines), 0, samples)
+    return Window(0, lines, max(int(sample[0]) - margin, 0), min(int(sample[-1]) + 1 + margin, samples))
 
 
 def _score_limits(score_map: ScoreMap) -> tuple[float, float]:
@@ -143,20 +171,19 @@ def _outlines(axes: Axes, regions: Mapping[str, Any]) -> None:
         colour = _OUTLINE_COLOURS[number % len(_OUTLINE_COLOURS)]
         axes.add_collection(LineCollection(list(segments), colors="black", linewidths=2.0))
         axes.add_collection(LineCollection(list(segments), colors=colour, linewidths=1.1))
-        if number < _MOST_NAMED:
-            right, top = segments[..., 0].max(), segments[..., 1].min()
-            axes.annotate(
-                str(number + 1), (right, top), (2, 1), textcoords="offset points", fontsize=7.5, color="black",
-                bbox={"facecolor": colour, "linewidth": 0, "pad": 0.8, "alpha": 0.9},
-            )  # fmt: skip
+        right, top = segments[..., 0].max(), segments[..., 1].min()
+        axes.annotate(
+            str(number + 1), (right, top), (2, 1), textcoords="offset points", fontsize=7.5, color="black",
+            bbox={"facecolor": colour, "linewidth": 0, "pad": 0.8, "alpha": 0.9},
+        )  # fmt: skip
 
 
-def _scale_bar(axes: Axes, pixel_size_m: float | None, samples: int, lines: int) -> None:
+def _scale_bar(axes: Axes, pixel_size_m: float | None, view: Window) -> None:
     if not pixel_size_m or not math.isfinite(pixel_size_m):
         return
-    length_m = _round_length(0.25 * samples * pixel_size_m)
+    length_m = _round_length(0.25 * view.samples * pixel_size_m)
     length = length_m / pixel_size_m
-    x, y = 0.04 * samples, 0.96 * lines
+    x, y = view.first_sample + 0.04 * view.samples, view.first_line + 0.96 * view.lines
     axes.plot([x, x + length], [y, y], color="black", linewidth=5, solid_capstyle="butt")
     axes.plot([x, x + length], [y, y], color="white", linewidth=3, solid_capstyle="butt")
     axes.annotate(
@@ -171,24 +198,48 @@ def _round_length(length: float) -> float:
     return next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= length * (1 + 1e-12))
 
 
-def _pixel_axes(axes: Axes) -> None:
+def _finish(axes: Axes, view: Window, regions: Mapping[str, Any], pixel_size_m: float | None) -> None:
     axes.grid(visible=False)
     axes.set_xlabel("sample [pixel]")
     axes.set_ylabel("line [pixel]")
+    axes.set(xlim=(view.first_sample, view.end_sample), ylim=(view.end_line, view.first_line))
+    _outlines(axes, regions)
+    _scale_bar(axes, pixel_size_m, view)
 
 
-def _figure_size(lines: int, samples: int, *, with_names: bool) -> tuple[float, float]:
+def _extent(view: Window, shape: tuple[int, ...], block: int) -> tuple[float, float, float, float]:
+    """Left, right, bottom, top of a picture of which each point is ``block`` pixels wide."""
+    right, bottom = view.first_sample + block * shape[1], view.first_line + block * shape[0]
+    return (view.first_sample, right, bottom, view.first_line)
+
+
+def _where(shape: tuple[int, ...], view: Window) -> str:
+    text = f"{shape[0]} lines by {shape[1]} samples"
+    cut = _cut(shape, view)
+    return f"{text}, of which {cut} are shown" if cut else text
+
+
+def _cut(shape: tuple[int, ...], view: Window) -> str:
+    """The lines and samples of a window that is not the whole image; empty when it is."""
+    if (view.lines, view.samples) == tuple(shape[:2]):
+        return ""
+    lines = f"lines {view.first_line} to {view.end_line - 1}"
+    return f"{lines}, samples {view.first_sample} to {view.end_sample - 1}"
+
+
+def _numbered_names(regions: Mapping[str, Any]) -> str:
+    names = [f"{number} {name}" for number, name in enumerate(regions, start=1)]
+    if len(names) > _MOST_NAMED:
+        names = [*names[:_MOST_NAMED], f"and {len(names) - _MOST_NAMED} more"]
+    return "; ".join(names)
+
+
+def _figure_size(view: Window) -> tuple[float, float]:
     """Width and height [in] that suit the shape of the picture."""
-    aspect = min(max(lines / samples, 0.2), 3.0)
-    width = 6.2 if aspect <= 1.2 else max(7.5 / aspect, 3.0)
-    extra = 2.6 if with_names and samples < 2 * lines else 0.6
-    below = 1.2 if with_names and samples >= 2 * lines else 0.0
-    return width + extra, min(width * aspect, 9.0) + 1.0 + below
+    aspect = min(max(view.lines / view.samples, 0.15), 4.0)
+    width = min(8.5, 7.5 / aspect) if aspect < 1.3 else max(8.5 / aspect, 2.6)
+    return width + 0.9, width * aspect + 0.9
 
 
 def _css_width(figure: Figure) -> int:
     return round(96 * float(figure.get_figwidth()))
-
-
-def _step(shape: tuple[int, ...]) -> int:
-    return max(1, math.ceil(max(shape[:2]) / _MOST_PIXELS))

@@ -34,7 +34,8 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
     }[product]
     predicted, collected = _held(sides[0], product), _held(sides[1], product)
     drawings = []
-    found = style.pages(both_first(predicted, collected))
+    every = both_first(predicted, collected)
+    found = style.pages(every)
     for number, subjects in enumerate(found, start=1):
         columns = style.column_count(len(subjects))
         rows = math.ceil(len(subjects) / columns)
@@ -68,7 +69,7 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
             Drawing(
                 _numbered(f"{product}-pair", number, len(found)),
                 product,
-                f"{title}: predicted and collected",
+                f"{title}: predicted and collected{style.left_out(found, every)}",
                 alt,
                 style.svg_bytes(figure),
                 "svg",
@@ -86,7 +87,7 @@ def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
                 panels.append((subject, name, side, side.radiance[subject]))
     if not panels:
         return []
-    panels = panels[: style.MAX_PANELS]
+    every, panels = panels, panels[: style.MAX_PANELS]
     sources, colours = _ranked_sources([e for *_, e in panels])
     columns = min(len(panels), 2)  # predicted beside collected where both have a budget
     rows = math.ceil(len(panels) / columns)
@@ -116,6 +117,7 @@ def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         f"Panels: {', '.join(f'{subject} ({name})' for subject, name, *_ in panels)}."
     )
     title = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
+    title += style.left_out([panels], every)
     return [Drawing("radiance-budget", "radiance", title, alt, style.svg_bytes(figure), "svg")]
 
 
@@ -124,7 +126,8 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     predicted, collected = (
         {k: e for k, e in _held(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
     )
-    subjects = both_first(predicted, collected)[: style.MAX_PANELS]
+    every = both_first(predicted, collected)
+    subjects = every[: style.MAX_PANELS]
     if not subjects:
         return []
     columns = style.column_count(len(subjects))
@@ -153,7 +156,8 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         f"The largest {_MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
         f"logarithmic scale, predicted and collected. Largest: {'; '.join(told)}."
     )
-    title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval of the collected ones)"
+    title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
+    title += style.left_out([subjects], every)
     return [Drawing("radiance-eigenvalues", "covariance", title, alt, style.svg_bytes(figure), "svg")]
 
 

@@ -197,6 +197,12 @@ def pages(keys: Sequence[Any], page_limit: int = 2) -> list[list[Any]]:
     return [kept[i : i + MAX_PANELS] for i in range(0, len(kept), MAX_PANELS)]
 
 
+def left_out(shown: Sequence[Sequence[Any]], every: Sequence[Any]) -> str:
+    """What a caption adds when a figure does not show everything; empty when it does."""
+    count = sum(len(page) for page in shown)
+    return "" if count == len(every) else f"; {count} of {len(every)} are drawn, all are in products.nc"
+
+
 def interval_handle(*colours: str) -> tuple[Any, ...]:
     """A legend entry of patches side by side, in the colours that intervals have in the figure."""
     return tuple(Patch(color=colour, alpha=0.25, linewidth=0) for colour in colours)

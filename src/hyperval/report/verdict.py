@@ -116,7 +116,9 @@ def _half_width(row: Result) -> float:
 
 
 def _named(rows: Sequence[Result]) -> str:
-    names = list(dict.fromkeys(" ".join(p for p in (row.product, row.subject, row.method) if p) for row in rows))
+    several = len({row.campaign for row in rows}) > 1
+    parts = ((row.campaign if several else "", row.product, row.subject, row.method) for row in rows)
+    names = list(dict.fromkeys(" ".join(part for part in each if part) for each in parts))
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     return "; ".join(names[:_MOST_NAMED]) + more
 
