@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+pytest_plugins = ["pytester"]
 REQUIRED = "HYPERVAL_REQUIRE_DATA"
 
 

@@ -56,7 +56,7 @@ def test_registry_is_complete_and_pinned():
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", ["hysu", "pasadena", "modtran6-airborne"])
+@pytest.mark.parametrize("name", ["hysu", "pasadena", "modtran6-airborne", "aviris-ng"])
 def test_registry_agrees_with_the_real_files(data_dir, monkeypatch, name):
     # The fixture `places` has hidden the real folder; the session's value is in data_dir's own lookup.
     first = datasets.dataset(name).files[0].path

@@ -109,7 +109,8 @@ def registry() -> Mapping[str, DataSet]:
     files: dict[str, list[DataFile]] = {name: [] for name in entries}
     for row in csv.DictReader((folder / "files.csv").read_text("utf-8").splitlines()):
         entry = entries[row["set"]]
-        where = quote(f"{entry.repository}/{entry.commit}/{entry.upstream}/{row['upstream']}")
+        inside = f"{entry.upstream}/{row['upstream']}".lstrip("/")
+        where = quote(f"{entry.repository}/{entry.commit}/{inside}")
         address = f"https://raw.githubusercontent.com/{where}"
         files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), row["sha256"]))
     return {

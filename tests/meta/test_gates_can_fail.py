@@ -52,6 +52,21 @@ def test_at_most_turns_red(broken, status):
     assert outcome([broken], gate()) == ({status}, 1)
 
 
+@pytest.mark.parametrize(
+    ("broken", "why"),
+    [
+        (row(0.03, lower=0.04, upper=0.02), "the interval 0.04 to 0.02 is inverted"),
+        (row(0.03, lower=0.04, upper=0.06), "the value lies outside its interval 0.04 to 0.06"),
+        (row(math.nan, status=Status.SKIPPED, reason="no band"), "a gated comparison was skipped: no band"),
+        (row(math.nan), "the value is not a number"),
+        (row(0.07), "0.07 is not at most 0.05"),
+    ],
+)
+def test_a_red_row_says_why(broken, why):
+    (judged,) = apply_gates([broken], [gate(reason="the plan")])
+    assert judged.reason == f"{why}; the plan"
+
+
 @pytest.mark.parametrize("value", [0.049, -1.0, math.nan, -math.inf])
 def test_at_least_turns_red(value):
     p = gate(metric="p_value_full", at_most=None, at_least=0.05)

@@ -1,0 +1,20 @@
+"""A newcomer can get every file that a campaign names."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from hyperval.datasets import describe
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_data_reference_of_a_campaign_is_registered():
+    unknown = {
+        f"{path.relative_to(ROOT)}: {reference}"
+        for path in (ROOT / "campaigns").rglob("*.yaml")
+        for reference in re.findall(r"""data:[^\s"',\]}#]+""", path.read_text("utf-8"))
+        if describe(reference)["dataset"] is None
+    }
+    assert unknown == set()
