@@ -20,7 +20,7 @@ ROOMS: dict[str, set[str]] = {
     "sensor": {"spectra"},
     "processing": {"spectra", "scene.statistics", "scene.fill", "products"},
     "imagery": {"spectra"},
-    "simulate": {"spectra", "atmosphere", "scene.statistics", "scene.builtin", "sensor", "imagery"},
+    "simulate": {"spectra", "atmosphere", "scene.statistics", "scene.builtin", "sensor", "imagery.envi_write"},
     "products": {"spectra"},
     "results": set(),
     "compare": {"products", "results", "spectra", "processing"},
@@ -31,7 +31,8 @@ ROOMS: dict[str, set[str]] = {
 # Rooms of formulas: arrays in, arrays out; they read no file, no setting and no campaign.
 PURE = {"spectra", "scene", "sensor", "processing", "compare", "products", "results", "units"}
 CAMPAIGN_SIDE = {
-    "campaign", "report", "cli", "observe", "predict", "prediction", "collection", "scenario", "datasets", "download",
+    "campaign", "report", "cli", "observe", "predict", "prediction", "collection", "scenario",
+    "datasets", "download",
 }  # fmt: skip
 
 
