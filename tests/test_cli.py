@@ -51,15 +51,19 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
     return record
 
 
-def test_each_command_calls_its_function(calls):
-    assert cli.run(["validate", "a.yaml", "b.yaml", "-o", "out"]) == 0
-    assert calls["validate"] == (([Path("a.yaml"), Path("b.yaml")], Path("out")), {"show_progress": False})
-    assert cli.run(["observe", "a.yaml", "--output", "out"]) == 0
-    assert calls["observe"] == ((Path("a.yaml"), Path("out")), {})
-    assert cli.run(["predict", "panels", "-o", "out"]) == 0
-    assert calls["predict_to_folder"] == (("panels", Path("out")), {})
-    assert cli.run(["simulate", "scene.yaml", "-o", "out"]) == 0
-    assert calls["simulate_to_folder"] == ((Path("scene.yaml"), Path("out")), {})
+@pytest.mark.parametrize(
+    ("arguments", "function", "first"),
+    [
+        (["validate", "a.yaml", "b.yaml"], "validate", [Path("a.yaml"), Path("b.yaml")]),
+        (["observe", "a.yaml"], "observe", Path("a.yaml")),
+        (["predict", "panels"], "predict_to_folder", "panels"),
+        (["simulate", "scene.yaml"], "simulate_to_folder", Path("scene.yaml")),
+    ],
+)
+@pytest.mark.parametrize("option", ["-o", "--output"])
+def test_each_command_calls_its_function(calls, arguments, function, first, option):
+    assert cli.run([*arguments, option, "out"]) == 0
+    assert calls[function] == ((first, Path("out")), {"show_progress": False})
 
 
 @pytest.mark.parametrize("code", [0, 1, 3, 5])

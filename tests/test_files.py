@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.errors import InputError
+from hyperval.errors import InputError, UsageError
 from hyperval.files import sha256_of, whole_file, whole_folder, write_text
 
 
@@ -108,6 +108,33 @@ def test_failure_of_the_last_step_puts_the_old_folder_back(tmp_path: Path, monke
         (temporary / "new.csv").write_text("new")
     assert left_over(path) == ["old.csv"]
     assert left_over(tmp_path) == ["report"]
+
+
+def test_a_folder_of_somebody_else_is_never_replaced(tmp_path: Path):
+    path = tmp_path / "thesis"
+    path.mkdir()
+    (path / "chapter.tex").write_text("years of work")
+    with pytest.raises(UsageError, match="would be replaced"), whole_folder(path, ours="results.json"):
+        raise AssertionError("the block must not begin")
+    assert left_over(path) == ["chapter.tex"]
+
+
+@pytest.mark.parametrize("content", [[], ["results.json", "more"]])
+def test_an_empty_folder_and_one_of_ours_are_replaced(tmp_path: Path, content: list[str]):
+    path = tmp_path / "report"
+    path.mkdir()
+    for name in content:
+        (path / name).write_text("old")
+    with whole_folder(path, ours="results.json") as temporary:
+        (temporary / "results.json").write_text("new")
+    assert left_over(path) == ["results.json"]
+
+
+def test_a_file_in_place_of_the_folder(tmp_path: Path):
+    (tmp_path / "report").write_text("x")
+    with pytest.raises(UsageError, match="is a file"), whole_folder(tmp_path / "report"):
+        raise AssertionError("the block must not begin")
+    assert (tmp_path / "report").read_text() == "x"
 
 
 def test_first_folder_fails_and_leaves_nothing(tmp_path: Path):

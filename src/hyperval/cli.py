@@ -95,7 +95,7 @@ def predict(
     """Run the forward model alone."""
     from hyperval.campaign.run import predict_to_folder
 
-    return _finished(predict_to_folder(scenario, output), output)
+    return _finished(predict_to_folder(scenario, output, show_progress=_settings.show_progress), output)
 
 
 @app.command()
@@ -103,7 +103,7 @@ def observe(campaign: Annotated[Path, typer.Argument(help="A campaign file.")], 
     """Run the empirical pipeline alone: what the collected imagery says."""
     from hyperval.campaign.run import observe as run
 
-    return _finished(run(campaign, output), output)
+    return _finished(run(campaign, output, show_progress=_settings.show_progress), output)
 
 
 @app.command()
@@ -119,7 +119,7 @@ def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], outpu
     """Write a simulated collection with its truth."""
     from hyperval.simulate import simulate_to_folder
 
-    return _finished(simulate_to_folder(scene, output), output)
+    return _finished(simulate_to_folder(scene, output, show_progress=_settings.show_progress), output)
 
 
 @sensor_app.command("list")

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hyperval.errors import InputError
+from hyperval.errors import InputError, UsageError
 
 
 @contextmanager
@@ -38,12 +38,28 @@ def write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
-def whole_folder(path: Path) -> Iterator[Path]:
+def whole_folder(path: Path, *, ours: str | None = None) -> Iterator[Path]:
     """Give a temporary folder beside ``path``; its content replaces ``path`` when the block ends well.
 
     The folder that stood at ``path`` is kept until the new one is complete.
+
+    Parameters
+    ----------
+    ours : a file that every folder of this kind holds; a folder with other content is never replaced
+
+    Raises
+    ------
+    UsageError : ``path`` is a file, or a folder that holds something but not ``ours``.
     """
     path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise UsageError("is a file", where=str(path), expected="a folder for the results")
+    if ours and path.is_dir() and any(path.iterdir()) and not (path / ours).is_file():
+        raise UsageError(
+            f"holds files but no {ours}, and would be replaced as a whole",
+            where=str(path),
+            mend="name a new folder, or an empty one",
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
