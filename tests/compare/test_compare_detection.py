@@ -95,9 +95,18 @@ def test_difference_interval_covers():
     assert hits / 1000 > 0.93
 
 
+def test_difference_interval_by_hand_with_uneven_sides():
+    # The upper side of a and the lower side of b stretch the upper limit; the other two the lower limit.
+    low, high = difference_interval(0.8, (0.76, 0.92), 0.5, (0.45, 0.53))
+    assert low == pytest.approx(0.3 - 0.05)
+    assert high == pytest.approx(0.3 + 0.13)
+
+
 def test_equivalence_needs_a_narrow_interval_not_a_missing_difference():
     assert equivalent((-0.04, 0.05), 0.1)
     assert not equivalent((-0.3, 0.3), 0.1)
+    assert not equivalent((-0.3, 0.05), 0.1)
+    assert not equivalent((-0.05, 0.3), 0.1)
     assert not equivalent((0.06, 0.12), 0.1)
     with pytest.raises(UsageError, match="margin"):
         equivalent((0.0, 0.1), 1.0)

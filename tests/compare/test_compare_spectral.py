@@ -222,7 +222,9 @@ def test_bad_bands_and_gaps_are_left_out():
     observed.error_covariance[9, 9] = np.nan
     usable = comparable_bands(spectrum(5.0), observed, axis)
     assert np.flatnonzero(~usable).tolist() == [3, 7, 9]
+    observed.mean[[3, 9]] = 1.0  # far off, but not to be used
     rows = compare_radiance(spectrum(5.0), observed, **{**NAMES, "axis": axis})
+    assert value(rows, "max_abs_difference_ratio_windows").value == 0.0
     assert sum(r.metric == "difference_ratio" for r in rows) == B - 3
     assert all(np.isfinite(r.value) for r in rows)
 

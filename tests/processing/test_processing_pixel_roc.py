@@ -117,6 +117,21 @@ def test_threshold_error_matters_where_the_background_is_small():
     assert narrow / 400 < 0.5
 
 
+@pytest.mark.parametrize(("n", "pfa"), [(1000, 0.01), (1000, 0.1), (500, 0.5), (4000, 0.003)])
+def test_interval_against_the_definition_rank_by_rank(n, pfa):
+    # Background 0 to n - 1 and one target above each: the count of targets above a score gives its rank.
+    background, target = np.arange(float(n)), np.arange(float(n)) + 0.5
+    found = pd_at_pfa(target, background, pfa)
+    tail = 0.2 * 0.05 / 2
+    # The greatest rank r with P(fewer than r scores above the threshold) <= tail, the least s with
+    # P(s or more above it) <= tail: searched from the definition.
+    r = max(k for k in range(n) if stats.binom.cdf(k - 1, n, pfa) <= tail)
+    s = min(k for k in range(1, n + 1) if stats.binom.sf(k - 1, n, pfa) <= tail)
+    # The r-th greatest background score is n - r; r of the targets lie above it.
+    assert found.lower[0] == pytest.approx(float(clopper_pearson(r, n, 0.96)[0]), rel=1e-12)
+    assert found.upper[0] == pytest.approx(float(clopper_pearson(s, n, 0.96)[1]), rel=1e-12)
+
+
 def test_a_background_too_small_gives_no_lower_limit():
     found = pd_at_pfa(np.full(50, 10.0), np.arange(100.0) / 100, [1e-3, 1e-1])
     assert found.pd.tolist() == [1.0, 1.0]

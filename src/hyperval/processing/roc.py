@@ -55,7 +55,9 @@ def roc_points(
     """
     t = _sorted_scores(target_scores, "target", nan)
     b = _sorted_scores(background_scores, "background", nan)
-    value = np.unique(np.concatenate([t, b]))[::-1]
+    value = np.concatenate([t, b])
+    value.sort(kind="stable")  # two sorted runs: a merge, not a sort
+    value = value[np.concatenate([value[1:] > value[:-1], [True]])][::-1]
     pd = (t.size - np.searchsorted(t, value, side="left")) / t.size
     pfa = (b.size - np.searchsorted(b, value, side="left")) / b.size
     return np.concatenate([[0.0], pfa]), np.concatenate([[0.0], pd]), np.concatenate([[np.inf], value])
@@ -198,6 +200,27 @@ def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
         n_background=min(backgrounds) if backgrounds else None,
         background_area_km2=curves[0].background_area_km2,
     )
+
+
+def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
+    """The predicted curve of several groups of targets at the same false-alarm probability.
+
+    P_D is the average of the groups by ``weights`` (how many targets each has); the bands are averaged as if
+    the errors of all groups went together, which is the widest they can be.
+
+    Raises
+    ------
+    UsageError : no curve, or curves on different false-alarm probabilities.
+    """
+    share = np.asarray(weights, dtype=float)
+    if not curves or share.shape != (len(curves),) or not share.sum() > 0:
+        raise UsageError("no curve to average, or weights that do not fit")
+    first = curves[0]
+    if any(c.pfa.shape != first.pfa.shape or not np.allclose(c.pfa, first.pfa, rtol=1e-9) for c in curves):
+        raise UsageError("predicted curves on different false-alarm probabilities cannot be averaged")
+    share = share / share.sum()
+    pd, low, high = (share @ np.stack([getattr(c, k) for c in curves]) for k in ("pd", "pd_lower", "pd_upper"))
+    return RocCurve(first.pfa, pd, low, high, np.full(first.pfa.shape, np.nan), first.unit)
 
 
 def _sorted_scores(scores: npt.ArrayLike, name: str, nan: Nan) -> Array:
