@@ -236,7 +236,7 @@ import sys, types, time
 from pathlib import Path
 from hyperval.files import whole_folder
 fake = types.ModuleType("hyperval.campaign.run")
-def observe(campaign, output):
+def observe(campaign, output, show_progress):
     with whole_folder(output) as t:
         (t / "half").write_text("x")
         print("ready", flush=True)
