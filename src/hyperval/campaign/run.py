@@ -13,6 +13,7 @@ from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import command_without_output, provenance
 from hyperval.campaign.schema import Campaign, load_campaign
+from hyperval.collection import Detection
 from hyperval.compare import apply_gates, compare_products
 from hyperval.compare.rows import COMPARISON
 from hyperval.datasets import InputLog
@@ -21,7 +22,8 @@ from hyperval.files import whole_folder
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.predict import predict
-from hyperval.products import Abundance, Prediction, Products
+from hyperval.processing.roc import average_roc
+from hyperval.products import Abundance, Observation, Prediction, Products, RocCurve
 from hyperval.report import RunReport, campaign_folders, write_index, write_outputs
 from hyperval.results import Result, ResultTable, Status
 from hyperval.scenario import Scenario, load_scenario
@@ -72,7 +74,7 @@ def validate(paths: Sequence[Path], output: Path, *, show_progress: bool | None 
     for name in names:
         if names.count(name) > 1:
             raise UsageError(f"two campaigns are named {name!r}")
-    with whole_folder(output) as folder:
+    with whole_folder(output, ours="results.json") as folder:
         if len(jobs) == 1:
             run = run_campaign(jobs[0], show_progress=show_progress)
             write_outputs(run, folder)
@@ -97,7 +99,7 @@ def validate(paths: Sequence[Path], output: Path, *, show_progress: bool | None 
 def observe(path: Path, output: Path, *, show_progress: bool | None = None) -> int:
     """Run the empirical pipeline alone and write what the collection says."""
     job = Job(load_campaign(path), Path(path))
-    with whole_folder(output) as folder:
+    with whole_folder(output, ours="results.json") as folder:
         write_outputs(run_campaign(job, predicts=False, show_progress=show_progress), folder)
     return 0
 
@@ -120,7 +122,7 @@ def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | 
         ),
         notes=prediction.notes,
     )
-    with whole_folder(output) as folder:
+    with whole_folder(output, ours="results.json") as folder:
         write_outputs(run, folder)
     return 0
 
@@ -201,7 +203,11 @@ def _report(
         prediction = merged(predictions)
         if observed.detected is not None and observed.detected.nominal_area_m2:
             areas = {k: Abundance(v, 0.0) for k, v in observed.detected.nominal_area_m2.items()}
-            prediction = Prediction(**{**prediction.__dict__, "abundance": areas})
+            prediction = replace(prediction, abundance=areas)
+        if campaign.detection is not None:
+            prediction = replace(
+                prediction, roc=with_pools(prediction.roc, observed.observation, campaign.detection)
+            )
         engine = "+".join(sorted({s.atmosphere.engine for s in scenarios if s.atmosphere})) or "statistics"
         rows = compare_products(prediction, observed.observation, campaign=campaign.name, method=engine)
         rows = [_only_one_side(row, campaign) for row in rows]
@@ -231,6 +237,21 @@ def _report(
         notes=list(dict.fromkeys(notes)),
         references=campaign.references,
     )
+
+
+def with_pools(
+    predicted: Mapping[tuple[str, str, str], RocCurve], observation: Observation, detection: Detection
+) -> dict[tuple[str, str, str], RocCurve]:
+    """The predicted curves with those of the campaign's pools, averaged as the collection counts its targets."""
+    out = dict(predicted)
+    for pool in detection.pools:
+        for name, detector, unit in observation.roc:
+            keys = [(subject, detector, unit) for subject in pool.subjects]
+            if name != pool.name or not all(key in predicted for key in keys):
+                continue
+            counts = [observation.roc[key].n_target or 0 for key in keys]
+            out[name, detector, unit] = average_roc([predicted[key] for key in keys], counts)
+    return out
 
 
 def _only_one_side(row: Result, campaign: Campaign) -> Result:

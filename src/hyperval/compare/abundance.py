@@ -18,7 +18,8 @@ def compare_abundance(
     subject: str,
     method: str,
 ) -> list[Result]:
-    """Rows ``area_predicted``, ``area_observed`` [m2], ``area_difference_ratio``, ``area_z``, ``area_inside_95``.
+    """Rows ``area_predicted``, ``area_observed`` [m2], ``area_ratio`` (observed over predicted),
+    ``area_difference_ratio``, ``area_z``, ``area_inside_95``.
 
     The ratio is (predicted - observed)/observed with the first-order interval of both uncertainties; z is the
     difference over sqrt(u_p^2 + u_o^2).  Where neither side has an uncertainty, z and the verdict are SKIPPED.
@@ -32,6 +33,11 @@ def compare_abundance(
             make.row("area_predicted", p, interval=(p - Z95 * up, p + Z95 * up), unit="m2", n=predicted.n),
             make.row("area_observed", o, interval=(o - Z95 * uo, o + Z95 * uo), unit="m2", n=observed.n),
         ]
+        if p > 0:
+            spread = Z95 * np.hypot(uo / p, o * up / p**2)
+            out.append(make.row("area_ratio", o / p, interval=(o / p - spread, o / p + spread), n=observed.n))
+        else:
+            out.append(make.skipped("the predicted area is not positive", "area_ratio"))
         if o > 0:
             half = Z95 * np.hypot(up / o, p * uo / o**2)
             ratio = (p - o) / o

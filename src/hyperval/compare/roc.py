@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 ALWAYS = (1e-1, 1e-2, 1e-3)
 IF_BACKGROUND_ALLOWS = (1e-4, 1e-5, 1e-6)
 # Below this many expected alarms the background sample does not fix the threshold.
+LEAST_END = 0.5  # a curve that stops below this P_FA has no area to speak of
 LEAST_EXPECTED_ALARMS = 10.0
 METRICS = (
     "pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval", "pd_inside_measured_interval",
@@ -67,10 +68,16 @@ def equivalent(interval: tuple[float, float], margin: float) -> bool:
 
 
 def curve_auc(curve: RocCurve, pfa_low: float) -> float:
-    """Mean P_D of a curve over ``pfa_low`` to 1, evenly in P_FA (trapezoidal on a fine common grid)."""
+    """Mean P_D of a curve over ``pfa_low`` to 1, evenly in P_FA (trapezoidal on a fine common grid).
+
+    Every ROC ends at (1, 1), where everything is declared; a curve that stops before is joined to that point.
+    """
     grid = np.concatenate([np.geomspace(pfa_low, 0.1, 400, endpoint=False), np.linspace(0.1, 1.0, 901)])
+    pfa, value = curve.pfa, curve.pd
+    if pfa[-1] < 1.0:
+        pfa, value = np.append(pfa, 1.0), np.append(value, 1.0)
     with np.errstate(divide="ignore"):
-        pd = np.interp(np.log(grid), np.log(curve.pfa), curve.pd)
+        pd = np.interp(np.log(grid), np.log(pfa), value)
     return float(np.trapezoid(pd, grid) / (1.0 - pfa_low))
 
 
@@ -172,8 +179,8 @@ def _auc_row(
         interval = difference_interval(p, p_interval, observed_auc.auc, (observed_auc.lower, observed_auc.upper))
         return make.row("auc_difference", p - observed_auc.auc, interval=interval, n=observed_auc.n_target)
     low = max(float(predicted.pfa[0]), float(observed.pfa[0]))
-    if low >= 0.1 or min(float(predicted.pfa[-1]), float(observed.pfa[-1])) < 1.0 - 1e-9:
-        return make.skipped("the curves do not both reach from P_FA below 0.1 to 1", "auc_difference")
+    if low >= 0.1 or min(float(predicted.pfa[-1]), float(observed.pfa[-1])) < LEAST_END:
+        return make.skipped(f"the curves do not both reach from P_FA below 0.1 to {LEAST_END:g}", "auc_difference")
     return make.row(
         "auc_difference",
         curve_auc(predicted, low) - curve_auc(observed, low),

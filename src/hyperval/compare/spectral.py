@@ -45,7 +45,7 @@ def compare_spectra(
     ``max_abs_difference_ratio_R``.  Over the windows: ``chi2_reduced_diagonal``, ``p_value_diagonal``,
     ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (with interval), ``chi2_reduced_shape``,
     ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``.  A region
-    without a comparable band gives SKIPPED rows.
+    without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.
     """
     make = RowMaker(campaign, product, subject, method)
     return make.compared(predicted, observed, lambda p, o: _rows(make, p, o, axis))
@@ -82,6 +82,8 @@ def _rows(
         if np.isfinite(z[b]):
             out.append(make.row("z", z[b], band_nm=at, n=n))
     for name, region in regions(axis).items():
+        if not region.any() and name != "windows":
+            continue  # the sensor does not see this part of the spectrum: nothing was planned there
         out += _summary(make, name, ratio, ratio_covariance, usable & region & np.isfinite(ratio))
     window = usable & regions(axis)["windows"]
     out += _consistency(make, predicted.mean, observed.mean, covariance, window)
