@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from affine import Affine
 from rasterio.crs import CRS
-from rasterio.transform import from_origin
 
 from hyperval.errors import UsageError
 from hyperval.files import whole_folder, write_text
@@ -241,8 +241,8 @@ def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: Gro
     )
 
 
-def _transform(scene: SceneFile) -> Any:
-    return from_origin(scene.map.easting_m, scene.map.northing_m, scene.gsd_m, scene.gsd_m)
+def _transform(scene: SceneFile) -> Affine:
+    return Affine(scene.gsd_m, 0.0, scene.map.easting_m, 0.0, -scene.gsd_m, scene.map.northing_m)
 
 
 def _crs(scene: SceneFile) -> CRS:
