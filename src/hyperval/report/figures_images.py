@@ -237,7 +237,7 @@ def _numbered_names(regions: Mapping[str, Any]) -> str:
 def _figure_size(view: Window) -> tuple[float, float]:
     """Width and height [in] that suit the shape of the picture."""
     aspect = min(max(view.lines / view.samples, 0.15), 4.0)
-    width = min(8.5, 7.5 / aspect) if aspect < 1.3 else max(8.5 / aspect, 2.6)
+    width = min(8.5, 6.2 / aspect) if aspect < 2.0 else max(7.5 / aspect, 2.6)
     return width + 0.9, width * aspect + 0.9
 
 

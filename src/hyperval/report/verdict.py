@@ -8,16 +8,19 @@ from collections.abc import Iterable, Sequence
 from hyperval.report.tables import status_counts
 from hyperval.results import Result, Status
 
-# How a row that informs, and does not gate, says that it found a disagreement.
+# How a row that informs, and does not gate, says that it found a disagreement: its reason begins so ...
 _DISAGREES = ("disagree", "differ", "inconsistent", "outside")
+# ... or tells what a gate would have made of it.
+_WOULD_NOT = ("would not pass", "would be an error")
 _MOST_NAMED = 6
+_LONGEST_NAME = 70
 
 
 def verdict(rows: Iterable[Result]) -> tuple[str, str]:
     """A tone (agree, disagree, undecided) and one sentence or two.
 
-    "Agrees" needs at least one PASS and neither FAIL nor ERROR.  A row that only informs and whose reason
-    begins with "disagrees", "differs", "inconsistent" or "outside" does not turn the verdict, but is told.
+    "Agrees" needs at least one PASS and neither FAIL nor ERROR.  A row that only informs and that found a
+    disagreement (``informs_of_disagreement``) does not turn the verdict, but is told.
     """
     rows = list(rows)
     count = status_counts(rows)
@@ -53,8 +56,17 @@ def verdict(rows: Iterable[Result]) -> tuple[str, str]:
 
 
 def informs_of_disagreement(row: Result) -> bool:
-    """True for an INFO row whose reason says that the two sides do not agree."""
-    return row.status is Status.INFO and row.reason.lower().startswith(_DISAGREES)
+    """True for an INFO row whose reason says that the two sides do not agree.
+
+    It begins with "disagrees", "differs", "inconsistent" or "outside", or says that the row "would not pass".
+    """
+    reason = row.reason.lower()
+    return row.status is Status.INFO and (reason.startswith(_DISAGREES) or any(w in reason for w in _WOULD_NOT))
+
+
+def is_planned(row: Result) -> bool:
+    """True for an INFO row that a campaign asked for, with what it would have to meet."""
+    return math.isfinite(row.threshold) or "informs only" in row.reason or informs_of_disagreement(row)
 
 
 def status_words(rows: Iterable[Result]) -> str:
@@ -118,7 +130,8 @@ def _half_width(row: Result) -> float:
 def _named(rows: Sequence[Result]) -> str:
     several = len({row.campaign for row in rows}) > 1
     parts = ((row.campaign if several else "", row.product, row.subject, row.method) for row in rows)
-    names = list(dict.fromkeys(" ".join(part for part in each if part) for each in parts))
+    texts = (" ".join(part for part in each if part) for each in parts)
+    names = list(dict.fromkeys(t if len(t) <= _LONGEST_NAME else f"{t[: _LONGEST_NAME - 1]}…" for t in texts))
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     return "; ".join(names[:_MOST_NAMED]) + more
 
