@@ -153,6 +153,17 @@ def test_auc_with_and_without_estimates():
     truth = stats.norm.cdf(2 / np.sqrt(2))
     assert curve_auc(model_curve(2.0), 1e-6) == pytest.approx(truth, abs=2e-4)
     assert curve_auc(empirical_roc(t, b), 1e-4) == pytest.approx(auc_with_interval(t, b).auc, abs=2e-3)
+    # A curve that stops at P_FA 0.6 is joined to (1, 1); one that stops at 0.3 has no area.
+    whole = model_curve(2.0)
+
+    def cut(end):
+        kept = whole.pfa <= end
+        return RocCurve(*(x[kept] for x in (whole.pfa, whole.pd, whole.pd_lower, whole.pd_upper, whole.threshold)))
+
+    assert curve_auc(cut(0.6), 1e-6) == pytest.approx(truth, abs=5e-3)
+    pixel = model_curve(2.0, unit="pixel")
+    assert by_metric(compare_roc(cut(0.6), pixel, **NAMES))["auc_difference"].value == pytest.approx(0, abs=5e-3)
+    assert by_metric(compare_roc(cut(0.3), pixel, **NAMES))["auc_difference"].status is Status.SKIPPED
     rows = by_metric(
         compare_roc(
             model_curve(2.0),
@@ -251,6 +262,9 @@ def test_areas():
     assert rows["area_z"].value == pytest.approx(2.0)
     assert rows["area_inside_95"].value == 0.0
     assert rows["area_observed"].unit == "m2"
+    assert rows["area_ratio"].value == pytest.approx(10 / 11)
+    spread = 1.959964 * np.hypot(0.4 / 11, 10 * 0.3 / 121)
+    assert rows["area_ratio"].lower == pytest.approx(10 / 11 - spread, rel=1e-6)
     half = 1.959964 * np.hypot(0.03, 11 * 0.4 / 100)
     assert rows["area_difference_ratio"].upper == pytest.approx(0.1 + half, rel=1e-6)
     none = by_metric(compare_abundance(Abundance(11.0, 0.0), Abundance(-1.0, 0.0), **NAMES))

@@ -18,6 +18,7 @@ from hyperval.compare.difference import (
     median_interval,
     regions,
 )
+from hyperval.compare.gates import Gate, apply_gates
 from hyperval.compare.radiance import compare_radiance
 from hyperval.compare.reflectance import compare_reflectance
 from hyperval.compare.snr import compare_snr
@@ -238,6 +239,15 @@ def test_a_missing_side_or_region_is_skipped_with_its_reason():
     vnir = SpectralAxis(np.arange(420.0, 900.0, 20.0), 20.0)
     part = SpectralEstimate(np.ones(len(vnir)), np.eye(len(vnir)) * 1e-4)
     rows = compare_radiance(part, part, **{**NAMES, "axis": vnir})
+    # A part of the spectrum that the sensor does not see is not planned; a gate on it is red all the same.
+    assert not [r for r in rows if r.metric.endswith("_swir2")]
+    plan = Gate(
+        product="radiance", metric="median_abs_difference_ratio_swir2", subjects=["grass"], at_most=0.1, reason="x"
+    )
+    assert apply_gates(rows, [plan])[-1].status is Status.ERROR
+    # One that it sees, but in bad bands only, is skipped with the reason.
+    blind = SpectralAxis(AXIS.centre_nm, AXIS.fwhm_nm, AXIS.centre_nm < 1800.0)
+    rows = compare_radiance(spectrum(5.0), spectrum(5.0), **{**NAMES, "axis": blind})
     skipped = value(rows, "median_abs_difference_ratio_swir2")
     assert (skipped.status, skipped.reason) == (Status.SKIPPED, "no comparable band in swir2")
     exact = spectrum(5.0, 0.0)

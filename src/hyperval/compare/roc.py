@@ -17,8 +17,8 @@ from hyperval.results import Result
 Array = npt.NDArray[np.float64]
 ALWAYS = (1e-1, 1e-2, 1e-3)
 IF_BACKGROUND_ALLOWS = (1e-4, 1e-5, 1e-6)
-# Below this many expected alarms the background sample does not fix the threshold.
 LEAST_END = 0.5  # a curve that stops below this P_FA has no area to speak of
+# Below this many expected alarms the background sample does not fix the threshold.
 LEAST_EXPECTED_ALARMS = 10.0
 METRICS = (
     "pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval", "pd_inside_measured_interval",
