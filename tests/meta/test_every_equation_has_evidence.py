@@ -1,0 +1,85 @@
+"""Every public function of the physics names its equation and has a worked value; and this gate can fail."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+MODULES = (
+    "hyperval.scene.radiance",
+    "hyperval.scene.mixture",
+    "hyperval.scene.fill",
+    "hyperval.scene.builtin",
+    "hyperval.sensor.response",
+    "hyperval.sensor.noise",
+    "hyperval.processing.filters",
+    "hyperval.processing.features",
+    "hyperval.processing.elm_model",
+    "hyperval.processing.roc_model",
+)
+FOLDER = Path(__file__).parents[2] / "validation" / "equations"
+EQUATION = re.compile(r"\b3\.([7-9]|[12]\d|3[0-3])\b")
+
+
+def public_functions(module: str) -> dict[str, Callable[..., object]]:
+    found = inspect.getmembers(importlib.import_module(module), inspect.isfunction)
+    return {n: f for n, f in found if f.__module__ == module and not n.startswith("_")}
+
+
+def checked_names(source: str) -> set[str]:
+    """Names called in the test functions of ``source`` that hold an assertion."""
+    names: set[str] = set()
+    for node in ast.parse(source).body:
+        if not (isinstance(node, ast.FunctionDef) and node.name.startswith("test_")):
+            continue
+        inside = list(ast.walk(node))
+        if any(isinstance(i, ast.Assert) for i in inside):
+            names |= {i.func.id for i in inside if isinstance(i, ast.Call) and isinstance(i.func, ast.Name)}
+    return names
+
+
+def without_number(functions: dict[str, Callable[..., object]]) -> list[str]:
+    return [n for n, f in functions.items() if not EQUATION.search(inspect.getdoc(f) or "")]
+
+
+def evidence() -> set[str]:
+    return set().union(*(checked_names(p.read_text(encoding="utf-8")) for p in FOLDER.glob("test_*.py")))
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_public_function_names_its_equation(module):
+    functions = public_functions(module)
+    assert functions
+    assert without_number(functions) == []
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_public_function_has_a_worked_value(module):
+    assert sorted(set(public_functions(module)) - evidence()) == []
+
+
+def test_every_equation_is_named_somewhere():
+    named = {
+        int(number)
+        for module in MODULES
+        for text in [Path(importlib.import_module(module).__file__ or "").read_text(encoding="utf-8")]
+        for number in EQUATION.findall(text)
+    }
+    ranges = {n for n in (17, 23, 24, 32)}  # inside "3.15-3.20", "3.22-3.25" and "3.30-3.33" as well
+    assert set(range(7, 34)) - named - ranges == set()
+
+
+def test_the_gate_goes_red_without_a_number_or_a_worked_value():
+    def bare() -> None:
+        """No equation here."""
+
+    assert without_number({"bare": bare}) == ["bare"]
+    assert "mean_radiance" not in checked_names("def test_x():\n    mean_radiance()\n")  # no assertion
+    assert "mean_radiance" not in checked_names("def helper():\n    assert mean_radiance()\n")  # no test
+    assert "mean_radiance" in checked_names("def test_x():\n    assert mean_radiance() == 1\n")
