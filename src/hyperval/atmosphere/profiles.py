@@ -12,6 +12,7 @@ from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 
 from hyperval.errors import UsageError
 
@@ -84,10 +85,23 @@ def pressure_at(profile: Profile, altitude_km: float) -> float:
     return float(np.exp(np.interp(altitude_km, profile.altitude_km, np.log(profile.pressure_hpa))))
 
 
-def altitude_of_pressure(profile: Profile, pressure_hpa: float) -> float:
-    """Altitude at which the profile has a pressure [km]; not below 0 (see docs/atmosphere.md)."""
-    logs = np.log(profile.pressure_hpa)
-    return float(np.interp(-np.log(pressure_hpa), -logs, profile.altitude_km))
+def air_column(profile: Profile, above_km: float) -> float:
+    """Column of molecules above an altitude, as the integral of pressure / temperature [hPa K-1 km].
+
+    The Rayleigh optical depth is proportional to it.
+    """
+    inside = profile.altitude_km > above_km
+    z = np.concatenate([[above_km], profile.altitude_km[inside]])
+    temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
+    pressure = np.exp(np.interp(z, profile.altitude_km, np.log(profile.pressure_hpa)))
+    return float(np.trapezoid(pressure / temperature, z))
+
+
+def altitude_of_air_column(profile: Profile, column: float) -> float:
+    """Altitude above which the profile has a column of molecules [km]; not below 0."""
+    if column >= air_column(profile, 0.0):
+        return 0.0
+    return float(brentq(lambda z: air_column(profile, z) - column, 0.0, float(profile.altitude_km[-1])))
 
 
 @cache

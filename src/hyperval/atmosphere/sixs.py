@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from os import cpu_count
 from pathlib import Path
 
@@ -24,11 +24,12 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.cache import Arrays, cached
-from hyperval.atmosphere.profiles import altitude_of_pressure, pressure_at, scaled_profile, standard_profile
+from hyperval.atmosphere.profiles import air_column, altitude_of_air_column, scaled_profile, standard_profile
 from hyperval.atmosphere.sixs_process import run_sixs, sixs_fingerprint
 from hyperval.atmosphere.sixs_text import (
     Aerosol,
     Geometry,
+    Monochromatic,
     deck,
     gas_free_atmosphere,
     parse_monochromatic,
@@ -41,7 +42,7 @@ from hyperval.progress import track
 
 Array = npt.NDArray[np.float64]
 
-SCHEME = 2  # raise when the numbers in the cache change their meaning
+SCHEME = 4  # raise when the numbers in the cache change their meaning
 NODES_NM = np.array(
     [350.0, 400.0, 412.5, 442.5, 470.0, 487.5, 515.0, 550.0, 590.0, 632.5, 670.0, 695.0, 760.0, 860.0,
      1240.0, 1535.0, 1650.0, 1950.0, 2250.0, 2600.0]
@@ -49,9 +50,13 @@ NODES_NM = np.array(
 GRID_NM = np.arange(340.0, 2600.0 + 1.25, 2.5)
 
 # 6S mistreats thin aerosol under an aircraft (see docs/atmosphere.md): below these depths at 550 nm it is
-# run with this much, and the aerosol's part is scaled down, in which it is linear to 1e-3.
+# run with this much, and the aerosol's part is scaled down, in which it is linear to a few 1e-3.
 _LEAST_DEPTH = 0.1
-_LEAST_DEPTH_INFRARED = 0.3  # beyond 1 um, where the depth is some five times smaller
+# It drops the given share below the sensor where less than 0.001 lies above it at the wavelength of the
+# run.  Beyond 1 um the depth is down to a tenth, so more is asked for there, within reason.
+_LEAST_ABOVE, _LEAST_ABOVE_INFRARED = 0.0015, 0.012
+_GREATEST_STAND_IN = 0.5
+_TRACE = 0.002  # the least aerosol that changes how 6S treats the molecules
 _GREATEST_SCALE_HEIGHT_KM = 4.0  # 6S clips the aerosol below the sensor to this scale height
 _LEAST_ABOVE = 0.0015  # and misreads a depth below the sensor this close to the total
 _LEAST_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
@@ -130,13 +135,13 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
     """Scattering quantities at the nodes, without gas: path reflectance, transmittances, albedo, depths.
 
     Without gas 6S takes the air of the US standard 1962: ground and sensor are put where
-    that air has the pressure which the state's model has at their altitudes.
+    that air has as many molecules above them as the state's model has.
     """
     model, us62 = standard_profile(state.model), standard_profile("us-standard-1962")
-    ground = altitude_of_pressure(us62, pressure_at(model, setting.ground_km))
+    ground = altitude_of_air_column(us62, air_column(model, setting.ground_km))
     height: float | None = None
     if setting.height_km is not None:
-        above = altitude_of_pressure(us62, pressure_at(model, setting.ground_km + setting.height_km))
+        above = altitude_of_air_column(us62, air_column(model, setting.ground_km + setting.height_km))
         height = max(round(above - ground, 5), 0.001)
     depth, fraction = state.aerosol_optical_depth, state.aerosol_fraction_below
     inputs = {
@@ -153,63 +158,60 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
 
     def compute() -> Arrays:
         card = _aerosol_card(state)
-        decks = [
-            deck(setting.geometry, gas_free_atmosphere(), ground, height, f"-1\n{nm / 1e3:.4f}") for nm in NODES_NM
-        ]
         stand_ins = [_stand_in(depth, fraction, height, nm) for nm in NODES_NM]
-        if depth > 0.0 and card:
-            decks += [
-                deck(
-                    setting.geometry, gas_free_atmosphere(), ground, height, f"-1\n{nm / 1e3:.4f}",
-                    Aerosol(card, d, d * f),
-                )
-                for nm, (d, f) in zip(NODES_NM, stand_ins, strict=True)
-            ]  # fmt: skip
+        aerosols: list[list[Aerosol | None]] = [[None] * NODES_NM.size]
+        if depth > 0.0:
+            aerosols.append([Aerosol(card, d, d * f) for d, f in stand_ins])
+            aerosols.append([Aerosol(card, _TRACE, _TRACE * f) for _, f in stand_ins])
+        decks = [
+            deck(setting.geometry, gas_free_atmosphere(), ground, height, f"-1\n{nm / 1e3:.4f}", aerosol)
+            for run in aerosols
+            for nm, aerosol in zip(NODES_NM, run, strict=True)
+        ]
         outputs = [parse_monochromatic(t) for t in _run_all(decks, folder, "6S scattering", show)]
-        clear, hazy = outputs[: NODES_NM.size], outputs[NODES_NM.size :]
-
-        def column(runs: list, name: str) -> Array:
-            return np.array([getattr(run, name) for run in runs])
-
-        rayleigh = {
-            "reflectance_rayleigh": column(clear, "reflectance"),
-            "down": column(clear, "down"),
-            "up": column(clear, "up"),
-            "spherical_albedo": column(clear, "spherical_albedo"),
-            "depth_rayleigh": column(clear, "depth_rayleigh"),
+        clear, *with_aerosol = (
+            _columns(outputs[i : i + NODES_NM.size]) for i in range(0, len(outputs), NODES_NM.size)
+        )
+        nodes = {
+            "reflectance_rayleigh": clear["reflectance"],
+            **{name: clear[name] for name in ("down", "up", "spherical_albedo", "depth_rayleigh")},
         }
-        if not hazy:
-            return rayleigh
-        total = np.array([depth / d for d, _ in stand_ins])  # 1 where 6S was run with the depth itself
-        below = np.array([depth * fraction / (d * f) for d, f in stand_ins])
-
-        def scaled(name: str, by: Array) -> Array:
-            return rayleigh[name] + by * (column(hazy, name) - rayleigh[name])
-
-        def log_scaled(name: str, by: Array) -> Array:
-            return np.asarray(rayleigh[name] * (column(hazy, name) / rayleigh[name]) ** by)
-
+        if not with_aerosol:
+            return nodes
+        hazy, trace = with_aerosol
+        used, share = np.array(stand_ins).T
+        total = depth / used  # 1 where 6S was run with the depth itself
+        below = depth * fraction / (used * share)
+        # With aerosol 6S spreads the molecules differently over the air below an aircraft (2 % more of them, say,
+        # than without): the aerosol's own part is the difference between two runs that both do so.
+        aerosol_part = (hazy["reflectance"] - trace["reflectance"]) * used / (used - _TRACE)
         return {
-            "reflectance_rayleigh": rayleigh["reflectance_rayleigh"],
-            "reflectance_aerosol": below * (column(hazy, "reflectance") - column(clear, "reflectance")),
-            "down": log_scaled("down", total),
-            "up": log_scaled("up", below),
-            "spherical_albedo": scaled("spherical_albedo", total),
-            "depth_rayleigh": rayleigh["depth_rayleigh"],
-            "depth_aerosol": below * column(hazy, "depth_aerosol"),
+            **nodes,
+            "reflectance_aerosol": below * np.maximum(aerosol_part, 0.0),
+            "down": clear["down"] * (hazy["down"] / clear["down"]) ** total,
+            "up": clear["up"] * (hazy["up"] / clear["up"]) ** below,
+            "spherical_albedo": clear["spherical_albedo"]
+            + total * (hazy["spherical_albedo"] - clear["spherical_albedo"]),
+            "depth_aerosol": below * hazy["depth_aerosol"],
         }
 
     return cached(folder, "scattering", inputs, compute)
 
 
+def _columns(runs: list[Monochromatic]) -> Arrays:
+    return {f.name: np.array([getattr(run, f.name) for run in runs]) for f in fields(Monochromatic)}
+
+
 def _stand_in(depth: float, fraction: float, height_km: float | None, nm: float) -> tuple[float, float]:
     """Optical depth and share below the sensor that 6S can be trusted with."""
-    least = _LEAST_DEPTH if nm < 1000.0 else _LEAST_DEPTH_INFRARED
+    used = max(depth, _LEAST_DEPTH)
     if height_km is None:
-        return depth, 1.0  # from space nothing is split, and nothing goes wrong
-    used = max(depth, least)
+        return used, 1.0
     lowest = 1.0 - np.exp(-height_km / _GREATEST_SCALE_HEIGHT_KM)
-    return used, float(np.clip(fraction, lowest * (1.0 + 1e-6) + 1e-6, 1.0 - _LEAST_ABOVE / used))
+    share = max(fraction, lowest * (1.0 + 1e-6) + 1e-6)
+    above = _LEAST_ABOVE if nm < 1000.0 else _LEAST_ABOVE_INFRARED
+    used = max(used, min(above / max(1.0 - share, 1e-9), _GREATEST_STAND_IN))
+    return used, float(min(share, 1.0 - _LEAST_ABOVE / used))
 
 
 def _gas(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | None) -> Arrays:
