@@ -360,7 +360,15 @@ def test_area_of_geographic_pixels_is_unknown(tmp_path: Path, axis: SpectralAxis
 
 def test_map_info_that_is_not_understood(edit):
     with pytest.raises(InputError, match="'map info' is not understood"):
-        _ = open_cube(edit(map_info="{UTM, 1, 1, x}"), quantity="reflectance").transform
+        open_cube(edit(map_info="{UTM, 1, 1, x}"), quantity="reflectance")
+
+
+def test_unknown_coordinate_system_is_noted(edit):
+    path = edit(map_info="{Custom, 1, 1, 5.0, 6.0, 2.0, 2.0, units=Meters}", coordinate_system_string="{NONSENSE}")
+    cube = open_cube(path, quantity="reflectance")
+    assert cube.crs is None
+    assert cube.pixel_area_m2 == 4.0
+    assert any("coordinate system is not known" in note for note in cube.notes)
 
 
 # Pixels -----------------------------------------------------------------------------------------

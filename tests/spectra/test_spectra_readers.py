@@ -332,6 +332,19 @@ def test_envi_plot_names_its_columns(tmp_path: Path):
         spectrum(tmp_path, text.split("0.4")[0] + rows(WAVE, RHO))
 
 
+def test_values_and_wavelengths_in_files_of_their_own(tmp_path: Path):
+    grid = tmp_path / "wavelengths.txt"
+    grid.write_text(" splib Record=1: Wavelengths ASD 0.35-2.5 microns\n" + rows(WAVE / 1000))
+    text = " splib Record=77: Painted_Wood ASDFRa AREF\n" + rows(RHO).replace("0.1\n", "-1.23e34\n")
+    found = spectrum(tmp_path, text, wavelengths=grid)
+    assert found.name == "Painted_Wood ASDFRa AREF"
+    assert np.allclose(found.wavelength_nm, WAVE[[0, 2, 3]])  # the deleted channel is left out
+    assert np.allclose(found.values, RHO[[0, 2, 3]])
+    grid.write_text(rows(WAVE[:3]))
+    with pytest.raises(InputError, match="one column of 3 rows"):
+        spectrum(tmp_path, text, wavelengths=grid)
+
+
 # Bad files --------------------------------------------------------------------------------------
 
 

@@ -24,7 +24,7 @@ Mask = npt.NDArray[np.bool_]
 Quantity = Literal["radiance", "reflectance", "other"]
 Where = Mask | tuple[npt.ArrayLike, npt.ArrayLike]
 
-BLOCK_BYTES = 16 << 20
+BLOCK_BYTES = 8 << 20
 _WHOLE = ("ii", "uu", "iu", "ui")
 # Header entries that have their own place in a cube.
 _TAKEN = (
@@ -129,7 +129,7 @@ class Cube:
         return Block(first_line, values, valid)
 
     def blocks(self, lines_per_block: int | None = None, *, dtype: npt.DTypeLike = np.float64) -> Iterator[Block]:
-        """All lines in order, ``lines_per_block`` at a time (default: about 16 MiB of values)."""
+        """All lines in order, ``lines_per_block`` at a time (default: about 8 MiB of values)."""
         size = self.samples * self.bands * np.dtype(dtype).itemsize
         step = max(1, BLOCK_BYTES // size) if lines_per_block is None else int(lines_per_block)
         if step < 1:
@@ -182,12 +182,15 @@ class Cube:
         np.multiply(stored, self.scaling.gain[order].astype(dtype), out=values, dtype=dtype, casting="unsafe")
         if np.any(self.scaling.offset):
             values += self.scaling.offset[order].astype(dtype)
+        valid = np.ones(stored.shape[:-1], bool)
+        good = slice(None) if self.axis.good.all() else self.axis.good
         if self.ignore_value is not None:
-            values[_equals(stored, self.ignore_value)] = np.nan
-        if stored.dtype.kind == "f" or self.ignore_value is not None:
-            valid = np.asarray(np.isfinite(values[..., self.axis.good]).all(axis=-1))
-        else:
-            valid = np.ones(stored.shape[:-1], bool)
+            ignored = _equals(stored, self.ignore_value)
+            if ignored.any():
+                values[ignored] = np.nan
+                valid &= ~ignored[..., good].any(axis=-1)
+        if stored.dtype.kind == "f":
+            valid &= np.isfinite(values[..., good]).all(axis=-1)
         if self.quantity != "other":
             valid &= stored.any(axis=-1)
         return values, valid
@@ -238,6 +241,10 @@ def open_cube(
         file_offsets=raster.offsets if isinstance(raster, TiffRaster) else (),
     )
     entries = dict(raster.header.extras) if raster.header is not None else {}
+    notes = table.notes + scaling.notes
+    # Read here, so that a position that is not understood is refused on opening.
+    if raster.transform is not None and raster.crs is None:
+        notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
     ignore = raster.header.number("data ignore value") if raster.header is not None else None
     if ignore is None and isinstance(raster, TiffRaster):
         ignore = raster.nodata
@@ -251,7 +258,7 @@ def open_cube(
         ignore_value=ignore,
         description=" ".join(entries.get("description", "").split()),
         extras={key: text for key, text in entries.items() if key not in _TAKEN},
-        notes=table.notes + scaling.notes,
+        notes=notes,
     )
     if check_values:
         _check_values(cube)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,6 @@ class EnviRaster:
 
     path: Path
     header: EnviHeader
-    notes: tuple[str, ...] = ()
 
     @property
     def lines(self) -> int:
@@ -60,12 +60,12 @@ class EnviRaster:
         """Type of a stored value."""
         return self.header.dtype
 
-    @property
+    @cached_property
     def transform(self) -> Affine | None:
         """Pixel (sample, line) to map coordinates, from ``map info``."""
         return transform_of(self.header)
 
-    @property
+    @cached_property
     def crs(self) -> CRS | None:
         """Coordinate reference system, from the header."""
         return crs_of(self.header)
@@ -132,7 +132,6 @@ class TiffRaster:
     offsets: tuple[float, ...] = ()
     wavelength_um: tuple[float, ...] = ()
     header: EnviHeader | None = None
-    notes: tuple[str, ...] = field(default=())
 
     @property
     def source_files(self) -> tuple[Path, ...]:

@@ -25,6 +25,7 @@ def read_spectrum(
     reflectance_unit: str | None = None,
     unit: str | None = None,
     columns: tuple[str | int, ...] | None = None,
+    wavelengths: Path | str | None = None,
     root: Path | None = None,
 ) -> FieldSpectrum:
     """Read one spectrum.
@@ -42,7 +43,8 @@ def read_spectrum(
     unit : unit of a radiance
     columns : (wavelength, value) or (wavelength, value, standard deviation) of a text file, by name or
         by number from 0
-    root : folder that the file must lie in
+    wavelengths : the file of wavelengths of a library that keeps one column per file (USGS)
+    root : folder that the files must lie in
 
     Raises
     ------
@@ -50,8 +52,11 @@ def read_spectrum(
     UsageError : a unit that nobody states, an unknown record, or one of several not chosen.
     """
     path = checked_file(path, root=root, what="spectrum file")
-    records = _records(path, columns, root)
-    chosen = _chosen(records, record, str(path))
+    if wavelengths is None:
+        chosen = _chosen(_records(path, columns, root), record, str(path))
+    else:
+        grid = checked_file(wavelengths, root=root, what="wavelength file")
+        chosen = readers_text.column_record(decoded(_read(path)), path, decoded(_read(grid)), grid)
     return finished(
         chosen,
         quantity=quantity,
@@ -85,12 +90,7 @@ def read_records(
 
 
 def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None) -> list[Record]:
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise InputError(f"{size} bytes", where=str(path), expected=f"a spectrum file of at most {MAX_BYTES} bytes")
-    raw = path.read_bytes()
-    if not raw.strip():
-        raise InputError("the file is empty", where=str(path))
+    raw = _read(path)
     head = raw[:4096].lstrip(b"\xef\xbb\xbf")
     if readers_asd.is_asd(raw):
         return [readers_asd.asd_record(raw, path)]
@@ -113,6 +113,16 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | Non
             expected="text, ENVI spectral library with its header, ASD, SVC .sig or Spectral Evolution .sed",
         )
     return readers_text.text_records(decoded(raw), path, columns)
+
+
+def _read(path: Path) -> bytes:
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise InputError(f"{size} bytes", where=str(path), expected=f"a spectrum file of at most {MAX_BYTES} bytes")
+    raw = path.read_bytes()
+    if not raw.strip():
+        raise InputError("the file is empty", where=str(path))
+    return raw
 
 
 def decoded(raw: bytes) -> str:

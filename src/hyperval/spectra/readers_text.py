@@ -78,6 +78,26 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     return [Record(**{**r.__dict__, "name": r.name or f"column {k + 1}"}) for k, r in enumerate(records)]
 
 
+def column_record(text: str, path: Path, grid_text: str, grid: Path) -> Record:
+    """A spectrum of a library that keeps values and wavelengths in files of one column each."""
+    header, values, _ = number_table(text, path)
+    grid_header, wavelength, _ = number_table(grid_text, grid)
+    if values.shape[1] != 1 or wavelength.shape != values.shape:
+        raise InputError(
+            f"{values.shape[0]} rows of {values.shape[1]} columns",
+            where=str(path),
+            expected=f"one column of {len(wavelength)} rows, as in {grid}",
+        )
+    name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
+    return Record(
+        name=name.group(1).strip() if name else path.stem,
+        wavelength=wavelength[:, 0],
+        values=values[:, 0],
+        where=str(path),
+        wavelength_unit=_stated(" ".join(grid_header), ""),
+    )
+
+
 def plot_records(text: str, path: Path) -> list[Record]:
     """Spectra of an ENVI ASCII plot file; it states no unit of the wavelengths unless the title does."""
     header, table, _ = number_table(text, path)
