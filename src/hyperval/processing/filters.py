@@ -117,9 +117,10 @@ def design_filter(
 
 
 def solve_positive_definite(matrix: Array, right: Array) -> tuple[Array, float]:
-    """Solve matrix x = right by Cholesky after scaling to unit diagonal; returns x and the condition number.
+    """Solve matrix x = right, as (3.22-3.25) need it, and estimate the condition number.
 
-    The scaling removes the spread of band variances, which says nothing of the loss of digits.
+    By Cholesky after scaling to unit diagonal: that removes the spread of band variances, which says
+    nothing of the loss of digits.
 
     Raises
     ------

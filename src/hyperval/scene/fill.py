@@ -98,7 +98,7 @@ def fixed_fill(value: float) -> FillDistribution:
 
 
 def beta_fill(mean: float, sd: float, nodes: int = 48) -> FillDistribution:
-    """Fill with given moments, as a beta distribution on 0-1 cut into ``nodes`` equally likely parts.
+    """Fill f of (3.10) with given moments: a beta distribution on 0-1 cut into ``nodes`` equally likely parts.
 
     Raises UsageError when no distribution on 0-1 has these moments.  The nodes are rescaled so that
     mean and sd are met exactly, where that keeps them in 0-1.
