@@ -1,0 +1,175 @@
+"""Channel files of MODTRAN, read and compared with."""
+
+from __future__ import annotations
+
+import gzip
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperval.atmosphere import read_chn
+from hyperval.atmosphere.modtran import read_chn_blocks
+from hyperval.errors import InputError, UsageError
+
+WIDTHS = (12, 3, 3, 13, 13, 8, 13, 9, 9, 9, 9, *([13] * 10), *([10] * 5), 11)
+
+
+def made_up(rows, rho=0.0):
+    """A channel table of this form: L = L_a + F (A + B) rho / (1 - S rho)."""
+    rule = "  ".join("-" * w for w in WIDTHS)
+    lines = ["", "HEAD", rule]
+    for number, (nm, path, f, a, b, s) in enumerate(rows, 1):
+        width = 10.0
+        ground = f * a * rho / (1 - s * rho)
+        scattered = path + f * b * rho / (1 - s * rho)
+        total = ground + scattered
+        values = [nm, 1, number, 0.0, total * 1e-6, 300.0, total * width * 1e-6, 1.0, width, nm - 9, nm + 9]
+        values += [0.0, 0.0, 0.0, 0.4 * scattered * width * 1e-6, 0.6 * scattered * width * 1e-6]
+        values += [ground * width * 1e-6, 0.0, f * width * 1e-6, 0.0, 0.0, a, b, s, 0.9, 1.0]
+        cells = [f"{v:>{w}.6E}" if w == 13 else f"{v:>{w}.7g}" for v, w in zip(values, WIDTHS, strict=False)]
+        lines.append("  ".join(cells) + "  CENTER")
+    return "\n".join(lines) + "\n\n"
+
+
+ROWS = [
+    (450.0, 2.0, 40.0, 0.75, 0.09, 0.18),
+    (550.0, 1.0, 38.0, 0.82, 0.06, 0.11),
+    (865.0, 0.2, 22.0, 0.9, 0.03, 0.04),
+]
+
+
+def write(tmp_path, text, name="run.chn"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_reads_what_was_written(tmp_path):
+    terms = read_chn(write(tmp_path, made_up(ROWS)))
+    _, path, f, a, b, s = np.array(ROWS).T
+    np.testing.assert_allclose(terms.path_radiance, path, rtol=2e-6)
+    np.testing.assert_allclose(terms.direct, f * a, rtol=2e-6)
+    np.testing.assert_allclose(terms.adjacency, f * b, rtol=2e-6)
+    np.testing.assert_allclose(terms.spherical_albedo, s)
+    np.testing.assert_allclose(terms.ground_irradiance, np.pi * f * a / 0.9, rtol=2e-6)
+
+
+def test_bright_ground_alone_gives_the_same_terms(tmp_path):
+    black = read_chn(write(tmp_path, made_up(ROWS)))
+    bright = read_chn(write(tmp_path, made_up(ROWS, 0.4), "bright.chn"))
+    assert read_chn_blocks(tmp_path / "bright.chn")[0].reflectance() == pytest.approx(0.4, rel=1e-5)
+    np.testing.assert_allclose(bright.path_radiance, black.path_radiance, rtol=1e-4)
+
+
+def test_several_runs_and_packed_files(tmp_path):
+    path = tmp_path / "runs.chn.gz"
+    with gzip.open(path, "wt") as stream:
+        stream.write(made_up(ROWS, 0.5) + made_up(ROWS, 0.0) + made_up(ROWS, 0.1))
+    assert [round(b.reflectance(), 4) for b in read_chn_blocks(path)] == [0.5, 0.0, 0.1]
+    np.testing.assert_allclose(read_chn(path).path_radiance, [2.0, 1.0, 0.2], rtol=2e-6)
+    fitted = read_chn(path, [0.5, 0.0, 0.1])
+    np.testing.assert_allclose(fitted.adjacency, read_chn(path).adjacency, rtol=1e-4)
+    for wrong in ([0.0, 0.5], [0.1, 0.2, 0.5], [0.0, 0.0, 0.0], [0.0, 0.5, 1.5]):
+        with pytest.raises(UsageError, match="albedos"):
+            read_chn(path, wrong)
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (lambda t: t.replace("3.800000E-04", "3.8000*0E-04", 1), r"run\.chn:5: '3\.8000\*0E-04' in columns"),
+        (lambda t: t.replace("3.800000E-04", "         NaN", 1), r"run\.chn:5: a value that is not finite"),
+        (lambda t: t.replace("      0.75", "          ", 1), r"run\.chn:4: '' in columns"),
+        (lambda t: "\n".join(line[:80] for line in t.split("\n")), r"run\.chn:3: \d+ columns"),
+        (lambda t: "\n".join(t.split("\n")[:3]) + "\n", "without rows"),
+        (lambda t: "nothing of the kind\n", "no channel table"),
+        (lambda t: t.replace("       10", "        0", 1), r"run\.chn:4: equivalent width 0 nm"),
+    ],
+)
+def test_malformed_file_is_refused_with_its_line(tmp_path, harm, said):
+    text = made_up(ROWS)
+    harmed = harm(text)
+    assert harmed != text
+    with pytest.raises(InputError, match=said):
+        read_chn(write(tmp_path, harmed))
+
+
+def test_absent_and_broken_files(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read_chn(tmp_path / "absent.chn")
+    (tmp_path / "broken.chn.gz").write_bytes(b"\x1f\x8b\x08rubbish")
+    with pytest.raises(InputError, match="cannot read"):
+        read_chn(tmp_path / "broken.chn.gz")
+
+
+REAL = [
+    "modtran/modtran6_airborne_lut/AOT550-0.0500_H2OSTR-1.2500.chn.gz",
+    "modtran/modtran6_airborne_lut/AOT550-0.2000_H2OSTR-2.2500.chn.gz",
+    "pasadena/lut_multi/AOT550-0.1000_H2OSTR-1.5000.chn",
+]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("relative", REAL)
+def test_real_file_gives_back_its_own_radiance(data_dir, relative):
+    path = data_dir(relative)
+    albedos = (0.0, 0.1, 0.5)
+    terms = read_chn(path, albedos)
+    for block, rho in zip(read_chn_blocks(path), albedos, strict=True):
+        np.testing.assert_allclose(block.thermal + block.path + block.ground, block.radiance, rtol=1e-4)
+        radiance = terms.path_radiance + (terms.direct + terms.adjacency) * rho / (1 - terms.spherical_albedo * rho)
+        lit = (block.radiance > 0.01 * block.radiance.max()) & (block.wavelength_nm < 2000.0)
+        # The black run and the brightest exactly; the third is an independent test of the form of 3.7.
+        np.testing.assert_allclose(radiance[lit], block.radiance[lit], rtol=1e-4 if rho != 0.1 else 1.5e-3)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    "relative",
+    [
+        "pasadena/lut/AOT550-0.1000_H2OSTR-1.5000.chn",
+        "modtran/wagl_modtran5_6/POINT-0-ALBEDO-0.chn",
+        "modtran/modtran6/thermal_AERFRAC_1-0.0100_H2OSTR-0.5000.chn",
+    ],
+)
+def test_single_black_runs_and_overlapping_spectrometers(data_dir, relative):
+    path = data_dir(relative)
+    (block,) = read_chn_blocks(path)
+    terms = read_chn(path)
+    assert np.all(np.diff(terms.wavelength_nm) >= 0)
+    assert block.reflectance() == 0.0
+    np.testing.assert_allclose(terms.path_radiance, block.radiance, rtol=1e-4)
+
+
+@pytest.fixture
+def validation_cases():
+    path = Path(__file__).parents[2] / "validation/atmosphere/modtran_cases.py"
+    spec = importlib.util.spec_from_file_location("modtran_cases", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["modtran_cases"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+WINDOWS_BELOW_1100 = ((400, 500), (500, 600), (600, 685), (740, 755), (775, 805), (845, 885), (1000, 1070))
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_embedded_engine_agrees_with_modtran_6_in_windows(data_dir, terms_of, validation_cases):
+    totals, paths = {}, {}
+    for case in validation_cases.cases(data_dir):
+        ours, theirs = validation_cases.matched(case, terms_of(case.state))
+        w = ours.wavelength_nm
+        for low, high in (*WINDOWS_BELOW_1100, (1550, 1700), (2100, 2300)):
+            inside = (w >= low) & (w <= high)
+            total = validation_cases.total_radiance(ours, 0.3) / validation_cases.total_radiance(theirs, 0.3) - 1
+            totals.setdefault((low, high), []).extend(total[inside])
+            paths.setdefault((low, high), []).extend((ours.path_radiance / theirs.path_radiance - 1)[inside])
+    for window, values in totals.items():
+        assert abs(np.median(values)) < 0.02, (window, "total radiance over reflectance 0.3")
+    for window in WINDOWS_BELOW_1100:
+        assert abs(np.median(paths[window])) < 0.10, (window, "path radiance")
