@@ -273,3 +273,31 @@ def test_view_towards_the_sun_is_brighter_than_away(terms_of):
     forward = terms_of(state(**low, view_azimuth_deg=330.0))
     backward = terms_of(state(**low, view_azimuth_deg=150.0))
     assert forward.path_radiance[at(forward, 860.0)] > backward.path_radiance[at(backward, 860.0)]
+
+
+def test_ground_irradiance_agrees_with_an_independent_clear_sky_model(terms_of):
+    # SPECTRL2 (Bird & Riordan, SERI/TR-215-2436, 1984) as pvlib has it; same columns, no aerosol, black ground.
+    from pvlib import atmosphere, spectrum
+
+    st = state(RAYLEIGH_FROM_SPACE, water_vapour_g_cm2=1.42, ozone_atm_cm=0.344)
+    terms = terms_of(st)
+    model = spectrum.spectrl2(
+        apparent_zenith=40.0,
+        aoi=40.0,
+        surface_tilt=0.0,
+        ground_albedo=0.0,
+        surface_pressure=101325.0,
+        relative_airmass=atmosphere.get_relative_airmass(40.0),
+        precipitable_water=1.42,
+        ozone=0.344,
+        aerosol_turbidity_500nm=0.0,
+        dayofyear=94,
+    )
+    nm = model["wavelength"]
+    theirs = np.ravel(model["poa_global"]) * 100.0  # W m-2 nm-1 to uW cm-2 nm-1
+    use = in_window(nm) & (nm > 450.0) & (nm < 1700.0)
+    ratio = np.interp(nm[use], terms.wavelength_nm, terms.ground_irradiance) / theirs[use]
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.02)
+    fine = np.arange(450.0, 1000.0, 1.0)
+    total = np.trapezoid(np.interp(fine, terms.wavelength_nm, terms.ground_irradiance), fine)
+    assert total == pytest.approx(np.trapezoid(np.interp(fine, nm, theirs), fine), rel=0.03)

@@ -36,7 +36,7 @@ def main() -> None:
         total = total_radiance(ours, RHO) / total_radiance(theirs, RHO) - 1.0
         path = ours.path_radiance / theirs.path_radiance - 1.0
         albedo = ours.spherical_albedo / theirs.spherical_albedo - 1.0
-        rows.append((case.name, w, total, path, albedo, ours.gas_transmittance))
+        rows.append((case.name, w, total, path, albedo, theirs.gas_transmittance))
         inside = [(w >= a) & (w <= b) for a, b in WINDOWS_NM]
         print(case.name, "total %:", " ".join(f"{100 * np.median(total[m]):6.2f}" for m in inside))
         print(" " * len(case.name), " L_a  %:", " ".join(f"{100 * np.median(path[m]):6.2f}" for m in inside))
@@ -47,7 +47,7 @@ def main() -> None:
     for a, b in WINDOWS_NM:
         m = (w >= a) & (w <= b)
         print(f"{a:>7}-{b:<6} " + " ".join(f"{_spread(x[m]):>24}" for x in (total, path, albedo)))
-    print(f"{'gas two-way':>14}")
+    print("by two-way gas transmittance, MODTRAN's coefficient A over its continuum")
     for a, b in CLASSES:
         m = (gas >= a) & (gas < b) & (w > 400) & (w < 2450)
         print(f"{a:>7.2f}-{b:<6.2f} " + " ".join(f"{_spread(x[m]):>24}" for x in (total, path)))
