@@ -200,7 +200,7 @@ def _report(
     campaign = job.campaign
     prediction = None
     if predictions:
-        prediction = merged(predictions)
+        prediction = without_circles(merged(predictions), scenarios)
         if observed.detected is not None and observed.detected.nominal_area_m2:
             areas = {k: Abundance(v, 0.0) for k, v in observed.detected.nominal_area_m2.items()}
             prediction = replace(prediction, abundance=areas)
@@ -237,6 +237,19 @@ def _report(
         notes=list(dict.fromkeys(notes)),
         references=campaign.references,
     )
+
+
+def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Prediction:
+    """The prediction without the spectra that were taken from the collection: they agree whatever is wrong."""
+    surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
+    taken = {s.name for s in surfaces if s.spectrum.measured is not None}
+    if not taken:
+        return prediction
+    kept = {
+        p: {k: v for k, v in getattr(prediction, p).items() if k not in taken} for p in ("radiance", "reflectance")
+    }
+    note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
+    return replace(prediction, **kept, notes=(*prediction.notes, note))
 
 
 def with_pools(

@@ -124,7 +124,7 @@ def detect(
     roc: dict[tuple[str, str, str], RocCurve] = {}
     outlines: dict[str, dict[str, Mask]] = {}
     for target in detection.targets:
-        groups = _groups(place.targets, target, detection.group)
+        groups = target_groups(place.targets, target, detection.group)
         for detector in detection.detectors:
             key = f"{target.name}-{detector}"
             found = maps[key]
@@ -132,7 +132,7 @@ def detect(
             noise = found[alarms]
             noise = noise[np.isfinite(noise)]
             for subject, members in groups.items():
-                pixels = np.concatenate([found[_pixels(o, place)] for o in members])
+                pixels = np.concatenate([found[scored_pixels(o, place)] for o in members])
                 pixels = pixels[np.isfinite(pixels)]
                 if pixels.size == 0:
                     raise InputError(f"no valid pixel on the targets of {subject!r}")
@@ -141,7 +141,9 @@ def detect(
                 roc[subject, detector, "pixel"] = empirical_roc(
                     pixels, noise, unit="pixel", background_area_km2=area_km2
                 )
-                best = np.array(list(object_scores(found, {o.name: _pixels(o, place) for o in members}).values()))
+                best = np.array(
+                    list(object_scores(found, {o.name: scored_pixels(o, place) for o in members}).values())
+                )
                 roc[subject, detector, "object"] = empirical_roc(
                     best[np.isfinite(best)], noise, unit="object", background_area_km2=area_km2
                 )
@@ -162,7 +164,7 @@ def detect(
     return Detected(maps, outlines, scores, roc, areas, filters, bands, nominal, tuple(notes))
 
 
-def _pixels(target: TargetObject, place: Place) -> Mask:
+def scored_pixels(target: TargetObject, place: Place) -> Mask:
     """The pixels of an object that are scored."""
     if place.target_pixels == "touched" or target.centre_pixel is None:
         return target.mask
@@ -171,7 +173,9 @@ def _pixels(target: TargetObject, place: Place) -> Mask:
     return only
 
 
-def _groups(objects: Sequence[TargetObject], target: DetectionTarget, form: str) -> dict[str, list[TargetObject]]:
+def target_groups(
+    objects: Sequence[TargetObject], target: DetectionTarget, form: str
+) -> dict[str, list[TargetObject]]:
     """Objects of the target's material by subject name, in the order of the truth."""
     out: dict[str, list[TargetObject]] = {}
     for item in objects:
@@ -218,7 +222,7 @@ def _areas(
     out: dict[tuple[str, str], Abundance] = {}
     nominal: dict[tuple[str, str], float] = {}
     counted = place.background(detection.background)
-    for subject, members in _groups(place.targets, target, detection.group).items():
+    for subject, members in target_groups(place.targets, target, detection.group).items():
         total = 0.0
         pixels = 0
         variance = 0.0

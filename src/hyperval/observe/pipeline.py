@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hyperval.collection import Collection, Detection, EmpiricalLineSource
 from hyperval.errors import UsageError
-from hyperval.observe.detection import Detected, detect, in_reflectance
+from hyperval.observe.detection import Detected, detect, in_reflectance, scored_pixels, target_groups
 from hyperval.observe.place import Place, open_place
 from hyperval.observe.site_spectra import observe_spectra
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
@@ -79,21 +79,25 @@ def observe(
         name: mask & ~place.near_targets if np.any(mask & ~place.near_targets) else mask
         for name, mask in place.regions.items()
     }
+    populations: dict[str, Mask] = {}
     if detection is not None:
         masks[BACKGROUND] = place.background(detection.background)
+        populations = _target_pixels(place, detection, taken=set(masks))
+        masks |= populations
     blocks = track(cube.blocks(), "statistics", show=show_progress)
     measured = accumulate_statistics(blocks, masks, place.left_out)
     elm = _empirical_line(collection.empirical_line, measured, cube.axis, resolve)
     regions = {name: measured[name] for name in place.regions}
+    subjects = regions | {name: measured[name] for name in populations}
 
     radiance: dict[str, SpectralEstimate] = {}
     reflectance: dict[str, SpectralEstimate] = {}
     if cube.quantity == "radiance":
-        radiance = {n: _radiance(s, collection, cube.axis, resolve) for n, s in regions.items()}
+        radiance = {n: _radiance(s, collection, cube.axis, resolve) for n, s in subjects.items()}
         if elm is not None:
-            reflectance = {n: _reflectance(s, elm) for n, s in regions.items()}
+            reflectance = {n: _reflectance(s, elm) for n, s in subjects.items()}
     else:
-        reflectance = {n: _sampled(s) for n, s in regions.items()}
+        reflectance = {n: _sampled(s) for n, s in subjects.items()}
     snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
 
     detected = None
@@ -119,6 +123,24 @@ def observe(
         provenance={"quantity": cube.quantity, "description": cube.description},
     )
     return Observed(observation, _classes(regions, cube.axis, elm, cube.quantity), place, detected, elm)
+
+
+def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[str, Mask]:
+    """Pixels of every target subject with at least two of them, for its mean spectrum.
+
+    Several spectra may stand for one material; their subjects hold the same pixels, and the first one counts.
+    """
+    out: dict[str, Mask] = {}
+    materials: set[str] = set()
+    for target in detection.targets:
+        if target.material in materials:
+            continue
+        materials.add(target.material)
+        for subject, members in target_groups(place.targets, target, detection.group).items():
+            union = np.logical_or.reduce([scored_pixels(o, place) for o in members])
+            if subject not in taken and np.count_nonzero(union) > 1:
+                out[subject] = union
+    return out
 
 
 def _radiance(
