@@ -247,7 +247,11 @@ def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> li
     """Outputs of all decks in their order; one process per processor at a time."""
     run: Callable[[str], str] = lambda text: run_sixs(text, folder)  # noqa: E731
     with ThreadPoolExecutor(max_workers=cpu_count() or 1) as pool:
-        return list(track(pool.map(run, decks), what, total=len(decks), show=show))
+        try:
+            return list(track(pool.map(run, decks), what, total=len(decks), show=show))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
+            raise
 
 
 def _aerosol_card(state: AtmosphericState) -> str:

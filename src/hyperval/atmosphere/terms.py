@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -44,16 +44,11 @@ class AtmosphericTerms:
     def at_bands(self, axis: SpectralAxis) -> AtmosphericTerms:
         """The terms averaged over the band responses of ``axis``."""
 
-        def average(values: Array) -> Array:
-            return band_average(self.wavelength_nm, values, axis)
-
+        names = [f.name for f in fields(self) if f.name not in ("wavelength_nm", "provenance")]
+        stack = np.stack([getattr(self, name) for name in names])
+        bands = band_average(self.wavelength_nm, stack, axis)  # one set of weights for all terms
         return AtmosphericTerms(
             wavelength_nm=axis.centre_nm,
-            path_radiance=average(self.path_radiance),
-            direct=average(self.direct),
-            adjacency=average(self.adjacency),
-            spherical_albedo=average(self.spherical_albedo),
-            ground_irradiance=average(self.ground_irradiance),
-            gas_transmittance=average(self.gas_transmittance),
+            **dict(zip(names, bands, strict=True)),
             provenance=self.provenance,
         )
