@@ -190,7 +190,8 @@ class Detection(Model):
     detectors: list[str] = Field(default_factory=lambda: ["cem"], min_length=1)
     background: list[str] = Field(
         default_factory=lambda: ["scene"],
-        description="regions whose pixels give the filter its statistics; 'scene': all that is not left out",
+        description="regions whose pixels give the filter its statistics; 'scene': all that is not left out; "
+        "'image': every pixel, targets included",
     )
     false_alarms: list[str] = Field(
         default_factory=lambda: ["scene"], description="regions whose pixels count for the false-alarm rate"

@@ -245,11 +245,10 @@ def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Pr
     taken = {s.name for s in surfaces if s.spectrum.measured is not None}
     if not taken:
         return prediction
-    kept = {
-        p: {k: v for k, v in getattr(prediction, p).items() if k not in taken} for p in ("radiance", "reflectance")
-    }
+    radiance = {k: v for k, v in prediction.radiance.items() if k not in taken}
+    reflectance = {k: v for k, v in prediction.reflectance.items() if k not in taken}
     note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
-    return replace(prediction, **kept, notes=(*prediction.notes, note))
+    return replace(prediction, radiance=radiance, reflectance=reflectance, notes=(*prediction.notes, note))
 
 
 def with_pools(

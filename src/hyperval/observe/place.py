@@ -19,6 +19,7 @@ from hyperval.progress import track
 Mask = npt.NDArray[np.bool_]
 Resolve = Callable[[str], Path]
 SCENE = "scene"
+IMAGE = "image"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,12 @@ class Place:
     notes: tuple[str, ...] = ()
 
     def background(self, names: Sequence[str]) -> Mask:
-        """Pixels of the union of regions (or of the whole scene) that are not left out."""
+        """Pixels of the union of regions, or of the whole scene, that are not left out.
+
+        "image" is every pixel, the targets too: what a detector does that is told nothing of them.
+        """
+        if IMAGE in names:
+            return np.ones(self.cube.shape, bool)
         if SCENE in names:
             return ~self.left_out
         union = np.zeros(self.cube.shape, bool)
