@@ -70,4 +70,4 @@ def retrieved_reflectance(line: TwoPanelLine, radiance: npt.ArrayLike) -> Array:
 
 def retrieved_covariance(line: TwoPanelLine, covariance: npt.ArrayLike) -> Array:
     """Sigma^_ij = Sigma_L,ij / (k_i k_j), (B, B) [1] (before 3.21); the offset does not enter."""
-    return np.asarray(np.asarray(covariance, dtype=float) / np.outer(line.gain, line.gain))
+    return np.asarray(np.asarray(covariance, dtype=float) / line.gain[:, None] / line.gain)

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import log_ndtr, logsumexp, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
+from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 
 from hyperval.errors import UsageError
 from hyperval.processing.filters import LinearFilter
@@ -114,8 +114,10 @@ def log_false_alarm(threshold: npt.ArrayLike, classes: Sequence[ClassScore]) -> 
     """
     x = np.asarray(threshold, dtype=float)
     held = [c for c in classes if c.fraction > 0]
-    terms = np.stack([np.log(c.fraction) + _log_tail(x, c) for c in held])
-    return np.asarray(logsumexp(terms, axis=0))
+    total = np.log(held[0].fraction) + _log_tail(x, held[0])
+    for c in held[1:]:
+        total = np.logaddexp(total, np.log(c.fraction) + _log_tail(x, c))
+    return np.asarray(total)
 
 
 def _log_tail(x: Array, c: ClassScore) -> Array:

@@ -123,9 +123,9 @@ def radiance_covariance(
     d_a = direct_slope(terms, average_reflectance, formulation)
     d_b = adjacency_slope(terms, reflectance, average_reflectance, formulation)
     weight = adjacency_gain * (kappa if formulation == "corrected" else 1.0)
-    result = np.asarray(covariance, dtype=float) * np.outer(d_a, d_a)
+    result = np.asarray(covariance, dtype=float) * d_a[:, None] * d_a
     if weight:
-        result = result + weight * np.asarray(average_covariance, dtype=float) * np.outer(d_b, d_b)
+        result += np.asarray(average_covariance, dtype=float) * (weight * d_b)[:, None] * d_b
     return np.asarray(result)  # (3.11)
 
 
