@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from hyperval.compare.abundance import compare_abundance
+from hyperval.compare.gates import Gate, apply_gates
 from hyperval.compare.products import compare_products
 from hyperval.compare.roc import compare_roc, curve_auc, difference_interval, equivalent, value_at
 from hyperval.compare.rows import scientific
@@ -140,6 +141,27 @@ def test_a_curve_that_ends_early_or_has_no_interval():
     assert np.isnan(rows["pd_inside_interval@1e-2"].value)  # unknown is neither inside nor outside
     rows = by_metric(compare_roc(bare, measured_curve(2.0), pfa=[1e-2], **NAMES))
     assert rows["pd_predicted@1e-2"].lower == rows["pd_predicted@1e-2"].value
+
+
+def test_one_object_gives_values_but_no_verdict():
+    # Measured 1 of 1: the interval is 0.025 to 1, so that a prediction of 1e-18 would be "inside".
+    single = empirical_roc([5.0], np.random.default_rng(1).normal(size=20000), unit="object")
+    rows = by_metric(compare_roc(model_curve(-9.0), single, equivalence_margin=0.1, **NAMES))
+    assert rows["pd_measured@1e-2"].value == 1.0
+    assert rows["pd_predicted@1e-2"].value < 1e-9
+    for metric in ("pd_inside_interval", "pd_inside_measured_interval", "pd_equivalent"):
+        row = rows[f"{metric}@1e-2"]
+        assert row.status is Status.SKIPPED
+        assert row.reason == "the measured interval 0.025 to 1 from 1 object accepts nearly any prediction"
+    # A gate on it is red, and a pool counts it apart.
+    plan = {"product": "roc", "metric": "pd_inside_interval@1e-2", "reason": "why"}
+    gated = apply_gates(rows.values(), [Gate(**plan, at_least=1.0)])
+    assert {r.status for r in gated if r.metric == "pd_inside_interval@1e-2"} == {Status.ERROR}
+    pooled = apply_gates(rows.values(), [Gate(**plan, fraction_at_least=0.5)])[-1]
+    assert (pooled.status, pooled.value) == (Status.FAIL, 0.0)
+    assert "0 of 1 rows at least 1, 1 without a verdict of their own" in pooled.reason
+    several = empirical_roc(np.full(5, 5.0), np.random.default_rng(1).normal(size=20000), unit="object")
+    assert by_metric(compare_roc(model_curve(-9.0), several, **NAMES))["pd_inside_interval@1e-2"].value == 0.0
 
 
 def test_units_of_the_curves_must_agree():

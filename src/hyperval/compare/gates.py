@@ -223,7 +223,9 @@ def _pooled(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
     shown = ", ".join(_named(row) for row in outside[:5]) + (
         f" and {len(outside) - 5} more" if len(outside) > 5 else ""
     )
-    what = f"{good} of {n} rows {gate.limit_text}" + (f"; outside: {shown}" if outside else "")
+    blank = sum(v.status is Status.ERROR for v in verdicts)
+    what = f"{good} of {n} rows {gate.limit_text}" + (f", {blank} without a verdict of their own" if blank else "")
+    what += f"; outside: {shown}" if outside else ""
     would = "" if gate.gate else f"would {'' if passed else 'not '}pass at least {gate.fraction_at_least:g}"
     return [
         Result(

@@ -20,6 +20,8 @@ IF_BACKGROUND_ALLOWS = (1e-4, 1e-5, 1e-6)
 LEAST_END = 0.5  # a curve that stops below this P_FA has no area to speak of
 # Below this many expected alarms the background sample does not fix the threshold.
 LEAST_EXPECTED_ALARMS = 10.0
+# A measured interval wider than this accepts nearly any prediction: one target alone gives 0.975 or more.
+WIDEST_INTERVAL = 0.9
 METRICS = (
     "pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval", "pd_inside_measured_interval",
 )  # fmt: skip
@@ -106,6 +108,8 @@ def compare_roc(
 
     Default probabilities: 1e-1, 1e-2, 1e-3 always, and 1e-4 to 1e-6 where the background is large enough to
     expect 10 alarms.  A probability that the background or a curve does not reach gives SKIPPED rows.
+    The verdicts (but not the values) are SKIPPED too where the measured interval is wider than 0.9, as with a
+    single target object: a test that nothing can fail is no test.
     ``auc_difference`` is of both curves over their common range of P_FA, or of the AUC estimates
     when both are given; it has an interval in the latter case only.
     """
@@ -155,6 +159,12 @@ def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, mar
         make.row(names[0], p, interval=p_interval),
         make.row(names[1], o, interval=o_interval, n=n),
         make.row(names[2], p - o, interval=(low, high), n=n),
+    ]
+    if o_interval[1] - o_interval[0] > WIDEST_INTERVAL:
+        reason = f"the measured interval {o_interval[0]:.2g} to {o_interval[1]:.2g}"
+        reason += f" from {n} {observed.unit}{'' if n == 1 else 's'}" if n is not None else ""
+        return [*out, *(make.skipped(f"{reason} accepts nearly any prediction", name) for name in names[3:])]
+    out += [
         make.row(names[3], inside, n=n),
         make.row(names[4], inside_measured, n=n),
     ]
