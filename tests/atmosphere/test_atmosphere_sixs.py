@@ -101,14 +101,15 @@ def test_path_part_is_the_solvers_own_less_its_extra_molecules(terms_of, engine_
 
 @pytest.mark.slow
 def test_reproduces_the_solver_off_nadir_from_space(terms_of, engine_cache):
-    st = state(sensor_altitude_km=705.0, ground_altitude_km=0.0, view_zenith_deg=30.0, view_azimuth_deg=100.0)
+    st = state(sensor_altitude_km=705.0, view_zenith_deg=30.0, view_azimuth_deg=100.0)
     terms = terms_of(st)
     for nm in (442.5, 550.0, 670.0, 860.0, 1650.0):
         for rho in (0.0, 0.1, 0.5, 1.0):
             ours = apparent_reflectance(terms, st, rho)[at(terms, nm)]
             gas = terms.gas_transmittance[at(terms, nm)]
             theirs = solver_reflectance(st, nm, rho, engine_cache)
-            assert ours == pytest.approx(theirs, rel=1e-3 + 1e-4 / gas), (nm, rho)
+            # 1e-5: the half of the water that is taken to lie above the aerosol
+            assert ours == pytest.approx(theirs, rel=5e-4 + 1e-4 / gas, abs=1e-5), (nm, rho)
 
 
 @pytest.mark.parametrize("base", [AIRBORNE, RAYLEIGH_FROM_SPACE])
@@ -200,7 +201,6 @@ def test_user_water_column_absorbs_the_same_over_raised_ground(terms_of):
 
 @pytest.mark.slow
 def test_thin_aerosol_under_an_aircraft_stays_linear(terms_of, engine_cache):
-    # The solver alone: the aerosol part of the path per depth grows 3-fold from 0.2 to 0.003.
     clean = terms_of(state(aerosol="none", aot550=None))
     share = {}
     for aot in (0.2, 0.02, 0.003):
@@ -211,7 +211,8 @@ def test_thin_aerosol_under_an_aircraft_stays_linear(terms_of, engine_cache):
     for nm in (550.0, 860.0, 1650.0, 2250.0):
         i = at(clean, nm)
         assert share[0.003][i] == pytest.approx(share[0.02][i], rel=1e-3)
-        assert share[0.02][i] == pytest.approx(share[0.2][i], rel=0.03)
+        # Multiple scattering and the lower place of the thicker haze change the part per depth by a few per cent.
+        assert share[0.02][i] == pytest.approx(share[0.2][i], rel=0.1)
     raw = [
         solver_reflectance(state(aot550=aot), 550.0, 0.0, engine_cache) for aot in (0.02, 0.003)
     ]  # fmt: skip
@@ -229,7 +230,7 @@ def test_stand_in_stays_inside_what_the_solver_honours():
                     assert used >= max(depth, 0.1)
                     assert used * (1.0 - share) >= 0.00149
                     assert share > min(1.0 - np.exp(-height / 4.0), 1.0 - 0.0016 / used) - 1e-9
-    assert sixs._stand_in(0.003, 1.0, None, 550.0) == (0.1, 1.0)
+    assert sixs._stand_in(0.003, 1.0, None, 550.0) == (0.003, 1.0)
 
 
 def test_solver_honours_the_depth_below_that_it_is_given(engine_cache):
