@@ -433,3 +433,37 @@ def test_field_spectrum_error_from_its_file():
         spectrum_error_covariance(error, replace(surface, n=None), AXIS)
     with pytest.raises(UsageError, match="no standard deviation"):
         spectrum_error_covariance(error, replace(surface, standard_deviation=None), AXIS)
+
+
+def test_gain_of_the_class_is_on_its_adjacency_term_too():
+    """(3.11) with g_B = 4, kappa = 1: both terms carry it, in the products and in the scores."""
+    s = scenario(**{"name: asphalt, fraction: 0.3,": "name: asphalt, gain: 4, fraction: 0.3,",
+                    "scene:\n": "scene:\n  adjacency: {effective_neighbours: 1}\n"})  # fmt: skip
+    p = predict(s, axis=AXIS, engine=engine)
+    one = predict(
+        scenario(**{"scene:\n": "scene:\n  adjacency: {effective_neighbours: 1}\n"}), axis=AXIS, engine=engine
+    )
+    noise = load_sensor("prospectir-vs").noise(AXIS).variance(p.radiance["asphalt"].mean)
+    before = one.radiance["asphalt"].pixel_covariance - np.diag(noise)
+    after = p.radiance["asphalt"].pixel_covariance - np.diag(noise)
+    assert after == pytest.approx(4 * before, rel=1e-9)
+    f = detector_of(p)
+    assert p.scores["tenth", "cem"].sd ** 2 == pytest.approx(f.variance(p.reflectance["tenth"].pixel_covariance))
+
+
+def test_heavy_tails_reach_the_roc():
+    gauss, tail = (
+        run(),
+        predict(scenario(**{"name: grass,": "name: grass, tail_dof: 4,"}), axis=AXIS, engine=engine),
+    )
+    key = ("loose", "cem", "pixel")
+    assert tail.scores["loose", "cem"] == gauss.scores["loose", "cem"]  # the moments are the same
+    assert tail.roc[key].threshold[0] > 3 * gauss.roc[key].threshold[0]  # t with 4 dof at 1e-9: far out
+
+
+def test_relative_covariance():
+    source = "spectrum: {constant: 0.2}, covariance: {relative_sd: 0.1, band_sd: 0.01, correlation_nm: 100}"
+    s = scenario("", **{"spectrum: {builtin: asphalt}": source})
+    gap = AXIS.centre_nm[:, None] - AXIS.centre_nm[None, :]
+    expected = 4e-4 * np.exp(-0.5 * (gap / 100) ** 2) + 1e-4 * np.eye(10)
+    assert predict(s, axis=AXIS).reflectance["asphalt"].pixel_covariance == pytest.approx(expected)
