@@ -42,7 +42,7 @@ from hyperval.progress import track
 
 Array = npt.NDArray[np.float64]
 
-SCHEME = 5  # raise when the numbers in the cache change their meaning
+SCHEME = 7  # raise when the numbers in the cache change their meaning
 NODES_NM = np.array(
     [350.0, 400.0, 412.5, 442.5, 470.0, 487.5, 515.0, 550.0, 590.0, 632.5, 670.0, 695.0, 760.0, 860.0,
      1240.0, 1535.0, 1650.0, 1950.0, 2250.0, 2600.0]
@@ -58,6 +58,7 @@ _LEAST_DEPTH = 0.1
 _LEAST_ABOVE, _LEAST_ABOVE_INFRARED = 0.0015, 0.012
 _GREATEST_STAND_IN = 0.5
 _TRACE = 0.002  # the least aerosol that changes how 6S treats the molecules
+_MOLECULAR = 14  # nodes below 1 um; beyond, molecules scatter too little to be worth a run
 _GREATEST_SCALE_HEIGHT_KM = 4.0  # 6S clips the aerosol below the sensor to this scale height
 _LEAST_ABOVE = 0.0015  # and misreads a depth below the sensor this close to the total
 _LEAST_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
@@ -164,11 +165,11 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
         if depth > 0.0:
             aerosols.append([Aerosol(card, d, d * f) for d, f in stand_ins])
             if height is not None:
-                aerosols.append([Aerosol(card, _TRACE, _TRACE * f) for _, f in stand_ins])
+                aerosols.append([Aerosol(card, _TRACE, _TRACE * f) for _, f in stand_ins[:_MOLECULAR]])
         decks = [
             deck(setting.geometry, gas_free_atmosphere(), ground, height, f"-1\n{nm / 1e3:.4f}", aerosol)
             for run in aerosols
-            for nm, aerosol in zip(NODES_NM, run, strict=True)
+            for nm, aerosol in zip(NODES_NM, run, strict=False)
         ]
         outputs = [parse_monochromatic(t) for t in _run_all(decks, folder, "6S scattering", show)]
         clear, *with_aerosol = (
@@ -188,8 +189,13 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
         if height is not None:
             # With aerosol 6S spreads the molecules differently over the air below an aircraft (some 2 % more of
             # them than without): the aerosol's own part is the difference between two runs that both do so.
-            trace = with_aerosol[1]
-            aerosol_part = (hazy["reflectance"] - trace["reflectance"]) * used / (used - _TRACE)
+            trace, m = with_aerosol[1], slice(_MOLECULAR)
+            aerosol_part[m] = (hazy["reflectance"][m] - trace["reflectance"]) * used[m] / (used[m] - _TRACE)
+            # Beyond 1 um the excess of molecules is taken as large as at the last node below it.
+            last = _MOLECULAR - 1
+            molecules = trace["reflectance"][last] - aerosol_part[last] * _TRACE / used[last]
+            excess = molecules / clear["reflectance"][last] - 1.0
+            aerosol_part[_MOLECULAR:] -= excess * clear["reflectance"][_MOLECULAR:]
         return {
             **nodes,
             "reflectance_aerosol": below * np.maximum(aerosol_part, 0.0),
