@@ -7,6 +7,10 @@ import numpy as np
 from hyperval.observe import Observed
 from hyperval.report import Quicklook, ScoreMap
 
+# Wavelength [nm] of red, green, blue and the solar irradiance there relative to green (ASTM G173, rounded).
+COLOURS = ((650.0, 0.84), (550.0, 1.0), (470.0, 1.07))
+GAMMA = 0.6  # lifts the dark part of the scene, where most surfaces are
+
 
 def score_maps(observed: Observed) -> dict[str, ScoreMap]:
     """Every score map with its place on the ground and the outlines of its targets."""
@@ -27,20 +31,27 @@ def score_maps(observed: Observed) -> dict[str, ScoreMap]:
 
 
 def quicklook(observed: Observed) -> Quicklook | None:
-    """Red, green and blue of the scene stretched between its 1st and 99th percentiles; None without a cube."""
+    """Red, green and blue of the scene under one stretch; None without a cube.
+
+    Reflectance (after the empirical line where there is one) keeps its natural balance; radiance is divided by the
+    solar irradiance first, which leaves the blue of the path radiance.
+    """
     if observed.place is None:
         return None
     cube = observed.place.cube
     centre = cube.axis.centre_nm
-    bands = [int(np.argmin(np.abs(centre - at))) for at in (650.0, 550.0, 470.0)]
+    bands = [int(np.argmin(np.abs(centre - at))) for at, _ in COLOURS]
     picture = np.concatenate([block.values[..., bands] for block in cube.blocks(dtype=np.float32)])
-    low, high = np.nanpercentile(picture, [1.0, 99.0], axis=(0, 1))
-    scaled = np.clip((picture - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)
+    if observed.elm is not None and np.all(observed.elm.usable[bands]):
+        picture = (picture - observed.elm.offset[bands]) / observed.elm.gain[bands]
+    elif cube.quantity == "radiance":
+        picture = picture / np.array([irradiance for _, irradiance in COLOURS])
+    high = float(np.nanpercentile(picture, 99.0))
+    scaled = np.clip(picture / high if high > 0 else picture, 0.0, 1.0) ** GAMMA
     size = observed.place.pixel_area_m2
-    regions = dict(observed.place.regions)
     return Quicklook(
         np.nan_to_num(scaled * 255.0).astype(np.uint8),
-        regions,
+        dict(observed.place.regions),
         tuple(float(centre[b]) for b in bands),
         float(np.sqrt(size)) if size else None,
     )
