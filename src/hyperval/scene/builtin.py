@@ -137,7 +137,8 @@ def _panel(level: float, slope: float) -> Surface:
     return Surface(
         curve,
         {"brightness": _scaled(curve, 1.0, 0.012), "slope": _scaled(curve, _tilt, 0.006)},
-        0.001 + 0.002 * level,
+        # A painted sheet has no structure of single bands; more than this would pass for sensor noise in its SNR.
+        5e-4 * level,
         f"a grey panel of reflectance {level:g}",
     )
 
