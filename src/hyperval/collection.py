@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from hyperval.config import Model
+from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.scenario import SpectrumSource
 
 
@@ -203,3 +204,19 @@ class Detection(Model):
     )
     pools: list[Pool] = Field(default_factory=list)
     areas: list[AreaCheck] = Field(default_factory=list)
+
+    @field_validator("detectors")
+    @classmethod
+    def _known(cls, names: list[str]) -> list[str]:
+        for name in names:
+            if name not in LINEAR_DETECTORS:
+                raise ValueError(f"unknown detector {name!r}; one of {', '.join(LINEAR_DETECTORS)}")
+        return names
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Detection:
+        names = [t.name for t in self.targets]
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise ValueError(f"two detection targets are named {twice[0]!r}")
+        return self

@@ -61,7 +61,7 @@ def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
         if word in {"-o", "--output", "--data-dir", "--junit"}:
             skip = True
             continue
-        if re.match(r"^(--output|--data-dir|--junit)=", word):
+        if re.match(r"^(--output|--data-dir|--junit)=|^-o.", word):
             continue
         path = Path(word)
         out.append("/".join(path.parts[-2:]) if path.is_absolute() else word)

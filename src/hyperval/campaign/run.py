@@ -26,7 +26,7 @@ from hyperval.processing.roc import average_roc
 from hyperval.products import Abundance, Observation, Prediction, Products, RocCurve
 from hyperval.report import RunReport, campaign_folders, write_index, write_outputs
 from hyperval.results import Result, ResultTable, Status
-from hyperval.scenario import Scenario, load_scenario
+from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 
 SIMULATED = "simulated:"
 
@@ -50,14 +50,26 @@ class Inputs:
     def __init__(self, folder: Path):
         self.log = InputLog(folder)
         self.simulated: Path | None = None
+        self._seen: set[Path] = set()
 
     def resolve(self, reference: str) -> Path:
         """The path of a reference; ``simulated:NAME`` is a file of the simulated collection."""
-        if not reference.startswith(SIMULATED):
-            return self.log.resolve(reference)
-        if self.simulated is None:
-            raise UsageError(f"{reference!r}: this campaign simulates nothing", mend="set collection.simulate")
-        return self.log.add(self.simulated / Path(reference.removeprefix(SIMULATED)).name, reference)
+        if reference.startswith(SIMULATED):
+            if self.simulated is None:
+                raise UsageError(f"{reference!r}: this campaign simulates nothing", mend="set collection.simulate")
+            path = self.log.add(self.simulated / Path(reference.removeprefix(SIMULATED)).name, reference)
+        else:
+            path = self.log.resolve(reference)
+        self._seen.add(path.resolve())
+        return path
+
+    def record_beside(self, paths: Sequence[Path]) -> None:
+        """Record files that were read beside those that were named, such as a cube's header."""
+        for path in paths:
+            if path.resolve() in self._seen:
+                continue
+            simulated = self.simulated is not None and path.is_relative_to(self.simulated)
+            self.log.add(path, f"{SIMULATED}{path.name}" if simulated else None)
 
 
 def validate(paths: Sequence[Path], output: Path, *, show_progress: bool | None = None) -> int:
@@ -138,7 +150,7 @@ def run_campaign(job: Job, *, predicts: bool = True, show_progress: bool | None 
     inputs.log.add(job.path.resolve(), job.path.name)
     scratch: Path | None = None
     try:
-        scenarios = [_scenario(s, inputs, job.folder) for s in job.campaign.scenarios]
+        scenarios = [_scenario(s, inputs) for s in job.campaign.scenarios]
         seed = None
         if job.campaign.collection.simulate:
             scratch = Path(tempfile.mkdtemp(prefix="hyperval-simulated-"))
@@ -146,6 +158,8 @@ def run_campaign(job: Job, *, predicts: bool = True, show_progress: bool | None 
         observed = observe_collection(
             job.campaign.collection, job.campaign.detection, inputs.resolve, show_progress=show_progress
         )
+        if observed.place is not None:
+            inputs.record_beside(observed.place.cube.source_files)
         predictions = []
         if predicts:
             predictions = [
@@ -160,6 +174,8 @@ def run_campaign(job: Job, *, predicts: bool = True, show_progress: bool | None 
             ]
         return _report(job, inputs, observed, scenarios, predictions, seed)
     except MissingDataError as error:
+        if not predicts:  # nothing but the collection was asked for
+            raise
         return _unfinished(job, Status.SKIPPED, str(error))
     finally:
         if scratch is not None:
@@ -297,15 +313,14 @@ def _unfinished(job: Job, status: Status, reason: str) -> RunReport:
     )
 
 
-def _scenario(source: Scenario | str, inputs: Inputs, folder: Path) -> Scenario:
+def _scenario(source: Scenario | str, inputs: Inputs) -> Scenario:
     if isinstance(source, Scenario):
-        source._folder = folder
+        source._folder = inputs.log.base
         return source
-    local = folder / source
-    scenario = load_scenario(local if local.exists() else source)
-    if local.exists():
-        inputs.log.add(local.resolve(), source)
-    return scenario
+    if source in builtin_scenarios():
+        return load_scenario(source)
+    path = inputs.resolve(source)
+    return load_scenario(path)
 
 
 def _resolver(scenario: Scenario, inputs: Inputs) -> Any:

@@ -132,6 +132,12 @@ def detect(
             noise = found[alarms]
             noise = noise[np.isfinite(noise)]
             for subject, members in groups.items():
+                if (subject, detector) in scores:
+                    raise UsageError(
+                        f"two targets give the subject {subject!r}",
+                        where="detection.group",
+                        mend="let the group hold {target}, the name of the detection target",
+                    )
                 pixels = np.concatenate([found[scored_pixels(o, place)] for o in members])
                 pixels = pixels[np.isfinite(pixels)]
                 if pixels.size == 0:
@@ -148,6 +154,8 @@ def detect(
                     best[np.isfinite(best)], noise, unit="object", background_area_km2=area_km2
                 )
     for pool in detection.pools:
+        if any(pool.name == subject for subject, _, _ in roc):
+            raise UsageError(f"the pool {pool.name!r} bears the name of a subject or of another pool")
         for detector in detection.detectors:
             for unit in ("pixel", "object"):
                 curves = [roc[s, detector, unit] for s in pool.subjects if (s, detector, unit) in roc]
@@ -221,7 +229,8 @@ def _areas(
     everything = np.logical_or.reduce([o.mask for o in place.targets])
     out: dict[tuple[str, str], Abundance] = {}
     nominal: dict[tuple[str, str], float] = {}
-    counted = place.background(detection.background)
+    # A background of "image" holds the targets too; their sums say nothing of the error.
+    counted = place.background(detection.background) & ~place.near_targets
     for subject, members in target_groups(place.targets, target, detection.group).items():
         total = 0.0
         pixels = 0

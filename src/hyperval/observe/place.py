@@ -165,7 +165,9 @@ def _regions(cube: Cube, sources: Sequence[RegionSource], resolve: Resolve, show
         elif source.rectangle is not None:
             line, sample, lines, samples = source.rectangle
             name = str(source.name)
-            new = {name: rectangle_region(name, (line, line + lines), (sample, sample + samples), cube.shape)}
+            new = {
+                name: rectangle_region(name, (line, line + lines - 1), (sample, sample + samples - 1), cube.shape)
+            }
         else:
             name = str(source.name)
             rule = source.normalized_difference

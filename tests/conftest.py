@@ -1,0 +1,42 @@
+"""What the tests of several rooms share: a small campaign that runs in seconds."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from small_campaign import SmallCampaign, stand_in_atmosphere, write_collection
+
+
+@pytest.fixture(scope="session")
+def small_collection(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The simulated files of the small campaign, written once; never change them, copy them."""
+    folder = tmp_path_factory.mktemp("small")
+    write_collection(folder)
+    return folder
+
+
+@pytest.fixture
+def own_atmosphere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predictions and simulations use the stand-in atmosphere."""
+    monkeypatch.setattr("hyperval.predict.atmospheric_terms", stand_in_atmosphere)
+    monkeypatch.setattr("hyperval.atmosphere.atmospheric_terms", stand_in_atmosphere)
+
+
+@pytest.fixture
+def make_small(small_collection: Path, tmp_path: Path, own_atmosphere: None) -> Callable[..., SmallCampaign]:
+    """Make copies of the small campaign, each in a folder of its own."""
+
+    def make(name: str = "small") -> SmallCampaign:
+        shutil.copytree(small_collection, tmp_path / name)
+        return SmallCampaign(tmp_path / name)
+
+    return make
+
+
+@pytest.fixture
+def small(make_small: Callable[..., SmallCampaign]) -> SmallCampaign:
+    """A copy of the small campaign that passes as it stands."""
+    return make_small()
