@@ -1,10 +1,6 @@
 """hyperval: does the model of a hyperspectral imager agree with what it collected?
 
-Three verbs, the same in Python and on the command line::
-
-    prediction  = hyperval.predict(scenario)
-    observation = hyperval.observe(campaign)
-    table       = hyperval.compare(prediction, observation, ...)
+The Python API is :mod:`hyperval.api`; the command line is ``hyperval``.
 """
 
 __version__ = "0.1.0"
