@@ -40,10 +40,15 @@ def test_radiance_of_a_mixed_class_departs_and_pure_panels_stay(run):
     assert all(difference(run, field, MEDIAN) > 0.001 for field in FIELDS)
 
 
-def test_the_background_is_wider_than_predicted(run):
-    rows = run.where(product="scores", subject="green-fill-0.200 background", method="cem")
-    values = {row.metric: row.value for row in rows}
-    assert values["score_sd_ratio"] < 0.9  # predicted over measured
+@pytest.mark.parametrize("subject", ["yellow-fill-0.060", "green-fill-0.200"])
+def test_scores_of_planks_that_lie_as_they_fall_are_lower_than_predicted(run, subject):
+    # The model puts every plank in the middle of a pixel.
+    (target,) = run.where(product="scores", subject=subject, metric="score_mean_difference")
+    assert target.lower > 0.0
+    # Against soil, texture and shade the filter is another one; the spread of its background is off by 1 to 8 %,
+    # far beyond its interval of 0.4 %.
+    (spread,) = run.where(product="scores", subject=f"{subject} background", metric="score_sd_ratio")
+    assert spread.lower > 1.0
 
 
 def test_the_gates_of_closure_would_fail(run):
