@@ -52,7 +52,7 @@ def read_band_table(path: Path, table: BandTable) -> SpectralAxis:
         raise InputError(f"larger than {MAX_TABLE_BYTES} bytes", where=str(path), expected="a table of bands")
     needed = max(table.centre_column, table.fwhm_column or 0)
     rows = []
-    for number, line in enumerate(path.read_text("utf-8").splitlines(), start=1):
+    for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), start=1):
         words = line.split("#")[0].replace(",", " ").split()
         if not words:
             continue
@@ -62,8 +62,13 @@ def read_band_table(path: Path, table: BandTable) -> SpectralAxis:
             raise InputError("not a row of numbers", where=f"{path}:{number}") from error
         if len(words) <= needed:
             raise InputError(f"{len(words)} columns", where=f"{path}:{number}", expected=f"{needed + 1} or more")
+    if not rows:
+        raise InputError("holds no band", where=str(path), expected="a table of band centres and widths")
     factor = wavelength_to_nm(table.wavelength_unit)
     centre = np.array([row[table.centre_column] for row in rows]) * factor
-    if table.fwhm_column is None:
-        return SpectralAxis(centre, fwhm_from_spacing(centre))
-    return SpectralAxis(centre, np.array([row[table.fwhm_column] for row in rows]) * factor)
+    try:
+        if table.fwhm_column is None:
+            return SpectralAxis(centre, fwhm_from_spacing(centre))
+        return SpectralAxis(centre, np.array([row[table.fwhm_column] for row in rows]) * factor)
+    except UsageError as error:
+        raise InputError(f"not a table of bands: {error.what}", where=str(path), expected=error.expected) from error

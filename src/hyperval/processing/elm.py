@@ -144,7 +144,7 @@ def fit_elm(
             mend="add a darker or brighter panel",
         )
     fit = fit_line(rho[:, ~flat], radiance[:, ~flat], u_rho[:, ~flat] ** 2, variance[:, ~flat])
-    noisy = fit.slope < minimum_gain_snr * np.sqrt(fit.covariance[:, 0, 0])
+    noisy = fit.slope <= minimum_gain_snr * np.sqrt(fit.covariance[:, 0, 0])
     if np.mean(noisy) > 0.5:
         raise UsageError(
             f"the gain is below {minimum_gain_snr:g} times its uncertainty "

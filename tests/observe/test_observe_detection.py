@@ -1,0 +1,315 @@
+"""Detection on pixels: scores equal plain NumPy; groups, pools, areas, backgrounds, notes and errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, target_rows
+
+from hyperval.collection import Detection
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.envi_write import write_cube
+from hyperval.processing.roc import pd_at_pfa
+from hyperval.products import background_of
+
+
+def matched_filter(pixels, target, mean, covariance):
+    """Plain NumPy: (x - m) C^-1 (t - m) / ((t - m) C^-1 (t - m))."""
+    d = target - mean
+    weights = np.linalg.inv(covariance) @ d
+    return (pixels - mean) @ weights / (d @ weights)
+
+
+def moments(pixels):
+    return pixels.mean(axis=0), np.cov(pixels, rowvar=False)
+
+
+def near_targets():
+    mask = np.zeros((LINES, SAMPLES), bool)
+    for line, sample in PLANTED:
+        for dl, ds in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+            mask[line + dl, sample + ds] = True
+    return mask
+
+
+@pytest.mark.parametrize(
+    ("background", "pixels"),
+    [
+        (["scene"], lambda v: v[~near_targets()]),
+        (["image"], lambda v: v.reshape(-1, BANDS)),
+        (["corner"], lambda v: v[35:45, 5:25].reshape(-1, BANDS)),
+    ],
+    ids=["scene", "image", "region"],
+)
+def test_scores_equal_plain_numpy(world, background, pixels):
+    world.detection["background"] = background
+    target = world.on_bands("library.csv", "paint")
+    expected = matched_filter(world.values, target, *moments(pixels(world.values)))
+    found = world.observe().detected.score_maps["paint-cem"]
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_correlation_filter_equals_plain_numpy(world):
+    world.detection["detectors"] = ["cem", "cem-correlation"]
+    target = world.on_bands("library.csv", "paint")
+    mean, covariance = moments(world.values[~near_targets()])
+    inverse = np.linalg.inv(covariance + np.outer(mean, mean))
+    expected = world.values @ inverse @ target / (target @ inverse @ target)
+    maps = world.observe().detected.score_maps
+    assert set(maps) == {"paint-cem", "paint-cem-correlation"}
+    assert maps["paint-cem-correlation"] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(("choice", "used"), [("all", [0, 1, 2, 3, 4, 5, 6, 7]), ("good", [0, 1, 2, 3, 4, 5, 7]),
+                                              ("windows", [0, 1, 2, 3, 4, 5, 7])])  # fmt: skip
+def test_bands_of_the_detectors(world, choice, used):
+    bad = np.arange(BANDS) != 6
+    world.write(axis=type(AXIS)(AXIS.centre_nm, AXIS.fwhm_nm, bad))
+    world.detection["bands"] = choice
+    seen = world.observe()
+    assert np.flatnonzero(seen.detected.bands).tolist() == used
+    assert f"detectors use {len(used)} of {BANDS} bands" in seen.observation.notes
+    target = world.on_bands("library.csv", "paint")
+    mean, covariance = moments(world.values[~near_targets()])
+    expected = matched_filter(world.values[..., used], target[used], mean[used], covariance[np.ix_(used, used)])
+    assert seen.detected.score_maps["paint-cem"] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_bands_that_the_target_spectrum_lacks_are_not_used(world):
+    rows = [f"{w},{0.5 - w / 8000}" for w in range(500, 1101)]
+    world.text("part.csv", "\n".join(["wavelength_nm,paint", *rows]) + "\n")
+    world.detection["targets"][0]["spectrum"] = world.source("part.csv", "part")
+    assert world.observe().detected.bands.tolist() == [False] + [True] * 6 + [False]
+
+
+def test_no_band_left_is_an_error(world):
+    world.write(axis=type(AXIS)(np.linspace(1350.0, 1480.0, BANDS), AXIS.fwhm_nm))
+    world.detection["targets"][0]["spectrum"] = {"constant": 0.5}
+    world.detection["bands"] = "windows"
+    with pytest.raises(UsageError, match="no band is left for the detectors"):
+        world.observe()
+
+
+def test_products_of_each_group(world):
+    seen = world.observe()
+    scores = seen.detected.score_maps["paint-cem"]
+    noise = scores[~near_targets()]
+    observation = seen.observation
+    assert set(observation.roc) == {(s, "cem", u) for s in ("fill 0.8", "fill 0.3") for u in ("pixel", "object")}
+    for subject, fill in (("fill 0.8", 0.8), ("fill 0.3", 0.3)):
+        pixels = np.array([scores[at] for at, f in PLANTED.items() if f == fill])
+        assert observation.scores[subject, "cem"].mean == pytest.approx(pixels.mean(), rel=1e-12)
+        assert observation.scores[subject, "cem"].sd == pytest.approx(pixels.std(ddof=1), rel=1e-12)
+        assert observation.scores[subject, "cem"].n == pixels.size
+        behind = observation.scores[background_of(subject), "cem"]
+        assert (behind.mean, behind.sd) == pytest.approx((noise.mean(), noise.std(ddof=1)), abs=1e-12)
+        curve = observation.roc[subject, "cem", "pixel"]
+        assert (curve.n_target, curve.n_background) == (pixels.size, noise.size)
+        direct = pd_at_pfa(pixels, noise, curve.pfa)
+        assert np.array_equal(curve.pd, direct.pd)
+        assert curve.background_area_km2 == pytest.approx(noise.size * 4.0 / 1e6)
+    # The fill is the expected score; the background's own scatter is 0.01 to 0.02.
+    assert observation.scores["fill 0.8", "cem"].mean == pytest.approx(0.8, abs=0.05)
+    assert observation.scores["fill 0.3", "cem"].mean == pytest.approx(0.3, abs=0.05)
+
+
+def test_mean_spectra_of_target_pixels_are_products(world):
+    reflectance = world.observe().observation.reflectance
+    pixels = np.array([world.values[at] for at, f in PLANTED.items() if f == 0.3])
+    assert reflectance["fill 0.3"].mean == pytest.approx(pixels.mean(axis=0), rel=1e-12)
+    assert reflectance["fill 0.3"].n == 3
+
+
+def test_an_object_scores_its_best_pixel(world):
+    # A side of 4 m is two pixels: the object touches 3 x 3 pixels around the centre of its middle pixel.
+    rows = target_rows(PLANTED).replace(",0.5,", ",4.0,")
+    world.text("targets.csv", rows)
+    world.detection["group"] = "{name}"
+    seen = world.observe()
+    scores = seen.detected.score_maps["paint-cem"]
+    nine = scores[9:12, 9:12]
+    assert seen.observation.scores["t0", "cem"].n == 9
+    assert seen.observation.scores["t0", "cem"].mean == pytest.approx(nine.mean())
+    objects = seen.observation.roc["t0", "cem", "object"]
+    assert objects.n_target == 1
+    assert set(np.unique(objects.pd)) <= {0.0, 1.0}
+    # Detected exactly where the threshold lies below the best pixel.
+    assert np.array_equal(objects.pd == 1.0, (objects.threshold < nine.max()) | (objects.pfa >= 1.0))
+    world.collection["targets"]["pixels"] = "centre"
+    assert world.observe().observation.scores["t0", "cem"].n == 1
+
+
+def test_false_alarms_are_counted_where_stated(world):
+    world.detection["false_alarms"] = ["corner"]
+    curve = world.observe().observation.roc["fill 0.3", "cem", "pixel"]
+    assert curve.n_background == 200
+    assert curve.background_area_km2 == pytest.approx(200 * 4.0 / 1e6)
+
+
+def test_pools_count_the_targets_of_their_subjects(world):
+    world.detection["pools"] = [{"name": "all", "subjects": ["fill 0.8", "fill 0.3"]}]
+    roc = world.observe().observation.roc
+    pool = roc["all", "cem", "pixel"]
+    assert pool.n_target == 5
+    parts = [roc[s, "cem", "pixel"] for s in ("fill 0.8", "fill 0.3")]
+    assert pool.pd == pytest.approx((2 * parts[0].pd + 3 * parts[1].pd) / 5, abs=1e-12)
+
+
+def test_areas_are_sums_of_scores_times_the_pixel_area(world):
+    world.detection["areas"] = [{"target": "paint", "detector": "cem", "margin_pixels": 1}]
+    seen = world.observe()
+    scores = seen.detected.score_maps["paint-cem"]
+    expected = np.mean(
+        [scores[i - 1 : i + 2, j - 1 : j + 2].sum() * 4.0 for (i, j), f in PLANTED.items() if f == 0.8]
+    )
+    area = seen.observation.abundance["fill 0.8", "cem"]
+    assert area.area_m2 == pytest.approx(expected, rel=1e-12)
+    assert area.n == 18
+    assert seen.detected.nominal_area_m2["fill 0.8", "cem"] == pytest.approx(3.2)
+    # 9 independent pixels of background for each of 2 objects; their mean: sd sqrt(9/2) times 4 m2.  The spread
+    # over about 180 placements is known to 5 %; 25 % is five times that.
+    sd = scores[~near_targets()].std(ddof=1)
+    assert area.standard_uncertainty == pytest.approx(sd * np.sqrt(9 / 2) * 4.0, rel=0.25)
+    assert abs(area.area_m2 - 3.2) < 4.0 * area.standard_uncertainty
+
+
+def test_the_error_of_an_area_knows_nothing_of_the_targets(world):
+    # With every pixel behind the filter the targets must still not count as noise of the sum.
+    world.detection |= {
+        "background": ["image"], "areas": [{"target": "paint", "detector": "cem", "margin_pixels": 0}],
+    }  # fmt: skip
+    seen = world.observe()
+    scores = seen.detected.score_maps["paint-cem"]
+    sd = scores[~near_targets()].std(ddof=1)
+    # Every pixel is a placement: the same number without sampling error.
+    assert seen.observation.abundance["fill 0.3", "cem"].standard_uncertainty == pytest.approx(
+        sd / np.sqrt(3) * 4.0, rel=1e-9
+    )
+
+
+def test_few_pixels_shrink_the_covariance_and_say_so(world):
+    world.collection["regions"].append({"name": "patch", "rectangle": [40, 30, 4, 5]})
+    world.detection["background"] = ["patch"]
+    seen = world.observe()
+    pixels = world.values[40:44, 30:35].reshape(-1, BANDS)
+    (note,) = [n for n in seen.observation.notes if "shrunk" in n]
+    assert note.startswith("20 background pixels are few: covariance shrunk by ")
+    # Ledoit and Wolf (2004), written out.
+    z = pixels - pixels.mean(axis=0)
+    s = z.T @ z / len(z)
+    mu = np.trace(s) / BANDS
+    d2 = ((s - mu * np.eye(BANDS)) ** 2).sum()
+    b2 = min(d2, sum(((np.outer(x, x) - s) ** 2).sum() for x in z) / len(z) ** 2)
+    unbiased = s * len(z) / (len(z) - 1)
+    shrunk = (1 - b2 / d2) * unbiased + b2 / d2 * np.trace(unbiased) / BANDS * np.eye(BANDS)
+    target = world.on_bands("library.csv", "paint")
+    expected = matched_filter(world.values, target, pixels.mean(axis=0), shrunk)
+    assert seen.detected.score_maps["paint-cem"] == pytest.approx(expected, rel=1e-8, abs=1e-10)
+    world.detection["background"] = ["scene"]
+    assert not any("shrunk" in n for n in world.observe().observation.notes)
+
+
+def test_invalid_pixels_have_no_score_and_count_nowhere(world):
+    values = world.values.copy()
+    values[25, 25, 3] = np.nan
+    values[20, 20, :] = np.nan  # a target pixel
+    world.write(values)
+    seen = world.observe()
+    scores = seen.detected.score_maps["paint-cem"]
+    assert np.flatnonzero(np.isnan(scores.ravel())).tolist() == [20 * SAMPLES + 20, 25 * SAMPLES + 25]
+    assert seen.observation.scores["fill 0.3", "cem"].n == 2
+    assert seen.observation.roc["fill 0.3", "cem", "object"].n_target == 2
+    assert seen.observation.scores[background_of("fill 0.3"), "cem"].n == (~near_targets()).sum() - 1
+
+
+def test_two_spectra_of_one_material(world):
+    other = {"name": "second", "material": "paint", "spectrum": {"constant": 0.5}}
+    world.detection["targets"].append(other)
+    with pytest.raises(UsageError, match=r"two targets give the subject 'fill 0\.8'") as caught:
+        world.observe()
+    assert "{target}" in str(caught.value)
+    world.detection["group"] = "{target} {group}"
+    subjects = {s for s, _, _ in world.observe().observation.roc}
+    assert subjects == {f"{t} fill {f}" for t in ("paint", "second") for f in ("0.8", "0.3")}
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"group": "{size}"}, UsageError, r"detection.group '\{size\}' does not fit the truth.*"),
+        ({"group": "{0}"}, UsageError, "does not fit the truth"),
+        ({"background": ["nowhere"]}, UsageError, "no region 'nowhere'"),
+        ({"false_alarms": ["nowhere"]}, UsageError, "no region 'nowhere'"),
+        ({"pools": [{"name": "all", "subjects": ["fill 0.8", "fill 0.9"]}]}, UsageError,
+         "pool 'all': no curve of fill 0.9"),
+        ({"pools": [{"name": "fill 0.8", "subjects": ["fill 0.8", "fill 0.3"]}]}, UsageError,
+         "bears the name of a subject"),
+        ({"areas": [{"target": "paint", "detector": "cem-correlation"}]}, UsageError,
+         "no score map of target 'paint'"),
+        ({"areas": [{"target": "pain", "detector": "cem"}]}, UsageError, "no score map of target 'pain'"),
+        ({"targets": [{"name": "a", "material": "metal", "spectrum": {"constant": 0.3}}]}, UsageError,
+         "no object of material 'metal'"),
+        ({"targets": [{"name": "a", "material": "paint", "spectrum": {"file": "no.csv"}}]}, InputError, "no such"),
+        ({"targets": [{"name": "a", "material": "paint", "spectrum": {"measured": "corner"}}]}, UsageError,
+         "measured statistics of region 'corner', which were not handed in"),
+        ({"targets": [{"name": "a", "material": "paint", "spectrum": {"builtin": "gras"}}]}, UsageError,
+         "unknown built-in surface 'gras'"),
+    ],
+)  # fmt: skip
+def test_each_field_of_the_detection_has_its_error(world, change, error, message):
+    world.detection |= change
+    with pytest.raises(error, match=message):
+        world.observe()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"detectors": ["ace"]}, "unknown detector 'ace'; one of "),
+        ({"detectors": []}, "at least 1 item"),
+        ({"targets": []}, "at least 1 item"),
+        ({"targets": [{"name": "a", "material": "paint", "spectrum": {"constant": 0.3}}] * 2},
+         "two detection targets are named 'a'"),
+        ({"pools": [{"name": "all", "subjects": ["fill 0.8"]}]}, "at least 2 items"),
+        ({"bands": "some"}, "Input should be 'all', 'good' or 'windows'"),
+    ],
+)  # fmt: skip
+def test_settings_of_the_detection_that_mean_nothing_are_refused(world, change, message):
+    with pytest.raises(ValueError, match=message):
+        Detection.model_validate(world.detection | change)
+
+
+def test_no_target_in_the_truth_and_no_truth(world):
+    del world.collection["targets"]
+    with pytest.raises(UsageError, match="the truth has no object of material 'paint'"):
+        world.observe()
+
+
+def test_areas_need_a_ground_size(world):
+    write_cube(world.folder / "cube.img", world.values, data_type=5, axis=AXIS)
+    world.collection["targets"] = None
+    world.detection["areas"] = [{"target": "paint", "detector": "cem"}]
+    sizes = np.zeros((LINES, SAMPLES, 1), np.uint8)
+    mask = np.zeros((LINES, SAMPLES, 1), np.uint8)
+    for at in PLANTED:
+        sizes[at], mask[at] = 1, 1
+    write_cube(world.folder / "sizes.img", sizes, data_type=1, file_type="ENVI Standard")
+    write_cube(world.folder / "paint.img", mask, data_type=1, file_type="ENVI Standard")
+    world.collection["targets"] = {
+        "rasters": {"materials": {"paint": "paint.img"}, "size_classes": "sizes.img", "side_m": {1: 0.5}}
+    }
+    world.detection["group"] = "{material} {side_m} m"
+    with pytest.raises(UsageError, match="areas need the ground area of a pixel"):
+        world.observe()
+    world.detection["areas"] = []
+    observation = world.observe().observation
+    assert observation.scores["paint 0.5 m", "cem"].n == 5
+    assert observation.roc["paint 0.5 m", "cem", "pixel"].background_area_km2 is None
+
+
+def test_a_band_without_variance_is_named(world):
+    values = world.values.copy()
+    values[:, :, 7] = 0.25
+    world.write(values)
+    with pytest.raises(UsageError, match=r"1 of 8 bands have no variance \(first: band 8\)"):
+        world.observe()

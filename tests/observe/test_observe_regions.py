@@ -1,0 +1,135 @@
+"""Opening a collection: regions of every kind, what is left out, and the errors of each field."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_world import LINES, PLANTED, SAMPLES
+
+from hyperval.collection import Collection
+from hyperval.errors import InputError, UsageError
+from hyperval.observe.place import open_place
+
+
+def opened(world):
+    return open_place(Collection.model_validate(world.collection), world.resolve, show_progress=False)
+
+
+def test_a_rectangle_has_the_stated_size(world):
+    mask = opened(world).region("corner")
+    expected = np.zeros((LINES, SAMPLES), bool)
+    expected[35:45, 5:25] = True
+    assert np.array_equal(mask, expected)
+
+
+def test_targets_and_their_guard_ring_are_left_out_of_the_scene(world):
+    place = opened(world)
+    expected = np.zeros((LINES, SAMPLES), bool)
+    for line, sample in PLANTED:
+        # Radius 1: the pixel and its four neighbours by edge.
+        for dl, ds in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+            expected[line + dl, sample + ds] = True
+    assert np.array_equal(place.near_targets, expected)
+    assert np.array_equal(place.left_out, expected)
+    assert np.array_equal(place.background(["scene"]), ~expected)
+
+
+@pytest.mark.parametrize(("radius", "pixels"), [(0, 1), (1, 5), (2, 13)])
+def test_guard_radius(world, radius, pixels):
+    world.collection["targets"]["guard_pixels"] = radius
+    assert opened(world).near_targets.sum() == pixels * len(PLANTED)
+
+
+def test_named_regions_are_left_out_of_the_scene(world):
+    world.collection["leave_out"] = ["corner"]
+    place = opened(world)
+    assert place.left_out.sum() == 5 * len(PLANTED) + 200
+    assert place.near_targets.sum() == 5 * len(PLANTED)
+    assert not (place.background(["scene"]) & place.region("corner")).any()
+
+
+def test_background_of_regions_keeps_clear_of_targets(world):
+    world.collection["regions"].append({"name": "around", "rectangle": [8, 8, 4, 4]})
+    place = opened(world)
+    assert place.background(["around"]).sum() == 16 - 5
+    both = place.background(["around", "corner"])
+    assert both.sum() == 11 + 200
+    assert place.background(["image"]).all()
+
+
+def test_normalised_difference_equals_numpy(world):
+    rule = {"high_nm": [780, 880], "low_nm": [650, 690], "above": 0.75, "below": 0.79}
+    world.collection["regions"].append({"name": "green", "normalized_difference": rule})
+    # The reader gives float32 here; pixels that lie on a limit to its precision may fall either way.
+    high = world.values[..., [4, 5]].astype(np.float32).astype(float).mean(axis=-1)
+    low = world.values[..., [2, 3]].astype(np.float32).astype(float).mean(axis=-1)
+    index = (high - low) / (high + low)
+    assert np.abs(index - 0.75).min() > 1e-9
+    assert np.abs(index - 0.79).min() > 1e-9
+    mask = opened(world).region("green")
+    assert np.array_equal(mask, (index >= 0.75) & (index < 0.79))
+    assert 0 < mask.sum() < mask.size
+
+
+def test_regions_that_share_pixels_are_noted(world):
+    world.collection["regions"].append({"name": "overlap", "rectangle": [40, 5, 10, 3]})
+    assert "the regions 'corner' and 'overlap' share 15 pixels" in opened(world).notes
+
+
+def test_a_region_file_gives_its_names_or_one_of_them(world):
+    square = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
+    other = [[10, 10], [12, 10], [12, 12], [10, 12], [10, 10]]
+    features = ",".join(
+        f'{{"type":"Feature","properties":{{"name":"{n}"}},"geometry":{{"type":"Polygon","coordinates":[{c}]}}}}'
+        for n, c in (("a", square), ("b", other))
+    )
+    world.text("rois.geojson", f'{{"type":"FeatureCollection","features":[{features}]}}')
+    source = {"file": "rois.geojson", "coordinates": "pixel"}
+    world.collection["regions"] = [source]
+    assert {n: int(m.sum()) for n, m in opened(world).regions.items()} == {"a": 12, "b": 4}
+    world.collection["regions"] = [{**source, "name": "b"}]
+    assert list(opened(world).regions) == ["b"]
+    world.collection["regions"] = [{**source, "name": "c"}]
+    with pytest.raises(InputError, match=r"rois\.geojson: no region 'c' among a, b"):
+        opened(world)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"regions": [{"name": "far", "rectangle": [45, 0, 6, 5]}]}, InputError,
+         "'far'.*lines 45-50.*not in the image"),
+        ({"regions": [{"name": "none", "rectangle": [0, 0, 0, 5]}]}, InputError, "'none'.*not in the image"),
+        ({"regions": [{"name": "a", "rectangle": [0, 0, 2, 2]}] * 2}, UsageError, "two regions are named 'a'"),
+        ({"leave_out": ["nowhere"]}, UsageError, "leave_out names 'nowhere'"),
+        ({"regions": [{"name": "nd", "normalized_difference": {"high_nm": [2000, 2100], "low_nm": [650, 690]}}]},
+         UsageError, "no usable band between 2000 and 2100 nm"),
+        ({"regions": [{"name": "nd", "normalized_difference": {"high_nm": [780, 880], "low_nm": [650, 690],
+                                                               "above": 0.999}}]},
+         InputError, "'nd' holds no pixel"),
+        ({"regions": [{"file": "no.geojson", "coordinates": "pixel"}]}, InputError, "no such"),
+        ({"targets": {"csv": "no.csv"}}, InputError, "no such target list"),
+        ({"cube": {"path": "no.img", "quantity": "reflectance"}}, InputError, "no such"),
+    ],
+)  # fmt: skip
+def test_each_field_has_its_error(world, change, error, message):
+    world.collection |= change
+    with pytest.raises(error, match=message):
+        opened(world)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cube": None}, "give exactly one of cube, spectra"),
+        ({"spectra": [{"subject": "a", "path": "a.txt"}]}, "give exactly one of cube, spectra"),
+        ({"regions": [{"name": "a"}]}, "give exactly one of file, rectangle"),
+        ({"regions": [{"rectangle": [0, 0, 1, 1]}]}, "needs a name"),
+        ({"targets": {}}, "give exactly one of rasters, csv"),
+        ({"empirical_line": {"panels": []}}, "at least 2 items"),
+        ({"calibration": {}}, "give exactly one of relative, file"),
+    ],
+)
+def test_settings_that_contradict_themselves_are_refused(world, change, message):
+    with pytest.raises(ValueError, match=message):
+        Collection.model_validate(world.collection | change)
