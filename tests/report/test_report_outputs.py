@@ -15,16 +15,18 @@ import rasterio
 import xarray as xr
 from synthetic_run import NASTY, axis, make_run
 
-from hyperval.products import Observation, Prediction
+from hyperval.products import Observation, Prediction, RocCurve
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.figures import draw_figures
+from hyperval.report.figures_detection import _best_counted
 from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.html import report_page
 from hyperval.report.style import Drawing, house_style, pages
 from hyperval.results import Result, ResultTable, Status
 
+CURVE = RocCurve(*(np.linspace(0.1, 1.0, 4) for _ in range(5)))
 # Elements that never have an end tag.
-_VOID = {"meta", "img", "br", "link", "input", "hr"}
+_VOID = {"meta", "img", "br", "link", "input", "hr", "wbr"}
 
 
 class Page(HTMLParser):
@@ -179,7 +181,8 @@ def test_falsified_result_turns_the_page(run):
     rows[at] = dataclasses.replace(rows[at], value=9.0, status=Status.FAIL)
     before = Page(report_page(run, []))
     after = Page(report_page(dataclasses.replace(run, table=ResultTable(rows)), []))
-    assert "Agrees where it was checked" in before.text
+    assert "Passes its gates (all 5 gating comparisons passed)" in before.text
+    assert "Passes" not in after.text
     assert "Agrees" not in after.text
     assert "Does not agree: 1 of 5 gating comparisons failed (radiance grass 6S)." in after.text
 
@@ -216,6 +219,23 @@ def test_one_side_alone_is_drawn(kept):
     drawings = draw_figures(dataclasses.replace(run, **{other: None}, score_maps={}, quicklook=None))
     names = {drawing.name for drawing in drawings}
     assert {"radiance-pair", "snr-pair", "reflectance-pair", "roc", "scores", "abundance"} <= names
+
+
+def test_what_one_side_alone_holds_gives_way_to_what_can_be_compared():
+    run = make_run(subjects=("grass", "lawn"), curves=0, bands=6)
+    predicted = dataclasses.replace(run.prediction, snr={"grass": run.prediction.snr["grass"]})
+    with house_style():
+        (drawing,) = pair_figures((predicted, run.observation), "snr", simulated=False)
+    assert drawing.title.endswith("; 1 of 2 are drawn, all are in products.nc")
+    assert "grass" in drawing.alt
+    assert "lawn" not in drawing.alt
+
+
+def test_pools_of_targets_have_the_first_place_among_too_many_curves():
+    curves = {(f"t{i}", "cem", "pixel"): dataclasses.replace(CURVE, n_target=i) for i in range(30)}
+    drawn = _best_counted(list(curves), curves)
+    assert drawn == list(curves)[6:]
+    assert _best_counted(list(curves)[:5], curves) == list(curves)[:5]
 
 
 def test_large_run_stays_below_five_megabytes():

@@ -4,7 +4,14 @@ import math
 
 import pytest
 
-from hyperval.report.verdict import interval_text, number_text, value_text, verdict
+from hyperval.report.verdict import (
+    informs_of_disagreement,
+    interval_text,
+    is_planned,
+    number_text,
+    value_text,
+    verdict,
+)
 from hyperval.results import Result, Status
 
 
@@ -46,10 +53,29 @@ def test_a_falsified_pass_turns_the_verdict():
     assert verdict(rows)[0] == "disagree"
 
 
-def test_informing_disagreement_is_told_and_does_not_turn():
+def test_informing_disagreement_is_told_and_does_not_fail():
     tone, words = verdict([row(Status.PASS), row(Status.INFO, "disagrees: p = 0.001", "green planks")])
-    assert tone == "agree"
+    assert tone == "mixed"
+    assert words.startswith("Passes its gates (the one gating comparison passed), and does not agree throughout.")
+    assert "Agrees" not in words
     assert "found a disagreement (radiance green planks 6S)" in words
+
+
+@pytest.mark.parametrize(
+    ("reason", "told"),
+    [
+        ("would not pass at most 0.06; informs only: aerosol is not known", True),
+        ("8 of 10 rows at most 2; outside: a, b; would not pass at least 0.9", True),
+        ("would be an error: the value is NaN", True),
+        ("differs by more than the margin", True),
+        ("would pass at most 0.06; informs only: first campaign", False),
+        ("", False),
+    ],
+)
+def test_reasons_that_tell_of_a_disagreement(reason, told):
+    assert informs_of_disagreement(row(Status.INFO, reason)) == told
+    assert not informs_of_disagreement(row(Status.PASS, reason))
+    assert is_planned(row(Status.INFO, reason)) == bool(reason)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """P_D against P_FA on a logarithmic axis, a panel for each subject, detector and unit."""
     predicted, measured = _held(sides[0], "roc"), _held(sides[1], "roc")
     every = both_first(predicted, measured)
-    found = style.pages(every)
+    found = style.pages(_best_counted(every, measured))
     drawings = []
     for number, keys in enumerate(found, start=1):
         columns = style.column_count(len(keys))
@@ -149,6 +149,19 @@ def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None
     axes.set_xlim(low, 1.0)
     axes.set_ylim(-0.02, 1.04)
     style.log_ticks(axes.xaxis)
+
+
+def _best_counted(keys: list[Any], measured: Mapping[Any, RocCurve]) -> list[Any]:
+    """``keys``, of too many those with the most targets (pools of targets among them) first."""
+    most = len([key for page in style.pages(keys) for key in page])
+    if len(keys) <= most:
+        return keys
+
+    def count(key: Any) -> int:
+        return (measured[key].n_target or 0) if key in measured else -1
+
+    chosen = set(sorted(keys, key=lambda key: -count(key))[:most])
+    return [key for key in keys if key in chosen]
 
 
 def _lowest_pfa(curves: list[RocCurve]) -> float:

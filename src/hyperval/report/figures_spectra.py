@@ -35,33 +35,41 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
     predicted, collected = _held(sides[0], product), _held(sides[1], product)
     drawings = []
     every = both_first(predicted, collected)
-    found = style.pages(every)
+    # Where anything can be compared, what only one side holds is left to products.nc.
+    pairs = [subject for subject in every if subject in predicted and subject in collected]
+    paired = bool(pairs)
+    found = style.pages(pairs or every)
     for number, subjects in enumerate(found, start=1):
         columns = style.column_count(len(subjects))
         rows = math.ceil(len(subjects) / columns)
-        figure = style.new_figure(10.0, 0.9 + 3.1 * rows, title, simulated)
-        grid = figure.add_gridspec(2 * rows, columns, height_ratios=[2.0, 1.0] * rows)
+        figure = style.new_figure(10.0, 0.9 + (3.1 if paired else 2.3) * rows, title, simulated)
+        grid = figure.add_gridspec(
+            2 * rows if paired else rows, columns, height_ratios=[2, 1] * rows if paired else None
+        )
         medians = []
         for at, subject in enumerate(subjects):
             row, column = divmod(at, columns)
-            top = figure.add_subplot(grid[2 * row, column])
-            below = figure.add_subplot(grid[2 * row + 1, column], sharex=top)
+            top = lowest = figure.add_subplot(grid[2 * row if paired else row, column])
             top.set_title(style.plain(style.shortened(subject, 44)), loc="left")
             _overlay(top, sides, predicted.get(subject), collected.get(subject))
-            median = _difference(below, sides, predicted.get(subject), collected.get(subject), ratio)
-            if median is not None:
-                medians.append(f"{subject} {median:.2%}" if ratio else f"{subject} {median:.4f}")
-            top.tick_params(labelbottom=False)
+            if paired:
+                lowest = figure.add_subplot(grid[2 * row + 1, column], sharex=top)
+                top.tick_params(labelbottom=False)
+                median = _difference(lowest, sides, predicted.get(subject), collected.get(subject), ratio)
+                if median is not None:
+                    medians.append(f"{subject} {median:.2%}" if ratio else f"{subject} {median:.4f}")
             if column == 0:
                 top.set_ylabel(label)
-                below.set_ylabel("difference\nratio [1]" if ratio else "difference\n[1]")
+                if paired:
+                    lowest.set_ylabel("difference\nratio [1]" if ratio else "difference\n[1]")
             if at + columns >= len(subjects):
-                below.set_xlabel(style.WAVELENGTH_LABEL)
+                lowest.set_xlabel(style.WAVELENGTH_LABEL)
         figure.align_ylabels()
-        style.add_legend(figure, _legend(predicted, collected, difference=True))
+        style.add_legend(figure, _legend(predicted, collected, difference=paired, absorption=True))
         alt = (
             f"{title} against wavelength for {', '.join(subjects)}: predicted (dashed) and collected (solid) with "
-            f"95 % intervals; below each, predicted minus collected{' over collected' if ratio else ''}."
+            "95 % intervals"
+            + (f"; below each, predicted minus collected{' over collected' if ratio else ''}." if paired else ".")
         )
         if medians:
             alt += f" Median absolute difference in the windows: {'; '.join(medians)}."
@@ -127,7 +135,7 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         {k: e for k, e in _held(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
     )
     every = both_first(predicted, collected)
-    subjects = every[: style.MAX_PANELS]
+    subjects = ([s for s in every if s in predicted and s in collected] or every)[: style.MAX_PANELS]
     if not subjects:
         return []
     columns = style.column_count(len(subjects))
@@ -151,7 +159,7 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             axes.set_ylabel("eigenvalue\n[(µW cm⁻² sr⁻¹ nm⁻¹)²]")
         if at + columns >= len(subjects):
             axes.set_xlabel("number of the eigenvalue [1]")
-    style.add_legend(figure, _legend(predicted, collected, difference=False))
+    style.add_legend(figure, _legend(predicted, collected, difference=False, absorption=False))
     alt = (
         f"The largest {_MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
         f"logarithmic scale, predicted and collected. Largest: {'; '.join(told)}."
@@ -214,15 +222,9 @@ def _difference(
 ) -> float | None:
     """Draw the difference; its median absolute value in the windows, None when there is none."""
     axes.axhline(0.0, color="#444444", linewidth=0.8)
-    side = sides[0] or sides[1]
-    if side is None:
-        return None
-    w = side.axis.centre_nm
     if predicted is None or collected is None or sides[0] is None or sides[1] is None:
-        missing = "no prediction" if predicted is None else "no collection"
-        axes.text(0.5, 0.6, f"{missing} to compare with", ha="center", transform=axes.transAxes, color="#555555")
-        _wavelength_axis(axes, w, (-1.0, 1.0))
         return None
+    w = sides[0].axis.centre_nm
     if not sides[0].axis.matches(sides[1].axis):
         axes.text(0.5, 0.6, "the two sides have different bands", ha="center", transform=axes.transAxes)
         return None
@@ -236,7 +238,7 @@ def _difference(
     axes.plot(w, value, color=style.DIFFERENCE_COLOUR, linewidth=1.2)
     keep = _keep(w)
     _wavelength_axis(
-        axes, w, style.robust_limits([value[keep], (value - half)[keep], (value + half)[keep]], zero=True)
+        axes, w, style.robust_limits([value[keep], (value - half)[keep], (value + half)[keep]], zero=True, trim=3.0)
     )
     inside = np.abs(value[keep])
     inside = inside[np.isfinite(inside)]
@@ -297,7 +299,7 @@ def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> tuple[list[str], l
 
 
 def _legend(
-    predicted: Mapping[Any, Any], collected: Mapping[Any, Any], *, difference: bool
+    predicted: Mapping[Any, Any], collected: Mapping[Any, Any], *, difference: bool, absorption: bool
 ) -> list[tuple[Any, str]]:
     entries: list[tuple[Any, str]] = []
     colours = []
@@ -309,7 +311,7 @@ def _legend(
         entries.append((Line2D([], [], color=style.DIFFERENCE_COLOUR), "difference"))
         colours.append(style.DIFFERENCE_COLOUR)
     entries.append((style.interval_handle(*colours), "95 % interval"))
-    if difference:
+    if absorption:
         entries.append((Patch(color=style.ABSORPTION_COLOUR), "absorption band"))
     return entries
 

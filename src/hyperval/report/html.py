@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import jinja2
+from markupsafe import Markup
 
 import hyperval
 from hyperval.report import verdict as v
@@ -23,6 +24,7 @@ _FIGURE_BYTES = 4_200_000  # of that, for figures
 _MOST_INFORMING = 40  # rows in the first table; more are moved to their sections
 _MOST_PASSES = 40  # in the first table; the others are folded below it
 _MOST_LISTED = 400  # per-band failures spelled out; results.csv has all
+_MOST_ROWS = 60  # informing rows of one section
 _INPUTS_UNDER_FIGURE = 3
 
 _SECTIONS = {
@@ -57,9 +59,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     bands = [r for r in gates if v.is_per_band(r)]
     failed_bands = [r for r in bands if r.status in (Status.FAIL, Status.ERROR)]
     informing = [r for r in rows if r.status is Status.INFO and not v.is_per_band(r)]
-    first = (
-        informing if len(informing) <= _MOST_INFORMING else [r for r in informing if v.informs_of_disagreement(r)]
-    )
+    first = informing if len(informing) <= _MOST_INFORMING else [r for r in informing if v.is_planned(r)]
     shown = {id(r) for r in first}
     return _environment().get_template("report.html.j2").render(
         run=run,
@@ -114,13 +114,23 @@ def _environment() -> jinja2.Environment:
         keep_trailing_newline=True,
     )
     environment.filters.update(
-        value=v.value_text, interval=v.interval_text, threshold=v.threshold_text, row_name=row_name, nm=_band_text
+        metric=_metric_markup,
+        value=v.value_text,
+        interval=v.interval_text,
+        threshold=v.threshold_text,
+        row_name=row_name,
+        nm=_band_text,
     )
     return environment
 
 
 def _common() -> dict[str, Any]:
-    return {"version": hyperval.__version__, "generated": _generated(), "most_listed": _MOST_LISTED}
+    return {
+        "version": hyperval.__version__,
+        "generated": _generated(),
+        "most_listed": _MOST_LISTED,
+        "most_rows": _MOST_ROWS,
+    }
 
 
 def _generated() -> str | None:
@@ -138,6 +148,11 @@ def _severity(row: Result) -> int:
 
 def _band_text(row: Result) -> str:
     return f"{row.band_nm:.1f} nm" if v.is_per_band(row) else ""
+
+
+def _metric_markup(row: Result) -> Markup:
+    """The metric's name with places where a long one may break."""
+    return Markup("_<wbr>").join(row.metric.split("_"))  # join escapes the parts
 
 
 def _grouped(rows: Sequence[Result]) -> list[tuple[str, list[Result]]]:
@@ -190,7 +205,7 @@ def _under_figure(run: RunReport, product: str) -> str:
     if cited:
         parts.append("; ".join(cited[:2]) + ("; …" if len(cited) > 2 else ""))
     parts.append(f"hyperval {hyperval.__version__}")
-    parts += [f"{key} {run.provenance[key]}" for key in ("formulation", "seed") if key in run.provenance]
+    parts += [f"{k} {run.provenance[k]}" for k in ("formulation", "seed") if run.provenance.get(k) is not None]
     return ". ".join(part.rstrip(".") for part in parts) + "."
 
 
@@ -222,5 +237,5 @@ def _all_notes(run: RunReport) -> list[str]:
     notes = list(run.notes)
     for name, side in (("Prediction", run.prediction), ("Observation", run.observation)):
         if side is not None:
-            notes += [f"{name}: {note}" for note in side.notes]
+            notes += [f"{name}: {note}" for note in side.notes if note not in run.notes]
     return list(dict.fromkeys(notes))

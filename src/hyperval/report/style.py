@@ -233,13 +233,13 @@ def log_ticks(axis: Any) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def robust_limits(values: Sequence[Any], *, zero: bool) -> tuple[float, float] | None:
-    """Limits of an axis that hold all but the extreme values, and 0 if asked; None when there are none."""
+def robust_limits(values: Sequence[Any], *, zero: bool, trim: float = 0.5) -> tuple[float, float] | None:
+    """Limits that hold all but ``trim`` per cent of the values at either end, and 0 if asked; None without any."""
     stack = np.concatenate([np.asarray(v, dtype=float).ravel() for v in values]) if values else np.empty(0)
     stack = stack[np.isfinite(stack)]
     if stack.size == 0:
         return None
-    low, high = (float(x) for x in np.percentile(stack, [0.5, 99.5]))
+    low, high = (float(x) for x in np.percentile(stack, [trim, 100.0 - trim]))
     if zero:
         low, high = min(low, 0.0), max(high, 0.0)
     margin = 0.08 * (high - low) or 0.05 * abs(high) or 1.0

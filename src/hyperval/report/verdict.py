@@ -17,13 +17,14 @@ _LONGEST_NAME = 70
 
 
 def verdict(rows: Iterable[Result]) -> tuple[str, str]:
-    """A tone (agree, disagree, undecided) and one sentence or two.
+    """A tone (agree, mixed, disagree, undecided) and a few sentences.
 
-    "Agrees" needs at least one PASS and neither FAIL nor ERROR.  A row that only informs and that found a
-    disagreement (``informs_of_disagreement``) does not turn the verdict, but is told.
+    "Agrees" needs at least one PASS and neither FAIL nor ERROR, and no informing row that found a
+    disagreement (``informs_of_disagreement``): those do not fail the campaign, but make the tone mixed.
     """
     rows = list(rows)
     count = status_counts(rows)
+    telling = [row for row in rows if informs_of_disagreement(row)]
     failed = [row for row in rows if row.status is Status.FAIL]
     broken = [row for row in rows if row.status is Status.ERROR]
     decided = count["PASS"] + count["FAIL"]
@@ -34,6 +35,9 @@ def verdict(rows: Iterable[Result]) -> tuple[str, str]:
         )
         if count["PASS"]:
             words += f" {count['PASS']} passed."
+    elif decided and not broken and telling:
+        tone = "mixed"
+        words = f"Passes its gates ({_passed(decided)}), and does not agree throughout."
     elif decided and not broken:
         tone = "agree"
         where = "where it was checked" if count["SKIPPED"] else "within the stated limits"
@@ -49,7 +53,6 @@ def verdict(rows: Iterable[Result]) -> tuple[str, str]:
     if count["SKIPPED"]:
         skipped = [row for row in rows if row.status is Status.SKIPPED]
         words += f" {_things(count['SKIPPED'], 'planned comparison')} skipped ({_named(skipped)})."
-    telling = [row for row in rows if informs_of_disagreement(row)]
     if telling:
         words += f" Without gating, {_things(len(telling), 'comparison')} found a disagreement ({_named(telling)})."
     return tone, words
