@@ -18,6 +18,8 @@ MODULES = (
     "hyperval.scene.builtin",
     "hyperval.sensor.response",
     "hyperval.sensor.noise",
+    "hyperval.sensor.mtf",
+    "hyperval.sensor.operation",
     "hyperval.processing.filters",
     "hyperval.processing.features",
     "hyperval.processing.elm_model",

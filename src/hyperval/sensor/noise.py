@@ -52,7 +52,7 @@ def quantisation_variance(lsb: npt.ArrayLike) -> Array:
 
 
 def bit_error_variance(
-    lsb: npt.ArrayLike, bits: int, error_rate: float, per: Literal["bit", "word"] = "bit"
+    lsb: npt.ArrayLike, bits: npt.ArrayLike, error_rate: npt.ArrayLike, per: Literal["bit", "word"] = "bit"
 ) -> Array:
     """Variance by bits received wrong (3.19), in the square of the unit of ``lsb``.
 
@@ -60,8 +60,9 @@ def bit_error_variance(
     LSB^2 B_e (4^N - 1) / 3.  The printed form divides by N: that holds where B_e is the probability
     that a word has one wrong bit (``per="word"``).
     """
-    total = np.asarray(lsb, dtype=float) ** 2 * error_rate * (4.0**bits - 1.0) / 3.0
-    return np.asarray(total / bits if per == "word" else total)  # (3.19)
+    n = np.asarray(bits, dtype=float)
+    total = np.asarray(lsb, dtype=float) ** 2 * np.asarray(error_rate) * (4.0**n - 1.0) / 3.0
+    return np.asarray(total / n if per == "word" else total)  # (3.19)
 
 
 def measured_noise_variance(radiance: npt.ArrayLike, a: npt.ArrayLike, b: npt.ArrayLike, c: npt.ArrayLike) -> Array:
@@ -74,6 +75,34 @@ def measured_noise_variance(radiance: npt.ArrayLike, a: npt.ArrayLike, b: npt.Ar
 
 
 @dataclass(frozen=True)
+class NoiseBreakdown:
+    """Noise variances [radiance^2] of (3.15)-(3.19), each (..., B); they sum to the total of (3.20).
+
+    Attributes
+    ----------
+    shot : photon noise
+    fixed : sigma_f: readout, dark current and whatever else does not follow the signal
+    quantisation, bit_errors : of the digital word
+    calibration : C_R
+    fit : of measured noise with c != 0 alone: what is left of |a sqrt(b + L) + c|^2; may be negative
+    """
+
+    shot: Array
+    fixed: Array
+    quantisation: Array
+    bit_errors: Array
+    calibration: Array
+    fit: Array
+
+    @property
+    def total(self) -> Array:
+        """Sum of all terms."""
+        return np.asarray(
+            self.shot + self.fixed + self.quantisation + self.bit_errors + self.calibration + self.fit
+        )
+
+
+@dataclass(frozen=True)
 class NoiseModel:
     """The noise of one sensor on one band set: everything (3.15)-(3.20) needs.
 
@@ -83,44 +112,81 @@ class NoiseModel:
     fixed_noise : (B,) sigma_f [electrons]
     detector_gain : g_d [1]
     lsb_electrons : (B,) size of the least significant bit [electrons]; 0 = no quantisation
-    bits : word length
-    bit_error_rate, bit_error_per : B_e and what it counts
+    bits : word length; (B,) where the arms differ
+    bit_error_rate, bit_error_per : B_e and what it counts; the rate is (B,) where the arms differ
     calibration_percent : (B,) C_R [%]
     measured : None, or (a, b, c) each (B,), which then stand in for G, sigma_f, LSB and bit errors
     assumed : words on every number that rests on an assumption
+    full_scale : (B,) radiance at full scale, None where the sensor file does not say
+    readings : readings averaged per number before it is used (co-adds, binning): they divide every variance
+        but that of the calibration, and those of the digital word where they are averaged before recording
+    digital_readings, calibration_readings : the same for the digital word and for C_R
     """
 
     electrons_per_radiance: Array
     fixed_noise: Array
     detector_gain: float
     lsb_electrons: Array
-    bits: int
-    bit_error_rate: float
+    bits: int | npt.NDArray[np.int_]
+    bit_error_rate: float | Array
     bit_error_per: Literal["bit", "word"]
     calibration_percent: Array
     measured: tuple[Array, Array, Array] | None = None
     assumed: tuple[str, ...] = ()
+    full_scale: Array | None = None
+    readings: float = 1.0
+    digital_readings: float = 1.0
+    calibration_readings: float = 1.0
+
+    def breakdown(self, radiance: npt.ArrayLike) -> NoiseBreakdown:
+        """The terms of (3.16)-(3.19) at ``radiance`` (..., B), apart from each other."""
+        level = np.asarray(radiance, dtype=float)
+        g, gd2 = self.electrons_per_radiance, self.detector_gain**2
+        zero = np.zeros(np.broadcast_shapes(level.shape, g.shape))
+        shot = zero + gd2 * shot_variance(level, g) / g**2  # (3.13)
+        fixed = zero + gd2 * (self.fixed_noise / g) ** 2  # (3.15)
+        quantisation, bit_errors, fit = zero, zero, zero
+        if self.measured is not None:
+            fit = gd2 * measured_noise_variance(level, *self.measured) - shot - fixed
+        else:
+            quantisation = zero + quantisation_variance(self.lsb_electrons) / g**2  # (3.18)
+            bit_errors = zero + (
+                bit_error_variance(self.lsb_electrons, self.bits, self.bit_error_rate, self.bit_error_per) / g**2
+            )  # (3.19)
+        return NoiseBreakdown(
+            shot / self.readings,
+            fixed / self.readings,
+            quantisation / self.digital_readings,
+            bit_errors / self.digital_readings,
+            zero + calibration_variance(level, self.calibration_percent) / self.calibration_readings,  # (3.17)
+            fit / self.readings,
+        )
 
     def variance(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
         """Noise variance (..., B) [radiance^2] at ``radiance`` (..., B): the sum of (3.16)-(3.19)."""
         level = np.asarray(radiance, dtype=float)
         if self.measured is not None:
-            total = self.detector_gain**2 * measured_noise_variance(level, *self.measured)
+            total = self.detector_gain**2 * measured_noise_variance(level, *self.measured) / self.readings
         else:
-            g2 = self.electrons_per_radiance**2
             digital = quantisation_variance(self.lsb_electrons) + bit_error_variance(
                 self.lsb_electrons, self.bits, self.bit_error_rate, self.bit_error_per
             )
-            total = digital / g2 + detector_radiance_variance(
-                level, self.electrons_per_radiance, self.fixed_noise, self.detector_gain
+            total = digital / self.electrons_per_radiance**2 / self.digital_readings + (
+                detector_radiance_variance(level, self.electrons_per_radiance, self.fixed_noise, self.detector_gain)
+                / self.readings
             )
         if calibration:
-            total = total + calibration_variance(level, self.calibration_percent)
+            total = total + calibration_variance(level, self.calibration_percent) / self.calibration_readings
         return np.asarray(total)
 
     def snr(self, radiance: npt.ArrayLike, *, calibration: bool = True) -> Array:
         """SNR (..., B) (3.20); with the calibration error it cannot exceed 100 / C_R."""
         return signal_to_noise(radiance, self.variance(radiance, calibration=calibration))
+
+    def full_scale_fraction(self, radiance: npt.ArrayLike) -> Array:
+        """Signal (..., B) as a part of full scale [1]; above 1 the band saturates; NaN where that is not known."""
+        level = np.asarray(radiance, dtype=float)
+        return np.full_like(level, np.nan) if self.full_scale is None else np.asarray(level / self.full_scale)
 
 
 def signal_to_noise(radiance: npt.ArrayLike, variance: npt.ArrayLike) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,125 +15,12 @@ from pydantic import Field, model_validator
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError
 from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.response import aperture_throughput, electrons_per_radiance, f_number_throughput
+from hyperval.sensor.operation import SensorOperation, averaged_noise
+from hyperval.sensor.quantities import Bands, Blur, Quantity, Source, SpectralShift, Throughput
+from hyperval.sensor.response import electrons_per_radiance
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
-Source = Annotated[str, Field(min_length=3)]
-
-
-class Quantity(Model):
-    """A number, or a table over wavelength, with its source."""
-
-    value: float | None = None
-    table: list[tuple[float, float]] | None = Field(None, description="[nm, value] pairs, wavelength increasing")
-    source: Source
-
-    @model_validator(mode="after")
-    def _one_of(self) -> Quantity:
-        if (self.value is None) == (self.table is None):
-            raise ValueError("give either value or table")
-        if self.table is not None and (len(self.table) < 2 or np.any(np.diff([w for w, _ in self.table]) <= 0)):
-            raise ValueError("a table needs at least two rows in rising wavelength")
-        return self
-
-    def at(self, wavelength_nm: Array) -> Array:
-        """(B,) values: linear in wavelength, the end values beyond the table."""
-        if self.table is None:
-            return np.full(wavelength_nm.shape, self.value, dtype=float)
-        w, v = np.array(self.table).T
-        return np.interp(wavelength_nm, w, v)
-
-    @property
-    def assumed(self) -> bool:
-        """True when the source says that the number is an assumption."""
-        return self.source.lower().startswith("assumed")
-
-
-class RegularBands(Model):
-    """Evenly spaced bands."""
-
-    first_nm: float = Field(gt=0)
-    step_nm: float = Field(gt=0)
-    count: int = Field(gt=0, le=5000)
-    fwhm_nm: float = Field(gt=0)
-
-
-class Bands(Model):
-    """The band set: a table of [centre nm, FWHM nm, good 0/1] or evenly spaced bands."""
-
-    table: list[tuple[float, float, int]] | None = None
-    regular: RegularBands | None = None
-    source: Source
-
-    @model_validator(mode="after")
-    def _one_of(self) -> Bands:
-        if (self.table is None) == (self.regular is None):
-            raise ValueError("give either table or regular")
-        return self
-
-    @property
-    def axis(self) -> SpectralAxis:
-        """The bands as an axis (for 3.13)."""
-        if self.table is not None:
-            rows: Array = np.array(self.table, dtype=np.float64)
-            return SpectralAxis(rows[:, 0], rows[:, 1], rows[:, 2] > 0)
-        assert self.regular is not None  # noqa: S101 - the validator has seen to it
-        r = self.regular
-        centre = r.first_nm + r.step_nm * np.arange(r.count, dtype=np.float64)
-        return SpectralAxis(centre, np.full(r.count, r.fwhm_nm))
-
-
-class Throughput(Model):
-    """A Omega by one of the conventions of (3.14).
-
-    value: ``cm2_sr``; square-ifov, cone: ``aperture_m``, ``ifov_mrad``, ``obscuration``;
-    f-number: ``f_number``, ``pixel_pitch_um``; slit: ``f_number``, ``slit_width_um``, ``slit_height_um``.
-    """
-
-    convention: Literal["value", "square-ifov", "cone", "f-number", "slit"] = "square-ifov"
-    cm2_sr: float | None = Field(None, gt=0)
-    aperture_m: float | None = Field(None, gt=0)
-    ifov_mrad: float | None = Field(None, gt=0)
-    obscuration: float = Field(0.0, ge=0, lt=1)
-    f_number: float | None = Field(None, gt=0)
-    pixel_pitch_um: float | None = Field(None, gt=0)
-    slit_width_um: float | None = Field(None, gt=0)
-    slit_height_um: float | None = Field(None, gt=0)
-    source: Source
-
-    @model_validator(mode="after")
-    def _complete(self) -> Throughput:
-        needs = {
-            "value": ("cm2_sr",),
-            "square-ifov": ("aperture_m", "ifov_mrad"),
-            "cone": ("aperture_m", "ifov_mrad"),
-            "f-number": ("f_number", "pixel_pitch_um"),
-            "slit": ("f_number", "slit_width_um", "slit_height_um"),
-        }[self.convention]
-        lacking = [name for name in needs if getattr(self, name) is None]
-        if lacking:
-            raise ValueError(f"the convention {self.convention} needs {', '.join(lacking)}")
-        return self
-
-    @property
-    def value_cm2_sr(self) -> float:
-        """A Omega [cm2 sr] (3.14)."""
-        match self.convention:
-            case "value":
-                return float(self.cm2_sr or 0)
-            case "f-number":
-                return f_number_throughput(self.f_number or 0, (self.pixel_pitch_um or 0) ** 2)
-            case "slit":
-                return f_number_throughput(
-                    self.f_number or 0, (self.slit_width_um or 0) * (self.slit_height_um or 0)
-                )
-        return aperture_throughput(
-            self.aperture_m or 0,
-            1e-3 * (self.ifov_mrad or 0),
-            obscuration=self.obscuration,
-            convention=self.convention,
-        )
 
 
 class Arm(Model):
@@ -166,6 +53,7 @@ class MeasuredNoise(Model):
     """NEdL = |a sqrt(b + L) + c| as tabulated for a sensor: rows [nm, a, b, c]."""
 
     table: list[tuple[float, float, float, float]] = Field(min_length=2)
+    saturation_radiance: Quantity | None = Field(None, description="radiance at full scale [uW cm-2 sr-1 nm-1]")
     source: Source
 
     @model_validator(mode="after")
@@ -187,6 +75,8 @@ class SensorSpecification(Model):
     arms: tuple[Arm, ...] = ()
     measured_noise: MeasuredNoise | None = None
     detector_gain: float = Field(1.0, ge=0, description="g_d of (3.16)")
+    psf: Blur | None = None
+    spectral_calibration: tuple[SpectralShift, ...] = ()
     calibration_error_percent: Quantity
 
     @model_validator(mode="after")
@@ -212,8 +102,38 @@ class Sensor:
         """The sensor's own bands."""
         return self.specification.bands.axis
 
-    def noise(self, axis: SpectralAxis | None = None) -> NoiseModel:
-        """The noise (3.13-3.20) on ``axis`` (default: the sensor's own bands).
+    def true_axis(self, nominal: SpectralAxis, operation: SensorOperation | None = None) -> SpectralAxis:
+        """The bands where they truly stand: nominal centres, the file's spectral calibration and the shift stated.
+
+        Raises
+        ------
+        UsageError : a column outside the track, an arm that the sensor does not have, bands that change places.
+        """
+        op = operation or SensorOperation()
+        shift = np.zeros(len(nominal))
+        for item in self.specification.spectral_calibration:
+            low, high = item.range_nm or (0.0, np.inf)
+            try:
+                shift[(nominal.centre_nm >= low) & (nominal.centre_nm <= high)] += item.at(op.column)
+            except ValueError as error:
+                raise UsageError(f"sensor_operation.column: {error}") from error
+        if isinstance(op.wavelength_shift_nm, dict):
+            names = [a.name for a in self.specification.arms]
+            for name, value in op.wavelength_shift_nm.items():
+                if name not in names:
+                    raise UsageError(
+                        f"sensor_operation.wavelength_shift_nm: sensor {self.name!r} has no arm {name!r}",
+                        expected="one of " + (", ".join(names) or "none: give one number"),
+                    )
+                shift[self._arm_index(nominal.centre_nm) == names.index(name)] += value
+        else:
+            shift += op.wavelength_shift_nm
+        if not np.any(shift):
+            return nominal
+        return SpectralAxis(nominal.centre_nm + shift, nominal.fwhm_nm, nominal.good)
+
+    def noise(self, axis: SpectralAxis | None = None, operation: SensorOperation | None = None) -> NoiseModel:
+        """The noise (3.13-3.20) on ``axis`` (default: the sensor's own bands), frames and pixels averaged.
 
         Tables are interpolated in wavelength; the electrons scale with the width of the bands of
         ``axis``, measured noise is taken to belong to the width it was measured with.
@@ -225,20 +145,31 @@ class Sensor:
         spec, on = self.specification, axis or self.axis
         w = on.centre_nm
         calibration = spec.calibration_error_percent.at(w)
-        if spec.measured_noise is not None:
-            at, a, b, c = np.array(spec.measured_noise.table, dtype=float).T
-            # a^2 and b vary like the inverse of efficiency, by orders of magnitude: interpolate logarithms.
-            a, c = np.exp(np.interp(w, at, np.log(a))), np.interp(w, at, c)
-            b = np.exp(np.interp(w, at, np.log(np.maximum(b, 1e-12))))
-            measured = (a, b, c)
-            return NoiseModel(
-                1.0 / a**2, np.sqrt(b) / a, spec.detector_gain, np.zeros(w.size), 1, 0.0, "bit", calibration,
-                measured, tuple(self._assumptions()),
-            )  # fmt: skip
-        g, fixed, lsb = np.full((3, w.size), np.nan)
-        arms = [self._arm_of(x) for x in w]
-        for arm in spec.arms:
-            here = np.array([k is arm for k in arms])
+        found = self._measured_noise(w, calibration) if spec.measured_noise else self._noise(on, calibration)
+        return found if operation is None else averaged_noise(found, operation)
+
+    def _measured_noise(self, w: Array, calibration: Array) -> NoiseModel:
+        given = self.specification.measured_noise
+        assert given is not None  # noqa: S101 - the caller has asked
+        at, a, b, c = np.array(given.table, dtype=float).T
+        # a^2 and b vary like the inverse of efficiency, by orders of magnitude: interpolate logarithms.
+        a, c = np.exp(np.interp(w, at, np.log(a))), np.interp(w, at, c)
+        b = np.exp(np.interp(w, at, np.log(np.maximum(b, 1e-12))))
+        full = given.saturation_radiance.at(w) if given.saturation_radiance else None
+        return NoiseModel(
+            1.0 / a**2, np.sqrt(b) / a, self.specification.detector_gain, np.zeros(w.size), 1, 0.0, "bit",
+            calibration, (a, b, c), tuple(self._assumptions()), full,
+        )  # fmt: skip
+
+    def _noise(self, on: SpectralAxis, calibration: Array) -> NoiseModel:
+        spec, w = self.specification, on.centre_nm
+        g, fixed, lsb, rate = np.full((4, w.size), np.nan)
+        bits = np.zeros(w.size, dtype=int)
+        arms = self._arm_index(w)
+        # Arms that count errors by word are brought to errors by bit when others count by bit.
+        same = len({arm.bit_error_per for arm in spec.arms}) == 1
+        for k, arm in enumerate(spec.arms):
+            here = arms == k
             at = w[here]
             g[here] = electrons_per_radiance(
                 at,
@@ -256,29 +187,28 @@ class Sensor:
                 lsb[here] = arm.full_well_electrons.at(at) / 2.0**arm.bits
             elif arm.saturation_radiance is not None:
                 lsb[here] = arm.saturation_radiance.at(at) * g[here] / 2.0**arm.bits
-        rates = {(arm.bits, float(arm.bit_error_rate.at(w[:1])[0]), arm.bit_error_per) for arm in spec.arms}
-        if len(rates) > 1:
-            raise UsageError(
-                f"sensor {self.name!r}: the arms differ in bits or bit error rate, which is not supported"
-            )
-        bits, rate, per = rates.pop()
+            bits[here] = arm.bits
+            spread = 1 if same or arm.bit_error_per == "bit" else arm.bits
+            rate[here] = arm.bit_error_rate.at(at) / spread
         return NoiseModel(
-            g, fixed, spec.detector_gain, lsb, bits, rate, per, calibration, None, tuple(self._assumptions())
-        )
+            g, fixed, spec.detector_gain, lsb,
+            int(bits[0]) if np.all(bits == bits[0]) else bits,
+            float(rate[0]) if np.all(rate == rate[0]) else rate,
+            spec.arms[0].bit_error_per if same else "bit",
+            calibration, None, tuple(self._assumptions()), lsb * 2.0**bits / g,
+        )  # fmt: skip
 
-    def _arm_of(self, wavelength_nm: float) -> Arm:
+    def _arm_index(self, wavelength_nm: Array) -> npt.NDArray[np.intp]:
         # An airborne cube's axis may reach a little beyond the nominal range: the nearest arm serves there.
-        def gap(arm: Arm) -> float:
-            return max(arm.range_nm[0] - wavelength_nm, wavelength_nm - arm.range_nm[1], 0.0)
-
-        arm = min(self.specification.arms, key=gap)
-        if gap(arm) > 50.0:
+        ranges = np.array([a.range_nm for a in self.specification.arms])
+        gap = np.maximum(ranges[:, :1] - wavelength_nm, wavelength_nm - ranges[:, 1:]).clip(0.0)
+        if np.any(far := gap.min(axis=0) > 50.0):
             raise UsageError(
-                f"sensor {self.name!r} has no arm at {wavelength_nm:g} nm",
+                f"sensor {self.name!r} has no arm at {wavelength_nm[far][0]:g} nm",
                 expected="bands within "
                 + ", ".join(f"{a.range_nm[0]:g}-{a.range_nm[1]:g} nm" for a in self.specification.arms),
             )
-        return arm
+        return gap.argmin(axis=0)
 
     def _assumptions(self) -> list[str]:
         found = []

@@ -81,8 +81,10 @@ def sensor_numbers(name: str) -> SensorNumbers:
     """
     sensor = load_sensor(name)
     noise = sensor.noise()
+    if np.ndim(noise.bits) or np.ndim(noise.bit_error_rate):
+        raise UsageError(f"sensor {name!r}: arms that differ in bits or bit error rate cannot be simulated")
     # An error rate per word is spread over the bits of the word.
-    per_bit = noise.bit_error_rate / (noise.bits if noise.bit_error_per == "word" else 1)
+    per_bit = float(noise.bit_error_rate) / (int(noise.bits) if noise.bit_error_per == "word" else 1)
     return SensorNumbers(
         name=sensor.name,
         axis=sensor.axis,
@@ -91,7 +93,7 @@ def sensor_numbers(name: str) -> SensorNumbers:
         noise_factor=noise.detector_gain,
         relative_calibration=noise.calibration_percent / 100.0,
         lsb_radiance=noise.lsb_electrons / noise.electrons_per_radiance,
-        bits=noise.bits,
+        bits=int(noise.bits),
         bit_error_rate=per_bit,
         measured=noise.measured,
     )
