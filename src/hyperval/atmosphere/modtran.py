@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,15 +9,16 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.atmosphere.modtran_text import fixed_columns, text_lines
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError, UsageError
 from hyperval.units import radiance_to_internal
 
 Array = npt.NDArray[np.float64]
 
-_MAX_BYTES = 256 << 20
 _COLUMNS = 26  # numeric columns, then the description
 _RADIANCE = radiance_to_internal("W cm-2 sr-1 nm-1")
+_FWHM_PER_WIDTH = 2.0 * np.sqrt(np.log(2.0) / np.pi)  # 0.9394, a Gaussian of that equivalent width
 # Places between absorption bands where a channel's transmittance is scattering alone, nearly.
 _CONTINUUM_NM = (412.0, 443.0, 490.0, 670.0, 780.0, 865.0, 1040.0, 1240.0, 1640.0)
 
@@ -35,6 +35,7 @@ class ChannelBlock:
     thermal : (n,) emitted part of it (path emission, path scatter, surface) [same]
     path : (n,) solar radiance scattered into the path, from ground of this block's reflectance too [same]
     ground : (n,) radiance of the viewed ground [same]
+    ground_of_sun : (n,) part of it that the direct sun lights [same]
     unit_radiance : (n,) mu0 E0 / pi [same]
     direct, diffuse : (n,) reflectance coefficients A and B [1]
     spherical_albedo : (n,) [1]
@@ -47,6 +48,7 @@ class ChannelBlock:
     thermal: Array
     path: Array
     ground: Array
+    ground_of_sun: Array
     unit_radiance: Array
     direct: Array
     diffuse: Array
@@ -100,8 +102,9 @@ def read_chn(path: Path, albedos: Sequence[float] | None = None) -> AtmosphericT
         adjacency=block.unit_radiance * block.diffuse,
         spherical_albedo=block.spherical_albedo,
         ground_irradiance=np.pi * block.unit_radiance * down,
-        gas_transmittance=_over_continuum(block.wavelength_nm, block.direct),
+        gas_transmittance=over_continuum(block.wavelength_nm, block.direct),
         provenance={"engine": "MODTRAN", "file": str(path), "blocks": len(blocks)},
+        fwhm_nm=_FWHM_PER_WIDTH * block.width_nm,
     )
 
 
@@ -125,7 +128,7 @@ def _fitted(blocks: list[ChannelBlock], albedos: Sequence[float], where: str) ->
 
 def read_chn_blocks(path: Path) -> list[ChannelBlock]:
     """All tables of a channel file, in their order; errors as :func:`read_chn`."""
-    lines = _lines(Path(path))
+    lines = text_lines(Path(path), "a MODTRAN .chn file")
     blocks: list[ChannelBlock] = []
     number = 0
     while number < len(lines):
@@ -161,27 +164,13 @@ def _block(t: Array) -> ChannelBlock:
         thermal=density(t[:, 11] + t[:, 12] + t[:, 13]),
         path=density(t[:, 14] + t[:, 15]),
         ground=density(t[:, 16]),
+        ground_of_sun=density(t[:, 17]),
         unit_radiance=density(t[:, 18]),
         direct=t[:, 21],
         diffuse=t[:, 22],
         spherical_albedo=t[:, 23],
         path_transmittance=t[:, 24],
     )
-
-
-def _lines(path: Path) -> list[str]:
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f"larger than {_MAX_BYTES} bytes", where=str(path), expected="a MODTRAN .chn file")
-        with gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb") as stream:
-            raw = stream.read(_MAX_BYTES + 1)
-    except FileNotFoundError as error:
-        raise InputError("no such file", where=str(path)) from error
-    except (OSError, EOFError) as error:
-        raise InputError(f"cannot read: {error}", where=str(path)) from error
-    if len(raw) > _MAX_BYTES:
-        raise InputError(f"unpacks to more than {_MAX_BYTES} bytes", where=str(path))
-    return raw.decode("ascii", "replace").splitlines()
 
 
 def _is_rule(line: str) -> bool:
@@ -199,25 +188,23 @@ def _column_ends(rule: str, where: str) -> list[int]:
 
 
 def _row(line: str, ends: list[int], where: str) -> list[float]:
-    values = []
-    for start, end in zip([0, *ends[:-1]], ends, strict=True):
-        try:
-            values.append(float(line[start:end]))
-        except ValueError as error:
-            raise InputError(
-                f"{line[start:end].strip()!r} in columns {start + 1}-{end}", where=where, expected="a number"
-            ) from error
-    if not np.all(np.isfinite(values)):
-        raise InputError("a value that is not finite", where=where, expected="numbers")
+    values = fixed_columns(line, ends, where)
     if values[8] <= 0.0:
         raise InputError(f"equivalent width {values[8]:g} nm", where=where, expected="a positive width")
     return values
 
 
-def _over_continuum(wavelength_nm: Array, coefficient: Array) -> Array:
+def over_continuum(wavelength_nm: Array, coefficient: Array, reach_nm: float = 0.0) -> Array:
+    """A coefficient over its continuum through the windows, 0-1; (n,), a stand-in for gas transmittance.
+
+    ``reach_nm`` takes the largest value within that distance of a window, for spectra with resolved lines.
+    """
     inside = [w for w in _CONTINUUM_NM if wavelength_nm[0] <= w <= wavelength_nm[-1]]
     if not inside:
         return np.clip(coefficient / max(float(coefficient.max()), 1e-30), 0.0, 1.0)
-    level = np.interp(inside, wavelength_nm, coefficient)
+    if reach_nm > 0.0:
+        level = np.array([coefficient[np.abs(wavelength_nm - w) <= reach_nm].max(initial=0.0) for w in inside])
+    else:
+        level = np.interp(inside, wavelength_nm, coefficient)
     continuum = np.exp(np.interp(np.log(wavelength_nm), np.log(inside), np.log(np.maximum(level, 1e-30))))
     return np.clip(coefficient / continuum, 0.0, 1.0)

@@ -8,10 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.errors import UsageError
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.response import band_average
 
 Array = npt.NDArray[np.float64]
+
+_NARROW = 0.5  # channels this much narrower than the bands, or more, can be averaged as samples
+_ALIKE = 1.35  # channels within this factor of a band's width stand for it
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,7 @@ class AtmosphericTerms:
     ground_irradiance : global irradiance on a black ground [uW cm-2 nm-1]
     gas_transmittance : two-way (sun-ground-sensor) gas transmittance [1]; tells windows from absorption
     provenance : engine, version, solar spectrum, state
+    fwhm_nm : widths of the channels over which the terms are averaged already [nm]; None: samples of a spectrum
     """
 
     wavelength_nm: Array
@@ -40,15 +45,50 @@ class AtmosphericTerms:
     ground_irradiance: Array
     gas_transmittance: Array
     provenance: dict[str, Any] = field(default_factory=dict)
+    fwhm_nm: Array | None = None
 
     def at_bands(self, axis: SpectralAxis) -> AtmosphericTerms:
-        """The terms averaged over the band responses of ``axis``."""
+        """The terms averaged over the band responses of ``axis``.
 
-        names = [f.name for f in fields(self) if f.name not in ("wavelength_nm", "provenance")]
+        Terms that are channel averages already are not averaged again: channels about as wide as the bands are
+        interpolated to the band centres (unchanged where they are the same), much narrower ones serve as samples.
+
+        Raises
+        ------
+        UsageError : the terms do not cover the bands, or their channels are too wide or of another width.
+        """
+
+        names = [f.name for f in fields(self) if f.name not in ("wavelength_nm", "provenance", "fwhm_nm")]
         stack = np.stack([getattr(self, name) for name in names])
-        bands = band_average(self.wavelength_nm, stack, axis)  # one set of weights for all terms
+        if self._are_channels_of(axis):
+            bands = np.stack([np.interp(axis.centre_nm, self.wavelength_nm, row) for row in stack])
+        else:
+            bands = band_average(self.wavelength_nm, stack, axis)  # one set of weights for all terms
         return AtmosphericTerms(
             wavelength_nm=axis.centre_nm,
             **dict(zip(names, bands, strict=True)),
             provenance=self.provenance,
         )
+
+    def _are_channels_of(self, axis: SpectralAxis) -> bool:
+        """True when the terms are averages over channels like those of ``axis``, False when they are samples."""
+        if self.fwhm_nm is None:
+            return False
+        ratio = np.interp(axis.centre_nm, self.wavelength_nm, self.fwhm_nm) / axis.fwhm_nm
+        if np.all(ratio <= _NARROW):
+            return False
+        alike = (ratio >= 1.0 / _ALIKE) & (ratio <= _ALIKE)
+        reach = 0.1 * axis.fwhm_nm
+        inside = (axis.centre_nm >= self.wavelength_nm[0] - reach) & (
+            axis.centre_nm <= self.wavelength_nm[-1] + reach
+        )
+        if not np.all(alike & inside):
+            i = int(np.flatnonzero(~(alike & inside))[0])
+            raise UsageError(
+                f"the terms are averages over channels that do not suit the band at {axis.centre_nm[i]:g} nm "
+                f"(FWHM {axis.fwhm_nm[i]:g} nm)",
+                expected=f"channels between {self.wavelength_nm[0]:g} and {self.wavelength_nm[-1]:g} nm, "
+                "as wide as the bands or at most half as wide",
+                mend="run the engine for this sensor's channels, or give terms at full resolution",
+            )
+        return True

@@ -1,0 +1,243 @@
+"""The terms of equation 3.7 solved from MODTRAN runs over uniform ground of three albedos or more.
+
+With the same atmosphere over ground of reflectance rho (Berk et al., Proc. SPIE 3405, 1998; 3.7 with rho_ave = rho):
+
+    ground(rho) = A rho / (1 - S rho)            GRND_RFLT
+    path(rho)   = L_a + B rho / (1 - S rho)      SOL_SCAT, which holds SING_SCAT already
+
+so rho / ground = 1/A - (S/A) rho is a straight line: two albedos above 0 give A and S, the black run gives L_a, and the
+brightest gives B.  Emission (PTH_THRML, SURF_EMIS) is part of L_a, as the black run has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.atmosphere.modtran import ChannelBlock, over_continuum, read_chn_blocks
+from hyperval.atmosphere.modtran_tape7 import Tape7Case, read_tape7
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.errors import InputError, UsageError
+from hyperval.units import radiance_per_wavelength
+
+Array = npt.NDArray[np.float64]
+
+GREATEST_ALBEDO_OF_AIR = 0.9  # a spherical albedo beyond it is rounding of a ground radiance near zero
+_LEAST_TRANSMITTANCE = 1e-4
+_LINES_NM = 4.0  # resolved lines: a window's level is the largest value this close to it
+_FWHM_PER_WIDTH = 2.0 * np.sqrt(np.log(2.0) / np.pi)
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """A, B and S of the runs: (n,) each, A and B in the unit of the radiances."""
+
+    direct: Array
+    adjacency: Array
+    spherical_albedo: Array
+
+
+@dataclass(frozen=True)
+class SolvedRuns:
+    """Terms from several runs.
+
+    Attributes
+    ----------
+    terms : the terms of equation 3.7
+    sun_share : (n,) direct sun's part of the irradiance of black ground, DRCT_RFLT / GRND_RFLT at rho -> 0 [1];
+        NaN where no light arrives or the file does not tell
+    """
+
+    terms: AtmosphericTerms
+    sun_share: Array
+
+
+def solve_coefficients(
+    albedos: Sequence[float], ground: npt.ArrayLike, path: npt.ArrayLike, spherical_albedo: Array | None = None
+) -> Coefficients:
+    """A, B and S that reproduce the runs (3.7 over uniform ground).
+
+    Parameters
+    ----------
+    albedos : reflectance of each run: one 0, and two different ones above it; the least and the greatest of these
+        are reproduced exactly, others are left as a check
+    ground, path : (runs, n) ground-reflected and scattered radiance, any one unit
+    spherical_albedo : (n,) taken where no light is reflected; None: interpolated from where it is
+
+    Raises
+    ------
+    UsageError : albedos that do not determine the terms.
+    """
+    rho = checked_albedos(albedos)
+    seen, scattered = np.asarray(ground, dtype=float), np.asarray(path, dtype=float)
+    black, low, high = (rho.index(r) for r in (0.0, min(r for r in rho if r > 0.0), max(rho)))
+    lit = (seen[low] > 0.0) & (seen[high] > 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at_low, at_high = rho[low] / seen[low], rho[high] / seen[high]
+        slope = (at_high - at_low) / (rho[high] - rho[low])  # -S/A
+        inverse = at_low - slope * rho[low]  # 1/A
+        s = -slope / inverse
+    known = lit & np.isfinite(s) & (s > -0.01) & (s < GREATEST_ALBEDO_OF_AIR)
+    if spherical_albedo is None:
+        index = np.arange(s.size)
+        spherical_albedo = np.interp(index, index[known], s[known]) if known.any() else np.zeros(s.size)
+    s = np.maximum(np.where(known, s, spherical_albedo), 0.0)
+    from_bright = (1.0 - s * rho[high]) / rho[high]
+    return Coefficients(seen[high] * from_bright, (scattered[high] - scattered[black]) * from_bright, s)
+
+
+def checked_albedos(albedos: Sequence[float]) -> list[float]:
+    """The albedos as a list, when they determine the terms; raises UsageError."""
+    rho = [float(a) for a in albedos]
+    positive = {a for a in rho if a > 0.0}
+    if rho.count(0.0) != 1 or len(positive) < 2 or len(positive) != len(rho) - 1 or max(rho) > 1.0:
+        raise UsageError(
+            f"albedos {rho}",
+            expected="one run over black ground and two or more over different brighter ground, 0-1",
+        )
+    return rho
+
+
+def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None = None) -> SolvedRuns:
+    """Terms at the wavenumbers of tape7 cases in radiance mode, turned to radiance per wavelength.
+
+    Parameters
+    ----------
+    cases : runs that differ in nothing but the ground
+    albedos : their ground reflectance; None: what the cases say (SURREF, or 1 - DIR_EM)
+
+    Raises
+    ------
+    UsageError : albedos unknown or insufficient.
+    InputError : cases of other modes or of different wavenumbers.
+    """
+    for case in cases:
+        if case.mode != "radiance":
+            raise InputError(
+                f"{case.mode} mode", where=case.where, expected="radiance mode with the sun (IEMSCT 2)"
+            )
+        if not np.array_equal(case.wavenumber_cm, cases[0].wavenumber_cm):
+            raise InputError("other wavenumbers than the first run", where=case.where)
+    rho = checked_albedos(_stated_albedos(cases) if albedos is None else albedos)
+    if len(rho) != len(cases):
+        raise UsageError(f"{len(rho)} albedos for {len(cases)} runs")
+    nu = cases[0].wavenumber_cm
+
+    def per_wavelength(case: Tape7Case, *names: str) -> Array:
+        """Sum of columns [uW cm-2 sr-1 nm-1], by increasing wavelength."""
+        total = sum((case.column(name) for name in names), np.zeros(nu.size))
+        return radiance_per_wavelength(total, nu)[::-1]
+
+    found = solve_coefficients(
+        rho,
+        [per_wavelength(case, "GRND_RFLT") for case in cases],
+        [per_wavelength(case, "SOL_SCAT") for case in cases],
+    )
+    black, bright = cases[rho.index(0.0)], cases[rho.index(max(rho))]
+    emission = per_wavelength(black, "PTH_THRML", "SURF_EMIS")
+    transmittance = black.column("TOT_TRANS")[::-1]
+    sun = per_wavelength(black, "TOA_SUN")
+    wavelength = 1e7 / nu[::-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = per_wavelength(bright, "DRCT_RFLT") / max(rho) / found.direct
+        efficiency = np.where(sun > 0.0, found.direct / sun, 0.0)
+    terms = AtmosphericTerms(
+        wavelength_nm=wavelength,
+        path_radiance=per_wavelength(black, "SOL_SCAT") + emission,
+        direct=found.direct,
+        adjacency=found.adjacency,
+        spherical_albedo=found.spherical_albedo,
+        ground_irradiance=_ground_irradiance(found.direct, transmittance),
+        gas_transmittance=over_continuum(wavelength, efficiency, _LINES_NM),
+        provenance={
+            "engine": "MODTRAN",
+            "solved_from": [case.where for case in cases],
+            "albedos": rho,
+            "solar_spectrum": "of the MODTRAN run",
+            "emission": "of the black run, part of the path radiance",
+        },
+    )
+    return SolvedRuns(terms, np.where(found.direct > 0.0, share, np.nan))
+
+
+def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] | None = None) -> SolvedRuns:
+    """Terms at the channels of a channel file's blocks, from their radiances instead of the printed coefficients.
+
+    The printed spherical albedo is used where no light is reflected.  ``albedos`` None: found from each block, to
+    0.01.
+
+    Raises
+    ------
+    UsageError : albedos that do not determine the terms.
+    InputError : blocks of different channels.
+    """
+    for block in blocks:
+        if not np.array_equal(block.wavelength_nm, blocks[0].wavelength_nm):
+            raise InputError("the blocks of the channel file have different channels")
+    rho = checked_albedos([round(b.reflectance(), 2) for b in blocks] if albedos is None else albedos)
+    if len(rho) != len(blocks):
+        raise UsageError(f"{len(rho)} albedos for {len(blocks)} runs")
+    black = blocks[rho.index(0.0)]
+    found = solve_coefficients(rho, [b.ground for b in blocks], [b.path for b in blocks], black.spherical_albedo)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        efficiency = np.where(black.unit_radiance > 0.0, found.direct / black.unit_radiance, 0.0)
+    terms = AtmosphericTerms(
+        wavelength_nm=black.wavelength_nm,
+        path_radiance=black.thermal + black.path,
+        direct=found.direct,
+        adjacency=found.adjacency,
+        spherical_albedo=found.spherical_albedo,
+        ground_irradiance=_ground_irradiance(found.direct, black.path_transmittance),
+        gas_transmittance=over_continuum(black.wavelength_nm, efficiency),
+        provenance={
+            "engine": "MODTRAN",
+            "albedos": rho,
+            "solar_spectrum": "of the MODTRAN run",
+            "emission": "of the black run, part of the path radiance",
+        },
+        fwhm_nm=_FWHM_PER_WIDTH * black.width_nm,
+    )
+    bright = blocks[rho.index(max(rho))]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = bright.ground_of_sun / max(rho) / found.direct
+    return SolvedRuns(terms, np.where(found.direct > 0.0, share, np.nan))
+
+
+def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = None) -> SolvedRuns:
+    """Terms from the output of several runs: one channel file of several blocks, or tape7 files of one or more cases.
+
+    Raises
+    ------
+    InputError, UsageError : as :func:`read_tape7`, :func:`read_chn_blocks` and the solvers.
+    """
+    if not paths:
+        raise UsageError("no MODTRAN output named", expected="a .chn file, or one or more tape7 files")
+    if all(_is_chn(path) for path in paths):
+        return terms_from_blocks([b for path in paths for b in read_chn_blocks(path)], albedos)
+    return terms_from_tape7([case for path in paths for case in read_tape7(path)], albedos)
+
+
+def _is_chn(path: Path) -> bool:
+    return Path(path).name.removesuffix(".gz").endswith(".chn")
+
+
+def _stated_albedos(cases: Sequence[Tape7Case]) -> list[float]:
+    found = []
+    for case in cases:
+        albedo = case.albedo()
+        if albedo is None:
+            raise UsageError(
+                "the case does not state one albedo", where=case.where, mend="hand in the albedos of all runs"
+            )
+        found.append(albedo)
+    return found
+
+
+def _ground_irradiance(direct: Array, transmittance: Array) -> Array:
+    """pi A / (direct transmittance of the path) [uW cm-2 nm-1]; NaN where the path is opaque."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(transmittance > _LEAST_TRANSMITTANCE, np.pi * direct / transmittance, np.nan)
