@@ -174,6 +174,17 @@ def test_every_failure_is_on_the_page():
     assert "Does not agree" in text
 
 
+def test_many_skips_are_named_and_do_not_fill_the_page():
+    skips = [
+        Result("invented", "roc", f"target {i}", "CEM", "P_D", status=Status.SKIPPED, reason="too few objects")
+        for i in range(200)
+    ]
+    page = Page(report_page(make_run(rows=skips, curves=1), []))
+    assert sum(tag == "tr" for tag, _ in page.tags) < 40
+    assert all(f"target {i} CEM P_D" in page.text for i in range(200))
+    assert "201 planned comparisons skipped" in page.text
+
+
 def test_falsified_result_turns_the_page(run):
     assert run.table.exit_code() == 0
     rows = list(run.table)

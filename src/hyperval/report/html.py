@@ -23,6 +23,7 @@ MAX_BYTES = 5_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 4_200_000  # of that, for figures
 _MOST_INFORMING = 40  # rows in the first table; more are moved to their sections
 _MOST_PASSES = 40  # in the first table; the others are folded below it
+_MOST_SKIPPED = 10
 _MOST_LISTED = 400  # per-band failures spelled out; results.csv has all
 _MOST_ROWS = 60  # informing rows of one section
 _INPUTS_UNDER_FIGURE = 3
@@ -55,7 +56,11 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     tone, words = v.verdict(rows)
     gates = sorted((r for r in rows if r.status is not Status.INFO), key=_severity)
     whole = [r for r in gates if not v.is_per_band(r)]
-    folded = {id(r) for r in [r for r in whole if r.status is Status.PASS][_MOST_PASSES:]}
+    folded = {
+        id(row)
+        for status, most in ((Status.PASS, _MOST_PASSES), (Status.SKIPPED, _MOST_SKIPPED))
+        for row in [r for r in whole if r.status is status][most:]
+    }
     bands = [r for r in gates if v.is_per_band(r)]
     failed_bands = [r for r in bands if r.status in (Status.FAIL, Status.ERROR)]
     informing = [r for r in rows if r.status is Status.INFO and not v.is_per_band(r)]
@@ -67,7 +72,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         verdict=words,
         counts=v.status_words(rows),
         gates=[r for r in whole if id(r) not in folded],
-        folded_passes=[r for r in whole if id(r) in folded],
+        folded_passes=[r for r in whole if id(r) in folded and r.status is Status.PASS],
+        folded_skips=sum(id(r) in folded and r.status is Status.SKIPPED for r in whole),
         failed_bands=failed_bands,
         failed_by_subject=_grouped(failed_bands),
         unlisted_bands=len(bands) - len(failed_bands),
@@ -75,7 +81,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         informing=first,
         moved=len(informing) - len(first),
         sections=_sections(run, drawings, [r for r in informing if id(r) not in shown]),
-        undone=[r for r in gates if r.status in (Status.SKIPPED, Status.ERROR)],
+        undone=_undone(gates),
         notes=_all_notes(run),
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
         facts=_facts(run),
@@ -97,9 +103,12 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str]) -> str:
     notable = [r for r in rows if r.status in (Status.FAIL, Status.ERROR, Status.SKIPPED)]
     notable += [r for r in rows if v.informs_of_disagreement(r)]
     single = [r for r in sorted(notable, key=_severity) if not v.is_per_band(r)]
+    skipped = [r for r in single if r.status is Status.SKIPPED][_MOST_SKIPPED:]
+    hidden = {id(r) for r in skipped}
+    single = [r for r in single if id(r) not in hidden]
     failed_bands = [r for r in notable if v.is_per_band(r) and r.status in (Status.FAIL, Status.ERROR)]
     return _environment().get_template("index.html.j2").render(
-        tone=tone, verdict=words, counts=v.status_words(rows), entries=entries, notable=single,
+        tone=tone, verdict=words, counts=v.status_words(rows), entries=entries, notable=single, hidden=len(skipped),
         failed_by_subject=_grouped(failed_bands), simulated=[r.campaign for r in runs if r.simulated], **_common(),
     )  # fmt: skip
 
@@ -148,6 +157,16 @@ def _severity(row: Result) -> int:
 
 def _band_text(row: Result) -> str:
     return f"{row.band_nm:.1f} nm" if v.is_per_band(row) else ""
+
+
+def _undone(rows: Sequence[Result]) -> list[tuple[str, str, str, list[str]]]:
+    """Rows that were planned and not made, those of one status, product and reason together with their names."""
+    groups: dict[tuple[str, str, str], list[str]] = {}
+    for row in rows:
+        if row.status in (Status.SKIPPED, Status.ERROR):
+            key = (str(row.status), row.product, row.reason or "no reason given")
+            groups.setdefault(key, []).append(row_name(row))
+    return [(*key, names) for key, names in groups.items()]
 
 
 def _metric_markup(row: Result) -> Markup:
