@@ -1,0 +1,294 @@
+"""One campaign: observe, predict, compare, judge."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from hyperval.campaign.one_side import product_rows
+from hyperval.campaign.pictures import quicklook, score_maps
+from hyperval.campaign.provenance import command_without_output, provenance
+from hyperval.campaign.schema import Campaign
+from hyperval.collection import Detection
+from hyperval.compare import apply_gates, compare_products
+from hyperval.datasets import InputLog
+from hyperval.errors import MissingDataError, UsageError
+from hyperval.observe import Observed
+from hyperval.observe import observe as observe_collection
+from hyperval.predict import predict
+from hyperval.processing.roc import average_roc
+from hyperval.products import Abundance, Observation, Prediction, Products, RocCurve
+from hyperval.report import RunReport
+from hyperval.results import Result, ResultTable, Status
+from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+
+SIMULATED = "simulated:"
+
+
+@dataclass(frozen=True)
+class Job:
+    """A campaign that was read and checked, with the folder that its references are relative to."""
+
+    campaign: Campaign
+    path: Path
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the campaign file."""
+        return self.path.resolve().parent
+
+
+class Inputs:
+    """Files of one campaign: resolved, recorded, simulated ones among them."""
+
+    def __init__(self, folder: Path):
+        self.log = InputLog(folder)
+        self.simulated: Path | None = None
+        self._seen: set[Path] = set()
+
+    def resolve(self, reference: str) -> Path:
+        """The path of a reference; ``simulated:NAME`` is a file of the simulated collection."""
+        if reference.startswith(SIMULATED):
+            if self.simulated is None:
+                raise UsageError(f"{reference!r}: this campaign simulates nothing", mend="set collection.simulate")
+            path = self.log.add(self.simulated / Path(reference.removeprefix(SIMULATED)).name, reference)
+        else:
+            path = self.log.resolve(reference)
+        self._seen.add(path.resolve())
+        return path
+
+    def record_beside(self, paths: Sequence[Path]) -> None:
+        """Record files that were read beside those that were named, such as a cube's header."""
+        for path in paths:
+            if path.resolve() in self._seen:
+                continue
+            simulated = self.simulated is not None and path.is_relative_to(self.simulated)
+            self.log.add(path, f"{SIMULATED}{path.name}" if simulated else None)
+
+
+def run_campaign(job: Job, *, predicts: bool = True, show_progress: bool | None = None) -> RunReport:
+    """Run one campaign; files it cannot find in a registered data set make it SKIPPED.
+
+    Raises
+    ------
+    HypervalError : anything else that the user can mend.
+    """
+    inputs = Inputs(job.folder)
+    inputs.log.add(job.path.resolve(), job.path.name)
+    scratch: Path | None = None
+    try:
+        scenarios = [_scenario(s, inputs) for s in job.campaign.scenarios]
+        seed = None
+        if job.campaign.collection.simulate:
+            scratch = Path(tempfile.mkdtemp(prefix="hyperval-simulated-"))
+            seed = _simulate(job.campaign.collection.simulate, inputs, scratch, show_progress)
+        observed = observe_collection(
+            job.campaign.collection, job.campaign.detection, inputs.resolve, show_progress=show_progress
+        )
+        if observed.place is not None:
+            inputs.record_beside(observed.place.cube.source_files)
+        predictions = []
+        if predicts:
+            predictions = [
+                predict(
+                    scenario,
+                    axis=observed.observation.axis,
+                    measured=observed.statistics,
+                    resolve=_resolver(scenario, inputs),
+                    show_progress=show_progress,
+                )
+                for scenario in scenarios
+            ]
+        return _report(job, inputs, observed, scenarios, predictions, seed)
+    except MissingDataError as error:
+        if not predicts:  # nothing but the collection was asked for
+            raise
+        return unfinished(job, Status.SKIPPED, str(error))
+    finally:
+        if scratch is not None:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def merged(predictions: Sequence[Prediction]) -> Prediction:
+    """One prediction out of several scenarios on the same axis; no subject may stand in two of them."""
+    first, *rest = predictions
+    if not rest:
+        return first
+    parts: dict[str, Any] = {}
+    for field in fields(Products):
+        values = [getattr(p, field.name) for p in predictions]
+        if not isinstance(values[0], Mapping) or field.name == "provenance":
+            continue
+        joined: dict[Any, Any] = {}
+        for value in values:
+            twice = sorted(str(k) for k in set(joined) & set(value))
+            if twice:
+                raise UsageError(f"two scenarios predict the {field.name} of {twice[0]}")
+            joined.update(value)
+        parts[field.name] = joined
+    notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
+    return Prediction(
+        axis=first.axis, **parts, notes=notes, provenance={"scenarios": [dict(p.provenance) for p in predictions]}
+    )
+
+
+def _report(
+    job: Job,
+    inputs: Inputs,
+    observed: Observed,
+    scenarios: Sequence[Scenario],
+    predictions: Sequence[Prediction],
+    seed: int | None,
+) -> RunReport:
+    campaign = job.campaign
+    prediction = None
+    if predictions:
+        prediction = without_circles(merged(predictions), scenarios)
+        if observed.detected is not None and observed.detected.nominal_area_m2:
+            areas = {k: Abundance(v, 0.0) for k, v in observed.detected.nominal_area_m2.items()}
+            prediction = replace(prediction, abundance=areas)
+        if campaign.detection is not None:
+            prediction = replace(
+                prediction, roc=with_pools(prediction.roc, observed.observation, campaign.detection)
+            )
+        engine = "+".join(sorted({s.atmosphere.engine for s in scenarios if s.atmosphere})) or "statistics"
+        rows = compare_products(prediction, observed.observation, campaign=campaign.name, method=engine)
+        rows = [_unplanned_informs(row, campaign) for row in rows]
+        table = ResultTable(apply_gates(rows, campaign.comparisons, campaign.name))
+    else:
+        table = ResultTable(product_rows(campaign.name, observed.observation, "observed"))
+    notes = [*campaign.assumptions, *observed.observation.notes]
+    if prediction is not None:
+        notes += prediction.notes
+    return RunReport(
+        campaign=campaign.name,
+        title=campaign.title,
+        description=campaign.description,
+        simulated=campaign.simulated,
+        table=table,
+        prediction=prediction,
+        observation=observed.observation,
+        score_maps=score_maps(observed),
+        quicklook=quicklook(observed),
+        provenance=record_of(
+            inputs.log,
+            scenarios,
+            seed,
+            {"campaign": campaign.model_dump(mode="json", by_alias=True)},
+            [observed.observation, *predictions],
+        ),
+        notes=list(dict.fromkeys(notes)),
+        references=campaign.references,
+    )
+
+
+def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Prediction:
+    """The prediction without the spectra that were taken from the collection: they agree whatever is wrong."""
+    surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
+    taken = {s.name for s in surfaces if s.spectrum.measured is not None}
+    if not taken:
+        return prediction
+    radiance = {k: v for k, v in prediction.radiance.items() if k not in taken}
+    reflectance = {k: v for k, v in prediction.reflectance.items() if k not in taken}
+    note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
+    return replace(prediction, radiance=radiance, reflectance=reflectance, notes=(*prediction.notes, note))
+
+
+def with_pools(
+    predicted: Mapping[tuple[str, str, str], RocCurve], observation: Observation, detection: Detection
+) -> dict[tuple[str, str, str], RocCurve]:
+    """The predicted curves with those of the campaign's pools, averaged as the collection counts its targets."""
+    out = dict(predicted)
+    for pool in detection.pools:
+        for name, detector, unit in observation.roc:
+            keys = [(subject, detector, unit) for subject in pool.subjects]
+            if name != pool.name or not all(key in predicted for key in keys):
+                continue
+            counts = [observation.roc[key].n_target or 0 for key in keys]
+            out[name, detector, unit] = average_roc([predicted[key] for key in keys], counts)
+    return out
+
+
+def _unplanned_informs(row: Result, campaign: Campaign) -> Result:
+    """A comparison that could not be made is SKIPPED where the campaign planned it, and INFO elsewhere."""
+    if row.status is not Status.SKIPPED or any(gate.covers(row) for gate in campaign.comparisons):
+        return row
+    return replace(row, status=Status.INFO, reason=f"not compared: {row.reason}")
+
+
+def unfinished(job: Job, status: Status, reason: str) -> RunReport:
+    """The planned comparisons of a campaign that could not be made, each as a row."""
+    campaign = job.campaign
+    rows = [
+        Result(campaign.name, g.product, subject, g.method, g.metric, status=status, reason=reason)
+        for g in campaign.comparisons
+        for subject in g.subjects
+    ]
+    log = InputLog(job.folder)
+    log.add(job.path.resolve(), job.path.name)
+    return RunReport(
+        campaign=campaign.name,
+        title=campaign.title,
+        description=campaign.description,
+        simulated=campaign.simulated,
+        table=ResultTable(rows),
+        provenance=record_of(log, [], None, {"campaign": campaign.model_dump(mode="json", by_alias=True)}, []),
+        notes=[reason, *campaign.assumptions],
+        references=campaign.references,
+    )
+
+
+def _scenario(source: Scenario | str, inputs: Inputs) -> Scenario:
+    if isinstance(source, Scenario):
+        source._folder = inputs.log.base
+        return source
+    if source in builtin_scenarios():
+        return load_scenario(source)
+    path = inputs.resolve(source)
+    return load_scenario(path)
+
+
+def _resolver(scenario: Scenario, inputs: Inputs) -> Any:
+    """References of a scenario are relative to its own file; what is read is recorded with the campaign's."""
+    folder = scenario.folder
+
+    def resolve(reference: str) -> Path:
+        if reference.startswith((SIMULATED, "data:")) or folder is None or folder == inputs.log.base:
+            return inputs.resolve(reference)
+        return inputs.log.add(InputLog(folder).resolve(reference))
+
+    return resolve
+
+
+def _simulate(reference: str, inputs: Inputs, scratch: Path, show_progress: bool | None) -> int:
+    from hyperval.simulate import load_scene, simulate
+    from hyperval.simulate.inputs import load_inputs
+
+    path = inputs.resolve(reference)
+    scene = load_scene(path)
+    simulate(scene, scratch, inputs=load_inputs(scene, path.parent), show_progress=show_progress)
+    inputs.simulated = scratch
+    return scene.seed
+
+
+def record_of(
+    log: InputLog,
+    scenarios: Sequence[Scenario],
+    seed: int | None,
+    configuration: Mapping[str, Any],
+    sides: Sequence[Products],
+) -> dict[str, Any]:
+    """The provenance record of a run: what was read, with which scenarios, seed, configuration and engines."""
+    formulations = sorted({s.formulation for s in scenarios})
+    return provenance(
+        command=command_without_output(),
+        inputs=log.entries(),
+        seed=seed,
+        formulation=", ".join(formulations) or "none",
+        configuration=configuration,
+        engines={str(i): dict(side.provenance) for i, side in enumerate(sides)},
+    )
