@@ -110,6 +110,7 @@ def _assemble(state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arr
     tau = value["depth_rayleigh"] + value.get("depth_aerosol", 0.0)
     direct_up = np.exp(-tau / mu_v)
     diffuse_up = np.maximum(value["up"] - direct_up, 0.0)
+    beam = np.exp(-_whole_depth(state, setting, value) / mu0)
     # Molecules and aerosol follow different powers of the wavelength, so each is interpolated by itself: their sum,
     # which 6S interpolates, comes out up to 2 % too large between distant nodes.
     path = value["reflectance_rayleigh"] * gas["dry"] + value.get("reflectance_aerosol", 0.0) * gas["half"]
@@ -121,6 +122,7 @@ def _assemble(state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arr
         spherical_albedo=value["spherical_albedo"],
         ground_irradiance=mu0 * solar_irradiance * value["down"] * gas["ground"],
         gas_transmittance=gas["full"],
+        diffuse_fraction=np.clip(1.0 - beam / value["down"], 0.0, 1.0),
         provenance={
             "engine": sixs_fingerprint(),
             "scheme": SCHEME,
@@ -131,6 +133,18 @@ def _assemble(state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arr
             "state": state.model_dump(mode="json"),
         },
     )
+
+
+def _whole_depth(state: AtmosphericState, setting: _Setting, value: Arrays) -> Array:
+    """Scattering optical depth from the ground to space: the parts below the sensor over their shares."""
+    if setting.height_km is None:
+        return np.asarray(value["depth_rayleigh"] + value.get("depth_aerosol", 0.0))
+    model, ground = standard_profile(state.model), setting.ground_km
+    below = 1.0 - air_column(model, ground + setting.height_km) / air_column(model, ground)
+    depth = value["depth_rayleigh"] / below
+    if "depth_aerosol" in value:
+        depth = depth + value["depth_aerosol"] / state.aerosol_fraction_below
+    return np.asarray(depth)
 
 
 def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | None) -> Arrays:

@@ -35,6 +35,8 @@ class AtmosphericTerms:
     gas_transmittance : two-way (sun-ground-sensor) gas transmittance [1]; tells windows from absorption
     provenance : engine, version, solar spectrum, state
     fwhm_nm : widths of the channels over which the terms are averaged already [nm]; None: samples of a spectrum
+    diffuse_fraction : part of ``ground_irradiance`` that comes from the sky [1]; None where the engine does not
+        tell it from the sun's beam
     """
 
     wavelength_nm: Array
@@ -46,6 +48,7 @@ class AtmosphericTerms:
     gas_transmittance: Array
     provenance: dict[str, Any] = field(default_factory=dict)
     fwhm_nm: Array | None = None
+    diffuse_fraction: Array | None = None
 
     def at_bands(self, axis: SpectralAxis) -> AtmosphericTerms:
         """The terms averaged over the band responses of ``axis``.
@@ -59,6 +62,7 @@ class AtmosphericTerms:
         """
 
         names = [f.name for f in fields(self) if f.name not in ("wavelength_nm", "provenance", "fwhm_nm")]
+        names = [name for name in names if getattr(self, name) is not None]
         stack = np.stack([getattr(self, name) for name in names])
         if self._are_channels_of(axis):
             bands = np.stack([np.interp(axis.centre_nm, self.wavelength_nm, row) for row in stack])
