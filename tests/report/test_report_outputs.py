@@ -185,6 +185,16 @@ def test_many_skips_are_named_and_do_not_fill_the_page():
     assert "201 planned comparisons skipped" in page.text
 
 
+def test_informing_disagreements_come_first():
+    rows = [
+        Result("invented", "roc", f"t{i}", "CEM", "inside", 1.0, threshold=1.0,
+               reason=f"would {'not ' if i in (50, 70) else ''}pass at least 1; informs only") for i in range(90)
+    ]  # fmt: skip
+    text = Page(report_page(make_run(rows=rows, curves=1), [])).text
+    table = text[text.index("disagreements first") :]
+    assert table.index(" t50 ") < table.index(" t70 ") < table.index(" t0 ")
+
+
 def test_falsified_result_turns_the_page(run):
     assert run.table.exit_code() == 0
     rows = list(run.table)

@@ -65,6 +65,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     failed_bands = [r for r in bands if r.status in (Status.FAIL, Status.ERROR)]
     informing = [r for r in rows if r.status is Status.INFO and not v.is_per_band(r)]
     first = informing if len(informing) <= _MOST_INFORMING else [r for r in informing if v.is_planned(r)]
+    first = sorted(first, key=lambda r: not v.informs_of_disagreement(r))
+    first = first[: max(_MOST_INFORMING, sum(v.informs_of_disagreement(r) for r in first))]
     shown = {id(r) for r in first}
     return _environment().get_template("report.html.j2").render(
         run=run,
