@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from small_campaign import SmallCampaign, stand_in_atmosphere, write_collection
 
 

@@ -1,0 +1,222 @@
+"""Bad input through the command line: one clear error, the contract's exit code, no traceback, no output."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hyperval import cli
+from hyperval.campaign.one import Job, run_campaign
+from hyperval.campaign.schema import load_campaign
+from small_campaign import SmallCampaign
+
+
+def header(entry: str, value: str | None) -> Callable[[SmallCampaign], None]:
+    """Change an entry of the cube's header, or take it out."""
+
+    def change(small: SmallCampaign) -> None:
+        line = "" if value is None else f"{entry} = {value}\n"
+        small.edit("small_rad.hdr", lambda t: re.sub(rf"(?m)^{entry} = (?:\{{[^}}]*\}}|.*)\n", line, t))
+
+    return change
+
+
+def cube(change: Callable[[bytes], bytes]) -> Callable[[SmallCampaign], None]:
+    def write(small: SmallCampaign) -> None:
+        path = small.collection / "small_rad.img"
+        path.write_bytes(change(path.read_bytes()))
+
+    return write
+
+
+def remove(name: str) -> Callable[[SmallCampaign], None]:
+    return lambda small: (small.collection / name).unlink()
+
+
+def settings(change: Callable[[dict], object]) -> Callable[[SmallCampaign], None]:
+    return lambda small: (change(small.data), None)[1]
+
+
+def percent(small: SmallCampaign) -> None:
+    """The panel spectra times 100, the wavelengths as they are."""
+
+    def scaled(text: str) -> str:
+        first, *rows = text.splitlines()
+        out = [first]
+        for row in rows:
+            wavelength, *values = row.split(",")
+            out.append(",".join([wavelength, *(f"{100.0 * float(v):.4f}" for v in values)]))
+        return "\n".join(out) + "\n"
+
+    small.edit("panel_spectra.csv", scaled)
+
+
+def far_region(small: SmallCampaign) -> None:
+    small.data["collection"]["regions"].append({"name": "far", "rectangle": [80, 0, 10, 10]})
+
+
+def far_polygon(small: SmallCampaign) -> None:
+    ring = "[[90, 90], [99, 90], [99, 99], [90, 99], [90, 90]]"
+    shape = f'{{"type": "Polygon", "coordinates": [{ring}]}}'
+    feature = f'{{"type": "Feature", "properties": {{"name": "far"}}, "geometry": {shape}}}'
+    (small.collection / "far.geojson").write_text(f'{{"type": "FeatureCollection", "features": [{feature}]}}')
+    small.data["collection"]["regions"].append({"file": "collection/far.geojson", "coordinates": "pixel"})
+
+
+def far_target(small: SmallCampaign) -> None:
+    """Move the first target to line 900."""
+
+    def moved(text: str) -> str:
+        titles, first, *rest = text.splitlines()
+        values = first.split(",")
+        values[titles.split(",").index("line")] = "900.5"
+        return "\n".join([titles, ",".join(values), *rest]) + "\n"
+
+    small.edit("targets.csv", moved)
+
+
+def no_unit_of_the_wavelengths(small: SmallCampaign) -> None:
+    header("wavelength units", None)(small)
+
+
+# name: (what is broken, exit code, what the message says: what, where, expected or how to mend it)
+CASES: dict[str, tuple[Callable[[SmallCampaign], None], int, tuple[str, ...]]] = {
+    "missing cube": (remove("small_rad.img"), 3, ("small_rad.img", "no such file")),
+    "missing header": (remove("small_rad.hdr"), 3, ("small_rad", "header")),
+    "truncated cube": (
+        cube(lambda b: b[: len(b) // 2]), 3,
+        ("small_rad.img", f"{84 * 72 * 16} bytes", f"{84 * 72 * 16 * 2} bytes", "expected"),
+    ),
+    "cube longer than its header says": (
+        cube(lambda b: b + b"\0" * 7), 3, ("small_rad.img", f"{84 * 72 * 16 * 2 + 7} bytes"),
+    ),
+    "empty cube": (cube(lambda b: b""), 3, ("small_rad.img", "0 bytes")),
+    "header with more lines than the file": (
+        header("lines", "85"), 3, ("small_rad.img", f"{85 * 72 * 16 * 2} bytes"),
+    ),
+    "header with fewer bands than wavelengths": (
+        header("bands", "15"), 3, ("small_rad", "bytes|values for 15 bands"),
+    ),
+    "header with another data type": (header("data type", "4"), 3, ("small_rad", "bytes")),
+    "header with an impossible size": (
+        header("samples", "999999999"), 3, ("small_rad", "bytes"),
+    ),
+    "header that is no header": (
+        lambda small: small.edit("small_rad.hdr", lambda t: "not " + t), 3,
+        (r"small_rad\.hdr:1", "first line is not 'ENVI'"),
+    ),
+    "wavelengths that do not increase": (
+        lambda small: small.edit("small_rad.hdr", lambda t: t.replace("490.0", "430.0")), 3,
+        (r"small_rad\.hdr:\d+", "wavelengths do not increase", "band 2"),
+    ),
+    "wavelength units missing": (
+        no_unit_of_the_wavelengths, 2,
+        (r"small_rad\.hdr", "states no wavelength unit", "expected: nm or um", "wavelength_unit: nm"),
+    ),
+    "wavelengths in the wrong unit": (
+        header("wavelength units", "Micrometers"), 2, (r"small_rad\.hdr", "450 to 2200 cannot be in", "to mend it"),
+    ),
+    "region outside the image": (far_region, 3, ("region 'far'", "lines 80-89", "lines 0-83")),
+    "polygon outside the image": (far_polygon, 3, (r"far\.geojson|'far'", "image|pixel")),
+    "missing region file": (remove("regions.geojson"), 3, (r"regions\.geojson", "no such")),
+    "region file that is no JSON": (
+        lambda small: small.edit("regions.geojson", lambda t: t[: len(t) // 2]), 3, (r"regions\.geojson",),
+    ),
+    "missing target list": (remove("targets.csv"), 3, (r"targets\.csv", "no such")),
+    "target outside the image": (far_target, 3, (r"targets\.csv:2", "image|outside")),
+    "target list with a word for a number": (
+        lambda small: small.edit("targets.csv", lambda t: t.replace("36.", "x36.").replace("39.", "x39.")), 3,
+        (r"targets\.csv:\d+", "expected: a number"),
+    ),
+    "panel spectrum in percent": (
+        percent, 3,
+        (r"panel_spectra\.csv", "looks like percent", "expected: reflectance as a fraction",
+         "to mend it: state reflectance_unit: percent"),
+    ),
+    "panel spectrum that is missing": (remove("panel_spectra.csv"), 3, (r"panel_spectra\.csv", "no such")),
+    "panel that is no region": (
+        settings(lambda d: d["collection"]["empirical_line"]["panels"][0].update(region="grey")), 2,
+        ("no region 'grey'", "white-panel"),
+    ),
+    "unknown key": (
+        settings(lambda d: d["collection"].update(leaveout=[])), 2,
+        (r"campaign\.yaml:\d+: collection\.leaveout: unknown key; did you mean 'leave_out'\?",),
+    ),
+    "two sources": (
+        settings(lambda d: d["collection"].update(spectra=[{"subject": "a", "path": "b"}])), 2,
+        (r"campaign\.yaml:\d+: collection", "exactly one of cube, spectra"),
+    ),
+    "unknown detector": (
+        settings(lambda d: d["detection"].update(detectors=["ace"])), 2,
+        (r"campaign\.yaml:\d+: detection\.detectors", "unknown detector 'ace'"),
+    ),
+    "address for a file": (
+        settings(lambda d: d["collection"]["cube"].update(path="https://example.org/a.img")), 2,
+        (r"https://example\.org/a\.img", "not a path of a local file"),
+    ),
+    "cube in reflectance said to be radiance in an unknown unit": (
+        settings(lambda d: d["collection"]["cube"].update(unit="photons")), 2, ("unknown radiance unit 'photons'",),
+    ),
+    "unknown sensor": (
+        settings(lambda d: d["scenarios"][0].update(sensor="no-sensor")), (2, 3), ("no-sensor",),
+    ),
+    "unknown surface": (
+        settings(lambda d: d["scenarios"][0]["scene"]["classes"][0]["spectrum"].update(builtin="gras")), 2,
+        ("unknown built-in surface 'gras'", "grass"),
+    ),
+    "missing scenario": (
+        settings(lambda d: d.update(scenarios=["none.yaml"])), 3, (r"none\.yaml", "no such"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_one_clear_error_and_nothing_written(name, small, tmp_path, capsys):
+    change, code, message = CASES[name]
+    change(small)
+    out = tmp_path / "out"
+    found = cli.run(["validate", str(small.write()), "-o", str(out)])
+    said = capsys.readouterr()
+    assert found in (code if isinstance(code, tuple) else (code,)), said.err
+    for part in message:
+        assert re.search(part, said.err), f"{part!r} is not in:\n{said.err}"
+    assert said.out == ""
+    assert said.err.startswith("hyperval: ")
+    assert said.err.count("hyperval: ") == 1  # one error
+    assert "Traceback" not in said.err
+    assert "internal error" not in said.err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["small"]
+
+
+@pytest.mark.parametrize("name", ["missing cube", "truncated cube", "wavelength units missing", "unknown key"])
+def test_observe_alone_says_the_same(name, small, tmp_path, capsys):
+    change, code, message = CASES[name]
+    change(small)
+    assert cli.run(["observe", str(small.write()), "-o", str(tmp_path / "out")]) == code
+    assert re.search(message[-1], capsys.readouterr().err)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_stated_wavelength_unit_mends_a_header_without(small, tmp_path):
+    no_unit_of_the_wavelengths(small)
+    small.data["collection"]["cube"]["wavelength_unit"] = "nm"
+    path = small.write()
+    assert run_campaign(Job(load_campaign(path), path), show_progress=False).table.exit_code() == 0
+
+
+def test_stated_percent_mends_a_panel_spectrum_in_percent(small):
+    percent(small)
+    for panel in small.data["collection"]["empirical_line"]["panels"]:
+        panel["spectrum"]["reflectance_unit"] = "percent"
+    path = small.write()
+    run = run_campaign(Job(load_campaign(path), path), show_progress=False)
+    assert run.table.exit_code() == 0
+
+
+def test_no_campaign_of_that_name(tmp_path: Path, capsys):
+    assert cli.run(["validate", str(tmp_path / "none.yaml"), "-o", str(tmp_path / "out")]) == 3
+    assert "none.yaml: no such file" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

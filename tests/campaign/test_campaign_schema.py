@@ -1,0 +1,135 @@
+"""Mistakes in a campaign file: each with its file and line, all at once, and what was probably meant."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from hyperval.campaign.schema import load_campaign
+from hyperval.errors import InputError, UsageError
+
+ROOT = Path(__file__).parents[2]
+GOOD = """\
+schema: 1
+name: lawn
+title: A lawn
+description: Two sites.
+collection:
+  spectra:
+    - {subject: lawn, path: lawn.txt}
+  bands: {path: bands.txt, wavelength_unit: nm}
+  calibration: {relative: 0.03}
+scenarios: [scenario.yaml]
+comparisons:
+  - product: radiance
+    subjects: [lawn]
+    metric: median_abs_difference_ratio_windows
+    at_most: 0.05
+    reason: enough
+"""
+
+
+def load(tmp_path: Path, *replacements: tuple[str, str]):
+    text = GOOD
+    for old, new in replacements:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "campaign.yaml"
+    path.write_text(text)
+    return load_campaign(path)
+
+
+def test_a_good_campaign(tmp_path):
+    campaign = load(tmp_path)
+    assert campaign.name == "lawn"
+    assert campaign.detection is None
+    assert campaign.simulated is False
+    assert campaign.comparisons[0].at_most == 0.05
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "campaigns").glob("*/campaign*.yaml")), ids=lambda p: p.parent.name)
+def test_the_campaigns_of_the_project_are_valid(path):
+    campaign = load_campaign(path)
+    assert any(gate.gate for gate in campaign.comparisons) or "broken" in campaign.name
+    assert campaign.assumptions
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("title:", "titel:", 3, r"titel: unknown key; did you mean 'title'\?"),
+        ("    at_most", "    at_mots", 15, r"at_mots: unknown key; did you mean 'at_most'\?"),
+        ("calibration:", "calibraton:", 9, r"did you mean 'calibration'\?"),
+        ("wavelength_unit: nm", "wavelength_units: nm", 8, r"did you mean 'wavelength_unit'\?"),
+        ("wavelength_unit: nm", "wavelength_unit: mm", 8, "Input should be 'nm' or 'um'"),
+        ("  bands: {path: bands.txt, wavelength_unit: nm}\n", "", 5, "spectra need 'bands'"),
+        (
+            "  calibration",
+            "  cube: {path: a.img, quantity: radiance}\n  calibration",
+            5,
+            "exactly one of cube, spectra",
+        ),
+        ("{relative: 0.03}", "{}", 9, "give exactly one of relative, file"),
+        ("{relative: 0.03}", "{relative: 3}", 9, "less than 1"),
+        ("{relative: 0.03}", "{relative: .nan}", 9, "finite number"),
+        ("name: lawn", "name: A Lawn", 2, "String should match pattern"),
+        ("name: lawn", "name: ../lawn", 2, "String should match pattern"),
+        ("schema: 1", "schema: 2", 1, "Input should be 1"),
+        ("scenarios: [scenario.yaml]", "scenarios: []", 10, "at least 1 item"),
+        ("    at_most: 0.05", "    at_most: 5", 12, "100 % or more"),
+        ("    at_most: 0.05\n", "", 12, "a limit is missing"),
+        ("    reason: enough\n", "", 12, "reason: Field required"),
+        ("product: radiance", "product: radience", 12, "Input should be 'radiance'"),
+        ("title: A lawn", "title: A lawn\ntitle: Again", 4, "'title' stands twice"),
+        ("title: A lawn", "title: &a A lawn", 3, "anchors and aliases are not allowed"),
+        ("title: A lawn", "title: [A lawn", 4, "not valid YAML"),
+    ],
+)
+def test_each_mistake_is_named_with_its_line(tmp_path, old, new, line, message):
+    with pytest.raises(UsageError, match=message) as caught:
+        load(tmp_path, (old, new))
+    assert f"campaign.yaml:{line}:" in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+def test_all_mistakes_are_listed_at_once(tmp_path):
+    with pytest.raises(UsageError) as caught:
+        load(tmp_path, ("title:", "titel:"), ("    at_most", "    at_mots"), ("relative: 0.03", "relative: 3"))
+    lines = [int(x) for x in re.findall(r"campaign\.yaml:(\d+):", str(caught.value))]
+    assert {3, 9, 15} <= set(lines)
+    assert lines == sorted(lines)
+
+
+def test_a_mistake_in_a_written_out_scenario_is_named(tmp_path):
+    written = """scenarios:
+  - name: inline
+    scene:
+      classes:
+        - {name: lawn, fraction: 1, spectrum: {constnt: 0.3}}
+"""
+    with pytest.raises(UsageError, match=r"campaign\.yaml:14: .*constnt: unknown key; did you mean 'constant'\?"):
+        load(tmp_path, ("scenarios: [scenario.yaml]\n", written))
+
+
+def test_a_simulated_collection_must_say_so(tmp_path):
+    collection = GOOD[GOOD.index("  spectra:") : GOOD.index("scenarios:")]
+    cube = "  simulate: scene.yaml\n  cube: {path: 'simulated:a.img', quantity: radiance}\n"
+    with pytest.raises(UsageError, match="says 'simulated: true'"):
+        load(tmp_path, (collection, cube))
+    assert load(tmp_path, (collection, cube), ("title:", "simulated: true\ntitle:")).simulated
+    without_cube = collection + "  simulate: scene.yaml\n"
+    with pytest.raises(UsageError, match="a simulated collection is a cube"):
+        load(tmp_path, (collection, without_cube), ("title:", "simulated: true\ntitle:"))
+
+
+def test_detection_needs_a_cube(tmp_path):
+    block = "detection:\n  targets: [{name: a, material: b, spectrum: {constant: 0.3}}]\n"
+    with pytest.raises(UsageError, match="detection needs a cube"):
+        load(tmp_path, ("scenarios:", block + "scenarios:"))
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(InputError, match=r"none\.yaml: no such file"):
+        load_campaign(tmp_path / "none.yaml")
