@@ -6,13 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hyperval.atmosphere.cache import cache_folder
+from hyperval.atmosphere.modtran_run import modtran_terms
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 
 Engine = Callable[[AtmosphericState, Path, bool | None], AtmosphericTerms]
 
-ENGINES: dict[str, Engine] = {"sixs": sixs_terms}
+ENGINES: dict[str, Engine] = {"sixs": sixs_terms, "modtran": modtran_terms}
 
 
 def atmospheric_terms(

@@ -1,12 +1,12 @@
 """The terms of equation 3.7 solved from MODTRAN runs over uniform ground of three albedos or more.
 
-With the same atmosphere over ground of reflectance rho (Berk et al., Proc. SPIE 3405, 1998; 3.7 with rho_ave = rho):
+With the same atmosphere over uniform ground of reflectance rho (3.7 with rho_m = rho_ave = rho):
 
     ground(rho) = A rho / (1 - S rho)            GRND_RFLT
     path(rho)   = L_a + B rho / (1 - S rho)      SOL_SCAT, which holds SING_SCAT already
 
-so rho / ground = 1/A - (S/A) rho is a straight line: two albedos above 0 give A and S, the black run gives L_a, and the
-brightest gives B.  Emission (PTH_THRML, SURF_EMIS) is part of L_a, as the black run has it.
+so rho / ground = 1/A - (S/A) rho is a straight line: two albedos above 0 give A and S, the black run gives L_a, the
+brightest B.  Emission (PTH_THRML, SURF_EMIS) is part of L_a, as the black run has it.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] |
 
 
 def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = None) -> SolvedRuns:
-    """Terms from the output of several runs: one channel file of several blocks, or tape7 files of one or more cases.
+    """Terms from the output of several runs: a channel file of several blocks, or tape7 files of one or more cases.
 
     Raises
     ------

@@ -52,7 +52,16 @@ class AtmosphericState(Model):
     from ``latitude_deg``, ``longitude_deg`` and ``time_utc``.
     """
 
-    engine: Literal["sixs"] = Field("sixs", description="radiative-transfer engine")
+    engine: Literal["sixs", "modtran", "table"] = Field(
+        "sixs",
+        description="sixs: the embedded solver; modtran: the user's own, named by HYPERVAL_MODTRAN; "
+        "table: computed before",
+    )
+    table: str | None = Field(
+        None,
+        description="with engine: table, its NetCDF file, or the run template (.json) of a folder of MODTRAN "
+        "channel files",
+    )
     model: AtmosphereModel = Field("midlatitude-summer", description="standard atmosphere")
     water_vapour_g_cm2: float | None = Field(
         None, ge=0.01, le=10.0, description="water column above the ground [g cm-2], 0.01-10; null: the model's own"
@@ -109,6 +118,8 @@ class AtmosphericState(Model):
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> AtmosphericState:
+        if (self.engine == "table") != (self.table is not None):
+            raise ValueError("engine: table needs the field table, and no other engine takes it")
         self._check_aerosol()
         self._check_sun()
         if not self.sensor_altitude_km > self.ground_altitude_km:
