@@ -65,7 +65,7 @@ def test_the_folder_holds_every_file_of_the_contract_and_repeats_to_the_byte(sma
     assert tuple(rows[0]) == COLUMNS
     assert [r["status"] for r in rows].count("PASS") == 10
     assert {r["status"] for r in rows} <= {"PASS", "INFO", "SKIPPED"}
-    assert len(json.loads((first / "results.json").read_text())["results"]) == len(rows)
+    assert len(json.loads((first / "results.json").read_text())["rows"]) == len(rows)
     assert "simulated" in (first / "report.html").read_text()
     record = json.loads((first / "provenance.json").read_text())
     references = {entry["reference"] for entry in record["inputs"]}
@@ -78,7 +78,7 @@ def test_the_folder_holds_every_file_of_the_contract_and_repeats_to_the_byte(sma
     assert str(tmp_path) not in (first / "provenance.json").read_text()
 
 
-def test_observe_alone_writes_what_the_collection_says(small, tmp_path):
+def test_observe_alone_writes_what_the_collection_says(small, tmp_path, no_figures):
     out = tmp_path / "out"
     assert cli.run(["-q", "observe", str(small.write()), "-o", str(out)]) == 0
     assert set(files_of(out)) >= CONTRACT | {"scores/yellow-cem.tif"}
@@ -126,7 +126,7 @@ def test_observe_without_its_data_set_is_an_input_error(small, tmp_path, no_data
     assert not (tmp_path / "out").exists()
 
 
-def test_a_skipped_campaign_beside_a_passing_one_passes(make_small, tmp_path, no_data):
+def test_a_skipped_campaign_beside_a_passing_one_passes(make_small, tmp_path, no_data, no_figures):
     one, two = make_small("one"), data_only(make_small("two"))
     two.data["name"] = "other"
     out = tmp_path / "out"
@@ -145,7 +145,7 @@ def test_a_skipped_campaign_beside_a_passing_one_passes(make_small, tmp_path, no
     }
 
 
-def test_one_broken_campaign_does_not_hide_the_other(make_small, tmp_path):
+def test_one_broken_campaign_does_not_hide_the_other(make_small, tmp_path, no_figures):
     good, broken = make_small("good"), make_small("broken")
     broken.data["name"] = "broken"
     cube = broken.collection / "small_rad.img"

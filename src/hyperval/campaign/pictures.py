@@ -34,7 +34,8 @@ def quicklook(observed: Observed) -> Quicklook | None:
     """Red, green and blue of the scene under one stretch; None without a cube.
 
     Reflectance (after the empirical line where there is one) keeps its natural balance; radiance is divided by the
-    solar irradiance first, which leaves the blue of the path radiance.
+    solar irradiance first, which leaves the blue of the path radiance.  Regions found by a rule, scattered over the
+    whole image, are not outlined.
     """
     if observed.place is None:
         return None
@@ -49,9 +50,12 @@ def quicklook(observed: Observed) -> Quicklook | None:
     high = float(np.nanpercentile(picture, 99.0))
     scaled = np.clip(picture / high if high > 0 else picture, 0.0, 1.0) ** GAMMA
     size = observed.place.pixel_area_m2
+    outlines = {n: mask for n, mask in observed.place.regions.items() if n not in observed.place.by_rule}
+    if observed.place.targets:
+        outlines["targets"] = np.logical_or.reduce([t.mask for t in observed.place.targets])
     return Quicklook(
         np.nan_to_num(scaled * 255.0).astype(np.uint8),
-        dict(observed.place.regions),
+        outlines,
         tuple(float(centre[b]) for b in bands),
         float(np.sqrt(size)) if size else None,
     )

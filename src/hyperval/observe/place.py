@@ -34,6 +34,7 @@ class Place:
     near_targets : target pixels with their guard ring
     left_out : pixels that count as neither background nor false alarm (targets with guard, named regions)
     pixel_area_m2 : ground area of a pixel, None when the cube is not georeferenced
+    by_rule : names of the regions that a rule on the spectra found
     target_pixels : which pixels of an object are scored: "touched" or "centre"
     notes : what was assumed or found on opening
     """
@@ -45,6 +46,7 @@ class Place:
     left_out: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
     pixel_area_m2: float | None = None
     target_pixels: str = "touched"
+    by_rule: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
 
     def background(self, names: Sequence[str]) -> Mask:
@@ -106,6 +108,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         left_out,
         cube.pixel_area_m2,
         collection.targets.pixels if collection.targets else "touched",
+        frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None),
         tuple(notes),
     )
 

@@ -114,8 +114,17 @@ def new_figure(width_in: float, height_in: float, title: str, simulated: bool) -
     return figure
 
 
+def _lay_out(figure: Figure) -> None:
+    """Place the axes once; left on, the layout engine would measure and draw everything a second time."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+
+
 def svg_bytes(figure: Figure) -> bytes:
     """The figure as SVG, coordinates rounded to 0.1 of a point (a seventh of a pixel), not indented."""
+    _lay_out(figure)
     out = io.BytesIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue().decode("utf-8")
@@ -126,6 +135,7 @@ def svg_bytes(figure: Figure) -> bytes:
 
 def png_bytes(figure: Figure, dpi: float = 120.0) -> bytes:
     """The figure as PNG of 256 colours, without the writer's version in it."""
+    _lay_out(figure)
     drawn, out = io.BytesIO(), io.BytesIO()
     figure.savefig(drawn, format="png", dpi=dpi)
     with Image.open(drawn) as image:
