@@ -28,6 +28,12 @@ def own_atmosphere(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports without figures, where a test is about something else: drawing is most of a small run's time."""
+    monkeypatch.setattr("hyperval.report.outputs.draw_figures", lambda run: [])
+
+
+@pytest.fixture
 def make_small(small_collection: Path, tmp_path: Path, own_atmosphere: None) -> Callable[..., SmallCampaign]:
     """Make copies of the small campaign, each in a folder of its own."""
 
