@@ -237,7 +237,9 @@ def test_two_spectra_of_one_material(world):
     ("change", "error", "message"),
     [
         ({"group": "{size}"}, UsageError, r"detection.group '\{size\}' does not fit the truth.*"),
-        ({"group": "{0}"}, UsageError, "does not fit the truth"),
+        ({"group": "{0}"}, UsageError, "does not fit the truth: no '0'"),
+        ({"group": "{name.__class__}"}, UsageError, "does not fit the truth"),
+        ({"group": "{name:>999999999999}"}, UsageError, "does not fit the truth"),  # not a terabyte of blanks
         ({"background": ["nowhere"]}, UsageError, "no region 'nowhere'"),
         ({"false_alarms": ["nowhere"]}, UsageError, "no region 'nowhere'"),
         ({"pools": [{"name": "all", "subjects": ["fill 0.8", "fill 0.9"]}]}, UsageError,

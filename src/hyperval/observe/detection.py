@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -30,6 +31,8 @@ Mask = npt.NDArray[np.bool_]
 
 # Below this many pixels for each band a sample covariance is shrunk (Ledoit & Wolf 2004).
 FEW_PIXELS_PER_BAND = 3
+# Names in braces are replaced as they stand: str.format would take widths that fill the memory.
+_BRACES = re.compile(r"\{([^{}]*)\}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,13 +193,7 @@ def target_groups(
         if item.material != target.material:
             continue
         words = {"name": item.name, "material": item.material, **item.attributes, "target": target.name}
-        try:
-            subject = form.format_map(words)
-        except (KeyError, ValueError, IndexError) as error:
-            raise UsageError(
-                f"detection.group {form!r} does not fit the truth: {error}",
-                expected="names in braces out of " + ", ".join(sorted(words)),
-            ) from error
+        subject = _subject(form, words)
         out.setdefault(subject, []).append(item)
     if not out:
         known = sorted({o.material for o in objects})
@@ -205,6 +202,16 @@ def target_groups(
             expected="one of " + ", ".join(known) if known else "a truth with targets",
         )
     return out
+
+
+def _subject(form: str, words: Mapping[str, str]) -> str:
+    unknown = [word for word in _BRACES.findall(form) if word not in words]
+    if unknown:
+        raise UsageError(
+            f"detection.group {form!r} does not fit the truth: no {unknown[0]!r}",
+            expected="names in braces out of " + ", ".join(sorted(words)),
+        )
+    return _BRACES.sub(lambda found: words[found[1]], form)
 
 
 def _moments(values: Array) -> ScoreDistribution:
