@@ -83,6 +83,8 @@ def sensor_numbers(name: str) -> SensorNumbers:
     noise = sensor.noise()
     if np.ndim(noise.bits) or np.ndim(noise.bit_error_rate):
         raise UsageError(f"sensor {name!r}: arms that differ in bits or bit error rate cannot be simulated")
+    if (noise.readings, noise.digital_readings, noise.calibration_readings) != (1.0, 1.0, 1.0):
+        raise UsageError(f"sensor {name!r}: averaged readings (co-adds, bins) cannot be simulated")
     # An error rate per word is spread over the bits of the word.
     per_bit = float(noise.bit_error_rate) / (int(noise.bits) if noise.bit_error_per == "word" else 1)
     return SensorNumbers(
