@@ -2,7 +2,7 @@
 
 A layout is a list of fields, name:format, in Fortran's terms: A text, I integer, F fixed point (F10.3: ten columns,
 three decimals), L logical, X blank.  Columns follow the lists of cards in the user's manuals (MODTRAN4 v3r1,
-MODTRAN 5.2.2).
+MODTRAN 5.2.2); column 51 of card 1A belongs to SOLCON there, and real decks have a flag in it.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ LAYOUTS: Final[dict[int, dict[str, str]]] = {
         "1": "MODTRN:A1 SPEED:A1 BINARY:L1 LYMOLC:A1 " + _CARD_1,
         "1A": (
             "DIS:L1 DISAZM:L1 DISALB:L1 NSTR:I3 SFWHM:F4.0 CO2MX:F10.3 H2OSTR:A10 O3STR:A10 C_PROF:A1 LSUNFL:L1 "
-            "_:X1 LBMNAM:L1 _:X1 LFLTNM:L1 _:X1 H2OAER:L1 _:X1 CDTDIR:L1 SOLCON:F10.3 CDASTM:A1 ASTMC:F9.3 ASTMX:F10.3 "
-            "ASTMO:F10.3 AERRH:F10.3 NSSALB:I10"
+            "_:X1 LBMNAM:L1 _:X1 LFLTNM:L1 _:X1 H2OAER:L1 _:X1 CDTDIR:L1 FLAG51:A1 SOLCON:F9.6 CDASTM:A1 ASTMC:F9.3 "
+            "ASTMX:F10.3 ASTMO:F10.3 AERRH:F10.3 NSSALB:I10"
         ),
-        "3": "H1:F10.3 H2:F10.3 ANGLE:F10.3 RANGE:F10.3 BETA:F10.3 RO:F10.3 LENN:I5 _:X5 PHI:F10.3",
+        "3": "H1:F10.3 H2:F10.3 ANGLE:F10.3 RANGE:F10.3 BETA:F10.3 RO:F10.3 LENN:I5 _:X5 PHI:F10.3 CKRANG:F10.3",
         "4": "V1:F10.3 V2:F10.3 DV:F10.3 FWHM:F10.3 YFLAG:A1 XFLAG:A1 DLIMIT:A8 FLAGS:A7 MLFLX:I3 VRFRAC:F10.3",
         "4A": "NSURF:I1 AATEMP:F9.3",
     },

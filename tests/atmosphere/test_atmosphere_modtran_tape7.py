@@ -1,0 +1,141 @@
+"""tape7 files: fixed columns, three modes, several cases, and what is refused."""
+
+from __future__ import annotations
+
+import gzip
+from itertools import accumulate
+
+import numpy as np
+import pytest
+from modtran_samples import tape7
+
+from hyperval.atmosphere import modtran_text
+from hyperval.atmosphere.modtran_tape7 import (
+    RADIANCE_COLUMNS,
+    RADIANCE_WIDTHS,
+    TOTAL_PARTS,
+    read_tape7,
+)
+from hyperval.errors import InputError, UsageError
+
+
+def write(tmp_path, text, name="tape7"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_widths_are_those_of_the_format():
+    # 8, nine of 11, 9, 9, 8, 7, 11, 11 columns: 162 in all.
+    assert list(accumulate(RADIANCE_WIDTHS))[-1] == 8 + 9 * 11 + 9 + 9 + 8 + 7 + 11 + 11
+    assert len(RADIANCE_WIDTHS) == len(RADIANCE_COLUMNS) == 16
+
+
+def test_several_cases_with_blank_fields(tmp_path):
+    cases = read_tape7(write(tmp_path, tape7((0.0, 0.5))))
+    assert [case.albedo() for case in cases] == [0.0, 0.5]
+    first = cases[0]
+    assert first.mode == "radiance"
+    assert first.wavenumber_cm[0] == 4000.0
+    assert np.all(np.isnan(first.columns["REF_SOL"]))  # blank in the file, not shifted from a neighbour
+    np.testing.assert_array_equal(first.column("REF_SOL"), 0.0)
+    assert np.all(first.columns["DEPTH"] == 0.105)
+    with pytest.raises(UsageError, match="no column TRANS in radiance mode"):
+        first.column("TRANS")
+
+
+def test_packed_file_with_carriage_returns(tmp_path):
+    text = tape7((0.1,))
+    plain = read_tape7(write(tmp_path, text))[0]
+    with gzip.open(tmp_path / "tape7.gz", "wb") as stream:
+        stream.write(text.replace("\n", "\r\n").encode())
+    packed = read_tape7(tmp_path / "tape7.gz")[0]
+    for name, values in plain.columns.items():
+        np.testing.assert_array_equal(values, packed.columns[name])
+
+
+def test_albedo_without_the_card_comes_from_the_emissivity(tmp_path):
+    assert read_tape7(write(tmp_path, tape7((0.3,), albedo_stated=False)))[0].albedo() == 0.3
+
+
+def changed_line(text, number, change):
+    lines = text.split("\n")
+    lines[number - 1] = change(lines[number - 1])
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (lambda t: changed_line(t, 5, lambda x: x[:19] + "*" * 11 + x[30:]), r"tape7:5: '\*+' in columns 20-30"),
+        (lambda t: changed_line(t, 5, lambda x: x[:52] + "NaN".rjust(11) + x[63:]), r"tape7:5: .*not finite"),
+        (lambda t: changed_line(t, 6, lambda x: " 4000.00" + x[8:]), r"tape7:6: wavenumber 4000"),
+        (lambda t: changed_line(t, 6, lambda x: " " * 8 + x[8:]), r"tape7:6: wavenumber nan"),
+        (lambda t: changed_line(t, 4, lambda x: x + "   1.0"), r"tape7:4: text beyond column 162"),
+        (lambda t: t.replace("GRND_RFLT", "GRND_REFL"), r"tape7:3: unknown columns"),
+        (lambda t: t.replace(" -9999.\n", ""), r"tape7:3: the table has no end"),
+        (lambda t: "\n".join(t.split("\n")[:3]) + "\n -9999.\n", r"tape7:3: a table without rows"),
+        (lambda t: t + "left over\n", r"a case without a table"),
+        (lambda t: "nothing\n" * 5, "no table"),
+        (lambda t: "nothing\n" * 2500, "no column names"),
+    ],
+)
+def test_malformed_file_is_refused_with_its_line(tmp_path, harm, said):
+    text = tape7((0.0,))
+    harmed = harm(text)
+    assert harmed != text
+    with pytest.raises(InputError, match=said):
+        read_tape7(write(tmp_path, harmed))
+
+
+@pytest.mark.parametrize("part", TOTAL_PARTS)
+def test_total_that_is_not_the_sum_of_its_parts_is_refused(tmp_path, part):
+    text = tape7((0.5,), emission=True)
+    number = RADIANCE_COLUMNS.index(part)
+    start = sum(RADIANCE_WIDTHS[:number])
+
+    def change(line):
+        added = float(line[start : start + 11]) + 5e-4 * float(line[96:107])  # above 9e-5 of the total
+        return f"{line[:start]}{added:11.4E}{line[start + 11 :]}"
+
+    with pytest.raises(InputError, match=r"tape7:7: TOTAL_RAD .* is not the sum"):
+        read_tape7(write(tmp_path, changed_line(text, 7, change)))
+    assert read_tape7(write(tmp_path, text))  # unharmed it is read
+
+
+def test_a_file_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(modtran_text, "MAX_BYTES", 1000)
+    path = write(tmp_path, tape7((0.0,)))
+    with pytest.raises(InputError, match="larger than 1000 bytes"):
+        read_tape7(path)
+    with gzip.open(tmp_path / "bomb.gz", "wb") as stream:
+        stream.write(b" " * 100_000)  # packs to far less than the limit
+    with pytest.raises(InputError, match="unpacks to more than 1000 bytes"):
+        read_tape7(tmp_path / "bomb.gz")
+
+
+REAL = [
+    # file, mode, rows, albedo, first wavenumber, a column and its first value
+    ("modtran4_5/tape7-01", "transmittance", 51, 0.0, 2050.0, "H2O", 0.9726),
+    ("modtran4_5/tape7-01b", "transmittance", 20, 0.3, 655.0, "-LOG COMBIN", 15.344),
+    ("modtran4_5/tape7-02", "radiance", 51, 0.0, 2050.0, "PTH_THRML", 2.0416e-8),
+    ("modtran4_5/tape7-02b", "radiance", 51, 0.0, 2050.0, "TOT_TRANS", 0.88372636),
+    ("modtran4_5/tape7-02c", "radiance", 13, 0.3, 655.0, "SOL_SCAT", 8.1174e-30),
+    ("modtran4_5/tape7-04", "irradiance", 101, 0.0, 2050.0, "DEPTH", 15.95),
+    ("modtran4_5/tape7-sunE", "irradiance", 1411, 0.0, 11995.0, "SOLAR", 7.40e-6),
+    ("modtran4_5/tape7.VISSun.gz", "radiance", 11668, 0.0, 13333.0, "SING_SCAT", 4.6103e-7),
+    ("modtran4_5/tape7VISNIR5kmTrop23Vis.gz", "transmittance", 1501, 0.0, 10000.0, "AER+CLD abTRNS", 0.9686),
+    ("modtran5_decks/OMAA_userprofile/tape5.tp7.gz", "radiance", 6501, None, 833.0, "GRND_RFLT", 8.3842e-7),
+    ("modtran5_decks/data_path100/tape7.gz", "radiance", 2001, 0.0, 12000.0, "TOA_SUN", 7.4303e-6),
+]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("relative", "mode", "rows", "albedo", "first", "column", "value"), REAL)
+def test_real_files(data_dir, relative, mode, rows, albedo, first, column, value):
+    (case,) = read_tape7(data_dir(f"modtran/{relative}"))
+    assert (case.mode, case.wavenumber_cm.size, case.albedo()) == (mode, rows, albedo)
+    assert case.wavenumber_cm[0] == first
+    assert case.columns[column][0] == pytest.approx(value, rel=1e-12)
+    if mode == "radiance":
+        assert np.all(case.column("SOL_SCAT") >= case.column("SING_SCAT"))  # it holds the single scattering
