@@ -284,5 +284,9 @@ def _error(text: str) -> None:
 
 def main() -> None:
     """Entry point of the command `hyperval`."""
+    # One thread for each matrix product, set before the libraries load: the last digits of a solve depend on the
+    # number of threads, and our own workers would fight for the processors with those of the library.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     signal.signal(signal.SIGTERM, _terminate)
     sys.exit(run())

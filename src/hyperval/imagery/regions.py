@@ -12,6 +12,7 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 from scipy import ndimage
+from skimage.measure import label
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import regions_envi, regions_files
@@ -144,7 +145,7 @@ def overlaps(regions: Iterable[Region]) -> list[tuple[str, str, int]]:
 
 def objects(mask: Mask) -> tuple[npt.NDArray[np.int32], int]:
     """Connected groups of pixels (8 neighbours): labels (lines, samples), 0 outside, and their number."""
-    labels, count = ndimage.label(mask, structure=np.ones((3, 3), int))
+    labels, count = label(mask, connectivity=2, return_num=True)
     return labels.astype(np.int32), int(count)
 
 

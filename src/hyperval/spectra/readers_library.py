@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from spectral.io import envi
 
 from hyperval.envi_header import EnviHeader, read_header
 from hyperval.errors import InputError
@@ -60,8 +61,8 @@ def library_records(path: Path, header: EnviHeader | None, root: Path | None = N
     names = header.strings("spectra names") or tuple(f"spectrum {i + 1}" for i in range(header.lines))
     if len(names) != header.lines:
         raise InputError(f"{len(names)} names for {header.lines} spectra", where=header.where("spectra names"))
-    values = np.fromfile(path, header.dtype, offset=header.header_offset).astype(float)
-    values = values.reshape(header.lines, header.samples)
+    # The checks above are what the parser leaves out: it takes a file of any size and any number of wavelengths.
+    values = np.asarray(envi.open(str(header.path), str(path)).spectra, dtype=float)
     factor = header.number("reflectance scale factor")
     if factor is not None and not (np.isfinite(factor) and factor > 0):
         raise InputError(
