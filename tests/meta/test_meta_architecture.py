@@ -141,4 +141,4 @@ def test_dependencies_are_those_that_the_package_imports():
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 used.add(node.module.split(".")[0])
     used -= sys.stdlib_module_names | {"hyperval"}
-    assert used - optional == expected
+    assert used == expected

@@ -15,7 +15,7 @@ from scipy import ndimage
 from skimage.measure import label
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery import regions_envi, regions_files
+from hyperval.imagery import regions_envi, regions_files, regions_vector
 from hyperval.imagery.polygons import polygon_mask
 from hyperval.imagery.rasters import TIFF_SUFFIXES, header_beside
 from hyperval.paths import checked_file
@@ -67,7 +67,8 @@ def read_regions(
     """Read the regions of a file, whatever its format.
 
     The format is known from the content: ENVI ROI XML, ENVI ROI ASCII export (also gzipped), classic
-    binary ENVI ROI, GeoJSON, CSV pixel list, ENVI or GeoTIFF class raster.
+    binary ENVI ROI, GeoJSON, GeoPackage and Shapefile (with the extra ``vector``), CSV pixel list, ENVI or
+    GeoTIFF class raster.
 
     Parameters
     ----------
@@ -75,7 +76,8 @@ def read_regions(
     transform, crs : position of the cube, for regions in map coordinates
     names : the regions to read: a list of names in the file, or a mapping from name (or value of a
         class raster) in the file to the name wanted; None reads all
-    coordinates : "pixel", "map" (the cube's own system) or "lonlat", for GeoJSON, which must be told
+    coordinates : "pixel", "map" (the cube's own system) or "lonlat", for GeoJSON, which must be told, and for a
+        GeoPackage or Shapefile without a coordinate system
     root : folder that the file must lie in
 
     Raises
@@ -95,6 +97,10 @@ def read_regions(
         masks = regions_envi.ascii_masks(path, cube_shape)
     elif head.startswith(b"JoeB"):
         masks = regions_envi.binary_masks(path, cube_shape)
+    elif regions_vector.is_vector(head):
+        masks = regions_vector.vector_masks(
+            path, cube_shape, coordinates=coordinates, transform=transform, crs=crs, root=root
+        )
     elif stripped.startswith(b"{"):
         masks = regions_files.geojson_masks(path, cube_shape, coordinates=coordinates, transform=transform, crs=crs)
     elif path.suffix.lower() == ".hdr" or header_beside(path) is not None:
@@ -105,7 +111,7 @@ def read_regions(
         raise UsageError(
             "the format of the region file is not known",
             where=str(path),
-            expected="GeoJSON, ENVI ROI (XML, ASCII, binary), CSV pixel list, ENVI or GeoTIFF class raster",
+            expected="GeoJSON, GeoPackage, Shapefile, ENVI ROI (XML, ASCII, binary), CSV pixel list, class raster",
         )
     return {name: Region(name, mask, str(path)) for name, mask in _named(masks, names, str(path)).items()}
 

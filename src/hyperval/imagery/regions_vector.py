@@ -1,0 +1,202 @@
+"""Regions from GeoPackage and Shapefile, read through pyogrio (the extra ``vector``)."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.polygons import map_to_pixel, point_mask, polygon_mask, reprojected
+from hyperval.paths import checked_file
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+MAX_BYTES = 256 << 20
+MAX_FEATURES = 100_000
+_NAME_COLUMNS = ("region", "name", "class")
+_SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
+_POINT, _LINE, _POLYGON, _MULTI_POINT, _MULTI_POLYGON = 1, 2, 3, 4, 6
+_KINDS = {2: "LineString", 5: "MultiLineString", 7: "GeometryCollection"}
+
+
+def is_vector(head: bytes) -> bool:
+    """True for the first bytes of a GeoPackage (an SQLite file) or a Shapefile."""
+    return head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a"
+
+
+def vector_masks(
+    path: Path,
+    shape: tuple[int, int],
+    *,
+    coordinates: str | None = None,
+    transform: Affine | None = None,
+    crs: CRS | None = None,
+    root: Path | None = None,
+) -> dict[str, Mask]:
+    """Masks by name of the polygons and points of every layer; features of one name are united.
+
+    A name comes from the attribute ``region``, ``name`` or ``class``, else it is that of the layer.  The file's
+    coordinate system places them; where it has none, ``coordinates`` must say "pixel", "map" or "lonlat".
+
+    Raises
+    ------
+    InputError : too large, not readable, lines instead of areas, or another coordinate system than stated.
+    UsageError : the extra ``vector`` is not installed, or nobody says what the coordinates are.
+    """
+    try:
+        import pyogrio
+        from pyogrio.errors import DataLayerError, DataSourceError
+    except ImportError:
+        raise UsageError(
+            "a GeoPackage or Shapefile needs the package pyogrio",
+            where=str(path),
+            mend="pip install hyperval[vector], or export the regions as GeoJSON",
+        ) from None
+    _check_files(path, root)
+    masks: dict[str, Mask] = {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
+            for layer in layers:
+                count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
+                if count > MAX_FEATURES:
+                    raise InputError(f"{count} features", where=str(path), expected=f"at most {MAX_FEATURES}")
+                meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
+                place = _placing(coordinates, meta["crs"], transform, crs, f"{path}: layer {layer!r}")
+                names = _names(layer, list(meta["fields"]), columns, len(shapes))
+                for number, (name, wkb) in enumerate(zip(names, shapes, strict=True), start=1):
+                    where = f"{path}: layer {layer!r}, feature {number} ({name})"
+                    mask = _mask(wkb, shape, place, where)
+                    masks[name] = masks[name] | mask if name in masks else mask
+    except (DataLayerError, DataSourceError) as error:
+        raise InputError(f"cannot be read: {error}", where=str(path)) from error
+    return masks
+
+
+def _check_files(path: Path, root: Path | None) -> None:
+    files = [path]
+    if path.suffix.lower() == ".shp":
+        found = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
+        for end in (".dbf", ".shx"):
+            if end not in found:
+                raise InputError(
+                    f"the {end} file of the Shapefile is missing",
+                    where=str(path),
+                    expected="the files .shp, .shx, .dbf (and .prj) side by side",
+                )
+        files += [checked_file(found[end], root=root, what="region file") for end in _SIDECARS if end in found]
+    size = sum(f.stat().st_size for f in files)
+    if size > MAX_BYTES:
+        raise InputError(f"larger than {MAX_BYTES >> 20} MiB", where=str(path))
+
+
+def _placing(
+    coordinates: str | None, stated: str | None, transform: Affine | None, crs: CRS | None, where: str
+) -> Any:
+    """A function from the file's coordinates (n, 2) to continuous pixel coordinates."""
+    try:
+        own = CRS.from_user_input(stated) if stated else None
+    except CRSError:
+        raise InputError(f"unknown coordinate system {stated!r}", where=where) from None
+    if own is None and coordinates is None:
+        raise UsageError(
+            "the file states no coordinate system",
+            where=where,
+            mend="state coordinates: pixel, map (the cube's own system) or lonlat",
+        )
+    if own is not None and coordinates == "pixel":
+        raise InputError(
+            f"the file is in {own}, not in pixel coordinates", where=where, mend="leave coordinates out"
+        )
+    if own is not None and coordinates == "map" and crs is not None and own != crs:
+        raise InputError(f"the file is in {own}, the cube in {crs}", where=where, mend="leave coordinates out")
+    if own is not None and coordinates == "lonlat" and not own.is_geographic:
+        raise InputError(f"the file is in {own}, not in longitude and latitude", where=where)
+
+    def place(points: Array, where: str) -> Array:
+        if coordinates == "pixel":
+            return points
+        if own is not None:
+            points = reprojected(points, own, crs, where=where)
+        elif coordinates == "lonlat":
+            points = reprojected(points, CRS.from_epsg(4326), crs, where=where)
+        return map_to_pixel(points, transform, where=where)
+
+    return place
+
+
+def _names(layer: str, fields: list[str], columns: Any, count: int) -> list[str]:
+    """Name of each feature: its attribute, else the layer's (numbered when it holds several)."""
+    lower = [str(f).lower() for f in fields]
+    column = next((columns[lower.index(c)] for c in _NAME_COLUMNS if c in lower), None)
+    out = []
+    for i in range(count):
+        value = None if column is None else column[i]
+        text = "" if value is None or value != value else str(value).strip()
+        out.append(text or (layer if count == 1 else f"{layer}-{i + 1}"))
+    return out
+
+
+def _mask(wkb: bytes | None, shape: tuple[int, int], place: Any, where: str) -> Mask:
+    if wkb is None:
+        raise InputError("a feature without geometry", where=where)
+    try:
+        kind, parts, _ = _geometry(bytes(wkb), 0)
+    except (struct.error, ValueError, IndexError):
+        raise InputError("a geometry that is not understood", where=where) from None
+    if kind in _KINDS or not parts:
+        what = f"geometry {_KINDS[kind]!r}" if kind in _KINDS else "an empty geometry"
+        raise InputError(what, where=where, expected="Polygon, MultiPolygon, Point, MultiPoint")
+    if kind in (_POINT, _MULTI_POINT):
+        return point_mask(place(np.vstack([ring for part in parts for ring in part]), where), shape, where=where)
+    mask = np.zeros(shape, bool)
+    for rings in parts:
+        placed = [place(ring, where) for ring in rings]
+        mask |= polygon_mask(placed[0], shape, placed[1:], where=where)
+    return mask
+
+
+def _geometry(raw: bytes, at: int) -> tuple[int, list[list[Array]], int]:
+    """Kind of a well-known-binary geometry, its parts (lists of rings of (n, 2) points), and where it ends.
+
+    The layout is that of OGC 06-103r4, section 8.2: byte order, kind, counts, pairs of doubles.
+    """
+    end = "<" if raw[at] == 1 else ">"
+    (kind,) = struct.unpack_from(f"{end}I", raw, at + 1)
+    at += 5
+
+    def points(count: int, at: int) -> tuple[Array, int]:
+        if at + 16 * count > len(raw):
+            raise ValueError("cut short")
+        return np.frombuffer(raw, f"{end}f8", 2 * count, at).reshape(-1, 2).astype(float), at + 16 * count
+
+    if kind == _POINT:
+        xy, at = points(1, at)
+        return kind, [[xy]] if np.all(np.isfinite(xy)) else [], at
+    (count,) = struct.unpack_from(f"{end}I", raw, at)
+    at += 4
+    parts: list[list[Array]] = []
+    if kind == _POLYGON:
+        rings = []
+        for _ in range(count):
+            (n,) = struct.unpack_from(f"{end}I", raw, at)
+            ring, at = points(n, at + 4)
+            rings.append(ring)
+        return kind, [rings] if rings else [], at
+    if kind in (_MULTI_POINT, _MULTI_POLYGON):
+        for _ in range(count):
+            _, inner, at = _geometry(raw, at)
+            parts += inner
+        return kind, parts, at
+    if kind in _KINDS:
+        return kind, [], at
+    raise ValueError(f"kind {kind}")

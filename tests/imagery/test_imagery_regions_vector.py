@@ -1,0 +1,192 @@
+"""GeoPackage and Shapefile: the same region as from every other format, holes, several layers, what is refused."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.warp import transform as reproject
+
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.regions import read_regions
+from hyperval.imagery.regions_vector import _geometry
+
+SHAPE = (10, 12)
+SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
+HOLE = [(3.0, 4.0), (5.0, 4.0), (5.0, 6.0), (3.0, 6.0)]
+TRANSFORM = Affine(2.0, 0, 300000.0, 0, -2.0, 4700000.0)
+UTM18, WGS84 = CRS.from_epsg(32618), CRS.from_epsg(4326)
+PLACED = {"transform": TRANSFORM, "crs": UTM18}
+
+
+def on_map(points):
+    return [(300000.0 + 2 * x, 4700000.0 - 2 * y) for x, y in points]
+
+
+def lonlat(points):
+    x, y = zip(*on_map(points), strict=True)
+    return list(zip(*reproject(UTM18, WGS84, x, y), strict=True))
+
+
+def polygon(*rings) -> bytes:
+    """Well-known binary of a polygon, the rings closed."""
+    out = struct.pack("<BII", 1, 3, len(rings))
+    for ring in rings:
+        closed = [*ring, ring[0]]
+        out += struct.pack("<I", len(closed)) + b"".join(struct.pack("<2d", *p) for p in closed)
+    return out
+
+
+def multi(kind: int, *members: bytes) -> bytes:
+    return struct.pack("<BII", 1, kind, len(members)) + b"".join(members)
+
+
+def point(x: float, y: float) -> bytes:
+    return struct.pack("<BI2d", 1, 1, x, y)
+
+
+def write(path: Path, shapes, names=None, *, kind="Polygon", crs: str | None = "EPSG:32618", **options):
+    pyogrio = pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # no coordinate system: meant here
+        pyogrio.raw.write(
+            path,
+            np.array(shapes, dtype=object),
+            field_data=[] if names is None else [np.array(names, dtype=object)],
+            fields=[] if names is None else ["name"],
+            geometry_type=kind,
+            crs=crs,
+            **options,
+        )
+    return path
+
+
+def expected(hole: bool = False) -> np.ndarray:
+    mask = np.zeros(SHAPE, bool)
+    mask[3:8, 2:6] = True
+    if hole:
+        mask[4:6, 3:5] = False
+    return mask
+
+
+@pytest.mark.parametrize("end", ["gpkg", "shp"])
+@pytest.mark.parametrize("system", ["map", "stated map", "lonlat", "pixel"])
+def test_the_square_of_every_other_format(tmp_path, end, system):
+    points = {"lonlat": lonlat(SQUARE), "pixel": SQUARE}.get(system, on_map(SQUARE))
+    crs = {"map": "EPSG:32618", "lonlat": "EPSG:4326"}.get(system)
+    stated = {"stated map": "map", "pixel": "pixel"}.get(system)
+    path = write(tmp_path / f"r.{end}", [polygon(points)], ["grass"], crs=crs)
+    regions = read_regions(path, SHAPE, coordinates=stated, **PLACED)
+    assert list(regions) == ["grass"]
+    assert np.array_equal(regions["grass"].mask, expected())
+
+
+@pytest.mark.parametrize("end", ["gpkg", "shp"])
+def test_holes_and_parts_are_kept(tmp_path, end):
+    small = [(8.0, 1.0), (10.0, 1.0), (10.0, 2.0), (8.0, 2.0)]
+    whole = multi(6, polygon(on_map(SQUARE), on_map(HOLE)), polygon(on_map(small)))
+    path = write(tmp_path / f"r.{end}", [whole], ["grass"], kind="MultiPolygon")
+    want = expected(hole=True)
+    want[1, 8:10] = True
+    assert np.array_equal(read_regions(path, SHAPE, **PLACED)["grass"].mask, want)
+
+
+def test_features_of_one_name_are_united_and_points_hold_their_pixel(tmp_path):
+    path = write(
+        tmp_path / "p.gpkg",
+        [point(*on_map([(0.5, 0.5)])[0]), point(*on_map([(1.5, 0.5)])[0]), point(*on_map([(7.9, 9.9)])[0])],
+        ["a", "a", "b"],
+        kind="Point",
+    )
+    regions = read_regions(path, SHAPE, **PLACED)
+    assert {k: list(zip(*np.nonzero(r.mask), strict=True)) for k, r in regions.items()} == {
+        "a": [(0, 0), (0, 1)],
+        "b": [(9, 7)],
+    }
+
+
+def test_every_layer_is_read_and_names_the_region(tmp_path):
+    path = write(tmp_path / "l.gpkg", [polygon(on_map(SQUARE))], layer="grass")
+    write(path, [polygon(on_map(HOLE))], layer="panel", append=True)
+    regions = read_regions(path, SHAPE, **PLACED)
+    assert {name: r.n for name, r in regions.items()} == {"grass": 20, "panel": 4}
+
+
+def test_both_byte_orders_of_a_geometry():
+    big = struct.pack(">BII", 0, 3, 1) + struct.pack(">I", 3) + struct.pack(">6d", 0, 0, 1, 0, 1, 1)
+    kind, parts, end = _geometry(big, 0)
+    assert (kind, len(parts), end) == (3, 1, len(big))
+    assert parts[0][0].tolist() == [[0, 0], [1, 0], [1, 1]]
+    with pytest.raises(ValueError, match="cut short"):
+        _geometry(big[:-4], 0)
+
+
+def test_a_polygon_that_leaves_the_image_is_refused_with_its_extent(tmp_path):
+    path = write(tmp_path / "o.gpkg", [polygon(on_map([(2, 3), (14, 3), (14, 8)]))], ["grass"])
+    with pytest.raises(InputError, match=r"leaves the image: samples 2\.00 to 14\.00") as caught:
+        read_regions(path, SHAPE, **PLACED)
+    assert "feature 1 (grass)" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("crs", "stated", "error", "message"),
+    [
+        (None, None, UsageError, "states no coordinate system"),
+        ("EPSG:32618", "pixel", InputError, "not in pixel coordinates"),
+        ("EPSG:32617", "map", InputError, "the cube in"),
+        ("EPSG:32618", "lonlat", InputError, "not in longitude and latitude"),
+    ],
+)
+def test_coordinates_that_nobody_states_or_that_contradict(tmp_path, crs, stated, error, message):
+    path = write(tmp_path / "c.shp", [polygon(on_map(SQUARE))], ["grass"], crs=crs)
+    with pytest.raises(error, match=message):
+        read_regions(path, SHAPE, coordinates=stated, **PLACED)
+
+
+def test_lines_have_no_area(tmp_path):
+    line = struct.pack("<BII4d", 1, 2, 2, *on_map([(1, 1)])[0], *on_map([(4, 4)])[0])
+    path = write(tmp_path / "l.gpkg", [line], ["road"], kind="LineString")
+    with pytest.raises(InputError, match="geometry 'LineString'"):
+        read_regions(path, SHAPE, **PLACED)
+
+
+def test_a_shapefile_without_its_companions_is_named(tmp_path):
+    path = write(tmp_path / "s.shp", [polygon(on_map(SQUARE))], ["grass"])
+    path.with_suffix(".dbf").unlink()
+    with pytest.raises(InputError, match=r"the \.dbf file of the Shapefile is missing"):
+        read_regions(path, SHAPE, **PLACED)
+
+
+def test_a_companion_outside_the_root_is_refused(tmp_path):
+    inside = tmp_path / "root"
+    inside.mkdir()
+    path = write(inside / "s.shp", [polygon(on_map(SQUARE))], ["grass"])
+    path.with_suffix(".dbf").rename(tmp_path / "s.dbf")
+    path.with_suffix(".dbf").symlink_to(tmp_path / "s.dbf")
+    with pytest.raises(UsageError, match="outside the data root"):
+        read_regions(path, SHAPE, root=inside, **PLACED)
+
+
+@pytest.mark.parametrize("head", [b"SQLite format 3\0", b"\x00\x00\x27\x0a" + bytes(96)])
+def test_a_broken_file_is_one_clear_error(tmp_path, head):
+    pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
+    path = tmp_path / "broken.gpkg"
+    path.write_bytes(head + b"\x01" * 50)
+    with pytest.raises(InputError, match=r"cannot be read|no region"):
+        read_regions(path, SHAPE, **PLACED)
+
+
+@pytest.mark.parametrize("head", [b"SQLite format 3\0", b"\x00\x00\x27\x0a"])
+def test_without_the_package_the_message_says_how_to_get_it(tmp_path, monkeypatch, head):
+    monkeypatch.setitem(sys.modules, "pyogrio", None)
+    path = tmp_path / "r.bin"
+    path.write_bytes(head + bytes(100))
+    with pytest.raises(UsageError, match=r"pip install hyperval\[vector\]"):
+        read_regions(path, SHAPE)
