@@ -133,3 +133,37 @@ def test_each_field_has_its_error(world, change, error, message):
 def test_settings_that_contradict_themselves_are_refused(world, change, message):
     with pytest.raises(ValueError, match=message):
         Collection.model_validate(world.collection | change)
+
+
+def test_targets_inside_a_region_are_counted_and_said_to_be_left_out(world):
+    # Target (30, 20) with its guard: 9 pixels; the region holds two lines of three of them.
+    world.collection["regions"] = [
+        {"name": "ground", "rectangle": [30, 15, 10, 10]},
+        {"name": "on target", "rectangle": [10, 10, 1, 1]},
+        {"name": "clear", "rectangle": [40, 30, 5, 5]},
+    ]
+    place = opened(world)
+    touched = np.logical_or.reduce([t.mask for t in place.targets])
+    ground = place.region("ground")
+    inside, guarded = int((ground & touched).sum()), int((ground & place.near_targets).sum())
+    assert 0 < inside < guarded < 100
+    said = [n for n in place.notes if "targets" in n]
+    assert said == [
+        f"the region 'ground' holds {inside} pixels of targets and {guarded - inside} of their guard among 100: "
+        "left out of its statistics",
+        "warning: the region 'on target' holds 1 pixels of targets and 0 of their guard, which is all of it: they "
+        "stay in its statistics",
+    ]
+
+
+def test_targets_that_touch_the_same_pixel_are_counted(world):
+    rows = "name,material,group,row0,col0,side_m\na,paint,x,10,10,1\nb,paint,x,10,10,1\n"
+    world.text("targets.csv", rows)
+    assert "1 pixels may hold parts of more than one target" in opened(world).notes
+
+
+def test_what_the_header_says_of_the_flight_is_noted(world):
+    world.write(extra={"calculated co2 shift": "3.65", "fps": "67.00"})
+    notes = " ".join(opened(world).notes)
+    assert "CO2 shift 3.65 nm found" in notes
+    assert "fps 67.00" in notes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from hyperval.collection import Collection, CubeSource, NormalizedDifference, RegionSource, TargetTruth
 from hyperval.errors import InputError, UsageError
+from hyperval.imagery.acquisition import acquisition_notes
 from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.regions import Region, guard, overlaps, read_regions, rectangle_region
 from hyperval.imagery.truth import TargetObject, intersected_objects, read_targets
@@ -95,11 +96,12 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         if name not in regions:
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
         left_out |= regions[name].mask
-    notes = list(cube.notes)
+    notes = [*cube.notes, *acquisition_notes(cube.extras, cube.axis, cube.samples, cube.raster.bands)]
     notes += [
         f"the regions {first!r} and {second!r} share {count} pixels"
         for first, second, count in overlaps(regions.values())
     ]
+    notes += target_overlaps(regions.values(), targets, near)
     return Place(
         cube,
         {name: region.mask for name, region in regions.items()},
@@ -111,6 +113,27 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None),
         tuple(notes),
     )
+
+
+def target_overlaps(regions: Iterable[Region], targets: Sequence[TargetObject], near: Mask) -> list[str]:
+    """Which regions hold pixels of targets or of their guard, and what becomes of these; likewise two targets."""
+    notes = []
+    touched = np.zeros(near.shape, np.int32)
+    for target in targets:
+        touched += target.mask
+    for region in regions:
+        inside, guarded = int(np.sum(region.mask & (touched > 0))), int(np.sum(region.mask & near))
+        if not guarded:
+            continue
+        what = f"the region {region.name!r} holds {inside} pixels of targets and {guarded - inside} of their guard"
+        if guarded == region.n:
+            notes.append(f"warning: {what}, which is all of it: they stay in its statistics")
+        else:
+            notes.append(f"{what} among {region.n}: left out of its statistics")
+    shared = int(np.sum(touched > 1))
+    if shared:
+        notes.append(f"{shared} pixels may hold parts of more than one target")
+    return notes
 
 
 def open_source(source: CubeSource, resolve: Resolve) -> Cube:
