@@ -123,7 +123,7 @@ def test_distance_alone_becomes_a_day_with_that_distance():
 
 
 def test_cards_refuse_what_does_not_fit():
-    with pytest.raises(UsageError, match="V1 = 1000000000000.0 does not fit 10 columns"):
+    with pytest.raises(UsageError, match=r"V1 = 1000000000000\.0 does not fit 10 columns"):
         format_card(5, "4", {"V1": 1e12})
     with pytest.raises(UsageError, match="card 5 of MODTRAN 5 has no JRPT"):
         format_card(5, "5", {"JRPT": 1})

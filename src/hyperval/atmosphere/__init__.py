@@ -2,7 +2,18 @@
 
 from hyperval.atmosphere.engine import ENGINES, atmospheric_terms
 from hyperval.atmosphere.modtran import read_chn
+from hyperval.atmosphere.modtran_json import modtran6_json
+from hyperval.atmosphere.modtran_runs import read_modtran_runs
+from hyperval.atmosphere.modtran_tape5 import tape5
+from hyperval.atmosphere.modtran_tape7 import read_tape7
 from hyperval.atmosphere.state import AerosolMix, AtmosphericState
+from hyperval.atmosphere.table import AtmosphericTable
+from hyperval.atmosphere.table_build import build_table
+from hyperval.atmosphere.table_files import read_table, write_table
 from hyperval.atmosphere.terms import AtmosphericTerms
 
-__all__ = ["ENGINES", "AerosolMix", "AtmosphericState", "AtmosphericTerms", "atmospheric_terms", "read_chn"]
+__all__ = [
+    "ENGINES", "AerosolMix", "AtmosphericState", "AtmosphericTable", "AtmosphericTerms", "atmospheric_terms",
+    "build_table", "modtran6_json", "read_chn", "read_modtran_runs", "read_table", "read_tape7", "tape5",
+    "write_table",
+]  # fmt: skip

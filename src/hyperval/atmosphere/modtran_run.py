@@ -129,7 +129,7 @@ def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | N
         with tempfile.TemporaryDirectory(prefix="hyperval-modtran-") as scratch:
             for _ in track([0], f"MODTRAN {modtran.version}", total=1, show=show_progress):
                 outputs = run_modtran(state, runs, modtran, Path(scratch))
-            return _stored(read_modtran_runs(outputs, [run.albedo for run in runs]).terms)
+            return _stored(read_modtran_runs(outputs, [run.albedo for run in runs]))
 
     return _restored(cached(folder, "modtran", inputs, compute), state, modtran)
 

@@ -6,7 +6,8 @@ With the same atmosphere over uniform ground of reflectance rho (3.7 with rho_m 
     path(rho)   = L_a + B rho / (1 - S rho)      SOL_SCAT, which holds SING_SCAT already
 
 so rho / ground = 1/A - (S/A) rho is a straight line: two albedos above 0 give A and S, the black run gives L_a, the
-brightest B.  Emission (PTH_THRML, SURF_EMIS) is part of L_a, as the black run has it.
+brightest B.  DRCT_RFLT / GRND_RFLT tells the sun from the sky.  Emission (PTH_THRML, SURF_EMIS) is part of L_a, as
+the black run has it.
 """
 
 from __future__ import annotations
@@ -39,21 +40,6 @@ class Coefficients:
     direct: Array
     adjacency: Array
     spherical_albedo: Array
-
-
-@dataclass(frozen=True)
-class SolvedRuns:
-    """Terms from several runs.
-
-    Attributes
-    ----------
-    terms : the terms of equation 3.7
-    sun_share : (n,) direct sun's part of the irradiance of black ground, DRCT_RFLT / GRND_RFLT at rho -> 0 [1];
-        NaN where no light arrives or the file does not tell
-    """
-
-    terms: AtmosphericTerms
-    sun_share: Array
 
 
 def solve_coefficients(
@@ -102,7 +88,7 @@ def checked_albedos(albedos: Sequence[float]) -> list[float]:
     return rho
 
 
-def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None = None) -> SolvedRuns:
+def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
     """Terms at the wavenumbers of tape7 cases in radiance mode, turned to radiance per wavelength.
 
     Parameters
@@ -145,7 +131,7 @@ def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None
     with np.errstate(divide="ignore", invalid="ignore"):
         share = per_wavelength(bright, "DRCT_RFLT") / max(rho) / found.direct
         efficiency = np.where(sun > 0.0, found.direct / sun, 0.0)
-    terms = AtmosphericTerms(
+    return AtmosphericTerms(
         wavelength_nm=wavelength,
         path_radiance=per_wavelength(black, "SOL_SCAT") + emission,
         direct=found.direct,
@@ -160,11 +146,11 @@ def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None
             "solar_spectrum": "of the MODTRAN run",
             "emission": "of the black run, part of the path radiance",
         },
+        diffuse_fraction=_diffuse(share),
     )
-    return SolvedRuns(terms, np.where(found.direct > 0.0, share, np.nan))
 
 
-def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] | None = None) -> SolvedRuns:
+def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
     """Terms at the channels of a channel file's blocks, from their radiances instead of the printed coefficients.
 
     The printed spherical albedo is used where no light is reflected.  ``albedos`` None: found from each block, to
@@ -185,7 +171,10 @@ def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] |
     found = solve_coefficients(rho, [b.ground for b in blocks], [b.path for b in blocks], black.spherical_albedo)
     with np.errstate(divide="ignore", invalid="ignore"):
         efficiency = np.where(black.unit_radiance > 0.0, found.direct / black.unit_radiance, 0.0)
-    terms = AtmosphericTerms(
+    bright = blocks[rho.index(max(rho))]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = bright.ground_of_sun / max(rho) / found.direct
+    return AtmosphericTerms(
         wavelength_nm=black.wavelength_nm,
         path_radiance=black.thermal + black.path,
         direct=found.direct,
@@ -200,14 +189,11 @@ def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] |
             "emission": "of the black run, part of the path radiance",
         },
         fwhm_nm=_FWHM_PER_WIDTH * black.width_nm,
+        diffuse_fraction=_diffuse(share),
     )
-    bright = blocks[rho.index(max(rho))]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = bright.ground_of_sun / max(rho) / found.direct
-    return SolvedRuns(terms, np.where(found.direct > 0.0, share, np.nan))
 
 
-def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = None) -> SolvedRuns:
+def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
     """Terms from the output of several runs: a channel file of several blocks, or tape7 files of one or more cases.
 
     Raises
@@ -241,3 +227,12 @@ def _ground_irradiance(direct: Array, transmittance: Array) -> Array:
     """pi A / (direct transmittance of the path) [uW cm-2 nm-1]; NaN where the path is opaque."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(transmittance > _LEAST_TRANSMITTANCE, np.pi * direct / transmittance, np.nan)
+
+
+def _diffuse(sun_share: Array) -> Array:
+    """Sky's part of the irradiance of black ground, 1 - DRCT_RFLT / (A rho); in the dark that of the neighbours."""
+    known = np.isfinite(sun_share)
+    if not known.any():
+        return np.zeros(sun_share.size)
+    index = np.arange(sun_share.size)
+    return np.clip(1.0 - np.interp(index, index[known], sun_share[known]), 0.0, 1.0)

@@ -1,0 +1,290 @@
+"""Tables in files: NetCDF, and folders of MODTRAN channel files named after their state."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from hyperval.atmosphere import solar, visibility
+from hyperval.atmosphere.modtran import ChannelBlock, read_chn, read_chn_blocks
+from hyperval.atmosphere.modtran_json import read_modtran_json, stated_albedo, stated_fields
+from hyperval.atmosphere.modtran_runs import terms_from_blocks
+from hyperval.atmosphere.table import AXES, NAMED, OPTIONAL, QUANTITIES, AtmosphericTable, leave_one_out
+from hyperval.errors import InputError, UsageError
+from hyperval.files import sha256_of, whole_file
+
+Array = npt.NDArray[np.float64]
+
+_MAX_VALUES = 1 << 27  # 1 GiB of float64
+_FORMAT = "hyperval atmospheric table 1"
+_LONG_NAMES = {
+    "path": "path radiance over black ground, L_a / F",
+    "direct": "direct-view coefficient, A / F",
+    "adjacency": "adjacency coefficient, B / F",
+    "spherical_albedo": "spherical albedo of the atmosphere",
+    "ground": "irradiance of black ground, E / (pi F)",
+    "gas": "two-way gas transmittance",
+    "diffuse": "sky's part of the irradiance of black ground",
+}
+# What MODTRAN users and their tools call the axes.
+_FILE_NAMES = {
+    "AOT550": "aot550", "H2OSTR": "water_vapour_g_cm2", "O3STR": "ozone_atm_cm", "GNDALT": "ground_altitude_km",
+    "H1ALT": "sensor_altitude_km",
+}  # fmt: skip
+_PART = re.compile(r"([A-Za-z][A-Za-z0-9_]*?)-(\d+(?:\.\d+)?)(?=_|$)")
+
+
+def read_table(path: Path) -> AtmosphericTable:
+    """A table from a NetCDF file, a folder of channel files, or the run template (.json) in such a folder.
+
+    Tables are kept in memory for the life of the process, as long as their files do not change.
+
+    Raises
+    ------
+    InputError : missing, corrupt, too large, or an incomplete grid.
+    """
+    path = Path(path)
+    if path.is_dir() or path.suffix == ".json":
+        folder = path if path.is_dir() else path.parent
+        files = _channel_files(folder)
+        template = _template_file(folder, files[0]) if path.is_dir() else path
+        return _from_folder(tuple(_stamp(f) for f in files), str(folder), _stamp(template))
+    return _from_netcdf(*_stamp(path))
+
+
+def write_table(table: AtmosphericTable, path: Path) -> None:
+    """Write a table as NetCDF, whole or not at all; the same table gives the same bytes."""
+    dims = (*table.axes, "wavelength_nm")
+    data = xr.Dataset(
+        coords={
+            "wavelength_nm": ("wavelength_nm", table.wavelength_nm, {"units": "nm"}),
+            **{name: (name, nodes) for name, nodes in table.axes.items()},
+        },
+        attrs={
+            "Conventions": "CF-1.11",
+            "format": _FORMAT,
+            "fixed": json.dumps(table.fixed, sort_keys=True),
+            "source": json.dumps(table.source, sort_keys=True),
+            "leave_one_out_error": json.dumps(table.errors or leave_one_out(table), sort_keys=True),
+        },
+    )
+    held = [name for name in (*QUANTITIES, *OPTIONAL) if name in table.quantities]
+    for name in held:
+        data[name] = (dims, table.quantities[name], {"units": "1", "long_name": _LONG_NAMES[name]})
+    if table.solar_irradiance is not None:
+        data["solar_irradiance"] = ("wavelength_nm", table.solar_irradiance, {"units": "uW cm-2 nm-1"})
+    if table.fwhm_nm is not None:
+        data["fwhm_nm"] = ("wavelength_nm", table.fwhm_nm, {"units": "nm"})
+    encoding = {name: {"zlib": True, "complevel": 4, "shuffle": True} for name in held}
+    with whole_file(Path(path)) as temporary:
+        data.to_netcdf(temporary, mode="w", engine="h5netcdf", encoding=encoding)
+
+
+_Stamp = tuple[str, int, int]
+
+
+def _stamp(path: Path) -> _Stamp:
+    """Name, time of change and size: what tells whether a file is still the one that was read."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise InputError("no such file", where=str(path)) from error
+    return str(path), status.st_mtime_ns, status.st_size
+
+
+@lru_cache(maxsize=8)
+def _from_netcdf(path: str, changed_ns: int, size: int) -> AtmosphericTable:
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as data:
+            return _table_of(data, path)
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
+        raise InputError(
+            f"not a table: {str(error).splitlines()[0][:200]}", where=path, expected=f"NetCDF, format {_FORMAT!r}"
+        ) from error
+    except UsageError as error:
+        raise InputError(f"not a valid table: {error.what}", where=path, expected=error.args[0]) from error
+
+
+def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
+    missing = [name for name in (*QUANTITIES, "wavelength_nm") if name not in data.variables]
+    if data.attrs.get("format") != _FORMAT or missing:
+        raise InputError(
+            f"not a table: {'lacks ' + ', '.join(missing) if missing else 'another format'}",
+            where=path,
+            expected=f"NetCDF with the attribute format {_FORMAT!r} and the variables {', '.join(QUANTITIES)}",
+        )
+    held = [name for name in (*QUANTITIES, *OPTIONAL) if name in data.variables]
+    total = sum(int(np.prod(data[name].shape, dtype=object)) for name in held)
+    if total > _MAX_VALUES:
+        raise InputError(f"{total} values", where=path, expected=f"at most {_MAX_VALUES}")
+    dims = [str(d) for d in data["path"].dims]
+    if dims[-1] != "wavelength_nm" or not set(dims[:-1]) <= set(AXES):
+        raise InputError(
+            f"dimensions {dims}", where=path, expected="some of " + ", ".join(AXES) + ", and wavelength_nm last"
+        )
+    return AtmosphericTable(
+        wavelength_nm=_floats(data["wavelength_nm"]),
+        axes={name: _floats(data[name]) for name in dims[:-1]},
+        fixed=_record(data.attrs, "fixed"),
+        quantities={name: _floats(data[name].transpose(*dims)) for name in held},
+        solar_irradiance=_floats(data["solar_irradiance"]) if "solar_irradiance" in data else None,
+        fwhm_nm=_floats(data["fwhm_nm"]) if "fwhm_nm" in data else None,
+        source={**_record(data.attrs, "source"), "file": Path(path).name, "sha256": sha256_of(Path(path))},
+        errors=_record(data.attrs, "leave_one_out_error"),
+    )
+
+
+def _floats(values: xr.DataArray) -> Array:
+    return np.ascontiguousarray(values.to_numpy(), dtype=float)
+
+
+def _record(attributes: dict[Any, Any], name: str) -> dict[str, Any]:
+    found = json.loads(str(attributes.get(name, "{}")))
+    if not isinstance(found, dict):
+        raise ValueError(f"the attribute {name} is no record")
+    return found
+
+
+def _channel_files(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        raise InputError("no such folder", where=str(folder))
+    files = sorted(
+        p for p in folder.iterdir() if p.name.removesuffix(".gz").endswith(".chn") and _PART.search(_stem(p))
+    )
+    if len(files) < 2:
+        raise InputError(
+            f"{len(files)} channel files", where=str(folder), expected="names such as AOT550-0.05_H2OSTR-0.75.chn"
+        )
+    return files
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".gz").removesuffix(".chn")
+
+
+def _values_in(path: Path) -> dict[str, float]:
+    found = {}
+    for name, value in _PART.findall(_stem(path)):
+        axis = _FILE_NAMES.get(name, name)
+        if axis not in AXES:
+            raise InputError(
+                f"{name!r} is no axis", where=str(path), expected="among " + ", ".join([*_FILE_NAMES, *AXES])
+            )
+        found[axis] = float(value)
+    return found
+
+
+@lru_cache(maxsize=8)
+def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> AtmosphericTable:
+    files = [Path(name) for name, _, _ in stamps]
+    values = [_values_in(f) for f in files]
+    names = [name for name in AXES if any(name in v for v in values)]
+    if any(set(v) != set(names) for v in values):
+        raise InputError("the file names have different parts", where=folder, expected="_".join(names))
+    nodes = {name: np.array(sorted({v[name] for v in values})) for name in names}
+    at = {tuple(v[name] for name in names): i for i, v in enumerate(values)}
+    grid = [tuple(c) for c in np.array(np.meshgrid(*nodes.values(), indexing="ij")).reshape(len(names), -1).T]
+    absent = [c for c in grid if c not in at]
+    if absent or len(at) != len(files):
+        lacking = (
+            ", ".join(f"{n} {v:g}" for n, v in zip(names, absent[0], strict=True)) if absent else "a node twice"
+        )
+        raise InputError(
+            f"the grid is not complete: {lacking}",
+            where=folder,
+            expected=f"one file for each of {len(grid)} states",
+        )
+    stated, albedos = _stated(Path(template[0]))
+    axes = {name: n for name, n in nodes.items() if n.size > 1}
+    fixed = {k: v for k, v in stated.items() if k in (*AXES, *NAMED) and k not in axes}
+    fixed |= {name: float(n[0]) for name, n in nodes.items() if n.size == 1}
+    if "solar_zenith_deg" not in (*axes, *fixed) or "day_of_year" not in stated:
+        raise InputError(
+            "the sun is not stated", where=folder, expected="a run template (.json) with IDAY and the sun's place"
+        )
+    rows = [_row(files[at[c]], albedos) for c in grid]
+    first = rows[0]
+    if any(not np.array_equal(r["wavelength_nm"], first["wavelength_nm"]) for r in rows):
+        raise InputError("the files have different channels", where=folder)
+    zenith = np.array(
+        [dict(zip(names, c, strict=True)).get("solar_zenith_deg", fixed.get("solar_zenith_deg")) for c in grid]
+    )
+    irradiance = np.array([r["unit"] for r in rows]) * np.pi / np.cos(np.deg2rad(zenith.astype(float)))[:, None]
+    if np.any(np.ptp(irradiance, axis=0) > 1e-3 * irradiance.max(axis=0)):
+        raise InputError(
+            "the runs have different suns", where=folder, expected="one solar spectrum, day and zenith"
+        )
+    shape = (*(n.size for n in axes.values()), first["wavelength_nm"].size)
+    held = [name for name in (*QUANTITIES, *OPTIONAL) if all(r[name] is not None for r in rows)]
+    table = AtmosphericTable(
+        wavelength_nm=first["wavelength_nm"],
+        axes=axes,
+        fixed=fixed,
+        quantities={name: np.stack([r[name] for r in rows]).reshape(shape) for name in held},
+        solar_irradiance=irradiance[0] * solar.distance_on_day(int(stated["day_of_year"])) ** 2,
+        fwhm_nm=first["fwhm_nm"],
+        source={
+            "engine": "MODTRAN channel files",
+            "files": {f.name: sha256_of(f) for f in (*files, Path(template[0]))},
+            "terms": "from the runs" if first["solved"] else "from the printed coefficients",
+        },
+    )
+    return replace(table, errors=leave_one_out(table))
+
+
+def _template_file(folder: Path, first: Path) -> Path:
+    found = [p for p in (folder / f"LUT_{_stem(first)}.json",) if p.is_file()] or sorted(
+        folder.glob("*template*.json")
+    )
+    if len(found) != 1:
+        raise InputError(
+            f"{len(found)} run templates",
+            where=str(folder),
+            expected="one *template*.json, or LUT_NAME.json beside each file",
+        )
+    return found[0]
+
+
+def _stated(template: Path) -> tuple[dict[str, Any], list[float] | None]:
+    """What the run template states, and the ground reflectances of its runs."""
+    cases = read_modtran_json(template)
+    stated = stated_fields(cases[0], str(template))
+    if "meteorological_range_km" in stated:
+        ground = stated.get("ground_altitude_km", 0.0)
+        stated["aot550"] = visibility.aot550_from_range(stated["meteorological_range_km"], ground)
+    if "solar_azimuth_deg" in stated and stated.get("view_zenith_deg") == 0.0:
+        stated["relative_azimuth_deg"] = stated["solar_azimuth_deg"] % 180.0  # means nothing at nadir
+    albedos = [stated_albedo(c) for c in cases]
+    return stated, [a for a in albedos if a is not None] if None not in albedos and len(albedos) > 1 else None
+
+
+def _row(path: Path, albedos: list[float] | None) -> dict[str, Any]:
+    blocks = read_chn_blocks(path)
+    solved = len(blocks) >= 3
+    terms = terms_from_blocks(blocks, albedos) if solved else read_chn(path)
+    black = min(blocks, key=ChannelBlock.reflectance)
+    unit = black.unit_radiance
+    if np.any(unit <= 0.0) or np.any(np.diff(terms.wavelength_nm) <= 0):
+        raise InputError("channels without sun, or channels that overlap", where=str(path))
+    irradiance = np.nan_to_num(terms.ground_irradiance, nan=0.0)
+    return {
+        "wavelength_nm": terms.wavelength_nm,
+        "fwhm_nm": terms.fwhm_nm,
+        "unit": unit,
+        "path": np.maximum(terms.path_radiance, 0.0) / unit,
+        "direct": np.maximum(terms.direct, 0.0) / unit,
+        "adjacency": np.maximum(terms.adjacency, 0.0) / unit,
+        "spherical_albedo": terms.spherical_albedo,
+        "ground": np.maximum(irradiance, 0.0) / (np.pi * unit),
+        "gas": terms.gas_transmittance,
+        "solved": solved,
+        "diffuse": terms.diffuse_fraction,
+    }
