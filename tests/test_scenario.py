@@ -66,7 +66,7 @@ def test_the_three_names_of_the_contract():
         ("side_m: 1, ", "", 14, "a square has side_m"),
         ("fixed: 0.5", "fixed: 1.5", 12, "less than or equal to 1"),
         ("band_sd", "band_sdd", 6, "did you mean 'band_sd'"),
-        ("schema: 1\n", "schema: 1\nprocessing: {detectors: [ace]}\n", 2, "unknown detector 'ace'"),
+        ("schema: 1\n", "schema: 1\nprocessing: {detectors: [acme]}\n", 2, "unknown detector 'acme'"),
         ("schema: 1\n", "schema: 1\nprocessing: {elm: {reflectances: [0.6, 0.1]}}\n", 2, "darker"),
         (
             "schema: 1\n",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,45 +12,27 @@ import numpy.typing as npt
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.errors import UsageError
-from hyperval.prediction.detection import Detection, detect, fill_distribution, seen_background
-from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, filled
-from hyperval.prediction.uncertainty import (
-    Perturbation,
-    combined,
-    perturbations,
-    spectral_errors,
-    spectrum_error_covariance,
-    with_bands,
-)
-from hyperval.prediction.view import View
-from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance
+from hyperval.prediction.detection import Background, Detection, Task, detect, seen_background
+from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, cut, filled
+from hyperval.prediction.notes import saturation_notes, sensor_notes
+from hyperval.prediction.setup import Instrument, instrument, refuse_gaps, with_sensor_blur
+from hyperval.prediction.spectra import SpectralProducts, spectral_products, without_calibration_error
+from hyperval.prediction.terms import remembered
+from hyperval.prediction.uncertainty import Perturbation, perturbations, spectrum_error_covariance, with_bands
+from hyperval.prediction.view import ClassLevels, View
 from hyperval.processing.roc_model import false_alarm_grid
-from hyperval.products import Prediction, SpectralEstimate
-from hyperval.scenario import Scenario
+from hyperval.products import Prediction
+from hyperval.scenario import DarkestPixel, Scenario
 from hyperval.scene.mixture import average_reflectance, mixture_covariance
-from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.sensor.noise import NoiseModel, add_noise
-from hyperval.sensor.specification import library_names, load_sensor
+from hyperval.sensor.noise import NoiseModel
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
+__all__ = ["detection_bands", "predict", "without_calibration_error"]
+
 Array = npt.NDArray[np.float64]
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
-
-
-def without_calibration_error(subject: str) -> str:
-    """Name under which ``snr`` holds a subject with C_R left out of (3.20)."""
-    return f"{subject} (no calibration error)"
-
-
-@dataclass
-class _Spectra:
-    """The spectral products while they are filled."""
-
-    radiance: dict[str, SpectralEstimate] = field(default_factory=dict)
-    snr: dict[str, SpectralEstimate] = field(default_factory=dict)
-    reflectance: dict[str, SpectralEstimate] = field(default_factory=dict)
 
 
 def predict(
@@ -80,6 +62,7 @@ def predict(
     Prediction.  Subjects of ``radiance`` and ``reflectance`` are classes, panels, sites and target
     populations; ``snr`` holds each class, panel and site twice, with C_R and under
     :func:`without_calibration_error`.  In the reflectance domain there is no radiance and no SNR.
+    A shifted spectrometer is labelled by its nominal bands.
 
     Raises
     ------
@@ -89,37 +72,32 @@ def predict(
     """
     find = resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
     given = measured or {}
-    sensor = None
-    if scenario.sensor is not None:
-        sensor = load_sensor(scenario.sensor if scenario.sensor in library_names() else find(scenario.sensor))
-    on = axis or (sensor.axis if sensor else None) or next((s.axis for s in given.values()), None)
-    if on is None:
-        raise UsageError("the scenario has no bands", mend="name a sensor, or hand in an axis")
-    surfaces, looked_for = _surfaces(scenario, Sources(on, given, find))
+    used = instrument(scenario, axis, next((s.axis for s in given.values()), None), find)
+    scenario = with_sensor_blur(scenario, used.sensor)
+    on, true = used.axis, used.true_axis
+    surfaces, looked_for = _surfaces(scenario, Sources(true, given, find, on), Sources(on, given, find))
 
     def terms_of(state: AtmosphericState) -> AtmosphericTerms:
         if engine is not None:
-            return engine(state).at_bands(on)
-        return atmospheric_terms(state, cache_dir=cache_dir, show_progress=show_progress).at_bands(on)
+            return engine(state).at_bands(true)
+        if state.engine == "table":  # a file of the scenario, read again when it changes
+            return atmospheric_terms(state, resolve=find).at_bands(true)
+        call = atmospheric_terms
+        return remembered(call, state, true, cache_dir=cache_dir, show_progress=show_progress)
 
-    view = _base_view(scenario, surfaces, terms_of, sensor.noise(on) if sensor and scenario.atmosphere else None)
+    view = _base_view(scenario, surfaces, terms_of, used.noise if scenario.atmosphere else None)
     steps = perturbations(view, scenario, terms_of)
     errors = {
         item.subject: spectrum_error_covariance(item, surfaces[item.subject], on)
         for item in scenario.uncertainty.field_spectra
     }
-    spectra = _spectra(scenario, on, surfaces, view, steps, errors)
+    spectra = spectral_products(scenario, on, surfaces, view, steps, errors)
     notes = [f"formulation: {scenario.formulation}"]
-    detection = _detection(scenario, on, surfaces, looked_for, view, steps, errors, notes)
+    detection = _detection(scenario, on, surfaces, looked_for, view, steps, errors, spectra, notes)
+    notes += detection.notes
     if view.noise is not None:
-        notes += [f"sensor {sensor.name if sensor else ''}: {text}" for text in view.noise.assumed]
-    provenance = {
-        "scenario": scenario.name,
-        "formulation": scenario.formulation,
-        "atmosphere": view.terms.provenance if view.terms else None,
-        "sensor": {"name": sensor.name, "source": sensor.specification.source} if sensor else None,
-        "spectra": {name: s.source for name, s in surfaces.items()},
-    }
+        notes += sensor_notes(used)
+        notes += saturation_notes(spectra.full_scale, on)
     return Prediction(
         on,
         spectra.radiance,
@@ -128,17 +106,43 @@ def predict(
         detection.scores,
         detection.roc,
         notes=tuple(notes),
-        provenance=provenance,
+        provenance=_provenance(scenario, used, view, surfaces),
+        noise=spectra.noise,
+        full_scale=spectra.full_scale,
     )
 
 
-def _surfaces(scenario: Scenario, sources: Sources) -> tuple[dict[str, SurfaceStatistics], dict[str, Array]]:
+def _provenance(
+    scenario: Scenario, used: Instrument, view: View, surfaces: Mapping[str, SurfaceStatistics]
+) -> dict[str, object]:
+    sensor = used.sensor
+    found: dict[str, object] = {
+        "scenario": scenario.name,
+        "formulation": scenario.formulation,
+        "atmosphere": view.terms.provenance if view.terms else None,
+        "sensor": {"name": sensor.name, "source": sensor.specification.source} if sensor else None,
+        "spectra": {name: s.source for name, s in surfaces.items()},
+    }
+    if scenario.sensor_operation is not None:
+        found["sensor_operation"] = scenario.sensor_operation.model_dump(mode="json")
+    return found
+
+
+def _surfaces(
+    scenario: Scenario, sources: Sources, labelled: Sources
+) -> tuple[dict[str, SurfaceStatistics], dict[str, Array]]:
+    """Statistics where the bands truly stand; what detectors look for where they are labelled."""
     scene = scenario.scene
     surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
-    looked_for = {
-        t.name: sources.spectrum(t.filter_spectrum, t.name).mean if t.filter_spectrum else surfaces[t.name].mean
-        for t in scene.targets
-    }
+    refuse_gaps(scenario, surfaces, sources.axis)
+    looked_for = {}
+    for t in scene.targets:
+        if t.filter_spectrum is not None:
+            looked_for[t.name] = labelled.spectrum(t.filter_spectrum, t.name).mean
+        elif sources.axis is labelled.axis:
+            looked_for[t.name] = surfaces[t.name].mean
+        else:
+            looked_for[t.name] = labelled.spectrum(t.spectrum, t.name).mean
     return surfaces, looked_for
 
 
@@ -148,7 +152,11 @@ def _base_view(
     classes = scenario.scene.classes
     fractions = np.array([c.fraction for c in classes])
     means = np.array([filled(surfaces[c.name].mean) for c in classes])
-    covariances = np.array([surfaces[c.name].covariance for c in classes])
+    covariances = [surfaces[c.name].covariance for c in classes]
+    elm, levels = scenario.processing.elm, None
+    if isinstance(elm, DarkestPixel):
+        gains = np.array([c.gain for c in classes])
+        levels = ClassLevels(fractions, gains, means, np.array([np.diag(c) for c in covariances]))
     return View(
         terms_of(scenario.atmosphere) if scenario.atmosphere else None,
         average_reflectance(fractions, means),  # (3.8)
@@ -156,75 +164,9 @@ def _base_view(
         noise,
         scenario.scene.adjacency.kappa,
         scenario.formulation,
-        None if scenario.processing.elm == "none" else scenario.processing.elm.reflectances,
+        None if elm == "none" else elm,
+        levels,
     )
-
-
-def _spectra(
-    scenario: Scenario,
-    axis: SpectralAxis,
-    surfaces: Mapping[str, SurfaceStatistics],
-    view: View,
-    steps: list[Perturbation],
-    errors: Mapping[str, Array],
-) -> _Spectra:
-    out, scene, bands = _Spectra(), scenario.scene, len(axis)
-    line = view.line()
-    lines = [(s, s.plus.line(), s.minus.line()) for s in steps]
-    retrieves = view.terms is None or view.panels is not None
-
-    def add(name: str, rho: Array, covariance: Array, gain: float, error: Array | None, snr: bool) -> None:
-        level = view.level(rho)
-        seen = np.nan_to_num(add_noise(view.covariance(rho, covariance, gain), view.noise_variance(level)))
-        if view.terms is not None:
-            changes = {s.source: 0.5 * (s.plus.level(rho) - s.minus.level(rho)) for s in steps}
-            shapes = spectral_errors(view, rho, axis, scenario.uncertainty.engine, error)
-            total, budget = combined(changes, shapes, bands)
-            out.radiance[name] = SpectralEstimate(level, total, seen, None, budget)
-            if snr and view.noise is not None:
-                for key, with_c in ((name, True), (without_calibration_error(name), False)):
-                    noise = view.noise
-                    moves = {
-                        s.source: 0.5
-                        * (
-                            noise.snr(s.plus.level(rho), calibration=with_c)
-                            - noise.snr(s.minus.level(rho), calibration=with_c)
-                        )
-                        for s in steps
-                    }
-                    total, budget = combined(moves, {}, bands)
-                    out.snr[key] = SpectralEstimate(noise.snr(level, calibration=with_c), total, None, None, budget)
-        if retrieves:
-            changes = {
-                s.source: 0.5
-                * (retrieved_reflectance(up, s.plus.level(rho)) - retrieved_reflectance(down, s.minus.level(rho)))
-                for s, up, down in lines
-            }
-            shapes = spectral_errors(view, rho, axis, None, error)
-            shapes = {source: retrieved_covariance(line, c) for source, c in shapes.items()}
-            total, budget = combined(changes, shapes, bands)
-            pixel = np.nan_to_num(retrieved_covariance(line, seen))
-            out.reflectance[name] = SpectralEstimate(retrieved_reflectance(line, level), total, pixel, None, budget)
-
-    for c in scene.classes:
-        s = surfaces[c.name]
-        add(c.name, s.mean, c.gain * s.covariance, c.gain, errors.get(c.name), True)
-    for surface in (*scene.panels, *scene.sites):
-        s = surfaces[surface.name]
-        add(surface.name, s.mean, s.covariance, 1.0, errors.get(surface.name), True)
-    for t in scene.targets:
-        own, host = surfaces[t.name], surfaces[t.host]
-        gain = next(c.gain for c in scene.classes if c.name == t.host)
-        for population in t.populations:
-            fill = fill_distribution(population.fill)
-            covariance = target_pixel_covariance(
-                fill.mean, fill.variance, own.mean, own.covariance, host.mean, host.covariance,
-                target_gain=t.gain, host_gain=gain, formulation=scenario.formulation,
-            )  # fmt: skip
-            error = fill.mean**2 * errors[t.name] if t.name in errors else None
-            rho = target_pixel_reflectance(fill.mean, own.mean, host.mean)
-            add(population.name, rho, covariance, gain, error, False)
-    return out
 
 
 def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
@@ -240,6 +182,15 @@ def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: npt.NDArray[
         keep &= in_window(axis.centre_nm)
     if choice.ranges:
         keep &= np.any([(axis.centre_nm >= a) & (axis.centre_nm <= b) for a, b in choice.ranges], axis=0)
+    for name, listed in (("channels", choice.channels), ("bad_channels", choice.bad_channels)):
+        if listed and max(listed) >= keep.size:
+            raise UsageError(
+                f"processing.bands.{name}: band {max(listed)} of {keep.size}",
+                expected=f"numbers from 0 to {keep.size - 1}",
+            )
+        if listed:
+            here = np.isin(np.arange(keep.size), listed)
+            keep &= here if name == "channels" else ~here
     if not keep.any():
         raise UsageError("no band is left for detection", mend="widen processing: bands")
     return np.flatnonzero(keep)
@@ -253,30 +204,44 @@ def _detection(
     view: View,
     steps: list[Perturbation],
     errors: Mapping[str, Array],
+    spectra: SpectralProducts,
     notes: list[str],
 ) -> Detection:
     scene, processing = scenario.scene, scenario.processing
     if not scene.targets or not processing.detectors:
         return Detection({}, {})
+    used = [c.name for c in scene.classes] + [t.name for t in scene.targets]
     usable = view.lit()
-    for name in [c.name for c in scene.classes] + [t.name for t in scene.targets]:
+    for name in used:
         usable &= np.isfinite(surfaces[name].mean)
     for spectrum in looked_for.values():
         usable &= np.isfinite(spectrum)
     bands = detection_bands(scenario, axis, usable)
     notes.append(f"detectors use {bands.size} of {len(axis)} bands")
-    pfa = false_alarm_grid(processing.false_alarm_grid.lowest, processing.false_alarm_grid.per_decade)
-    whole = processing.filter_statistics == "scene"
+    on_bands = {
+        name: replace(
+            surfaces[name], mean=surfaces[name].mean[bands], covariance=cut(surfaces[name].covariance, bands)
+        )
+        for name in used
+    }
+    task = Task(
+        scene.targets,
+        {name: spectrum[bands] for name, spectrum in looked_for.items()},
+        processing,
+        false_alarm_grid(processing.false_alarm_grid.lowest, processing.false_alarm_grid.per_decade),
+        {t.name: cut(errors[t.name], bands) for t in scene.targets if t.name in errors},
+    )
 
     def run(with_view: View, shift: float = 0.0) -> Detection:
-        background = seen_background(with_view, scene.classes, surfaces, bands)
-        return detect(
-            background, scene.targets, looked_for, processing.detectors, pfa,
-            whole_scene=whole, filter_classes=processing.filter_classes, spectrum_error=errors, shift=shift,
-        )  # fmt: skip
+        return detect(seen_background(with_view.at(bands), scene.classes, on_bands), task, shift)
 
-    base = run(view)
+    # The spectral products hold the classes as the detector sees them already.
+    seen = spectra.reflectance or spectra.radiance
+    here = view.at(bands)
+    classes = [seen[c.name] for c in scene.classes]
+    spread = [cut(c.pixel_covariance, bands) for c in classes]
+    base = detect(Background(scene.classes, on_bands, here, [c.mean[bands] for c in classes], spread), task)
     pairs = [(run(s.plus), run(s.minus)) for s in steps]
-    if any(t.name in errors for t in scene.targets):
+    if task.spectrum_error:
         pairs.append((run(view, 1.0), run(view, -1.0)))
-    return Detection(base.scores, with_bands(base.roc, pairs))
+    return replace(base, roc=with_bands(base.roc, pairs))

@@ -53,11 +53,14 @@ class ScoreDistribution:
     ----------
     mean, sd : moments of the score [1]
     n : pixels behind them, None for a prediction
+    grid, density : (G,) scores and the probability density at each [per unit of score]; None without
     """
 
     mean: float
     sd: float
     n: int | None = None
+    grid: Array | None = field(default=None, compare=False, repr=False)
+    density: Array | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -129,7 +132,15 @@ class Products:
 
 @dataclass(frozen=True)
 class Prediction(Products):
-    """The products as the model gives them."""
+    """The products as the model gives them, and what only a model knows.
+
+    ``noise``: subject -> source of noise (shot, fixed, quantisation, bit_errors, calibration, fit) -> (B,) variance
+    [(uW cm-2 sr-1 nm-1)^2]; ``full_scale``: subject -> (B,) mean radiance as a part of full scale, where the sensor
+    file says where that is.
+    """
+
+    noise: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
+    full_scale: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,17 @@ from pydantic import Field, PrivateAttr, model_validator
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError
+from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.processing.filters import LINEAR_DETECTORS
+from hyperval.scenario_uncertainty import SpectrumUncertainty as SpectrumUncertainty
+from hyperval.scenario_uncertainty import Uncertainty
+from hyperval.sensor.operation import SensorOperation
+
+MODEL_DETECTORS = (*LINEAR_DETECTORS, *NUMERICAL_DETECTORS)
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
+Channel = Annotated[int, Field(ge=0, lt=5000)]
+BlurWidth = Annotated[float, Field(ge=0, le=5)]
 
 
 def _exactly_one(model: Model, names: tuple[str, ...]) -> None:
@@ -31,18 +39,26 @@ class SpectrumSource(Model):
     builtin: str | None = Field(None, description="name of a built-in surface")
     constant: float | None = Field(None, ge=0, le=1.5, description="the same reflectance in every band [1]")
     file: str | None = Field(None, description="field spectrum or library file")
+    library: str | None = Field(None, description="statistics library: mean and covariance of classes (NetCDF)")
     measured: str | None = Field(None, description="region of the collection whose statistics are handed in")
     record: str | int | None = Field(
         None, description="which spectrum of a file of several: name, number from 0, or mean of all"
+    )
+    gaps: Literal["refused", "allowed"] = Field(
+        "refused", description="usable bands beyond the ends of the spectrum; where allowed they are left out"
     )
     wavelength_unit: str | None = Field(None, description="stated when the file does not say")
     reflectance_unit: str | None = Field(None, description="stated when the file does not say: fraction, percent")
 
     @model_validator(mode="after")
     def _check(self) -> SpectrumSource:
-        _exactly_one(self, ("builtin", "constant", "file", "measured"))
-        if self.file is None and (self.record is not None or self.wavelength_unit or self.reflectance_unit):
+        _exactly_one(self, ("builtin", "constant", "file", "library", "measured"))
+        if self.file is None and (self.wavelength_unit or self.reflectance_unit):
             raise ValueError("record and units belong to a file")
+        if self.file is None and self.library is None and self.record is not None:
+            raise ValueError("record and units belong to a file")
+        if self.library is not None and not isinstance(self.record, str | None):
+            raise ValueError("a record of a statistics library goes by name")
         return self
 
 
@@ -50,6 +66,8 @@ class CovarianceSource(Model):
     """Spread from pixel to pixel: built in, measured, none, or a relative one with a correlation length."""
 
     builtin: str | None = None
+    library: str | None = Field(None, description="statistics library (NetCDF)")
+    record: str | None = Field(None, description="with library: name of the class")
     measured: str | None = None
     relative_sd: float | None = Field(
         None, ge=0, description="standard deviation as a part of the mean [1]; 0: none"
@@ -59,7 +77,9 @@ class CovarianceSource(Model):
 
     @model_validator(mode="after")
     def _check(self) -> CovarianceSource:
-        _exactly_one(self, ("builtin", "measured", "relative_sd"))
+        _exactly_one(self, ("builtin", "library", "measured", "relative_sd"))
+        if self.record is not None and self.library is None:
+            raise ValueError("record belongs to a library")
         return self
 
 
@@ -88,7 +108,9 @@ class Geometry(Model):
     width_m: float | None = Field(None, gt=0)
     heading_deg: float | Literal["random"] = 0.0
     gsd_m: float = Field(gt=0)
-    psf_fwhm_pixels: float = Field(0.0, ge=0, le=5, description="Gaussian blur besides the square aperture")
+    psf_fwhm_pixels: BlurWidth | tuple[BlurWidth, BlurWidth] | None = Field(
+        None, description="Gaussian blur besides the square aperture, or (along, across); None: the sensor's, or 0"
+    )
     phase: Literal["random", "centred"] = "random"
     pixels: Literal["best", "ranked"] = "best"
     n: int | None = Field(None, ge=1, le=400, description="pixels of an object, with ranked")
@@ -129,6 +151,13 @@ class TargetSubject(Model):
     scene_fraction: float = Field(0.0, ge=0, lt=1, description="part of all pixels, for filter_statistics: scene")
 
 
+class Illumination(Model):
+    """Light on a target in shade, as parts of that on open ground; the host beside it stays in the open."""
+
+    beam: Fraction = Field(1.0, description="part of the sun's beam that reaches the target")
+    sky_view: Fraction = Field(1.0, description="part of the sky's light that reaches it")
+
+
 class Target(Surface):
     """A target material on its host class, in one or several fills."""
 
@@ -136,6 +165,7 @@ class Target(Surface):
     gain: float = Field(1.0, ge=0, description="g_T: factor on the covariance")
     fill: Fill | None = Field(None, description="short for one subject with the target's own name")
     subjects: list[TargetSubject] = Field(default_factory=list)
+    illumination: Illumination | None = None
     filter_spectrum: SpectrumSource | None = Field(
         None, description="what the detector looks for, when it is not the target's own spectrum"
     )
@@ -203,12 +233,42 @@ class ElmPanels(Model):
         return self
 
 
+class DarkestPixel(Model):
+    """Darkest-pixel compensation: the scene's darkest pixel stands for a dark surface, a panel gives the gain."""
+
+    darkest_pixel: int = Field(
+        ge=1, le=1_000_000_000, description="pixels of the scene, the darkest of which counts"
+    )
+    dark_reflectance: float = Field(0.0, ge=0, lt=1, description="what it is taken for")
+    panel: Fraction = Field(0.6, description="reflectance of the bright panel")
+
+    @model_validator(mode="after")
+    def _check(self) -> DarkestPixel:
+        if not self.dark_reflectance < self.panel:
+            raise ValueError("the panel is brighter than the dark surface")
+        return self
+
+
+class Features(Model):
+    """Linear features in place of bands (Psi of 3.21), from the statistics that the filter is built on."""
+
+    pca: int | None = Field(None, ge=1, le=5000, description="principal components kept")
+    mnf: int | None = Field(None, ge=1, le=5000, description="minimum-noise-fraction components kept")
+
+    @model_validator(mode="after")
+    def _check(self) -> Features:
+        _exactly_one(self, ("pca", "mnf"))
+        return self
+
+
 class BandChoice(Model):
     """Bands that the detectors use (a Psi of unit rows, 3.21)."""
 
     drop_bad: bool = Field(True, description="leave out bands of the sensor's or cube's bad-band list")
     windows_only: bool = Field(False, description="leave out the absorption bands of the atmosphere")
     ranges: list[tuple[float, float]] = Field(default_factory=list, description="keep these ranges only [nm]")
+    channels: list[Channel] = Field(default_factory=list, description="keep these bands only, counted from 0")
+    bad_channels: list[Channel] = Field(default_factory=list, description="leave out these bands, counted from 0")
 
 
 class FalseAlarmGrid(Model):
@@ -221,9 +281,14 @@ class FalseAlarmGrid(Model):
 class Processing(Model):
     """From radiance to detection."""
 
-    elm: ElmPanels | Literal["none"] = ElmPanels()
+    elm: ElmPanels | DarkestPixel | Literal["none"] = ElmPanels()
     detectors: list[str] = Field(default_factory=lambda: ["cem"])
     bands: BandChoice = BandChoice()
+    features: Features | None = None
+    samples: int = Field(
+        4000, ge=100, le=200_000, description="random pixels per class for detectors that have no closed form (ace)"
+    )
+    seed: int = Field(0, ge=0, description="of those pixels")
     filter_statistics: Literal["background", "scene"] = Field(
         "background", description="the filter's mean and covariance: background alone, or with the target pixels"
     )
@@ -235,54 +300,9 @@ class Processing(Model):
     @model_validator(mode="after")
     def _check(self) -> Processing:
         for name in self.detectors:
-            if name not in LINEAR_DETECTORS:
-                raise ValueError(f"unknown detector {name!r}; one of {', '.join(LINEAR_DETECTORS)}")
+            if name not in MODEL_DETECTORS:
+                raise ValueError(f"unknown detector {name!r}; one of {', '.join(MODEL_DETECTORS)}")
         return self
-
-
-class SpectrumUncertainty(Model):
-    """Standard uncertainty of the field spectrum of one subject."""
-
-    subject: str
-    relative: float | None = Field(None, gt=0, lt=1, description="as a part of the reflectance")
-    absolute: float | None = Field(None, gt=0, lt=1, description="in reflectance")
-    from_file: bool = Field(False, description="the standard deviation that the spectrum's file carries")
-    divisor: Literal["standard_error", "spread"] = Field(
-        "spread", description="with from_file: divide by the root of the file's n, or not"
-    )
-    correlation_nm: float | None = Field(None, gt=0, description="correlation length; None: fully correlated")
-
-    @model_validator(mode="after")
-    def _check(self) -> SpectrumUncertainty:
-        if sum([self.relative is not None, self.absolute is not None, self.from_file]) != 1:
-            raise ValueError("give exactly one of relative, absolute, from_file")
-        return self
-
-
-class EngineUncertainty(Model):
-    """How far the radiative-transfer engine itself may be off, as a part of the ground-reflected radiance.
-
-    u = relative + per_optical_depth * (-ln T_gas): absorption bands are worse than windows.
-    """
-
-    relative: float = Field(ge=0, lt=1)
-    per_optical_depth: float = Field(0.0, ge=0, lt=10)
-    path_relative: float = Field(0.0, ge=0, lt=1, description="of the path radiance")
-    correlation_nm: float | None = Field(None, gt=0)
-
-
-class Uncertainty(Model):
-    """Standard uncertainties of the inputs; each is a source of the budget."""
-
-    aot550: float | None = Field(None, gt=0, description="absolute")
-    water_vapour_g_cm2: float | None = Field(None, gt=0, description="absolute [g cm-2]")
-    ozone_atm_cm: float | None = Field(None, gt=0, description="absolute [atm cm]")
-    solar_irradiance_relative: float | None = Field(None, gt=0, lt=1, description="common to all bands")
-    adjacency_reflectance_relative: float | None = Field(
-        None, gt=0, lt=1, description="of the reflectance of the surroundings, common to all bands"
-    )
-    engine: EngineUncertainty | None = None
-    field_spectra: list[SpectrumUncertainty] = Field(default_factory=list)
 
 
 class Scenario(Model):
@@ -295,6 +315,7 @@ class Scenario(Model):
     formulation: Literal["corrected", "thesis"] = "corrected"
     atmosphere: AtmosphericState | None = None
     sensor: str | None = Field(None, description="name in the sensor library, or a sensor file")
+    sensor_operation: SensorOperation | None = None
     scene: Scene
     processing: Processing = Processing()
     uncertainty: Uncertainty = Uncertainty()
@@ -305,6 +326,8 @@ class Scenario(Model):
     def _check(self) -> Scenario:
         if self.atmosphere is not None and self.sensor is None:
             raise ValueError("a scenario with an atmosphere needs a sensor")
+        if self.sensor_operation is not None and self.sensor is None:
+            raise ValueError("sensor_operation needs a sensor")
         known = {s.name for s in (*self.scene.classes, *self.scene.panels, *self.scene.sites, *self.scene.targets)}
         classes = {c.name for c in self.scene.classes}
         for name in self.processing.filter_classes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hyperval.errors import UsageError
@@ -37,6 +37,7 @@ def test_scores_do_not_depend_on_units_or_linear_features(seed):
     a = np.random.default_rng(seed + 1).standard_normal((12, 12)) + 3 * np.eye(12)
     f = matched_filter_weights(target, mean, cov)
     g = matched_filter_weights(a @ target, a @ mean, a @ cov @ a.T)
+    assume(g.condition < 1e8)  # an unlucky map leaves fewer digits than are asked for
     x = np.random.default_rng(seed + 2).random((5, 12))
     assert g.score(x @ a.T) == pytest.approx(f.score(x), rel=1e-5, abs=1e-7)
 

@@ -1,9 +1,13 @@
-"""Score statistics and ROC curves of every target population (3.21-3.33)."""
+"""Score statistics and ROC curves of every target population (3.21-3.33).
+
+Everything here stands on the detector's bands: the view and the surfaces come cut to them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -11,18 +15,27 @@ from scipy.interpolate import CubicSpline
 
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.prediction.view import View
-from hyperval.processing.filters import LinearFilter, design_filter
+from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance
+from hyperval.processing.features import (
+    feature_covariance,
+    features,
+    minimum_noise_fraction,
+    principal_components,
+)
+from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, PositiveDefinite, design_filter
 from hyperval.processing.roc_model import (
     ClassScore,
     TargetScore,
     detection_probability,
     object_detection_probability,
+    score_density,
     score_mean,
     score_sd,
+    target_density,
     threshold_at,
 )
 from hyperval.products import RocCurve, ScoreDistribution, background_of
-from hyperval.scenario import BackgroundClass, Fill, Target, TargetSubject
+from hyperval.scenario import BackgroundClass, Features, Fill, Processing, Target, TargetSubject
 from hyperval.scene.fill import (
     FillDistribution,
     TargetGeometry,
@@ -39,6 +52,8 @@ RocKey = tuple[str, str, str]
 
 # Mean and variance of a score are at most quadratic in the fill, which a cubic spline carries exactly.
 _FILL_NODES = np.linspace(0.0, 1.0, 9)
+# Score distributions are tabulated on this many points, over this many standard deviations either way.
+_GRID, _REACH = 201, 6.0
 
 
 def fill_distribution(fill: Fill) -> FillDistribution:
@@ -65,83 +80,119 @@ def _geometry(fill: Fill) -> TargetGeometry:
         g.side_m or g.width_m or 0.0,
         g.gsd_m,
         None if g.heading_deg == "random" else float(g.heading_deg),
-        g.psf_fwhm_pixels,
+        g.psf_fwhm_pixels or 0.0,
         g.phase,
     )
 
 
 @dataclass(frozen=True)
 class Background:
-    """The classes as the detector sees them, on its bands: means (M, F), covariances (M, F, F)."""
+    """The classes as the detector sees them, after the empirical line: M means (F,), M covariances (F, F)."""
 
     classes: Sequence[BackgroundClass]
     surfaces: Mapping[str, SurfaceStatistics]
     view: View
-    bands: npt.NDArray[np.intp]
-    gain: Array
-    offset: Array
-    means: Array
-    covariances: Array
+    means: Sequence[Array]
+    covariances: Sequence[Array]
 
     @property
     def fractions(self) -> Array:
         """(M,) area fractions."""
         return np.array([c.fraction for c in self.classes])
 
+    def gain_of(self, name: str) -> float:
+        """g_B of a class."""
+        return next(c.gain for c in self.classes if c.name == name)
+
+    def tail_of(self, c: BackgroundClass) -> float | None:
+        """Degrees of freedom of a class; None = Gaussian."""
+        return c.tail_dof or self.surfaces[c.name].tail_dof
+
 
 def seen_background(
-    view: View,
-    classes: Sequence[BackgroundClass],
-    surfaces: Mapping[str, SurfaceStatistics],
-    bands: npt.NDArray[np.intp],
+    view: View, classes: Sequence[BackgroundClass], surfaces: Mapping[str, SurfaceStatistics]
 ) -> Background:
-    """Statistics of all classes after sensor and empirical line, on the detector's bands (3.11-3.21)."""
+    """Statistics of all classes after sensor and empirical line (3.11-3.21)."""
     line = view.line()
-    k, b = line.gain[bands], line.offset[bands]
     means, covariances = [], []
     for c in classes:
         s = surfaces[c.name]
         level = view.level(s.mean)
-        covariance = view.covariance(s.mean, c.gain * s.covariance, c.gain)[np.ix_(bands, bands)]
-        covariance = covariance + np.diag(view.noise_variance(level)[bands])  # (3.16)-(3.19)
-        means.append((level[bands] - b) / k)
-        covariances.append(covariance / np.outer(k, k))
-    return Background(classes, surfaces, view, bands, k, b, np.array(means), np.array(covariances))
+        seen = view.seen(level, s.mean, s.covariance if c.gain == 1.0 else c.gain * s.covariance, c.gain)
+        means.append(retrieved_reflectance(line, level))
+        covariances.append(retrieved_covariance(line, seen))
+    return Background(classes, surfaces, view, means, covariances)
 
 
-def detector_filter(
+@dataclass(frozen=True)
+class FilterBase:
+    """What filters are built on: the mixture background, in the features chosen (3.21-3.25).
+
+    Attributes
+    ----------
+    mean, covariance : (F,), (F, F) of the mixture
+    psi : (K, F) features, None for the bands themselves
+    """
+
+    mean: Array
+    covariance: Array
+    psi: Array | None
+
+    @cached_property
+    def factor(self) -> PositiveDefinite:
+        """The covariance in the features, factorised once for all targets and detectors."""
+        return PositiveDefinite(
+            self.covariance if self.psi is None else feature_covariance(self.psi, self.covariance)
+        )
+
+    def of(self, spectrum: Array) -> Array:
+        """A spectrum (F,) in the features (3.21)."""
+        return spectrum if self.psi is None else features(self.psi, spectrum)
+
+    def spread(self, covariance: Array) -> Array:
+        """A covariance (F, F) in the features (3.21)."""
+        return covariance if self.psi is None else feature_covariance(self.psi, covariance)
+
+    def filter(self, detector: str, target: Array) -> LinearFilter:
+        """The filter, as weights of the bands: w Psi of the filter in the features (3.21-3.25)."""
+        found = design_filter(detector, self.of(target), self.of(self.mean), self.factor)
+        return found if self.psi is None else replace(found, weights=found.weights @ self.psi)
+
+
+def filter_base(
     background: Background,
-    detector: str,
-    looked_for: Array,
     populations: Sequence[tuple[float, Array, Array]] = (),
     filter_classes: Sequence[str] = (),
-) -> LinearFilter:
-    """The filter over the mixture background (3.22-3.25).
+    choice: Features | None = None,
+) -> FilterBase:
+    """Mixture statistics and features that the filters use (3.21-3.25).
 
     Parameters
     ----------
-    looked_for : (B,) reflectance of the target that the detector looks for
     populations : (part of the scene, mean (F,), covariance (F, F)) of target pixels, for statistics
         taken over the whole scene
     filter_classes : names of the classes whose mixture the filter is built on; empty: all
+    choice : principal components or minimum noise fractions; None: bands
     """
-    fractions, means, covariances = background.fractions, background.means, background.covariances
+    fractions, means, covariances = background.fractions, list(background.means), list(background.covariances)
     if filter_classes:
-        chosen = np.array([c.name in filter_classes for c in background.classes])
+        chosen = [i for i, c in enumerate(background.classes) if c.name in filter_classes]
         fractions = fractions[chosen] / fractions[chosen].sum()
-        means, covariances = means[chosen], covariances[chosen]
+        means, covariances = [means[i] for i in chosen], [covariances[i] for i in chosen]
     if populations:
         part = np.array([p for p, _, _ in populations])
         fractions = np.concatenate([(1.0 - part.sum()) * fractions, part])
-        means = np.concatenate([means, [m for _, m, _ in populations]])
-        covariances = np.concatenate([covariances, [c for _, _, c in populations]])
-    target = (background.view.level(looked_for)[background.bands] - background.offset) / background.gain
-    return design_filter(
-        detector,
-        target,
-        average_reflectance(fractions, means),
-        mixture_covariance(fractions, means, covariances),
-    )
+        means += [m for _, m, _ in populations]
+        covariances += [c for _, _, c in populations]
+    mean, covariance = average_reflectance(fractions, means), mixture_covariance(fractions, means, covariances)
+    psi = None
+    if choice is not None and choice.pca is not None:
+        psi = principal_components(covariance, choice.pca)
+    elif choice is not None and choice.mnf is not None:
+        line = background.view.line()
+        noise = background.view.noise_variance(line.offset + line.gain * mean) / line.gain**2
+        psi = minimum_noise_fraction(covariance, noise, choice.mnf)
+    return FilterBase(mean, covariance, psi)
 
 
 def class_scores(background: Background, detector: LinearFilter) -> list[ClassScore]:
@@ -151,7 +202,7 @@ def class_scores(background: Background, detector: LinearFilter) -> list[ClassSc
             c.fraction,
             score_mean(detector, background.means[i]),
             score_sd(detector, background.covariances[i]),
-            c.tail_dof or background.surfaces[c.name].tail_dof,
+            background.tail_of(c),
         )
         for i, c in enumerate(background.classes)
     ]
@@ -180,114 +231,138 @@ def target_response(
     """Score statistics of a pixel of which the target fills f, for f from 0 to 1 (3.26, 3.28).
 
     Each fill has its own mean, noise and adjacency; Var(f) comes in by the average over the fill.
-    ``spectrum_error`` (B, B) is the error covariance of the target's spectrum and ``shift`` by how many
+    ``spectrum_error`` (F, F) is the error covariance of the target's spectrum and ``shift`` by how many
     standard deviations of the score the true target departs from it.
     """
-    view, bands = background.view, background.bands
+    view, line = background.view, background.view.line()
     own, host = background.surfaces[target.name], background.surfaces[target.host]
-    host_gain = next(c.gain for c in background.classes if c.name == target.host)
+    lit = view.lit_surface(own.mean, own.covariance, target.illumination)
+    host_gain = background.gain_of(target.host)
     f = _FILL_NODES
-    rho = target_pixel_reflectance(f, own.mean, host.mean)  # (3.10)
-    level = view.level(rho)  # (3.9)
-    w = np.zeros(own.mean.size)
-    w[bands] = detector.weights / background.gain  # weights per unit of the signal
-    means = detector.score((level[:, bands] - background.offset) / background.gain)  # (3.26)
-    u = w[bands] * view.slope()[bands]
-    inner = np.ix_(bands, bands)
+    level = view.level(target_pixel_reflectance(f, lit.mean, host.mean))  # (3.9), (3.10)
+    w = detector.weights / line.gain  # weights per unit of the signal
+    means = detector.score(retrieved_reflectance(line, level))  # (3.26)
+    u = w * view.slope()
     if spectrum_error is not None:
-        means = means + shift * f * np.sqrt(float(u @ spectrum_error[inner] @ u))
-    variance = f**2 * target.gain * float(u @ own.covariance[inner] @ u)
-    variance = variance + (1.0 - f) ** 2 * host_gain * float(u @ host.covariance[inner] @ u)
+        v = u * lit.factor
+        means = means + shift * f * np.sqrt(float(v @ spectrum_error @ v))
+    variance = f**2 * target.gain * float(u @ lit.covariance @ u)
+    variance = variance + (1.0 - f) ** 2 * host_gain * float(u @ host.covariance @ u)
     weight = host_gain * view.adjacency_weight()
     if weight and view.terms is not None:
-        v = w[bands] * view.adjacency_slope(rho)[:, bands]
-        variance = variance + weight * np.einsum("ki,ij,kj->k", v, view.average_covariance[inner], v, optimize=True)
-    variance = variance + view.noise_variance(level)[:, bands] @ w[bands] ** 2  # (3.28)
+        v = w * view.adjacency_slope(target_pixel_reflectance(f, lit.under_sky, host.mean))
+        variance = variance + weight * ((v @ view.average_covariance) * v).sum(axis=1)
+    variance = variance + view.noise_variance(level) @ w**2  # (3.28)
     return TargetResponse(CubicSpline(f, means), CubicSpline(f, variance))
 
 
 def seen_population(background: Background, target: Target, fill: FillDistribution) -> tuple[Array, Array]:
-    """Mean (F,) and covariance (F, F) of target pixels on the detector's bands, by moments (3.12)."""
-    view, bands = background.view, background.bands
+    """Mean (F,) and covariance (F, F) of target pixels as the detector sees them, by moments (3.12)."""
+    view, line = background.view, background.view.line()
     own, host = background.surfaces[target.name], background.surfaces[target.host]
-    host_gain = next(c.gain for c in background.classes if c.name == target.host)
-    rho = target_pixel_reflectance(fill.mean, own.mean, host.mean)
+    lit = view.lit_surface(own.mean, own.covariance, target.illumination)
+    host_gain = background.gain_of(target.host)
     covariance = target_pixel_covariance(
-        fill.mean, fill.variance, own.mean, own.covariance, host.mean, host.covariance,
+        fill.mean, fill.variance, lit.mean, lit.covariance, host.mean, host.covariance,
         target_gain=target.gain, host_gain=host_gain, formulation=view.formulation,
     )  # fmt: skip
-    level = view.level(rho)
-    seen = view.covariance(rho, covariance, host_gain)[np.ix_(bands, bands)]
-    seen = (seen + np.diag(view.noise_variance(level)[bands])) / np.outer(background.gain, background.gain)
-    return (level[bands] - background.offset) / background.gain, seen
+    level = view.level(target_pixel_reflectance(fill.mean, lit.mean, host.mean))
+    under_sky = target_pixel_reflectance(fill.mean, lit.under_sky, host.mean)
+    seen = view.seen(level, under_sky, covariance, host_gain)
+    return retrieved_reflectance(line, level), retrieved_covariance(line, seen)
 
 
 @dataclass(frozen=True)
 class Detection:
-    """Scores and ROC curves of one evaluation."""
+    """Scores and ROC curves of one evaluation, and what is to be said of them."""
 
     scores: dict[tuple[str, str], ScoreDistribution]
     roc: dict[RocKey, RocCurve]
+    notes: tuple[str, ...] = ()
 
 
-def detect(
-    background: Background,
-    targets: Sequence[Target],
-    looked_for: Mapping[str, Array],
-    detectors: Sequence[str],
-    pfa: Array,
-    *,
-    whole_scene: bool = False,
-    filter_classes: Sequence[str] = (),
-    spectrum_error: Mapping[str, Array] | None = None,
-    shift: float = 0.0,
-) -> Detection:
+@dataclass(frozen=True)
+class Task:
+    """What is looked for and how.
+
+    Attributes
+    ----------
+    looked_for : target name -> (F,) reflectance that its filter looks for
+    pfa : (K,) false-alarm probabilities
+    processing : detectors, features, statistics of the filter
+    spectrum_error : target name -> (F, F) error covariance of the target's spectrum
+    """
+
+    targets: Sequence[Target]
+    looked_for: Mapping[str, Array]
+    processing: Processing
+    pfa: Array
+    spectrum_error: Mapping[str, Array]
+
+
+def detect(background: Background, task: Task, shift: float = 0.0) -> Detection:
     """Scores and ROC curves of all target populations (3.22-3.33).
 
-    Parameters
-    ----------
-    looked_for : target name -> (B,) reflectance that its filter looks for
-    pfa : (K,) false-alarm probabilities
-    whole_scene : take the filter's statistics over background and target pixels
-    filter_classes : classes whose mixture the filter is built on; empty: all
-    spectrum_error, shift : target name -> (B, B) error covariance of the target's spectrum, and by how many
-        standard deviations the true target departs from it, the filter unchanged
+    ``shift``: by how many standard deviations the true target departs from its spectrum, the filter unchanged.
     """
-    scores: dict[tuple[str, str], ScoreDistribution] = {}
-    roc: dict[RocKey, RocCurve] = {}
-    thesis = background.view.formulation == "thesis"
+    found = Detection({}, {})
+    view, processing = background.view, task.processing
+    thesis = view.formulation == "thesis"
     populations = []
-    if whole_scene:
+    if processing.filter_statistics == "scene":
         populations = [
-            (p.scene_fraction, *seen_population(background, t, _moments(p, thesis)))
-            for t in targets
+            (p.scene_fraction, *seen_population(background, t, moments(p, thesis)))
+            for t in task.targets
             for p in t.populations
             if p.scene_fraction > 0
         ]
-    for target in targets:
-        for name in detectors:
-            detector = detector_filter(background, name, looked_for[target.name], populations, filter_classes)
-            classes = class_scores(background, detector)
-            threshold = threshold_at(pfa, classes)
-            error = spectrum_error.get(target.name) if spectrum_error else None
-            response = target_response(background, target, detector, error, shift)
-            mixture = _mixture_score(classes)
-            for population in target.populations:
-                fill = _moments(population, thesis)
-                means, sds = response.at(fill.values)
-                score = TargetScore(means, sds, fill.weights)
-                scores[population.name, name] = ScoreDistribution(score.mean, score.sd)
-                scores[background_of(population.name), name] = mixture
-                pd = np.clip(detection_probability(threshold, score), 0.0, 1.0)
-                roc[population.name, name, "pixel"] = RocCurve(pfa, pd, pd, pd, threshold, "pixel")
-                objects = np.array([[fill.mean]]) if thesis else fills_of_objects(population.fill)
-                if objects.shape[1] > 1 or fill.values.size < objects.shape[0]:
-                    pd = object_detection_probability(threshold, *response.at(objects))
-                roc[population.name, name, "object"] = RocCurve(pfa, pd, pd, pd, threshold, "object")
-    return Detection(scores, roc)
+    base = filter_base(background, populations, processing.filter_classes, processing.features)
+    notes: list[str] = []
+    for target in task.targets:
+        spectrum = retrieved_reflectance(view.line(), view.level(task.looked_for[target.name]))
+        for name in processing.detectors:
+            if name in LINEAR_DETECTORS:
+                linear = base.filter(name, spectrum)
+                _add_linear(found, background, target, name, linear, task, shift, thesis)
+            else:
+                from hyperval.prediction.ace import add_ace
+
+                notes.append(add_ace(found, background, target, base, spectrum, task, shift, thesis))
+    return replace(found, notes=tuple(notes))
 
 
-def _moments(population: TargetSubject, thesis: bool) -> FillDistribution:
+def _add_linear(
+    found: Detection,
+    background: Background,
+    target: Target,
+    name: str,
+    detector: LinearFilter,
+    task: Task,
+    shift: float,
+    thesis: bool,
+) -> None:
+    classes = class_scores(background, detector)
+    threshold = threshold_at(task.pfa, classes)
+    response = target_response(background, target, detector, task.spectrum_error.get(target.name), shift)
+    mixture = _mixture_score(classes)
+    for population in target.populations:
+        fill = moments(population, thesis)
+        means, sds = response.at(fill.values)
+        score = TargetScore(means, sds, fill.weights)
+        grid = np.linspace(score.mean - _REACH * score.sd, score.mean + _REACH * score.sd, _GRID)
+        found.scores[population.name, name] = ScoreDistribution(
+            score.mean, score.sd, None, grid, target_density(grid, score)
+        )
+        found.scores[background_of(population.name), name] = mixture
+        pd = np.clip(detection_probability(threshold, score), 0.0, 1.0)
+        found.roc[population.name, name, "pixel"] = RocCurve(task.pfa, pd, pd, pd, threshold, "pixel")
+        objects = np.array([[fill.mean]]) if thesis else fills_of_objects(population.fill)
+        if objects.shape[1] > 1 or fill.values.size < objects.shape[0]:
+            pd = object_detection_probability(threshold, *response.at(objects))
+        found.roc[population.name, name, "object"] = RocCurve(task.pfa, pd, pd, pd, threshold, "object")
+
+
+def moments(population: TargetSubject, thesis: bool) -> FillDistribution:
     """The fill of a population; the printed form knows its mean alone."""
     fill = fill_distribution(population.fill)
     return fixed_fill(fill.mean) if thesis else fill
@@ -298,4 +373,6 @@ def _mixture_score(classes: Sequence[ClassScore]) -> ScoreDistribution:
     m = np.array([c.mean for c in classes])
     s = np.array([c.sd for c in classes])
     mean = float(f @ m)
-    return ScoreDistribution(mean, float(np.sqrt(f @ (s**2 + (m - mean) ** 2))))
+    sd = float(np.sqrt(f @ (s**2 + (m - mean) ** 2)))
+    grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID)
+    return ScoreDistribution(mean, sd, None, grid, score_density(grid, classes))

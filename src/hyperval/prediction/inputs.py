@@ -43,11 +43,16 @@ class SurfaceStatistics:
 
 @dataclass(frozen=True)
 class Sources:
-    """Where spectra come from: the axis, statistics handed in, and how file names become paths."""
+    """Where spectra come from: the axis, statistics handed in, and how file names become paths.
+
+    ``nominal`` are the bands as they are labelled, where they are not those of ``axis`` (a shifted spectrometer);
+    what was measured stands on them.
+    """
 
     axis: SpectralAxis
     measured: Mapping[str, ClassStatistics]
     resolve: Resolve
+    nominal: SpectralAxis | None = None
 
     def surface(self, surface: Surface) -> SurfaceStatistics:
         """Mean and covariance of one surface of the scene (rho_m, Sigma_m of 3.8-3.12).
@@ -78,7 +83,22 @@ class Sources:
         if source.constant is not None:
             flat = np.full(bands, source.constant)
             return SurfaceStatistics(name, flat, np.zeros((bands, bands)), "constant reflectance")
+        if source.library is not None:
+            held = self._library(source.library, source.record, name, "spectrum")
+            return SurfaceStatistics(
+                name, held.mean, held.covariance, held.source or source.library, held.tail_dof, None, held.n
+            )
         return self._from_file(source, name)
+
+    def _library(self, file: str, record: str | int | None, name: str, key: str) -> ClassStatistics:
+        from hyperval.statistics_library import on_bands, read_statistics_library
+
+        try:
+            found = read_statistics_library(self.resolve(file), None if record is None else str(record))
+            return on_bands(found, self.axis)
+        except UsageError as error:
+            where = f"{key}.library of {name!r}: " + (error.where or file)
+            raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
 
     def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
         from hyperval.spectra.readers import read_spectrum
@@ -109,13 +129,15 @@ class Sources:
                 mend="run it from a campaign whose collection has that region, or name another spectrum",
             )
         found = self.measured[region]
-        if not found.axis.matches(self.axis):
+        if not found.axis.matches(self.nominal or self.axis):
             raise UsageError(f"the statistics of region {region!r} do not stand on the bands of the prediction")
         return found
 
     def _covariance(self, source: CovarianceSource, mean: Array, name: str) -> Array:
         if source.builtin is not None:
             return builtin_class(source.builtin, self.axis).covariance
+        if source.library is not None:
+            return self._library(source.library, source.record, name, "covariance").covariance
         if source.measured is not None:
             return self._measured(source.measured, name).covariance
         sd = (source.relative_sd or 0.0) * np.nan_to_num(mean)
@@ -130,6 +152,13 @@ def correlation(axis: SpectralAxis, length_nm: float | None) -> Array:
         return np.ones((len(axis), len(axis)))
     gap = axis.centre_nm[:, None] - axis.centre_nm[None, :]
     return np.asarray(np.exp(-0.5 * (gap / length_nm) ** 2))
+
+
+def cut(covariance: Array | None, bands: npt.NDArray[np.intp]) -> Array:
+    """The rows and columns ``bands`` of a covariance; the matrix itself where they are all of it."""
+    if covariance is None:
+        raise ValueError("no covariance to cut")
+    return covariance if bands.size == covariance.shape[0] else covariance[np.ix_(bands, bands)]
 
 
 def filled(values: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,8 @@ from hyperval.prediction.detection import Detection, RocKey
 from hyperval.prediction.inputs import SurfaceStatistics, correlation
 from hyperval.prediction.view import View
 from hyperval.products import RocCurve
-from hyperval.scenario import EngineUncertainty, Scenario, SpectrumUncertainty
+from hyperval.scenario import Scenario
+from hyperval.scenario_uncertainty import EngineUncertainty, SpectrumUncertainty
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -100,8 +102,10 @@ def combined(
     changes : source -> (B,) change per standard uncertainty, fully correlated between bands
     covariances : source -> (B, B)
     """
-    total = np.zeros((bands, bands))
     budget: dict[str, Array] = {}
+    if not changes and not covariances:
+        return _nothing(bands), budget
+    total = np.zeros((bands, bands))
     for source, change in changes.items():
         d = np.nan_to_num(change)
         total += np.outer(d, d)
@@ -111,6 +115,14 @@ def combined(
         total += c
         budget[source] = np.sqrt(np.diag(c))
     return total, budget
+
+
+@lru_cache(maxsize=8)
+def _nothing(bands: int) -> Array:
+    """Zeros (B, B) that all estimates without an error share; not to be written to."""
+    zero = np.zeros((bands, bands))
+    zero.setflags(write=False)
+    return zero
 
 
 def spectrum_error_covariance(item: SpectrumUncertainty, surface: SurfaceStatistics, axis: SpectralAxis) -> Array:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr, ndtri
 
 from hyperval.errors import UsageError
 
@@ -70,4 +71,38 @@ def retrieved_reflectance(line: TwoPanelLine, radiance: npt.ArrayLike) -> Array:
 
 def retrieved_covariance(line: TwoPanelLine, covariance: npt.ArrayLike) -> Array:
     """Sigma^_ij = Sigma_L,ij / (k_i k_j), (B, B) [1] (before 3.21); the offset does not enter."""
-    return np.asarray(np.asarray(covariance, dtype=float) / line.gain[:, None] / line.gain)
+    slope = 1.0 / line.gain
+    result = np.asarray(covariance, dtype=float) * slope[:, None]
+    result *= slope
+    return result
+
+
+def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.ArrayLike, pixels: int) -> Array:
+    """Radiance of the darkest of ``pixels`` pixels of the scene, band by band: its median (before 3.21), (B,).
+
+    All of n independent pixels exceed x with probability (1 - F(x))^n, F = sum f_m Phi((x - L_m) / sigma_m); the median
+    of their least is F(x) = 1 - 2^(-1/n).  Darkest-pixel compensation takes it for the radiance of a dark surface.
+
+    Parameters
+    ----------
+    fractions : (M,) area fractions, sum 1
+    means, sds : (M, B) of the classes' radiance
+
+    Raises
+    ------
+    UsageError : no pixel.
+    """
+    f, mu, sd = (np.asarray(a, dtype=float) for a in (fractions, means, sds))
+    if pixels < 1:
+        raise UsageError(f"the darkest of {pixels} pixels", expected="at least one pixel")
+    held = f > 0
+    f, mu, sd = f[held, None], mu[held], np.maximum(sd[held], 1e-300)
+    p = -np.expm1(-np.log(2.0) / pixels)
+    alone = mu + sd * ndtri(p)
+    high = alone.max(axis=0)  # there every class is below x with at least p
+    low = alone.min(axis=0)  # there none is with more
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        below = (f * ndtr((middle - mu) / sd)).sum(axis=0) < p
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray(0.5 * (low + high))

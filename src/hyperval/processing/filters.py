@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any, Union
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 from scipy.linalg.lapack import dpocon
 
 from hyperval.errors import UsageError
@@ -22,6 +23,9 @@ Array = npt.NDArray[np.float64]
 
 # Beyond this the float64 solve keeps fewer than about three correct digits.
 MAX_CONDITION = 1e13
+
+
+Covariance = Union[npt.ArrayLike, "PositiveDefinite"]
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class LinearFilter:
         return float(self.weights @ np.asarray(covariance, dtype=float) @ self.weights)
 
 
-def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayLike) -> LinearFilter:
+def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
     """Unit-response matched filter, the "CEM" of the source (3.22-3.25).
 
     w = Sigma^-1 d / (d^T Sigma^-1 d) with d = target - mean, score = w (x - mean): the score is 1 at
@@ -59,7 +63,7 @@ def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarianc
     ----------
     target : (B,) spectrum that is looked for
     mean : (B,) background mean
-    covariance : (B, B) background covariance
+    covariance : (B, B) background covariance, as an array or factorised
 
     Raises
     ------
@@ -70,12 +74,28 @@ def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarianc
     d = t - mu  # (3.22)
     if not np.any(d):
         raise UsageError("the target spectrum equals the background mean: no filter can tell them apart")
-    solved, condition = solve_positive_definite(cov, d)
+    factor = _factor(covariance if isinstance(covariance, PositiveDefinite) else cov)
+    solved = factor.solve(d)
     w = solved / (d @ solved)  # (3.23)-(3.25)
-    return LinearFilter(w, float(w @ mu), condition)
+    return LinearFilter(w, float(w @ mu), factor.condition)
 
 
-def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayLike) -> LinearFilter:
+def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
+    """SMF: the matched filter scaled to unit variance over the background (variant of 3.22-3.25).
+
+    w = Sigma^-1 d / sqrt(d^T Sigma^-1 d): :func:`matched_filter_weights` times sqrt(d^T Sigma^-1 d).  The score is in
+    standard deviations of the background, so that one threshold gives one false-alarm rate for every target; a
+    positive factor leaves the ROC curve as it is.
+
+    Parameters and errors as :func:`matched_filter_weights`.
+    """
+    unit = matched_filter_weights(target, mean, covariance)
+    inner = covariance.matrix if isinstance(covariance, PositiveDefinite) else np.asarray(covariance, dtype=float)
+    scale = 1.0 / np.sqrt(unit.variance(inner))  # w Sigma w^T = 1 / (d^T Sigma^-1 d)
+    return LinearFilter(unit.weights * scale, unit.offset * scale, unit.condition)
+
+
+def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
     """Constrained energy minimisation with the correlation matrix and no mean removal (variant of 3.22-3.25).
 
     w = R^-1 t / (t^T R^-1 t) with R = covariance + mean mean^T, score = w x.  Of all filters with
@@ -96,19 +116,21 @@ def correlation_filter(target: npt.ArrayLike, correlation: npt.ArrayLike) -> Lin
     return LinearFilter(solved / (t @ solved), 0.0, condition)
 
 
-FilterDesign = Callable[[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike], LinearFilter]
+FilterDesign = Callable[[npt.ArrayLike, npt.ArrayLike, Any], LinearFilter]
 
 # Each takes (target, background mean, background covariance).  "cem" and "matched-filter" are one
-# filter under the name the source gives it and the name most of the field gives it.
+# filter under the name the source gives it and the name most of the field gives it; "smf" is the same filter in
+# standard deviations of the background.
 LINEAR_DETECTORS: Mapping[str, FilterDesign] = {
     "cem": matched_filter_weights,
     "matched-filter": matched_filter_weights,
+    "smf": spectral_matched_filter,
     "cem-correlation": cem_correlation_weights,
 }
 
 
 def design_filter(
-    detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayLike
+    detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance
 ) -> LinearFilter:
     """The filter that ``detector`` names in :data:`LINEAR_DETECTORS` (3.22-3.25); UsageError when unknown."""
     if detector not in LINEAR_DETECTORS:
@@ -116,51 +138,84 @@ def design_filter(
     return LINEAR_DETECTORS[detector](target, mean, covariance)
 
 
-def solve_positive_definite(matrix: Array, right: Array) -> tuple[Array, float]:
-    """Solve matrix x = right, as (3.22-3.25) need it, and estimate the condition number.
+class PositiveDefinite:
+    """A covariance that (3.22-3.25) inverts: factorised once, used for every target.
 
     By Cholesky after scaling to unit diagonal: that removes the spread of band variances, which says
     nothing of the loss of digits.
+
+    Attributes
+    ----------
+    matrix : (B, B)
+    condition : estimated 1-norm condition number at unit diagonal
 
     Raises
     ------
     UsageError : singular, indefinite, or worse conditioned than float64 can carry; the message names
         the rank and the condition number.
     """
-    bands = matrix.shape[0]
-    diagonal = np.diag(matrix)
-    if np.any(diagonal <= 0) or not np.all(np.isfinite(matrix)):
-        bad = np.flatnonzero(~(diagonal > 0))
-        raise UsageError(
-            f"the background matrix is singular: {bad.size} of {bands} bands have no variance "
-            f"(first: band {bad[0] + 1})"
-            if bad.size
-            else "the background matrix holds NaN or infinity",
-            mend="drop those bands from the detector's bands",
-        )
-    scale = 1.0 / np.sqrt(diagonal)
-    scaled = matrix * scale[:, None] * scale[None, :]
-    condition = float("inf")
-    try:
-        factor = cho_factor(scaled, lower=True)
-        reciprocal, _ = dpocon(factor[0], np.abs(scaled).sum(axis=0).max(), uplo="L")
-        condition = 1.0 / reciprocal if reciprocal > 0 else condition
-    except LinAlgError:
+
+    def __init__(self, matrix: npt.ArrayLike):
+        self.matrix: Array = np.asarray(matrix, dtype=float)
+        bands = self.matrix.shape[0]
+        diagonal = np.diag(self.matrix)
+        if np.any(diagonal <= 0) or not np.all(np.isfinite(self.matrix)):
+            bad = np.flatnonzero(~(diagonal > 0))
+            raise UsageError(
+                f"the background matrix is singular: {bad.size} of {bands} bands have no variance "
+                f"(first: band {bad[0] + 1})"
+                if bad.size
+                else "the background matrix holds NaN or infinity",
+                mend="drop those bands from the detector's bands",
+            )
+        self._scale = 1.0 / np.sqrt(diagonal)
+        scaled = self.matrix * self._scale[:, None]
+        scaled *= self._scale
+        self.condition = float("inf")
         factor = None
-    if factor is None or condition > MAX_CONDITION:
-        eigenvalues = np.linalg.eigvalsh(scaled)
-        rank = int(np.sum(eigenvalues > eigenvalues[-1] * bands * np.finfo(float).eps))
-        raise UsageError(
-            f"the background matrix is singular to working precision: rank {rank} of {bands} bands, "
-            f"condition number {condition:.3g}",
-            expected="more background pixels than bands, and bands that are not copies of each other",
-            mend="use fewer bands or features (PCA), more pixels, or add the sensor noise",
-        )
-    return np.asarray(cho_solve(factor, right * scale) * scale), condition
+        try:
+            factor = cho_factor(scaled, lower=True, check_finite=False)
+            reciprocal, _ = dpocon(factor[0], np.abs(scaled).sum(axis=0).max(), uplo="L")
+            self.condition = 1.0 / reciprocal if reciprocal > 0 else self.condition
+        except LinAlgError:
+            pass
+        if factor is None or self.condition > MAX_CONDITION:
+            eigenvalues = np.linalg.eigvalsh(scaled)
+            rank = int(np.sum(eigenvalues > eigenvalues[-1] * bands * np.finfo(float).eps))
+            raise UsageError(
+                f"the background matrix is singular to working precision: rank {rank} of {bands} bands, "
+                f"condition number {self.condition:.3g}",
+                expected="more background pixels than bands, and bands that are not copies of each other",
+                mend="use fewer bands or features (PCA), more pixels, or add the sensor noise",
+            )
+        self._factor = factor
+
+    def solve(self, right: Array) -> Array:
+        """x of matrix x = right, (B,)."""
+        return np.asarray(cho_solve(self._factor, right * self._scale, check_finite=False) * self._scale)
+
+    def whiten(self, x: Array) -> Array:
+        """y (B, ...) of x (B, ...) such that y . y = x . matrix^-1 x."""
+        scaled = (x.T * self._scale).T
+        return np.asarray(solve_triangular(self._factor[0], scaled, lower=True, check_finite=False))
 
 
-def _checked(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    t, mu, cov = (np.asarray(a, dtype=float) for a in (target, mean, covariance))
+def solve_positive_definite(matrix: npt.ArrayLike, right: npt.ArrayLike) -> tuple[Array, float]:
+    """Solve matrix x = right, as (3.22-3.25) need it, and estimate the condition number.
+
+    Errors as :class:`PositiveDefinite`.
+    """
+    factor = PositiveDefinite(matrix)
+    return factor.solve(np.asarray(right, dtype=float)), factor.condition
+
+
+def _factor(covariance: Covariance) -> PositiveDefinite:
+    return covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(covariance)
+
+
+def _checked(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> tuple[Array, Array, Array]:
+    inner = covariance.matrix if isinstance(covariance, PositiveDefinite) else covariance
+    t, mu, cov = (np.asarray(a, dtype=float) for a in (target, mean, inner))
     if t.ndim != 1 or mu.shape != t.shape or cov.shape != (t.size, t.size):
         raise UsageError(f"target {t.shape}, mean {mu.shape} and covariance {cov.shape} do not fit each other")
     return t, mu, cov

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
+from scipy.special import gammaln, log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 
 from hyperval.errors import UsageError
 from hyperval.processing.filters import LinearFilter
@@ -159,12 +159,27 @@ def threshold_at(pfa: npt.ArrayLike, classes: Sequence[ClassScore]) -> Array:
         share = lp - np.log(c.fraction)
         low = np.where(share < 0, np.maximum(low, class_threshold(np.minimum(share, -1e-300), c)), low)
     low = np.minimum(low, high)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        above = log_false_alarm(middle, held) > lp
-        low, high = np.where(above, middle, low), np.where(above, high, middle)
-        if np.max(high - low) <= 1e-13 * max(1.0, float(np.max(np.abs(high)))):
+    # False position with the Illinois rule on log P_FA, which is smooth and concave: a dozen steps; bisection where
+    # it does not narrow the bracket.
+    at_low, at_high = log_false_alarm(low, held) - lp, log_false_alarm(high, held) - lp
+    x, last = high, np.zeros(lp.shape)
+    for step in range(80):
+        width = high - low
+        if np.max(width) <= 1e-13 * max(1.0, float(np.max(np.abs(high)))):
             break
+        gap = at_low - at_high
+        share = np.divide(at_low, gap, out=np.full_like(gap, 0.5), where=gap > 0)
+        share = np.where(step % 8 == 7, 0.5, np.clip(share, 0.0, 1.0))
+        x = low + width * share
+        value = log_false_alarm(x, held) - lp
+        above = value > 0
+        at_high = np.where(above & (last > 0), 0.5 * at_high, at_high)
+        at_low = np.where(~above & (last < 0), 0.5 * at_low, at_low)
+        low, at_low = np.where(above, x, low), np.where(above, value, at_low)
+        high, at_high = np.where(above, high, x), np.where(above, at_high, value)
+        last = np.where(above, 1.0, -1.0)
+        if np.max(np.abs(value)) <= 1e-12:
+            return np.asarray(x)
     return np.asarray(0.5 * (low + high))
 
 
@@ -173,6 +188,34 @@ def detection_probability(threshold: npt.ArrayLike, target: TargetScore) -> Arra
     x = np.asarray(threshold, dtype=float)
     z = (target.means - x[..., None]) / np.maximum(target.sds, _SMALLEST_SD)
     return np.asarray(ndtr(z) @ target.weights)
+
+
+def score_density(score: npt.ArrayLike, classes: Sequence[ClassScore]) -> Array:
+    """Probability density of the background's score, sum f_m p_m(x) (the derivative of 3.33) [per unit of score].
+
+    Parameters
+    ----------
+    score : (...,) x [1]
+    """
+    x = np.asarray(score, dtype=float)
+    total = np.zeros_like(x)
+    for c in classes:
+        sd = max(c.sd, _SMALLEST_SD)
+        if c.tail_dof is None:
+            total += c.fraction * np.exp(-0.5 * ((x - c.mean) / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
+        else:
+            nu = c.tail_dof
+            scale = sd * np.sqrt((nu - 2.0) / nu)
+            z = (x - c.mean) / scale
+            norm = gammaln(0.5 * (nu + 1)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi) - np.log(scale)
+            total += c.fraction * np.exp(norm - 0.5 * (nu + 1) * np.log1p(z**2 / nu))
+    return total
+
+
+def target_density(score: npt.ArrayLike, target: TargetScore) -> Array:
+    """Probability density of the target pixels' score over the fill (the derivative of 3.31) [per unit of score]."""
+    parts = [ClassScore(w, m, s) for w, m, s in zip(target.weights, target.means, target.sds, strict=True)]
+    return score_density(score, parts)
 
 
 def object_detection_probability(threshold: npt.ArrayLike, means: Array, sds: Array) -> Array:

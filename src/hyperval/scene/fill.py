@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 # square grid of as many.
 PHASES, _LATTICE = 377, 233
 MAX_PIXELS_ACROSS = 64
+Blur = float | tuple[float, float]  # FWHM in both directions, or (along, across) = (y, x) [pixels]
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -71,7 +72,8 @@ class TargetGeometry:
     length_m, width_m : sides of the target [m]; the length runs along the heading
     gsd_m : ground sampling distance, the pixel's side [m]
     heading_deg : direction of the length, clockwise from the pixel grid's column direction; None = any
-    psf_fwhm_pixels : FWHM of the Gaussian blur besides the aperture [pixels]; 0 = aperture alone
+    psf_fwhm_pixels : FWHM of the Gaussian blur besides the aperture [pixels], one number or (along, across) =
+        (lines, samples); 0 = aperture alone
     phase : "random" position on the grid, or "centred" on a pixel's centre
     """
 
@@ -79,11 +81,13 @@ class TargetGeometry:
     width_m: float
     gsd_m: float
     heading_deg: float | None = 0.0
-    psf_fwhm_pixels: float = 0.0
+    psf_fwhm_pixels: Blur = 0.0
     phase: Literal["random", "centred"] = "random"
 
     def __post_init__(self) -> None:
-        if not (self.length_m > 0 and self.width_m > 0 and self.gsd_m > 0 and self.psf_fwhm_pixels >= 0):
+        if not (
+            self.length_m > 0 and self.width_m > 0 and self.gsd_m > 0 and min(_sigmas(self.psf_fwhm_pixels)) >= 0
+        ):
             raise UsageError("target sides and GSD must be positive, the PSF width not negative")
         if max(self.length_m, self.width_m) / self.gsd_m > MAX_PIXELS_ACROSS:
             raise UsageError(
@@ -170,8 +174,9 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     at = np.asarray(offset, dtype=float)
     angle = np.deg2rad(np.asarray(heading_deg, dtype=float))
     length, width = geometry.length_m / geometry.gsd_m, geometry.width_m / geometry.gsd_m
-    s = geometry.psf_fwhm_pixels * SIGMA_PER_FWHM
-    half = int(np.ceil(0.5 * np.hypot(length, width) + 0.5 + 5.0 * s)) + 1
+    s_y, s_x = _sigmas(geometry.psf_fwhm_pixels)
+    least = min(s_y, s_x)  # decides how finely the integrand is cut
+    half = int(np.ceil(0.5 * np.hypot(length, width) + 0.5 + 5.0 * max(s_y, s_x))) + 1
     pixels = np.arange(-half, half + 1, dtype=float)
     c, d = np.cos(angle), np.sin(angle)
     # Corners of the target along y fix where the chord length has kinks.
@@ -179,7 +184,7 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     low, high = corner.min(axis=1), corner.max(axis=1)
     edges = np.arange(-half - 0.5, half + 1.5)[None, :] - at[:, 1:2]
     breaks = np.sort(np.concatenate([corner, np.clip(edges, low[:, None], high[:, None])], axis=1), axis=1)
-    parts = max(2, int(np.ceil(1.0 / max(s, 0.1)))) if s > 0 else 8
+    parts = max(2, int(np.ceil(1.0 / max(least, 0.1)))) if least > 0 else 8
     steps = np.arange(parts) / parts
     span = np.diff(breaks, axis=1)
     start = (breaks[:, :-1, None] + span[:, :, None] * steps).reshape(len(at), -1)
@@ -188,13 +193,14 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     dy = (0.5 * size[:, :, None] * _NODE_WEIGHTS).reshape(len(at), -1)
     left, right = _chord(y, c[:, None], d[:, None], length, width)
     x0 = at[:, 0][:, None, None]
-    across = _step_response(right[:, :, None] + x0 - pixels, s) - _step_response(left[:, :, None] + x0 - pixels, s)
+    reach_right, reach_left = right[:, :, None] + x0 - pixels, left[:, :, None] + x0 - pixels
+    across = _step_response(reach_right, s_x) - _step_response(reach_left, s_x)
     z = (y + at[:, 1:2])[:, :, None] - pixels
-    along = _aperture(z, s) * dy[:, :, None]
+    along = _aperture(z, s_y) * dy[:, :, None]
     return np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0)  # rounding alone leaves 0-1
 
 
-def aligned_fill(length: float, width: float, offset: npt.ArrayLike, psf_fwhm_pixels: float = 0.0) -> Array:
+def aligned_fill(length: float, width: float, offset: npt.ArrayLike, psf_fwhm_pixels: Blur = 0.0) -> Array:
     """Fill of one pixel by an aligned rectangle, in closed form (f of 3.10) [1].
 
     Parameters
@@ -202,13 +208,19 @@ def aligned_fill(length: float, width: float, offset: npt.ArrayLike, psf_fwhm_pi
     length, width : sides along y and x [pixels]
     offset : (..., 2) centre of the rectangle (x, y) from the centre of the pixel [pixels]
     """
-    s = psf_fwhm_pixels * SIGMA_PER_FWHM
+    s_y, s_x = _sigmas(psf_fwhm_pixels)
     at = np.asarray(offset, dtype=float)
 
-    def side(u: Array, a: float) -> Array:
+    def side(u: Array, a: float, s: float) -> Array:
         return _step_response(u + 0.5 * a, s) - _step_response(u - 0.5 * a, s)
 
-    return np.asarray(side(at[..., 0], width) * side(at[..., 1], length))
+    return np.asarray(side(at[..., 0], width, s_x) * side(at[..., 1], length, s_y))
+
+
+def _sigmas(blur: Blur) -> tuple[float, float]:
+    """Standard deviations of the Gaussian along y and x [pixels]."""
+    along, across = blur if isinstance(blur, tuple) else (blur, blur)
+    return along * SIGMA_PER_FWHM, across * SIGMA_PER_FWHM
 
 
 def _chord(y: Array, c: Array, d: Array, length: float, width: float) -> tuple[Array, Array]:

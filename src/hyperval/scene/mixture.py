@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -26,7 +28,9 @@ def average_reflectance(fractions: npt.ArrayLike, means: npt.ArrayLike) -> Array
     return np.asarray(f @ np.asarray(means, dtype=float))  # (3.8)
 
 
-def mixture_covariance(fractions: npt.ArrayLike, means: npt.ArrayLike, covariances: npt.ArrayLike) -> Array:
+def mixture_covariance(
+    fractions: npt.ArrayLike, means: npt.ArrayLike, covariances: npt.ArrayLike | Sequence[Array]
+) -> Array:
     """Covariance of a pixel drawn from the whole scene, Sigma_ave of (3.11).
 
     sum f_m [Sigma_m + (rho_m - rho_ave)(rho_m - rho_ave)^T]: within-class and between-class spread.
@@ -35,13 +39,15 @@ def mixture_covariance(fractions: npt.ArrayLike, means: npt.ArrayLike, covarianc
     ----------
     fractions : (M,) area fractions, sum 1
     means : (M, B)
-    covariances : (M, B, B)
+    covariances : (M, B, B), or M arrays (B, B)
     """
     f = _fractions(fractions)
     mu = np.asarray(means, dtype=float)
     d = mu - average_reflectance(f, mu)
-    within = np.tensordot(f, np.asarray(covariances, dtype=float), axes=1)
-    return np.asarray(within + (d * f[:, None]).T @ d)  # Sigma_ave of (3.11)
+    result = (d * f[:, None]).T @ d
+    for part, covariance in zip(f, covariances, strict=True):  # type: ignore[arg-type]
+        result += part * np.asarray(covariance, dtype=float)
+    return np.asarray(result)  # Sigma_ave of (3.11)
 
 
 def _fractions(fractions: npt.ArrayLike) -> Array:

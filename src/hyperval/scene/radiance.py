@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.errors import UsageError
 
 Array = npt.NDArray[np.float64]
 Formulation = Literal["corrected", "thesis"]
@@ -66,6 +67,34 @@ def target_pixel_reflectance(fill: npt.ArrayLike, target: npt.ArrayLike, host: n
     return np.asarray(f * np.asarray(target, dtype=float) + (1.0 - f) * np.asarray(host, dtype=float))  # (3.10)
 
 
+def illumination_factor(
+    terms: AtmosphericTerms, average_reflectance: npt.ArrayLike, beam: float, sky_view: float
+) -> Array:
+    """Light on a shaded surface as a part of that on open ground (on the ground term of 3.7), (B,) [1].
+
+    phi = (1 - S rho_ave) [(1 - q) beam + q sky_view] + S rho_ave sky_view, with q the part of the light on a black
+    ground that comes from the sky.  Light that went up from the ground and came back is sky light too, so that
+    the ground term is A rho [(1 - q) beam + q sky_view + sky_view S rho_ave / (1 - S rho_ave)].  What hides
+    the sky is taken as black.  The printed form knows no shade: there the factor goes on the reflectance.
+
+    Parameters
+    ----------
+    beam : part of the sun's beam that reaches the surface: 1 open, 0 in full shade
+    sky_view : part of the sky's light that reaches it, 0-1
+
+    Raises
+    ------
+    UsageError : the atmosphere does not tell sky light from the sun's beam.
+    """
+    if terms.diffuse_fraction is None:
+        raise UsageError(
+            "the atmosphere does not say how much of the light on the ground comes from the sky",
+            mend="use the engine sixs, or leave out illumination",
+        )
+    q, back = terms.diffuse_fraction, terms.spherical_albedo * np.asarray(average_reflectance, dtype=float)
+    return np.asarray((1.0 - back) * ((1.0 - q) * beam + q * sky_view) + back * sky_view)
+
+
 def direct_slope(
     terms: AtmosphericTerms, average_reflectance: npt.ArrayLike, formulation: Formulation = "corrected"
 ) -> Array:
@@ -101,6 +130,7 @@ def radiance_covariance(
     adjacency_gain: float = 1.0,
     kappa: float = 0.0,
     formulation: Formulation = "corrected",
+    scratch: Array | None = None,
 ) -> Array:
     """Pixel-to-pixel covariance of radiance before the sensor (3.11), also (3.12) with the target pixel's.
 
@@ -110,11 +140,12 @@ def radiance_covariance(
     Parameters
     ----------
     terms : (B,) each
-    reflectance, covariance : (B,), (B, B) of the pixel
+    reflectance, covariance : (B,), (B, B) of the pixel; the reflectance enters D_B alone
     average_reflectance, average_covariance : (B,), (B, B) of the scene
     adjacency_gain : g_B on the adjacency term
     kappa : 1/N_eff, the variance of the neighbourhood average as a part of that of one pixel; the
         printed form has 1, whatever is given here
+    scratch : (B, B) memory to work in, overwritten; None: fresh memory, which costs more than the numbers in it
 
     Returns
     -------
@@ -123,10 +154,13 @@ def radiance_covariance(
     d_a = direct_slope(terms, average_reflectance, formulation)
     d_b = adjacency_slope(terms, reflectance, average_reflectance, formulation)
     weight = adjacency_gain * (kappa if formulation == "corrected" else 1.0)
-    result = np.asarray(covariance, dtype=float) * d_a[:, None] * d_a
+    result = np.asarray(covariance, dtype=float) * d_a[:, None]
+    result *= d_a
     if weight:
-        result += np.asarray(average_covariance, dtype=float) * (weight * d_b)[:, None] * d_b
-    return np.asarray(result)  # (3.11)
+        around = np.multiply(np.asarray(average_covariance, dtype=float), (weight * d_b)[:, None], out=scratch)
+        around *= d_b
+        result += around
+    return result  # (3.11)
 
 
 def target_pixel_covariance(
@@ -159,9 +193,9 @@ def target_pixel_covariance(
     variance = fill_variance if formulation == "corrected" else 0.0
     f2 = fill_mean**2 + variance  # E[f^2]
     g2 = (1.0 - fill_mean) ** 2 + variance  # E[(1-f)^2]
-    d = np.asarray(target, dtype=float) - np.asarray(host, dtype=float)
-    return np.asarray(
-        f2 * target_gain * np.asarray(target_covariance, dtype=float)
-        + g2 * host_gain * np.asarray(host_covariance, dtype=float)
-        + variance * np.outer(d, d)
-    )  # (3.12)
+    result = (f2 * target_gain) * np.asarray(target_covariance, dtype=float)
+    result += (g2 * host_gain) * np.asarray(host_covariance, dtype=float)
+    if variance:
+        d = np.asarray(target, dtype=float) - np.asarray(host, dtype=float)
+        result += np.outer(variance * d, d)
+    return np.asarray(result)  # (3.12)

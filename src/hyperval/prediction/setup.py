@@ -1,0 +1,117 @@
+"""The sensor of a scenario as it is run, and what is refused before anything is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperval.errors import UsageError
+from hyperval.prediction.inputs import Resolve, SurfaceStatistics
+from hyperval.scenario import Fill, Scenario, Target
+from hyperval.sensor.noise import NoiseModel
+from hyperval.sensor.operation import binned_axis, binned_noise
+from hyperval.sensor.specification import Sensor, library_names, load_sensor
+from hyperval.spectra.axis import SpectralAxis
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Sensor, bands and noise of one prediction.
+
+    Attributes
+    ----------
+    axis : the bands of all products, as they are labelled
+    true_axis : where they truly stand; the same object where nothing is shifted
+    noise : on ``axis``; None without a sensor
+    """
+
+    sensor: Sensor | None
+    axis: SpectralAxis
+    true_axis: SpectralAxis
+    noise: NoiseModel | None
+
+
+def instrument(
+    scenario: Scenario, axis: SpectralAxis | None, measured_axis: SpectralAxis | None, find: Resolve
+) -> Instrument:
+    """The sensor that a scenario names, on the bands asked for or its own (3.13-3.20).
+
+    Raises
+    ------
+    UsageError : no bands, or bins of bands that are handed in.
+    """
+    operation = scenario.sensor_operation
+    sensor = None
+    if scenario.sensor is not None:
+        sensor = load_sensor(scenario.sensor if scenario.sensor in library_names() else find(scenario.sensor))
+    on = axis or (sensor.axis if sensor else None) or measured_axis
+    if on is None:
+        raise UsageError("the scenario has no bands", mend="name a sensor, or hand in an axis")
+    if sensor is None:
+        return Instrument(None, on, on, None)
+    noise = sensor.noise(on, operation)
+    true = sensor.true_axis(on, operation)
+    count = operation.spectral_binning if operation else 1
+    if count > 1:
+        if axis is not None:
+            raise UsageError(
+                "sensor_operation.spectral_binning: the bands of a collection are what they are",
+                mend="leave spectral_binning out: a binned cube has binned bands already",
+            )
+        if count > len(on):
+            raise UsageError(f"sensor_operation.spectral_binning: bins of {count} of {len(on)} bands")
+        shifted = true is not on
+        on, noise = binned_axis(on, count), binned_noise(noise, count)
+        true = binned_axis(true, count) if shifted else on
+    return Instrument(sensor, on, true, noise)
+
+
+def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
+    """The scenario with the sensor's point spread function where a geometry states none."""
+    if sensor is None or sensor.specification.psf is None or not scenario.scene.targets:
+        return scenario
+    blur = sensor.specification.psf.fwhm
+
+    def filled(fill: Fill | None) -> Fill | None:
+        if fill is None or fill.geometry is None or fill.geometry.psf_fwhm_pixels is not None:
+            return fill
+        return fill.model_copy(update={"geometry": fill.geometry.model_copy(update={"psf_fwhm_pixels": blur})})
+
+    def target(t: Target) -> Target:
+        subjects = [s.model_copy(update={"fill": filled(s.fill)}) for s in t.subjects]
+        return t.model_copy(update={"fill": filled(t.fill), "subjects": subjects})
+
+    scene = scenario.scene.model_copy(update={"targets": [target(t) for t in scenario.scene.targets]})
+    return scenario.model_copy(update={"scene": scene})
+
+
+def refuse_gaps(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], axis: SpectralAxis) -> None:
+    """Refuse a spectrum that does not cover the band set: usable bands beyond one of its ends.
+
+    Bands on the bad-band list may lack, and one band at each end; so may bands within the spectrum that its file marks as unknown.
+
+    Raises
+    ------
+    UsageError : with the field of the scenario.
+    """
+    scene = scenario.scene
+    for key, group in (
+        ("classes", scene.classes), ("panels", scene.panels), ("sites", scene.sites), ("targets", scene.targets)
+    ):  # fmt: skip
+        for i, surface in enumerate(group):
+            if surface.spectrum.measured is not None or surface.spectrum.gaps == "allowed":
+                continue
+            known = np.flatnonzero(np.isfinite(surfaces[surface.name].mean))
+            beyond = axis.good.copy()
+            # One band at each end may lack: its centre is covered where its response reaches a little further.
+            beyond[max(known[0] - 1, 0) : known[-1] + 2] = False
+            if beyond.any():
+                w = axis.centre_nm[beyond]
+                raise UsageError(
+                    f"scene.{key}.{i}.spectrum of {surface.name!r} does not cover {int(beyond.sum())} usable bands "
+                    f"(first {w[0]:g} nm, last {w[-1]:g} nm)",
+                    expected=f"a spectrum over {axis.centre_nm[0]:g}-{axis.centre_nm[-1]:g} nm",
+                    mend="give a longer spectrum, mark those bands bad, or allow it: spectrum: {gaps: allowed}",
+                )

@@ -1,0 +1,178 @@
+"""Statistics libraries: mean, covariance, n and source of surface classes in one NetCDF-4 file.
+
+Variables: ``wavelength`` and ``fwhm`` (band) [nm], ``class_name`` (class), ``mean`` (class, band) [1],
+``covariance`` (class, band, band_2) [1], ``n`` (class; 0 = a definition, no samples), ``source`` (class),
+``tail_dof`` (class; NaN = Gaussian).  docs/formats.md has an example.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from hyperval.errors import InputError, UsageError
+from hyperval.files import whole_file
+from hyperval.paths import checked_file
+from hyperval.scene.statistics import ClassStatistics
+from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
+
+MAX_BYTES = 512 << 20
+MAX_BANDS, MAX_CLASSES = 5000, 1000
+_NAMES = ("wavelength", "fwhm", "class_name", "mean", "covariance", "n", "source")
+
+
+def statistics_of_samples(
+    name: str, axis: SpectralAxis, samples: npt.ArrayLike, source: str = "samples", tail_dof: float | None = None
+) -> ClassStatistics:
+    """Mean and sample covariance of spectra (N, B) on ``axis`` (rho_m, Sigma_m of 3.8-3.12).
+
+    Raises
+    ------
+    UsageError : fewer than two samples, another number of bands, or NaN.
+    """
+    x = np.asarray(samples, dtype=float)
+    if x.ndim != 2 or x.shape[0] < 2 or x.shape[1] != len(axis):
+        raise UsageError(f"class {name!r}: samples of shape {x.shape}", expected=f"(2 or more, {len(axis)})")
+    mean = x.mean(axis=0)
+    centred = x - mean
+    covariance = centred.T @ centred / (x.shape[0] - 1)
+    return ClassStatistics(name, axis, mean, covariance, x.shape[0], source, tail_dof)
+
+
+def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> None:
+    """Write classes that share their bands to a new file, whole or not at all.
+
+    Raises
+    ------
+    UsageError : no class, a name that stands twice, or different bands.
+    """
+    names = [c.name for c in classes]
+    if not classes or len(set(names)) < len(names):
+        raise UsageError("a statistics library needs classes, each with its own name", where=str(path))
+    axis = classes[0].axis
+    if not all(c.axis.matches(axis, 1e-6) for c in classes):
+        raise UsageError("the classes of a statistics library share one set of bands", where=str(path))
+    tail = [np.nan if c.tail_dof is None else c.tail_dof for c in classes]
+    data = xr.Dataset(
+        {
+            "fwhm": ("band", axis.fwhm_nm, {"units": "nm"}),
+            "good_band": ("band", axis.good.astype(np.int8), {"units": "1"}),
+            "mean": (("class", "band"), np.array([c.mean for c in classes]), {"units": "1"}),
+            "covariance": (
+                ("class", "band", "band_2"), np.array([c.covariance for c in classes]), {"units": "1"}
+            ),
+            "n": ("class", np.array([c.n or 0 for c in classes], dtype=np.int64), {"units": "1"}),
+            "tail_dof": ("class", np.array(tail), {"units": "1"}),
+            "source": ("class", np.array([c.source for c in classes], dtype=object)),
+            "class_name": ("class", np.array(names, dtype=object)),
+        },
+        coords={"wavelength": ("band", axis.centre_nm, {"units": "nm"})},
+        attrs={"title": "hyperval statistics library", "format_version": 1},
+    )  # fmt: skip
+    with whole_file(Path(path)) as temporary:
+        data.to_netcdf(temporary, engine="h5netcdf")
+
+
+def read_statistics_library(path: Path, record: str | None = None) -> ClassStatistics:
+    """One class of a library; ``record`` may be left out when there is only one.
+
+    Sizes are checked before numbers are read.
+
+    Raises
+    ------
+    InputError : no such file, not a library, sizes that contradict each other or go beyond the limits.
+    UsageError : no such record, or statistics that are none: a covariance that is not symmetric or not positive
+        semi-definite, values that are not finite.
+    """
+    path = checked_file(path, what="statistics library")
+    if path.stat().st_size > MAX_BYTES:
+        raise InputError(f"larger than {MAX_BYTES >> 20} MB", where=str(path), expected="a statistics library")
+    try:
+        data = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
+    except Exception as error:
+        raise InputError(f"not a NetCDF-4 file ({error})", where=str(path)) from error
+    with data:
+        lacking = [name for name in _NAMES if name not in data.variables]
+        if lacking:
+            raise InputError(
+                f"has no variable {', '.join(lacking)}", where=str(path), expected="a statistics library"
+            )
+        bands, count = data.sizes.get("band", 0), data.sizes.get("class", 0)
+        shapes = {
+            "wavelength": (bands,), "fwhm": (bands,), "mean": (count, bands), "covariance": (count, bands, bands),
+            "n": (count,), "source": (count,), "class_name": (count,),
+        }  # fmt: skip
+        if not (0 < bands <= MAX_BANDS and 0 < count <= MAX_CLASSES):
+            raise InputError(
+                f"{count} classes of {bands} bands",
+                where=str(path),
+                expected=f"1-{MAX_CLASSES} classes, 1-{MAX_BANDS} bands",
+            )
+        wrong = [f"{name} {data[name].shape}" for name, shape in shapes.items() if data[name].shape != shape]
+        if wrong:
+            raise InputError(f"sizes contradict each other: {', '.join(wrong)}", where=str(path))
+        try:
+            return _record(data, path, record)
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError(f"cannot be read: {error}", where=str(path)) from error
+
+
+def _record(data: xr.Dataset, path: Path, record: str | None) -> ClassStatistics:
+    names = [str(n) for n in data["class_name"].values]
+    if record is None and len(names) > 1:
+        raise UsageError("holds several classes", where=str(path), expected="record: one of " + ", ".join(names))
+    if record is not None and record not in names:
+        raise UsageError(f"has no class {record!r}", where=str(path), expected="one of " + ", ".join(names))
+    at = names.index(record) if record is not None else 0
+    one = data.isel({"class": at})
+    good = one["good_band"].values > 0 if "good_band" in one else np.ones(0, bool)
+    n, tail = int(one["n"]), float(one["tail_dof"]) if "tail_dof" in one else np.nan
+    try:
+        return ClassStatistics(
+            names[at],
+            SpectralAxis(one["wavelength"].values, one["fwhm"].values, good),
+            np.asarray(one["mean"].values, dtype=float),
+            np.asarray(one["covariance"].values, dtype=float),
+            n or None,
+            str(one["source"].values),
+            None if np.isnan(tail) else tail,
+        )
+    except UsageError as error:
+        raise UsageError(error.what, where=str(path), expected=error.expected, mend=error.mend) from error
+
+
+def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 10.0) -> ClassStatistics:
+    """The statistics on other bands: W mean and W Sigma W^T, with W linear interpolation between band centres.
+
+    Bands wider than those of the library keep too much of the spread of single bands.
+
+    Raises
+    ------
+    UsageError : the library does not cover the bands (to ``edge_nm`` beyond its first and last centre).
+    """
+    if statistics.axis.matches(axis):
+        return statistics
+    at, to = statistics.axis.centre_nm, axis.centre_nm
+    short = (to < at[0] - edge_nm) | (to > at[-1] + edge_nm)
+    if at.size < 2 or np.any(short):
+        raise UsageError(
+            f"class {statistics.name!r} covers {at[0]:g}-{at[-1]:g} nm and {int(short.sum())} bands lie outside it "
+            f"(first {to[short][0] if short.any() else to[0]:g} nm)",
+            expected="statistics over the whole band set",
+        )
+    i = np.clip(np.searchsorted(at, to) - 1, 0, at.size - 2)
+    share = np.clip((to - at[i]) / (at[i + 1] - at[i]), 0.0, 1.0)
+    weights = np.zeros((to.size, at.size))
+    rows = np.arange(to.size)
+    weights[rows, i], weights[rows, i + 1] = 1.0 - share, share
+    covariance = weights @ statistics.covariance @ weights.T
+    return ClassStatistics(
+        statistics.name, axis, weights @ statistics.mean, 0.5 * (covariance + covariance.T),
+        statistics.n, statistics.source, statistics.tail_dof,
+    )  # fmt: skip
