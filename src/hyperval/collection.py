@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field, field_validator, model_validator
 
 from hyperval.config import Model
-from hyperval.processing.filters import LINEAR_DETECTORS
+from hyperval.processing.detectors import DETECTORS
 from hyperval.scenario import SpectrumSource
 
 
@@ -146,6 +146,11 @@ class Collection(Model):
     )
     empirical_line: EmpiricalLineSource | None = None
     calibration: CalibrationUncertainty | None = None
+    precision: Literal["auto", "fast", "exact"] = Field(
+        "auto",
+        description="arithmetic of the covariances: 'fast' multiplies in float32 (scores differ by about 1e-6 of "
+        "their standard deviation), 'exact' in float64; 'auto': exact up to 100 million values",
+    )
     snr_regions: list[str] = Field(
         default_factory=list, description="regions whose SNR is estimated from the image"
     )
@@ -197,6 +202,16 @@ class Detection(Model):
     false_alarms: list[str] = Field(
         default_factory=lambda: ["scene"], description="regions whose pixels count for the false-alarm rate"
     )
+    undesired: list[str] = Field(
+        default_factory=list, description="regions whose mean spectra the detector 'osp' projects away"
+    )
+    halo_pixels: int = Field(
+        0,
+        ge=0,
+        le=50,
+        description="pixels around a target whose greatest score counts for the object; the background is then "
+        "scored by the same footprint",
+    )
     bands: Literal["all", "good", "windows"] = "good"
     group: str = Field(
         "{name}",
@@ -209,9 +224,15 @@ class Detection(Model):
     @classmethod
     def _known(cls, names: list[str]) -> list[str]:
         for name in names:
-            if name not in LINEAR_DETECTORS:
-                raise ValueError(f"unknown detector {name!r}; one of {', '.join(LINEAR_DETECTORS)}")
+            if name not in DETECTORS:
+                raise ValueError(f"unknown detector {name!r}; one of {', '.join(DETECTORS)}")
         return names
+
+    @model_validator(mode="after")
+    def _osp_has_undesired(self) -> Detection:
+        if ("osp" in self.detectors) != bool(self.undesired):
+            raise ValueError("the detector 'osp' and 'undesired', the regions that it projects away, go together")
+        return self
 
     @model_validator(mode="after")
     def _names_differ(self) -> Detection:

@@ -150,8 +150,8 @@ CASES: dict[str, tuple[Callable[[SmallCampaign], None], int, tuple[str, ...]]] =
         (r"campaign\.yaml:\d+: collection", "exactly one of cube, spectra"),
     ),
     "unknown detector": (
-        settings(lambda d: d["detection"].update(detectors=["ace"])), 2,
-        (r"campaign\.yaml:\d+: detection\.detectors", "unknown detector 'ace'"),
+        settings(lambda d: d["detection"].update(detectors=["amf"])), 2,
+        (r"campaign\.yaml:\d+: detection\.detectors", "unknown detector 'amf'"),
     ),
     "address for a file": (
         settings(lambda d: d["collection"]["cube"].update(path="https://example.org/a.img")), 2,

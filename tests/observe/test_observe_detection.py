@@ -267,7 +267,7 @@ def test_each_field_of_the_detection_has_its_error(world, change, error, message
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"detectors": ["ace"]}, "unknown detector 'ace'; one of "),
+        ({"detectors": ["amf"]}, "unknown detector 'amf'; one of "),
         ({"detectors": []}, "at least 1 item"),
         ({"targets": []}, "at least 1 item"),
         ({"targets": [{"name": "a", "material": "paint", "spectrum": {"constant": 0.3}}] * 2},

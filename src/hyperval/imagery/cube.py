@@ -17,6 +17,7 @@ from hyperval.imagery.band_table import BandTable, band_table, wavelengths_in_nm
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, TiffRaster, open_raster
 from hyperval.imagery.scaling import Scaling, scaling_of
+from hyperval.imagery.validity import equals, usable_pixels
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 
 Array = npt.NDArray[np.float64]
@@ -103,6 +104,26 @@ class Cube:
         return self.lines, self.samples
 
     @property
+    def dtype(self) -> np.dtype:
+        """Type of a stored number."""
+        return self.raster.dtype
+
+    @property
+    def bytes_per_line(self) -> int:
+        """Bytes of one line in the file."""
+        return self.samples * self.raster.bands * self.dtype.itemsize
+
+    @property
+    def gain(self) -> Array:
+        """(B,) value of a stored 1 less that of a stored 0, in the bands of the axis."""
+        return self.scaling.gain[self.stored_band]
+
+    @property
+    def offset(self) -> Array:
+        """(B,) value of a stored 0, in the bands of the axis."""
+        return self.scaling.offset[self.stored_band]
+
+    @property
     def transform(self) -> Affine | None:
         """Affine transform from continuous (sample, line) to map coordinates, None without one."""
         return self.raster.transform
@@ -136,6 +157,22 @@ class Cube:
             raise UsageError(f"lines_per_block is {lines_per_block}", expected="1 or more")
         for first in range(0, self.lines, step):
             yield self.read(first, min(step, self.lines - first), dtype)
+
+    def read_stored(
+        self, first_line: int, count: int, needed: Mask | None = None, buffer: npt.NDArray[Any] | None = None
+    ) -> tuple[npt.NDArray[Any], Mask]:
+        """Stored numbers (B, count, samples) in the bands of the axis, as a view in the order of the file.
+
+        Also which pixels (count, samples) hold data in the ``needed`` bands (all by default); ``scaling`` is
+        not applied.  ``buffer``: as for :meth:`EnviRaster.read_bands`.
+        """
+        stored = self.raster.read_bands(first_line, count, buffer)
+        if np.any(self.stored_band != np.arange(self.stored_band.size)):
+            stored = stored[self.stored_band]
+        usable = usable_pixels(
+            stored, ignore=self.ignore_value, zero_is_fill=self.quantity != "other", needed=needed
+        )
+        return stored, usable
 
     def pixels(self, where: Where) -> Array:
         """(n, B) values of the pixels of a mask (in line order) or of (rows, cols); NaN for ignored values."""
@@ -185,7 +222,7 @@ class Cube:
         valid = np.ones(stored.shape[:-1], bool)
         good = slice(None) if self.axis.good.all() else self.axis.good
         if self.ignore_value is not None:
-            ignored = _equals(stored, self.ignore_value)
+            ignored = equals(stored, self.ignore_value)
             if ignored.any():
                 values[ignored] = np.nan
                 valid &= ~ignored[..., good].any(axis=-1)
@@ -303,17 +340,3 @@ def _check_values(cube: Cube) -> None:
             expected=f"at most {limit:g}",
             mend="state scale: (what multiplies the stored values) or unit:",
         )
-
-
-def _equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
-    """Where the stored values are the ignore value, compared in the stored type."""
-    if np.isnan(ignore):
-        return np.isnan(stored)
-    if stored.dtype.kind == "f":
-        return stored == stored.dtype.type(ignore)
-    if not float(ignore).is_integer():
-        return np.zeros(stored.shape, bool)
-    limits = np.iinfo(stored.dtype)
-    if not limits.min <= int(ignore) <= limits.max:
-        return np.zeros(stored.shape, bool)
-    return stored == stored.dtype.type(int(ignore))

@@ -6,6 +6,7 @@ a GeoTIFF is read by rasterio in windows.
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -77,20 +78,31 @@ class EnviRaster:
 
     def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
         """(count, samples, bands) stored numbers of consecutive lines."""
+        return self.read_bands(first, count).transpose(1, 2, 0)
+
+    def read_bands(self, first: int, count: int, buffer: npt.NDArray[Any] | None = None) -> npt.NDArray[Any]:
+        """(bands, count, samples) stored numbers of consecutive lines: a view in the order of the file.
+
+        ``buffer`` is a flat array of ``dtype`` to read into, with room for the lines.
+        """
         samples, bands, size = self.samples, self.bands, self.dtype.itemsize
         if first < 0 or count < 1 or first + count > self.lines:
             raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
+        wanted = count * samples * bands
+        flat = np.empty(wanted, self.dtype) if buffer is None else buffer[:wanted]
         with open(self.path, "rb", buffering=0) as stream:
+            if hasattr(os, "posix_fadvise"):
+                os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
             if self.header.interleave == "bsq":
-                out = np.empty((bands, count, samples), self.dtype)
+                by_band = flat.reshape(bands, count, samples)
                 for band in range(bands):
                     offset = self.header.header_offset + (band * self.lines + first) * samples * size
-                    self._fill(stream, out[band], offset)
-                return out.transpose(1, 2, 0)
-            shape = (count, bands, samples) if self.header.interleave == "bil" else (count, samples, bands)
-            out = np.empty(shape, self.dtype)
-            self._fill(stream, out, self.header.header_offset + first * samples * bands * size)
-            return out.transpose(0, 2, 1) if self.header.interleave == "bil" else out
+                    self._fill(stream, by_band[band], offset)
+                return by_band
+            self._fill(stream, flat, self.header.header_offset + first * samples * bands * size)
+        if self.header.interleave == "bil":
+            return flat.reshape(count, bands, samples).transpose(1, 0, 2)
+        return flat.reshape(count, samples, bands).transpose(2, 0, 1)
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
         """(n, bands) stored numbers of single pixels."""
@@ -140,10 +152,14 @@ class TiffRaster:
 
     def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
         """(count, samples, bands) stored numbers of consecutive lines."""
+        return self.read_bands(first, count).transpose(1, 2, 0)
+
+    def read_bands(self, first: int, count: int, buffer: npt.NDArray[Any] | None = None) -> npt.NDArray[Any]:
+        """(bands, count, samples) stored numbers of consecutive lines; ``buffer`` is not used."""
         if first < 0 or count < 1 or first + count > self.lines:
             raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
         with _opened(self.path) as dataset:
-            return dataset.read(window=Window(0, first, self.samples, count)).transpose(1, 2, 0)
+            return dataset.read(window=Window(0, first, self.samples, count))
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
         """(n, bands) stored numbers of single pixels."""

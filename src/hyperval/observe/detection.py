@@ -13,22 +13,30 @@ import numpy.typing as npt
 from hyperval.collection import AreaCheck, Detection, DetectionTarget
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.truth import TargetObject
+from hyperval.observe.object_roc import object_curve
 from hyperval.observe.place import Place
 from hyperval.prediction.inputs import Sources
+from hyperval.processing.detectors import (
+    ANOMALY_DETECTORS,
+    WITHOUT_COVARIANCE,
+    pixel_detector,
+    whitener_of,
+)
 from hyperval.processing.elm import EmpiricalLine
-from hyperval.processing.filters import LinearFilter, design_filter
-from hyperval.processing.objects import footprint, footprint_sums, object_scores, with_halo
+from hyperval.processing.filters import PositiveDefinite
+from hyperval.processing.objects import footprint, footprint_sums, with_halo
+from hyperval.processing.pixel_scores import PixelDetector, score_cube
 from hyperval.processing.roc import empirical_roc, pooled_roc
-from hyperval.processing.scoring import score_blocks
-from hyperval.processing.streaming import SampleStatistics
+from hyperval.processing.streaming import SampleStatistics, statistics_of
 from hyperval.products import Abundance, RocCurve, ScoreDistribution, background_of
-from hyperval.progress import track
+from hyperval.progress import watch_lines
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+BACKGROUND = "detector background"
 # Below this many pixels for each band a sample covariance is shrunk (Ledoit & Wolf 2004).
 FEW_PIXELS_PER_BAND = 3
 # Names in braces are replaced as they stand: str.format would take widths that fill the memory.
@@ -44,7 +52,7 @@ class Detected:
     score_maps : "TARGET-DETECTOR" -> (lines, samples) score
     outlines : "TARGET-DETECTOR" -> mask of each object that was looked for
     scores, roc, abundance : products by their keys
-    filters : "TARGET-DETECTOR" -> filter
+    detectors : by the keys of ``score_maps``
     bands : (B,) the bands that the filters use
     nominal_area_m2 : area of the targets as the truth states it, by the keys of ``abundance``
     """
@@ -54,7 +62,7 @@ class Detected:
     scores: Mapping[tuple[str, str], ScoreDistribution]
     roc: Mapping[tuple[str, str, str], RocCurve]
     abundance: Mapping[tuple[str, str], Abundance]
-    filters: Mapping[str, LinearFilter]
+    detectors: Mapping[str, PixelDetector]
     bands: Mask
     nominal_area_m2: Mapping[tuple[str, str], float]
     notes: tuple[str, ...] = field(default=())
@@ -88,13 +96,17 @@ def in_reflectance(statistics: SampleStatistics, elm: EmpiricalLine | None) -> t
 def detect(
     place: Place,
     detection: Detection,
-    background: SampleStatistics,
+    measured: Mapping[str, SampleStatistics],
     elm: EmpiricalLine | None,
     resolve: Callable[[str], Path],
     *,
     show_progress: bool | None = None,
 ) -> Detected:
     """Score the image with every detector and target, and count what is found.
+
+    Parameters
+    ----------
+    measured : statistics of the regions and of :data:`BACKGROUND` in the cube's values
 
     Raises
     ------
@@ -106,20 +118,33 @@ def detect(
     spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
     bands = usable_bands(detection.bands, axis, list(spectra.values()), elm)
     notes = [f"detectors use {int(bands.sum())} of {len(axis)} bands"]
+    background = measured[BACKGROUND]
     if background.n < FEW_PIXELS_PER_BAND * int(bands.sum()):
-        background = replace(background, covariance=background.shrunk_covariance)
-        notes.append(f"{background.n} background pixels are few: covariance shrunk by {background.shrinkage:.3g}")
+        # Few, so they fit in memory; the pass has not summed the fourth moment.
+        few = statistics_of(_complete(place.cube.pixels(place.background(detection.background))))
+        background = replace(background, covariance=few.shrunk_covariance)
+        notes.append(f"{background.n} background pixels are few: covariance shrunk by {few.shrinkage:.3g}")
     mean, covariance = in_reflectance(background, elm)
-    cut = np.ix_(bands, bands)
-    filters = {
-        f"{t.name}-{detector}": design_filter(detector, spectra[t.name][bands], mean[bands], covariance[cut])
-        for t in detection.targets
-        for detector in detection.detectors
-    }
-    worst = max(f.condition for f in filters.values())
-    notes.append(f"condition number of the background matrix at unit diagonal: {worst:.3g}")
-    blocks = track(place.cube.blocks(), "scores", show=show_progress)
-    maps = score_blocks(blocks, filters, elm, bands)
+    inverted = None
+    if not set(detection.detectors) <= set(WITHOUT_COVARIANCE):
+        inverted = PositiveDefinite(covariance[np.ix_(bands, bands)])
+        notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
+    for name in detection.undesired:
+        place.region(name)  # refuses a name that no region has
+    undesired = [in_reflectance(measured[name], elm)[0][bands] for name in detection.undesired]
+    detectors: dict[str, PixelDetector] = {}
+    for target in detection.targets:
+        for name in detection.detectors:
+            key = name if name in ANOMALY_DETECTORS else f"{target.name}-{name}"
+            if key not in detectors:
+                detectors[key] = pixel_detector(
+                    name, spectra[target.name][bands], mean[bands], inverted, np.array(undesired)
+                )
+    whitener = None
+    if inverted is not None and any(d.quadratic == "distance" for d in detectors.values()):
+        whitener = whitener_of(mean[bands], inverted)
+    watch = watch_lines("scores", place.cube.bytes_per_line, place.cube.lines, show=show_progress)
+    maps = score_cube(place.cube, detectors, elm, bands, whitener=whitener, needed=axis.good, watch=watch)
 
     alarms = place.background(detection.false_alarms)
     area_km2 = None if place.pixel_area_m2 is None else float(alarms.sum()) * place.pixel_area_m2 / 1e6
@@ -129,9 +154,9 @@ def detect(
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
         for detector in detection.detectors:
-            key = f"{target.name}-{detector}"
+            key = detector if detector in ANOMALY_DETECTORS else f"{target.name}-{detector}"
             found = maps[key]
-            outlines[key] = {o.name: o.mask for members in groups.values() for o in members}
+            outlines.setdefault(key, {}).update({o.name: o.mask for members in groups.values() for o in members})
             noise = found[alarms]
             noise = noise[np.isfinite(noise)]
             for subject, members in groups.items():
@@ -150,11 +175,12 @@ def detect(
                 roc[subject, detector, "pixel"] = empirical_roc(
                     pixels, noise, unit="pixel", background_area_km2=area_km2
                 )
-                best = np.array(
-                    list(object_scores(found, {o.name: scored_pixels(o, place) for o in members}).values())
-                )
-                roc[subject, detector, "object"] = empirical_roc(
-                    best[np.isfinite(best)], noise, unit="object", background_area_km2=area_km2
+                roc[subject, detector, "object"] = object_curve(
+                    found,
+                    {o.name: scored_pixels(o, place) for o in members},
+                    alarms,
+                    detection.halo_pixels,
+                    place.pixel_area_m2,
                 )
     for pool in detection.pools:
         if any(pool.name == subject for subject, _, _ in roc):
@@ -169,10 +195,10 @@ def detect(
     areas: dict[tuple[str, str], Abundance] = {}
     nominal: dict[tuple[str, str], float] = {}
     for check in detection.areas:
-        measured, known = _areas(place, detection, check, maps)
-        areas.update(measured)
+        found_areas, known = _areas(place, detection, check, maps)
+        areas.update(found_areas)
         nominal.update(known)
-    return Detected(maps, outlines, scores, roc, areas, filters, bands, nominal, tuple(notes))
+    return Detected(maps, outlines, scores, roc, areas, detectors, bands, nominal, tuple(notes))
 
 
 def scored_pixels(target: TargetObject, place: Place) -> Mask:
@@ -212,6 +238,11 @@ def _subject(form: str, words: Mapping[str, str]) -> str:
             expected="names in braces out of " + ", ".join(sorted(words)),
         )
     return _BRACES.sub(lambda found: words[found[1]], form)
+
+
+def _complete(pixels: Array) -> Array:
+    """The pixels (n, B) that are finite in every band, as the statistics of regions take them."""
+    return pixels[np.isfinite(pixels).all(axis=1)]
 
 
 def _moments(values: Array) -> ScoreDistribution:

@@ -12,16 +12,17 @@ import numpy.typing as npt
 
 from hyperval.collection import Collection, Detection, EmpiricalLineSource
 from hyperval.errors import UsageError
-from hyperval.observe.detection import Detected, detect, in_reflectance, scored_pixels, target_groups
+from hyperval.observe.detection import BACKGROUND, Detected, detect, in_reflectance, scored_pixels, target_groups
 from hyperval.observe.place import Place, open_place
 from hyperval.observe.site_spectra import observe_spectra
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.elm import EmpiricalLine, PanelMeasurement, fit_elm
+from hyperval.processing.region_statistics import region_statistics
 from hyperval.processing.snr import snr_decorrelated
-from hyperval.processing.streaming import SampleStatistics, accumulate_statistics
+from hyperval.processing.streaming import SampleStatistics
 from hyperval.products import Observation, SpectralEstimate
-from hyperval.progress import track
+from hyperval.progress import watch_lines
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
 
@@ -29,7 +30,6 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Resolve = Callable[[str], Path]
 
-BACKGROUND = "detector background"
 # At most this many pixels of a region are held in memory for its SNR.
 MAX_SNR_PIXELS = 20_000
 
@@ -84,8 +84,8 @@ def observe(
         masks[BACKGROUND] = place.background(detection.background)
         populations = _target_pixels(place, detection, taken=set(masks))
         masks |= populations
-    blocks = track(cube.blocks(), "statistics", show=show_progress)
-    measured = accumulate_statistics(blocks, masks, place.left_out)
+    watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
+    measured = region_statistics(cube, masks, place.left_out, precision=collection.precision, watch=watch)
     elm = _empirical_line(collection.empirical_line, measured, cube.axis, resolve)
     regions = {name: measured[name] for name in place.regions}
     subjects = regions | {name: measured[name] for name in populations}
@@ -107,7 +107,7 @@ def observe(
                 "detection on radiance needs an empirical line",
                 mend="add collection.empirical_line with two panels",
             )
-        detected = detect(place, detection, measured[BACKGROUND], elm, resolve, show_progress=show_progress)
+        detected = detect(place, detection, measured, elm, resolve, show_progress=show_progress)
     notes = list(place.notes)
     if elm is not None:
         notes.append(f"empirical line through {', '.join(elm.panels)}: usable in {int(elm.usable.sum())} bands")

@@ -43,7 +43,7 @@ class SampleStatistics:
     covariance : (B, B) unbiased, divisor n - 1
     n : pixels used
     n_left_out : pixels of the region left out as invalid or not finite
-    fourth : sum over pixels of |x - mean|^4, for the shrinkage intensity
+    fourth : sum over pixels of |x - mean|^4, for the shrinkage intensity; NaN where it was not summed
     """
 
     mean: Array
@@ -77,6 +77,8 @@ class SampleStatistics:
         b^2 = min(d^2, sum_k |x_k x_k^T - S|^2 / n^2), the sum being sum |x_k|^4 - n |S|^2.
         Source: Ledoit & Wolf, J. Multivariate Anal. 88, 365-411, 2004, section 3.
         """
+        if np.isnan(self.fourth):
+            raise UsageError("the fourth moment was not summed", mend="take statistics_of the pixels themselves")
         s = self.covariance * ((self.n - 1) / self.n)
         mu = np.trace(s) / s.shape[0]
         d2 = float(np.sum((s - mu * np.eye(s.shape[0])) ** 2))

@@ -1,0 +1,56 @@
+"""The curve of whole objects, with the background scored by the same footprint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+from hyperval.processing.objects import footprint, footprint_maxima, object_scores
+from hyperval.processing.roc import empirical_roc
+from hyperval.products import RocCurve
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+def object_curve(
+    scores: Array, objects: Mapping[str, Mask], alarms: Mask, halo: int, pixel_area_m2: float | None
+) -> RocCurve:
+    """ROC of objects, each with the greatest score over its pixels and ``halo`` pixels around them.
+
+    Without a halo a false alarm is a background pixel.  With one it is a placement of an object's footprint on
+    the background, where noise has as many chances as it has on the object; objects of different shapes each
+    bring their own placements.
+
+    Parameters
+    ----------
+    scores : (lines, samples), NaN where invalid
+    objects : masks of the pixels that are scored
+    alarms : (lines, samples) True on the background
+
+    Raises
+    ------
+    UsageError : the footprint fits nowhere on the background.
+    """
+    best = np.array(list(object_scores(scores, objects, halo).values()))
+    best = best[np.isfinite(best)]
+    if halo == 0:
+        noise = scores[alarms]
+        noise, looked_at = noise[np.isfinite(noise)], int(np.count_nonzero(alarms))
+    else:
+        parts, looked_at = [], 0
+        for mask in objects.values():
+            shape = footprint(mask, halo)
+            parts.append(footprint_maxima(scores, shape, ~alarms))
+            looked_at += parts[-1].size * shape.size
+        noise = np.concatenate(parts)
+        if noise.size == 0:
+            raise UsageError(
+                f"with a halo of {halo} pixels no footprint of the targets fits on the background",
+                where="detection.halo_pixels",
+            )
+    area = None if pixel_area_m2 is None else looked_at * pixel_area_m2 / 1e6
+    return empirical_roc(best, noise, unit="object", background_area_km2=area)

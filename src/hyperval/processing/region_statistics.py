@@ -1,0 +1,237 @@
+"""Mean and covariance of regions of a stored cube, all in one pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+from hyperval.processing.gram import Sums
+from hyperval.processing.passes import (
+    StoredCube,
+    Workspace,
+    as_columns,
+    by_segments,
+    lines_per_block,
+)
+from hyperval.processing.streaming import SCENE, SampleStatistics
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Precision = Literal["auto", "exact", "fast"]
+
+BLOCK_PIXELS = 2560
+# Up to so many stored numbers "auto" is exact.
+EXACT_VALUES = 100_000_000
+# Fewer pixels of one kind wait until there are so many: products of few columns cost as much as of many.
+WAITING_PIXELS = 256
+# Lines, and pixels in all of them, of the first estimate.
+SAMPLED_LINES = 16
+SAMPLED_PIXELS = 4096
+# Directions that are taken apart in single precision; scenes seldom have more that stand out.
+DIRECTIONS = 12
+_BITS = 62
+
+
+def region_statistics(
+    cube: StoredCube,
+    masks: Mapping[str, Mask] | None = None,
+    exclude: Mask | None = None,
+    *,
+    precision: Precision = "auto",
+    threads: int | None = None,
+    block_lines: int | None = None,
+    watch: Callable[[Iterator[Any]], Iterator[Any]] = iter,
+) -> dict[str, SampleStatistics]:
+    """Mean and covariance of every region and of the whole scene.
+
+    Pixels that belong to the same regions are summed once and the sums added, so that regions which overlap
+    cost little more than the scene alone.  The unit is that of the cube's values; the shrinkage intensity is not
+    known (``fourth`` is NaN).
+
+    Parameters
+    ----------
+    masks : (lines, samples) True on the pixels of each region; the name "scene" is kept for the whole
+    exclude : (lines, samples) True on pixels left out of the scene
+    precision : "auto" is exact where that takes about a second at most, and fast above.  "fast" multiplies in
+        float32 and sums in float64, in a way that keeps the quiet directions (see
+        :mod:`hyperval.processing.gram`).  "exact" does all in float64: for numbers stored as 16-bit integers the
+        sums then have no rounding error at all and nothing depends on the cut into blocks.  Numbers stored in
+        more than 32 bits, or as 32-bit integers, are always summed in float64.
+    threads, block_lines : None chooses them
+    watch : wraps the iterator over the parts of the pass, for a progress bar
+
+    Raises
+    ------
+    UsageError : a mask that does not fit the cube, or a region with fewer than two valid pixels.
+    """
+    regions = _Regions.of(cube, masks or {}, exclude)
+    whole = cube.dtype.kind in "iu"
+    large = cube.lines * cube.samples * cube.bands > EXACT_VALUES
+    wanted = precision == "fast" or (precision == "auto" and large)
+    single = wanted and (cube.dtype.itemsize <= 2 or cube.dtype == np.float32)
+    basis = _brightest_directions(cube) if single else None
+    step = block_lines or lines_per_block(cube, BLOCK_PIXELS)
+    workspace = Workspace()
+
+    def segment(firsts: range) -> tuple[dict[bytes, Sums], npt.NDArray[np.int64]]:
+        part = _Part(cube.bands, whole, basis)
+        left_out = np.zeros(len(regions.names), np.int64)
+        for first in firsts:
+            count = min(step, cube.lines - first)
+            buffer = workspace.flat("stored", cube.bands * count * cube.samples, cube.dtype)
+            stored, usable = cube.read_stored(first, count, None, buffer)
+            inside = regions.inside(slice(first, first + count))
+            left_out += np.count_nonzero(inside & ~usable.ravel(), axis=1)
+            inside &= usable.ravel()
+            dtype = np.float32 if single else np.float64
+            pixels = workspace.columns("pixels", stored, cube.bands, dtype)
+            np.copyto(pixels, stored, casting="same_kind")
+            work = None
+            if basis is not None:
+                work = as_columns(workspace.columns("work", stored, sum(basis.shape), dtype))
+            part.add(as_columns(pixels), inside, work)
+        part.finish()
+        return part.sums, left_out
+
+    total: dict[bytes, Sums] = {}
+    left_out = np.zeros(len(regions.names), np.int64)
+    for _, (sums, missing) in watch(by_segments(cube, step, segment, threads=threads)):
+        left_out += missing
+        for key, value in sums.items():
+            if key in total:
+                total[key].merge(value)
+            else:
+                total[key] = value
+    out = {}
+    for i, name in enumerate(regions.names):
+        joined = Sums(cube.bands, whole, basis)
+        for key, value in total.items():
+            if key[i]:
+                joined.merge(value)
+        if joined.n < 2:
+            raise UsageError(
+                f"region {name!r} has {joined.n} valid pixels ({left_out[i]} left out as invalid)",
+                expected="two or more",
+            )
+        mean, covariance = joined.mean_and_covariance()
+        out[name] = SampleStatistics(
+            cube.gain * mean + cube.offset,
+            covariance * np.outer(cube.gain, cube.gain),
+            joined.n,
+            int(left_out[i]),
+            float("nan"),
+        )
+    return out
+
+
+@dataclass(frozen=True)
+class _Regions:
+    """Names and masks; the first is the scene."""
+
+    names: tuple[str, ...]
+    masks: tuple[Mask | None, ...]
+    shape: tuple[int, int]
+    inverted: Mask | None
+
+    @classmethod
+    def of(cls, cube: StoredCube, masks: Mapping[str, Mask], exclude: Mask | None) -> _Regions:
+        if SCENE in masks:
+            raise UsageError(f"the region name {SCENE!r} is kept for the whole image")
+        shape = (cube.lines, cube.samples)
+        for name, mask in (*masks.items(), *([(SCENE, exclude)] if exclude is not None else [])):
+            if np.shape(mask) != shape or np.asarray(mask).dtype != bool:
+                raise UsageError(
+                    f"the mask of {name!r} has shape {np.shape(mask)} of {np.asarray(mask).dtype}",
+                    expected=f"{shape} of bool",
+                )
+        return cls((SCENE, *masks), (None, *masks.values()), shape, exclude)
+
+    def inside(self, rows: slice) -> Mask:
+        """(regions, pixels of the lines)."""
+        size = (rows.stop - rows.start) * self.shape[1]
+        out = np.empty((len(self.names), size), bool)
+        out[0] = True if self.inverted is None else ~self.inverted[rows].ravel()
+        for i, mask in enumerate(self.masks[1:], start=1):
+            assert mask is not None  # noqa: S101 - only the scene has none
+            out[i] = mask[rows].ravel()
+        return out
+
+
+@dataclass
+class _Part:
+    """Sums of one segment by the set of regions that the pixels belong to (one byte for each region)."""
+
+    bands: int
+    whole: bool
+    basis: npt.NDArray[np.float32] | None
+    sums: dict[bytes, Sums] = field(default_factory=dict)
+    waiting: dict[bytes, list[npt.NDArray[Any]]] = field(default_factory=dict)
+
+    def add(self, pixels: npt.NDArray[Any], inside: Mask, work: npt.NDArray[Any] | None) -> None:
+        """Add columns (B, N), which are overwritten, by what regions (R, N) they lie in."""
+        kinds = _kinds(inside)
+        kinds = [(key, members) for key, members in kinds if any(key)]
+        if not kinds:
+            return
+        # The most frequent kind stays where it is, the others are copied out.
+        kinds.sort(key=lambda item: int(np.count_nonzero(item[1])), reverse=True)
+        key, keep = kinds[0]
+        few = int(np.count_nonzero(keep)) < min(WAITING_PIXELS, pixels.shape[1])
+        for other, members in kinds if few else kinds[1:]:
+            held = self.waiting.setdefault(other, [])
+            held.append(pixels[:, members])
+            if sum(h.shape[1] for h in held) >= WAITING_PIXELS:
+                self._release(other)
+        if few:
+            return
+        if keep.all():
+            self._of(key).add(pixels, None, work)
+        else:
+            pixels[:, ~keep] = 0
+            self._of(key).add(pixels, keep, work)
+
+    def finish(self) -> None:
+        """Sum what still waits and settle every sum."""
+        for key in list(self.waiting):
+            self._release(key)
+        for sums in self.sums.values():
+            sums.settle()
+
+    def _release(self, key: bytes) -> None:
+        held = self.waiting.pop(key)
+        self._of(key).add(np.concatenate(held, axis=1))
+
+    def _of(self, key: bytes) -> Sums:
+        if key not in self.sums:
+            self.sums[key] = Sums(self.bands, self.whole, self.basis)
+        return self.sums[key]
+
+
+def _kinds(inside: Mask) -> list[tuple[bytes, Mask]]:
+    """The different columns of (R, N) as bytes, and where each stands."""
+    if np.array_equal(inside.all(axis=1), inside.any(axis=1)):
+        return [(inside[:, 0].tobytes(), np.ones(inside.shape[1], bool))]
+    if inside.shape[0] <= _BITS:
+        codes: npt.NDArray[Any] = (1 << np.arange(inside.shape[0], dtype=np.int64)) @ inside
+    else:
+        packed = np.ascontiguousarray(np.packbits(inside, axis=0).T)
+        codes = packed.view(np.dtype((np.void, packed.shape[1]))).ravel()
+    _, at, which = np.unique(codes, return_index=True, return_inverse=True)
+    return [(inside[:, i].tobytes(), which == k) for k, i in enumerate(at.tolist())]
+
+
+def _brightest_directions(cube: StoredCube) -> npt.NDArray[np.float32]:
+    """(B, K) leading eigenvectors of the covariance of some lines."""
+    found = []
+    for line in np.unique(np.linspace(0, cube.lines - 1, SAMPLED_LINES).astype(int)).tolist():
+        stored, usable = cube.read_stored(line, 1)
+        found.append(stored[:, usable].astype(np.float64)[:, : SAMPLED_PIXELS // SAMPLED_LINES])
+    pixels = np.concatenate(found, axis=1)
+    pixels -= pixels.sum(axis=1, keepdims=True) / max(pixels.shape[1], 1)
+    directions = np.linalg.eigh(pixels @ pixels.T)[1][:, -min(DIRECTIONS, cube.bands) :]
+    return np.ascontiguousarray(directions, np.float32)

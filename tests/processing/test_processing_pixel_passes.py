@@ -1,0 +1,305 @@
+"""The passes over stored cubes: covariances and scores against plain NumPy, and what must not change them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperval.errors import UsageError
+from hyperval.imagery.cube import open_cube
+from hyperval.processing import region_statistics as statistics_module
+from hyperval.processing.blas import available_cores, single_blas_thread
+from hyperval.processing.detectors import pixel_detector, whitener_of
+from hyperval.processing.elm import PanelMeasurement, fit_elm
+from hyperval.processing.gram import Sums
+from hyperval.processing.pixel_scores import score_cube
+from hyperval.processing.region_statistics import region_statistics
+
+LINES, SAMPLES, BANDS = 47, 23, 30
+TYPES = {"u1": 1, "i2": 2, "i4": 3, "f4": 4, "f8": 5, "u2": 12}
+
+
+def numbers(seed=0, low=500.0, spread=900.0, noise=6.0, lines=LINES):
+    """A scene of four smooth spectra and noise, in whole numbers (lines, samples, bands)."""
+    rng = np.random.default_rng(seed)
+    at = np.linspace(0, 1, BANDS)
+    spectra = np.stack([np.sin(np.pi * (k + 1) * at) ** 2 + 0.2 for k in range(4)])
+    amounts = rng.gamma(2.0, 0.5, size=(lines * SAMPLES, 4))
+    x = low + spread * amounts @ spectra + noise * rng.normal(size=(lines * SAMPLES, BANDS))
+    return np.rint(x).reshape(lines, SAMPLES, BANDS)
+
+
+def write(folder: Path, x, interleave="bil", dtype="<i2", extra="", name="cube"):
+    order = {"bil": (0, 2, 1), "bip": (0, 1, 2), "bsq": (2, 0, 1)}[interleave]
+    folder.mkdir(exist_ok=True, parents=True)
+    path = folder / f"{name}.img"
+    path.write_bytes(np.ascontiguousarray(x.transpose(order)).astype(dtype).tobytes())
+    waves = ", ".join(str(400 + 10 * b) for b in range(x.shape[2]))
+    path.with_suffix(".hdr").write_text(
+        f"ENVI\nsamples = {x.shape[1]}\nlines = {x.shape[0]}\nbands = {x.shape[2]}\nheader offset = 0\n"
+        f"data type = {TYPES[dtype[1:]]}\ninterleave = {interleave}\nbyte order = {int(dtype[0] == '>')}\n"
+        f"wavelength units = Nanometers\nwavelength = {{{waves}}}\n{extra}"
+    )
+    return path
+
+
+def opened(path, **options):
+    options = {"quantity": "other", **options}
+    return open_cube(path, check_values=False, **options)
+
+
+def relative(found, expected):
+    sd = np.sqrt(np.diag(expected))
+    return np.max(np.abs(found - expected) / np.outer(sd, sd))
+
+
+def masks():
+    rng = np.random.default_rng(9)
+    out = {f"r{i}": np.zeros((LINES, SAMPLES), bool) for i in range(4)}
+    out["r0"][3:9, 2:7] = True
+    out["r1"][:, :8] = True
+    out["r2"] = rng.random((LINES, SAMPLES)) < 0.4
+    out["r3"] = out["r1"] & out["r2"]
+    return out
+
+
+@pytest.mark.parametrize("precision", ["exact", "fast"])
+def test_every_region_equals_numpy(tmp_path, precision):
+    x = numbers()
+    cube, regions = opened(write(tmp_path, x)), masks()
+    left_out = np.zeros((LINES, SAMPLES), bool)
+    left_out[10:12] = True
+    found = region_statistics(cube, regions, left_out, precision=precision, block_lines=4)
+    allowed = 1e-13 if precision == "exact" else 1e-6
+    for name, mask in {**regions, "scene": ~left_out}.items():
+        expected = x[mask]
+        assert found[name].n == len(expected)
+        assert found[name].mean == pytest.approx(expected.mean(axis=0), rel=1e-7 if precision == "fast" else 1e-13)
+        assert relative(found[name].covariance, np.cov(expected.T)) < allowed
+
+
+def test_more_regions_than_bits(tmp_path):
+    x = numbers()
+    rng = np.random.default_rng(2)
+    regions = {f"r{i}": rng.random((LINES, SAMPLES)) < 0.5 for i in range(70)}
+    found = region_statistics(opened(write(tmp_path, x)), regions)
+    for name, mask in regions.items():
+        assert relative(found[name].covariance, np.cov(x[mask].T)) < 1e-13
+
+
+def test_exact_is_the_same_to_the_bit_however_the_cube_is_stored_cut_or_shared_out(tmp_path):
+    x, regions = numbers(), masks()
+    reference = region_statistics(opened(write(tmp_path, x)), regions, precision="exact")
+    for interleave in ("bil", "bip", "bsq"):
+        for dtype in ("<i2", ">i2", "<i4", ">u2", "<f4", ">f8"):
+            cube = opened(write(tmp_path / (interleave + dtype[1:] + str(dtype[0] == ">")), x, interleave, dtype))
+            for step, threads in ((None, 1), (1, 2), (5, 1), (LINES, 3)):
+                found = region_statistics(cube, regions, precision="exact", threads=threads, block_lines=step)
+                for name, value in reference.items():
+                    if dtype[1] == "f":  # means of batches are not whole numbers
+                        assert relative(found[name].covariance, value.covariance) < 1e-12
+                        assert found[name].mean == pytest.approx(value.mean, rel=1e-13)
+                    else:
+                        assert np.array_equal(found[name].covariance, value.covariance)
+                        assert np.array_equal(found[name].mean, value.mean)
+
+
+def test_fast_does_not_depend_on_threads_interleave_or_byte_order(tmp_path):
+    x = numbers(lines=200)
+    first = region_statistics(opened(write(tmp_path, x)), precision="fast", threads=1, block_lines=5)["scene"]
+    for interleave, dtype, threads in (("bil", ">i2", 3), ("bsq", "<i2", 2)):
+        cube = opened(write(tmp_path / interleave, x, interleave, dtype))
+        found = region_statistics(cube, precision="fast", threads=threads, block_lines=5)["scene"]
+        assert np.array_equal(found.covariance, first.covariance)
+    # By pixel the same sums are made in another order.
+    found = region_statistics(opened(write(tmp_path / "p", x, "bip")), precision="fast", block_lines=5)["scene"]
+    assert relative(found.covariance, first.covariance) < 1e-7
+
+
+def test_fast_keeps_the_quiet_directions(tmp_path):
+    # Brightness of thousands, noise of one: plain float32 products lose the directions that only noise fills.
+    x = numbers(low=2000.0, spread=2000.0, noise=1.0, lines=300)
+    found = region_statistics(opened(write(tmp_path, x)), precision="fast")["scene"]
+    expected = np.cov(x.reshape(-1, BANDS).T)
+    values, vectors = np.linalg.eigh(expected)
+    assert values[-1] / values[0] > 1e7
+    whiten = vectors / np.sqrt(values)
+    error = np.linalg.norm(whiten.T @ (found.covariance - expected) @ whiten, 2)
+    z = (x.reshape(-1, BANDS) - np.rint(x.reshape(-1, BANDS).mean(axis=0))).astype(np.float32)
+    n = len(z)
+    plain = (z.T @ z).astype(float) / (n - 1) - np.outer(z.mean(axis=0, dtype=float), z.mean(axis=0, dtype=float))
+    # Rounding of P y: 2^-24 of some 4,000, beside noise of 1, in n pixels and B bands.
+    assert error < 2 * 2.0**-24 * 4000 * np.sqrt(BANDS / n)
+    assert error < 0.01 * np.linalg.norm(whiten.T @ (plain - expected) @ whiten, 2)
+
+
+@pytest.mark.parametrize(("precision", "allowed"), [("exact", 1e-12), ("fast", 1e-6)])
+def test_bright_flat_scenes_keep_their_covariance(tmp_path, precision, allowed):
+    rng = np.random.default_rng(1)
+    x = np.rint(30000 + rng.normal(size=(LINES, SAMPLES, BANDS)) * 4.0)
+    x[20:] -= 25000  # a dark flat half: the estimate of the mean fits neither
+    regions = {"bright": np.arange(LINES)[:, None] * np.ones(SAMPLES) < 20}
+    found = region_statistics(opened(write(tmp_path, x)), regions, precision=precision)
+    assert relative(found["bright"].covariance, np.cov(x[:20].reshape(-1, BANDS).T)) < 1e-5
+    assert relative(found["bright"].covariance, np.cov(x[:20].reshape(-1, BANDS).T)) < 100 * allowed
+    assert relative(found["scene"].covariance, np.cov(x.reshape(-1, BANDS).T)) < allowed
+
+
+def test_gain_offset_and_order_of_bands(tmp_path):
+    x = numbers()
+    gains = ", ".join(f"{0.001 * (b + 1)}" for b in range(BANDS))
+    offsets = ", ".join(f"{0.5 * b}" for b in range(BANDS))
+    extra = f"data gain values = {{{gains}}}\ndata offset values = {{{offsets}}}\n"
+    found = region_statistics(opened(write(tmp_path, x, extra=extra)))["scene"]
+    values = x.reshape(-1, BANDS) * (0.001 * np.arange(1, BANDS + 1)) + 0.5 * np.arange(BANDS)
+    assert found.mean == pytest.approx(values.mean(axis=0), rel=1e-12)
+    assert relative(found.covariance, np.cov(values.T)) < 1e-12
+
+
+def test_ignored_and_empty_pixels_never_reach_the_mean(tmp_path):
+    x = numbers()
+    x[0] = -9999  # no data at all
+    x[1, :3, 7] = -9999  # one band only
+    x[2, :5] = 0  # fill of a radiance cube
+    x[3, :4, 0] = 0  # a true 0 in one band
+    cube = opened(
+        write(tmp_path, x, extra="data ignore value = -9999\n"), quantity="radiance",
+        unit="uW cm-2 sr-1 nm-1", scale=0.01,
+    )  # fmt: skip
+    found = region_statistics(cube)["scene"]
+    ok = ~((x == -9999).any(axis=-1) | (x == 0).all(axis=-1))
+    assert (found.n, found.n_left_out) == (int(ok.sum()), SAMPLES + 3 + 5)
+    assert found.mean == pytest.approx(0.01 * x[ok].mean(axis=0), rel=1e-12)
+
+
+def test_nan_is_left_out_and_counted(tmp_path):
+    x = numbers()
+    x[5, 3, 2], x[6, 3, 2] = np.nan, np.inf
+    for precision in ("exact", "fast"):
+        found = region_statistics(opened(write(tmp_path, x, dtype="<f4")), precision=precision)["scene"]
+        assert (found.n, found.n_left_out) == (LINES * SAMPLES - 2, 2)
+        assert np.isfinite(found.covariance).all()
+
+
+def test_masks_that_do_not_fit_and_empty_regions_are_refused(tmp_path):
+    cube = opened(write(tmp_path, numbers()))
+    with pytest.raises(UsageError, match="'a' has shape"):
+        region_statistics(cube, {"a": np.ones((LINES + 1, SAMPLES), bool)})
+    with pytest.raises(UsageError, match="of int64"):
+        region_statistics(cube, {"a": np.ones((LINES, SAMPLES), np.int64)})
+    with pytest.raises(UsageError, match="'a' has 1 valid pixels"):
+        region_statistics(cube, {"a": np.arange(LINES * SAMPLES).reshape(LINES, SAMPLES) == 4})
+    with pytest.raises(UsageError, match="kept for the whole"):
+        region_statistics(cube, {"scene": np.ones((LINES, SAMPLES), bool)})
+    found = region_statistics(cube)["scene"]
+    with pytest.raises(UsageError, match="fourth moment"):
+        _ = found.shrinkage
+
+
+def test_large_cubes_are_fast_by_default_and_small_ones_exact(tmp_path, monkeypatch):
+    cube = opened(write(tmp_path, numbers()))
+    exact, fast = (region_statistics(cube, precision=p)["scene"].covariance for p in ("exact", "fast"))
+    assert not np.array_equal(exact, fast)
+    assert np.array_equal(region_statistics(cube)["scene"].covariance, exact)
+    monkeypatch.setattr(statistics_module, "EXACT_VALUES", 1000)
+    assert np.array_equal(region_statistics(cube)["scene"].covariance, fast)
+
+
+def test_sums_of_nothing_change_nothing():
+    sums = Sums(3, True)
+    sums.add(np.ones((3, 4)), np.zeros(4, bool))
+    sums.settle()
+    assert sums.n == 0
+    assert not sums.second.any()
+    sums.merge(Sums(3, True))
+    with pytest.raises(UsageError, match="0 pixels have no covariance"):
+        sums.mean_and_covariance()
+
+
+def test_equal_pixels_have_no_variance(tmp_path):
+    x = numbers()
+    x[3:5] = 0.1 + np.arange(BANDS) / 7.0
+    regions = {}
+    regions["panel"] = np.repeat(
+        (np.arange(LINES) == 3)[:, None] | (np.arange(LINES) == 4)[:, None], SAMPLES, axis=1
+    )
+    found = region_statistics(opened(write(tmp_path, x, dtype="<f8")), regions)["panel"]
+    assert np.max(np.abs(found.covariance)) < 1e-28
+    assert np.all(np.diag(found.covariance) >= 0)
+
+
+def line_of(bands):
+    def one(name, rho):
+        rho = np.full(bands, rho)
+        return PanelMeasurement(name, rho, np.zeros(bands), 2.0 + np.arange(1, bands + 1) * rho, np.zeros(bands), 9)
+
+    return fit_elm([one("black", 0.05), one("white", 0.6)])
+
+
+@pytest.mark.parametrize("interleave", ["bil", "bip", "bsq"])
+def test_scores_equal_the_long_way_round(tmp_path, interleave):
+    x = numbers()
+    x[4, 4] = -9999
+    x[5, 5, 29] = -9999  # in a band that no detector uses
+    cube = opened(
+        write(tmp_path, x, interleave, extra="data ignore value = -9999\n"),
+        quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=0.002,
+    )  # fmt: skip
+    elm = line_of(BANDS)
+    bands = np.ones(BANDS, bool)
+    bands[[3, 4, 11, 29]] = False
+    valid = np.ones((LINES, SAMPLES), bool)
+    valid[4, 4] = False
+    rho = elm.reflectance(0.002 * x)[..., bands]
+    mean, covariance = rho[valid].mean(axis=0), np.cov(rho[valid].T)
+    target = mean * 1.3 + np.linspace(0, 0.2, mean.size)
+    names = ("cem", "cem-correlation", "smf", "ace", "sam", "rx", "osp")
+    detectors = {n: pixel_detector(n, target, mean, covariance, rho[:3, 0]) for n in names}
+    whitener = whitener_of(mean, covariance)
+    reference = None
+    for step, threads in ((None, None), (1, 1), (7, 2)):
+        found = score_cube(cube, detectors, elm, bands, whitener=whitener, threads=threads, block_lines=step)
+        for name, detector in detectors.items():
+            assert found[name].shape == (LINES, SAMPLES)
+            assert np.isnan(found[name][4, 4])  # never a score of 0
+            assert np.isfinite(found[name]).sum() == LINES * SAMPLES - 1
+            expected = detector.score(rho[valid], whitener)
+            assert found[name][valid] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        if reference is not None:
+            for name in names:
+                assert found[name][valid] == pytest.approx(reference[name][valid], rel=1e-11, abs=1e-12)
+        reference = found
+    also = score_cube(cube, {"cem": detectors["cem"]}, elm, bands, needed=np.ones(BANDS, bool))["cem"]
+    assert np.isnan(also[5, 5])
+
+
+def test_scoring_refuses_what_does_not_fit(tmp_path):
+    cube, elm = opened(write(tmp_path, numbers())), line_of(BANDS)
+    mean, covariance = np.arange(1.0, BANDS + 1), np.eye(BANDS)
+    cem = pixel_detector("cem", mean + 1, mean, covariance)
+    with pytest.raises(UsageError, match="no detector"):
+        score_cube(cube, {})
+    with pytest.raises(UsageError, match="made for 30 bands, 29"):
+        score_cube(cube, {"a": cem}, elm, np.arange(BANDS) > 0)
+    with pytest.raises(UsageError, match="line of 29 bands"):
+        score_cube(cube, {"a": cem}, line_of(29))
+    with pytest.raises(UsageError, match="whitener"):
+        score_cube(cube, {"a": pixel_detector("rx", None, mean, covariance)})
+    elm.gain[1] = np.nan
+    with pytest.raises(UsageError, match="no gain in 1 of"):
+        score_cube(cube, {"a": cem}, elm)
+
+
+def test_one_blas_thread_inside_and_the_old_number_after():
+    from hyperval.processing.blas import _openblas
+
+    control = _openblas()
+    before = control[0]() if control else None
+    with single_blas_thread() as alone:
+        if control:
+            assert alone
+            assert control[0]() == 1
+    assert (control[0]() if control else None) == before
+    assert available_cores() >= 1
