@@ -17,6 +17,7 @@ from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.response import band_average
 
 Array = npt.NDArray[np.float64]
+SAME_BAND_NM = 0.05  # centres this close are the same band
 Resolve = Callable[[str], Path]
 
 
@@ -171,6 +172,13 @@ def filled(values: Array) -> Array:
 
 
 def _on_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis) -> Array:
+    """Values in the bands: as they stand where they are sampled at the bands' centres, else band averages.
+
+    A library at the sensor's own bands was convolved when it was made; a second time would smooth it and lose its
+    first and last bands.
+    """
+    if wavelength_nm.size == len(axis) and np.all(np.abs(wavelength_nm - axis.centre_nm) <= SAME_BAND_NM):
+        return np.array(values, dtype=float)
     known = np.isfinite(values)
     if known.sum() < 2:
         return np.full(len(axis), np.nan)
