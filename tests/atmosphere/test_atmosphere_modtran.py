@@ -5,12 +5,13 @@ from __future__ import annotations
 import gzip
 import importlib.util
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import read_chn
+from hyperval.atmosphere import AtmosphericTerms, read_chn
 from hyperval.atmosphere.modtran import read_chn_blocks
 from hyperval.errors import InputError, UsageError
 
@@ -144,32 +145,73 @@ def test_single_black_runs_and_overlapping_spectrometers(data_dir, relative):
     np.testing.assert_allclose(terms.path_radiance, block.radiance, rtol=1e-4)
 
 
-@pytest.fixture
-def validation_cases():
-    path = Path(__file__).parents[2] / "validation/atmosphere/modtran_cases.py"
-    spec = importlib.util.spec_from_file_location("modtran_cases", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["modtran_cases"] = module
-    spec.loader.exec_module(module)
+@pytest.fixture(scope="module")
+def compare_modtran():
+    """The script that writes the tables of docs/atmosphere.md."""
+    folder = Path(__file__).parents[2] / "validation/atmosphere"
+    for name in ("modtran_cases", "compare_modtran"):
+        spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
     return module
 
 
-WINDOWS_BELOW_1100 = ((400, 500), (500, 600), (600, 685), (740, 755), (775, 805), (845, 885), (1000, 1070))
+@pytest.fixture(scope="module")
+def verdicts_of(compare_modtran, terms_of):
+    """Verdicts over all airborne states, computed once."""
+
+    @cache
+    def compute(locate):
+        pairs = [compare_modtran.matched(case, terms_of(case.state)) for case in compare_modtran.cases(locate)]
+        found = compare_modtran.differences(pairs)
+        return found, {v.name: v for v in compare_modtran.verdicts(found)}
+
+    return compute
+
+
+MISSED = pytest.mark.xfail(strict=True, reason="6S absorbs too little between 1220 and 1250 nm: median +2.5 %")
+WINDOWS = ("400-500", "500-600", "600-685", "740-755", "775-805", "845-885", "1000-1070", "1550-1700", "2100-2300")
+CRITERIA = [
+    *(f"total radiance, {w} nm" for w in WINDOWS),
+    *(f"path radiance, {w} nm" for w in WINDOWS[:7]),
+    "total radiance, transmittance above 0.7",
+    "total radiance, transmittance 0.85-1",
+    "total radiance, transmittance 0.7-0.85",
+    pytest.param("total radiance, 1220-1250 nm", marks=MISSED),
+]
 
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_embedded_engine_agrees_with_modtran_6_in_windows(data_dir, terms_of, validation_cases):
-    totals, paths = {}, {}
-    for case in validation_cases.cases(data_dir):
-        ours, theirs = validation_cases.matched(case, terms_of(case.state))
-        w = ours.wavelength_nm
-        for low, high in (*WINDOWS_BELOW_1100, (1550, 1700), (2100, 2300)):
-            inside = (w >= low) & (w <= high)
-            total = validation_cases.total_radiance(ours, 0.3) / validation_cases.total_radiance(theirs, 0.3) - 1
-            totals.setdefault((low, high), []).extend(total[inside])
-            paths.setdefault((low, high), []).extend((ours.path_radiance / theirs.path_radiance - 1)[inside])
-    for window, values in totals.items():
-        assert abs(np.median(values)) < 0.02, (window, "total radiance over reflectance 0.3")
-    for window in WINDOWS_BELOW_1100:
-        assert abs(np.median(paths[window])) < 0.10, (window, "path radiance")
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_embedded_engine_against_modtran_6(data_dir, verdicts_of, criterion):
+    found, verdicts = verdicts_of(data_dir)
+    assert found.states == 11
+    verdict = verdicts[criterion]
+    assert verdict.limit == (0.10 if "path" in criterion else 0.05 if "transmittance" in criterion else 0.02)
+    assert abs(verdict.median) <= verdict.limit
+
+
+def test_a_criterion_can_be_missed(compare_modtran):
+    """The verdicts follow the numbers: 3 % too bright is missed in windows and kept by transmittance."""
+    n = 2001
+    nm = np.linspace(400.0, 2400.0, n)
+
+    def terms(factor):
+        one = np.ones(n)
+        return AtmosphericTerms(nm, factor * one, 30 * factor * one, factor * one, 0.1 * one, one, one)
+
+    verdicts = compare_modtran.verdicts(compare_modtran.differences([(terms(1.03), terms(1.0))] * 2))
+    by_name = {v.name: v for v in verdicts if not np.isnan(v.median)}
+    assert not by_name["total radiance, 500-600 nm"].met
+    assert by_name["total radiance, 500-600 nm"].median == pytest.approx(0.03)
+    assert by_name["total radiance, transmittance above 0.7"].met
+    assert by_name["path radiance, 500-600 nm"].met
+
+
+def test_the_document_holds_tables_that_the_script_writes():
+    text = (Path(__file__).parents[2] / "docs/atmosphere.md").read_text("utf-8")
+    between = text.split("<!-- compare_modtran.py: begin -->")[1].split("<!-- compare_modtran.py: end -->")[0]
+    assert "| criterion | limit | median |" in between
+    assert between.count("MISSED") == 1

@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, read_chn
+from hyperval.atmosphere.modtran import read_chn_blocks
+from hyperval.atmosphere.modtran_runs import terms_from_blocks
+from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.response import band_average
 
 ALBEDOS = (0.0, 0.1, 0.5)
 
@@ -62,16 +66,12 @@ def matched(case: Case, terms: AtmosphericTerms) -> tuple[AtmosphericTerms, Atmo
     The file gives mu0 E0 / pi averaged over the channel; each term of ours is divided by its own average
     and multiplied by the file's.
     """
-    from hyperval.atmosphere.modtran import read_chn_blocks
-
-    block = read_chn_blocks(case.path)[0]
-    reference = read_chn(case.path, case.albedos)
+    blocks = read_chn_blocks(case.path)
+    block = blocks[0]
+    reference = terms_from_blocks(blocks, case.albedos) if case.albedos else read_chn(case.path)
     axis = SpectralAxis(block.wavelength_nm, np.clip(block.width_nm * 0.9394, 1.0, None))  # Gaussian of equal width
     ours = terms.at_bands(axis)
     mu0 = np.cos(np.deg2rad(case.state.sun[0]))
-    from hyperval.atmosphere.solar import extraterrestrial_irradiance
-    from hyperval.spectra.response import band_average
-
     own = (
         mu0
         / np.pi

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval import datasets
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.scene.builtin import builtin_class
@@ -113,5 +115,6 @@ def load_inputs(scene: SceneFile, beside: Path) -> SimulationInputs:
 
     path = beside / scene.sensor
     sensor = sensor_numbers(str(path) if path.is_file() else scene.sensor)
-    terms = atmospheric_terms(scene.atmosphere).at_bands(sensor.axis)
+    resolve = partial(datasets.resolve, base=beside)
+    terms = atmospheric_terms(scene.atmosphere, resolve=resolve).at_bands(sensor.axis)
     return SimulationInputs(sensor, terms, {name: class_source(name, sensor.axis) for name in scene.materials()})
