@@ -24,7 +24,7 @@ from rich.table import Table
 from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__
-from hyperval.errors import HypervalError
+from hyperval.errors import HypervalError, UsageError
 
 INTERNAL_ERROR = 4
 INTERRUPTED = 130
@@ -107,8 +107,20 @@ def observe(campaign: Annotated[Path, typer.Argument(help="A campaign file.")], 
 
 
 @app.command()
-def validate(campaigns: Annotated[list[Path], typer.Argument(help="Campaign files.")], output: Output) -> int:
+def validate(
+    campaigns: Annotated[list[Path], typer.Argument(help="Campaign files.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Run nothing: list files, values to fill in, comparisons.")
+    ] = False,
+) -> int:
     """Predict, observe, compare: the main job."""
+    if dry_run:
+        return _dry_run(campaigns)
+    if output is None:
+        raise UsageError("no folder for the results", mend="name one with --output (-o)")
     from hyperval.campaign.run import validate as run
 
     return _finished(run(campaigns, output, show_progress=_settings.show_progress), output)
@@ -151,10 +163,15 @@ def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, 
 @data_app.command("list")
 def data_list() -> int:
     """List the registered data sets and whether they are on this machine."""
-    from hyperval.datasets import missing, registry
+    from hyperval.datasets import files_at_hand, missing, registry
 
     rows = []
     for name, entry in registry().items():
+        if not entry.public:
+            count = files_at_hand(name)
+            held = f"{count} files here" if count else f"held by {entry.held_by}; ask them"
+            rows.append((name, "-", entry.licence, held, entry.title))
+            continue
         lacking = len(missing(name))
         here = "here" if not lacking else f"{lacking} of {len(entry.files)} files missing"
         size = sum(file.size for file in entry.files) / 1e6
@@ -180,12 +197,27 @@ def data_verify(
     names: Annotated[list[str] | None, typer.Argument(help="Names of data sets; all when none is named.")] = None,
 ) -> int:
     """Compare the files at hand with their SHA-256; exit code 3 when one is missing or differs."""
-    from hyperval.datasets import registry, verify
+    from hyperval.datasets import dataset, registry, verify
     from hyperval.errors import InputError
 
+    for name in names or []:
+        if not dataset(name).public:
+            _note(f"{name}: not public, so no checksums are registered")
     checks = [(name, check) for name in names or registry() for check in verify(name)]
     _print_table(("set", "file", "state"), [(name, check.path, check.state) for name, check in checks])
     return 0 if all(check.state == "ok" for _, check in checks) else InputError.exit_code
+
+
+def _dry_run(campaigns: list[Path]) -> int:
+    from hyperval.campaign.dry_run import dry_run, summary
+    from hyperval.errors import InputError
+
+    items = dry_run(campaigns)
+    header = ("campaign", "kind", "state", "what", "detail")
+    _print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in items])
+    for line in summary(items):
+        _note(line)
+    return InputError.exit_code if any(i.lacking for i in items) else 0
 
 
 def _finished(code: int, output: Path) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +16,8 @@ from hyperval.errors import InputError, UsageError
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
 MAX_NODES = 100_000
+# A value that begins so is one that the user has still to give: "FILL_IN: what it is".
+FILL_IN = "FILL_IN"
 
 
 class Model(BaseModel):
@@ -25,6 +28,15 @@ class Model(BaseModel):
 
 M = TypeVar("M", bound=BaseModel)
 Location = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Placeholder:
+    """A value that is still to be filled in: its key, ``file:line``, and what it is."""
+
+    key: str
+    where: str
+    what: str
 
 
 class _Loader(yaml.SafeLoader):
@@ -134,8 +146,31 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
     return value
 
 
+def placeholders(data: Any, lines: dict[Location, int], name: str, at: Location = ()) -> list[Placeholder]:
+    """Every value of ``data`` that is marked ``FILL_IN``, in the order of the file."""
+    if isinstance(data, dict):
+        inner: list[tuple[str | int, Any]] = list(data.items())
+    elif isinstance(data, list):
+        inner = list(enumerate(data))
+    elif isinstance(data, str) and data.startswith(FILL_IN):
+        what = data.removeprefix(FILL_IN).lstrip(": ")
+        return [Placeholder(".".join(str(p) for p in at), f"{name}:{lines.get(at, 1)}", what or "a value")]
+    else:
+        return []
+    return [found for key, value in inner for found in placeholders(value, lines, name, (*at, key))]
+
+
+def unfilled(found: list[Placeholder]) -> UsageError:
+    """The error that names every value to be filled in."""
+    listed = [f"{p.where}: {p.key}: {p.what}" for p in found]
+    return UsageError("\n  ".join([f"{len(found)} values are still to be filled in", *listed]))
+
+
 def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -> M:
     """Turn plain data into ``model``; every mistake is listed with its file and line at once."""
+    to_fill_in = placeholders(data, lines, name)
+    if to_fill_in:
+        raise unfilled(to_fill_in)
     try:
         return model.model_validate(data)
     except ValidationError as error:

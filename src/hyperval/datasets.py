@@ -20,6 +20,7 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 import platformdirs
+from pydantic import model_validator
 
 from hyperval.config import Model, parse_yaml, validate
 from hyperval.download import download
@@ -67,7 +68,11 @@ class DataFile:
 
 @dataclass(frozen=True)
 class DataSet:
-    """A public data set with its licence, its citation and its files."""
+    """A data set with its licence, its citation and its files.
+
+    A set that is not public has no address and no listed files: ``held_by`` says who has it, ``obtain`` how to
+    get it; its files stand below a folder of its name.
+    """
 
     name: str
     title: str
@@ -76,6 +81,13 @@ class DataSet:
     licence: str
     citation: str
     files: tuple[DataFile, ...]
+    held_by: str = ""
+    obtain: str = ""
+
+    @property
+    def public(self) -> bool:
+        """Whether it can be fetched."""
+        return not self.held_by
 
 
 @dataclass(frozen=True)
@@ -89,11 +101,19 @@ class FileCheck:
 
 class _SetEntry(Model):
     title: str
-    repository: str
-    commit: str
-    upstream: str
+    repository: str = ""
+    commit: str = ""
+    upstream: str = ""
+    held_by: str = ""
+    obtain: str = ""
     licence: str
     citation: str
+
+    @model_validator(mode="after")
+    def _has_a_place(self) -> _SetEntry:
+        if bool(self.repository and self.commit) == bool(self.held_by and self.obtain):
+            raise ValueError("give either repository and commit, or held_by and obtain")
+        return self
 
 
 class _Sets(Model):
@@ -114,7 +134,9 @@ def registry() -> Mapping[str, DataSet]:
         address = f"https://raw.githubusercontent.com/{where}"
         files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), row["sha256"]))
     return {
-        name: DataSet(name, e.title, e.repository, e.commit, e.licence, e.citation, tuple(files[name]))
+        name: DataSet(
+            name, e.title, e.repository, e.commit, e.licence, e.citation, tuple(files[name]), e.held_by, e.obtain
+        )
         for name, e in entries.items()
     }
 
@@ -163,9 +185,15 @@ def resolve(reference: str, base: Path | None = None) -> Path:
 
 def describe(reference: str) -> dict[str, str | None]:
     """Set, licence, citation, address and SHA-256 of a reference; None where the registry knows nothing."""
-    found = _registered(_data_path(reference)) if reference.startswith(PREFIX) else None
+    nothing: dict[str, str | None] = dict.fromkeys(("dataset", "licence", "citation", "address", "sha256"))
+    if not reference.startswith(PREFIX):
+        return nothing
+    found = _registered(_data_path(reference))
     if found is None:
-        return dict.fromkeys(("dataset", "licence", "citation", "address", "sha256"))
+        holder = held_set(reference)
+        if holder is None:
+            return nothing
+        return nothing | {"dataset": holder.name, "licence": holder.licence, "citation": holder.citation}
     owner, file = found
     return {
         "dataset": owner.name,
@@ -174,6 +202,19 @@ def describe(reference: str) -> dict[str, str | None]:
         "address": file.address,
         "sha256": file.sha256,
     }
+
+
+def held_set(reference: str) -> DataSet | None:
+    """The set that is not public to which a ``data:`` reference belongs, None for any other reference."""
+    if not reference.startswith(PREFIX):
+        return None
+    owner = registry().get(_data_path(reference).split("/")[0])
+    return owner if owner is not None and not owner.public else None
+
+
+def files_at_hand(name: str) -> int:
+    """Number of files below the folder of a set that is not public, in HYPERVAL_DATA and the cache."""
+    return sum(1 for root in _roots() for p in (root / dataset(name).name).rglob("*") if p.is_file())
 
 
 def verify(name: str) -> list[FileCheck]:
@@ -201,8 +242,14 @@ def fetch(name: str, *, show_progress: bool | None = None) -> list[Path]:
 
     Raises
     ------
-    InputError : no connection, an answer that is not the registered file, or no room to write.
+    InputError : no connection, an answer that is not the registered file, no room to write, or a set that is not
+        public: the message says who has it.
     """
+    entry = dataset(name)
+    if not entry.public:
+        raise InputError(
+            f"the data set {name!r} is not public; it is held by {entry.held_by}", mend=how_to_get(entry)
+        )
     needed = []
     for file in dataset(name).files:
         found = _find(file.path)
@@ -221,6 +268,11 @@ def fetch(name: str, *, show_progress: bool | None = None) -> list[Path]:
         download(f.address, cache_dir() / f.path, size=f.size, sha256=f.sha256, pack=f.packed, mend=again)
         for f in track(needed, f"fetching {name}", show=show_progress)
     ]
+
+
+def how_to_get(entry: DataSet) -> str:
+    """What to do about a set that is not public."""
+    return f"{entry.obtain}; put the files into the folder {entry.name} below HYPERVAL_DATA (or --data-dir)"
 
 
 class InputLog:
@@ -302,10 +354,10 @@ def _resolve_data(path: str) -> Path:
     if found is not None:
         return found
     looked = ", ".join(str(root) for root in _roots())
-    owner = _registered(path)
-    mend = (
-        f"hyperval data fetch {owner[0].name}"
-        if owner
-        else "name a folder that holds it with --data-dir or HYPERVAL_DATA; it is in no registered data set"
-    )
+    owner, holder = _registered(path), held_set(PREFIX + path)
+    mend = "name a folder that holds it with --data-dir or HYPERVAL_DATA; it is in no registered data set"
+    if owner:
+        mend = f"hyperval data fetch {owner[0].name}"
+    elif holder:
+        mend = f"the collection is not public, it is held by {holder.held_by}: {how_to_get(holder)}"
     raise MissingDataError(f"not on this machine (looked in {looked})", where=PREFIX + path, mend=mend)

@@ -9,6 +9,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+from hyperval.campaign.draft import Waiting
 from hyperval.campaign.one import Job, run_campaign, unfinished
 from hyperval.errors import HypervalError, UsageError
 from hyperval.progress import track
@@ -17,6 +18,7 @@ from hyperval.results import Status
 
 INTERNAL_ERROR = 4
 Done = tuple[RunReport, int | None]
+AnyJob = Job | Waiting
 
 
 def worker_count(jobs: int) -> int:
@@ -27,7 +29,7 @@ def worker_count(jobs: int) -> int:
     return max(1, min(jobs, int(text) if text else len(os.sched_getaffinity(0))))
 
 
-def run_jobs(jobs: Sequence[Job], folder: Path, *, show_progress: bool | None = None) -> list[Done]:
+def run_jobs(jobs: Sequence[AnyJob], folder: Path, *, show_progress: bool | None = None) -> list[Done]:
     """Run every campaign into ``folder``/NAME; the result does not depend on how many run at once.
 
     Returns
@@ -49,7 +51,7 @@ def run_jobs(jobs: Sequence[Job], folder: Path, *, show_progress: bool | None = 
             raise
 
 
-def _results(jobs: Sequence[Job], futures: Sequence[Future[Done]], folder: Path) -> Iterator[Done]:
+def _results(jobs: Sequence[AnyJob], futures: Sequence[Future[Done]], folder: Path) -> Iterator[Done]:
     for job, future in zip(jobs, futures, strict=True):
         try:
             yield future.result()
@@ -57,7 +59,7 @@ def _results(jobs: Sequence[Job], futures: Sequence[Future[Done]], folder: Path)
             yield _stopped(job, folder / job.campaign.name, error)
 
 
-def _run_into(job: Job, folder: Path, show_progress: bool | None) -> Done:
+def _run_into(job: AnyJob, folder: Path, show_progress: bool | None) -> Done:
     try:
         run = run_campaign(job, show_progress=show_progress)
     except Exception as error:  # one broken campaign must not hide what the others say
@@ -67,7 +69,7 @@ def _run_into(job: Job, folder: Path, show_progress: bool | None) -> Done:
     return _without_arrays(run), None
 
 
-def _stopped(job: Job, folder: Path, error: Exception) -> Done:
+def _stopped(job: AnyJob, folder: Path, error: Exception) -> Done:
     known = isinstance(error, HypervalError)
     words = str(error) if known else f"internal error: {type(error).__name__}: {error}"
     run = unfinished(job, Status.ERROR, words)

@@ -9,12 +9,15 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from hyperval.campaign.draft import Waiting, read_texts
 from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import command_without_output, provenance
 from hyperval.campaign.schema import Campaign
+from hyperval.campaign.template import filled
 from hyperval.collection import Detection
 from hyperval.compare import apply_gates, compare_products
+from hyperval.config import load_yaml, validate
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError, UsageError
 from hyperval.observe import Observed
@@ -40,6 +43,29 @@ class Job:
     def folder(self) -> Path:
         """Folder of the campaign file."""
         return self.path.resolve().parent
+
+
+def jobs_of(path: Path) -> list[Job | Waiting]:
+    """The campaigns of a file, one for each of its runs.
+
+    A campaign with values that are still to be filled in waits where its collection is not public and no file of it
+    is on this machine.
+
+    Raises
+    ------
+    InputError : no such file.
+    UsageError : mistakes, or values still to be filled in of a campaign that could run.
+    """
+    out: list[Job | Waiting] = []
+    for text in read_texts(path):
+        if not text.named.to_fill_in:
+            out.append(Job(text.campaign(), Path(path)))
+            continue
+        reason = text.not_held()
+        if reason is None:
+            raise text.unfilled()
+        out.append(Waiting(text.outline(), Path(path), reason))
+    return out
 
 
 class Inputs:
@@ -70,18 +96,20 @@ class Inputs:
             self.log.add(path, f"{SIMULATED}{path.name}" if simulated else None)
 
 
-def run_campaign(job: Job, *, predicts: bool = True, show_progress: bool | None = None) -> RunReport:
+def run_campaign(job: Job | Waiting, *, predicts: bool = True, show_progress: bool | None = None) -> RunReport:
     """Run one campaign; files it cannot find in a registered data set make it SKIPPED.
 
     Raises
     ------
     HypervalError : anything else that the user can mend.
     """
+    if isinstance(job, Waiting):
+        return unfinished(job, Status.SKIPPED, job.reason)
     inputs = Inputs(job.folder)
     inputs.log.add(job.path.resolve(), job.path.name)
     scratch: Path | None = None
     try:
-        scenarios = [_scenario(s, inputs) for s in job.campaign.scenarios]
+        scenarios = [_scenario(s, inputs, job.campaign.run) for s in job.campaign.scenarios]
         seed = None
         if job.campaign.collection.simulate:
             scratch = Path(tempfile.mkdtemp(prefix="hyperval-simulated-"))
@@ -220,7 +248,7 @@ def _unplanned_informs(row: Result, campaign: Campaign) -> Result:
     return replace(row, status=Status.INFO, reason=f"not compared: {row.reason}")
 
 
-def unfinished(job: Job, status: Status, reason: str) -> RunReport:
+def unfinished(job: Job | Waiting, status: Status, reason: str) -> RunReport:
     """The planned comparisons of a campaign that could not be made, each as a row."""
     campaign = job.campaign
     rows = [
@@ -242,14 +270,19 @@ def unfinished(job: Job, status: Status, reason: str) -> RunReport:
     )
 
 
-def _scenario(source: Scenario | str, inputs: Inputs) -> Scenario:
+def _scenario(source: Scenario | str, inputs: Inputs, words: Mapping[str, str]) -> Scenario:
     if isinstance(source, Scenario):
         source._folder = inputs.log.base
         return source
     if source in builtin_scenarios():
         return load_scenario(source)
     path = inputs.resolve(source)
-    return load_scenario(path)
+    if not words:
+        return load_scenario(path)
+    data, lines = load_yaml(path)
+    scenario = validate(Scenario, filled(data, words), lines, str(path))
+    scenario._folder = path.resolve().parent
+    return scenario
 
 
 def _resolver(scenario: Scenario, inputs: Inputs) -> Any:

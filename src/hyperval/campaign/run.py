@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hyperval.campaign.jobs import run_jobs
-from hyperval.campaign.one import Job, record_of, run_campaign
+from hyperval.campaign.one import Job, jobs_of, record_of, run_campaign
 from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.schema import load_campaign
 from hyperval.datasets import InputLog
@@ -24,10 +24,11 @@ def validate(paths: Sequence[Path], output: Path, *, show_progress: bool | None 
     Returns
     -------
     The exit code of the contract.  A campaign whose data set is not at hand is SKIPPED in the table with the
-    command that fetches it.  An error in one of several campaigns becomes ERROR rows, the others are run, and the
-    code is that of the first error; with a single campaign it is raised and nothing is written.
+    command that fetches it, or with who holds it.  An error in one of several campaigns becomes ERROR rows, the
+    others are run, and the code is that of the first error; with a single campaign it is raised and nothing is
+    written.
     """
-    jobs = [Job(load_campaign(path), Path(path)) for path in paths]
+    jobs = [job for path in paths for job in jobs_of(path)]
     names = [job.campaign.name for job in jobs]
     for name in names:
         if names.count(name) > 1:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
+from hyperval.campaign.template import campaign_runs
 from hyperval.collection import Collection, Detection
 from hyperval.compare.gates import Gate
-from hyperval.config import Model, load_model
+from hyperval.config import Model, load_yaml, validate
+from hyperval.errors import UsageError
 from hyperval.scenario import Scenario
 
 
-class Campaign(Model):
-    """One campaign: a collection, a model of it, the comparisons."""
+class Outline(Model):
+    """What a campaign says of itself: enough to list what it would compare."""
 
     schema_version: Literal[1] = Field(alias="schema")
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9-]*$")
@@ -23,12 +26,24 @@ class Campaign(Model):
     simulated: bool = False
     references: list[str] = Field(default_factory=list)
     assumptions: list[str] = Field(default_factory=list, description="stated in the report")
+    comparisons: list[Gate] = Field(min_length=1)
+
+
+class Campaign(Outline):
+    """One campaign: a collection, a model of it, the comparisons."""
+
     collection: Collection
     detection: Detection | None = None
     scenarios: list[Scenario | str] = Field(
         min_length=1, description="scenario files, built-in names or scenarios written out"
     )
-    comparisons: list[Gate] = Field(min_length=1)
+
+    _run: Mapping[str, str] = PrivateAttr(default_factory=dict)
+
+    @property
+    def run(self) -> Mapping[str, str]:
+        """The words of this run that stand in braces in the campaign and its scenario files; often none."""
+        return self._run
 
     @model_validator(mode="after")
     def _consistent(self) -> Campaign:
@@ -39,12 +54,37 @@ class Campaign(Model):
         return self
 
 
-def load_campaign(path: Path) -> Campaign:
-    """Read and check a campaign file.
+def load_campaigns(path: Path) -> list[Campaign]:
+    """Read and check a campaign file; one campaign for each of its ``runs``, or one.
 
     Raises
     ------
     InputError : no such file.
-    UsageError : every mistake with its file and line.
+    UsageError : every mistake with its file and line, or every value that is still to be filled in.
     """
-    return load_model(Campaign, path)
+    data, lines = load_yaml(path)
+    out = []
+    for words, content in campaign_runs(data, lines, str(path)):
+        campaign = validate(Campaign, content, lines, str(path))
+        campaign._run = words
+        out.append(campaign)
+    return out
+
+
+def load_campaign(path: Path) -> Campaign:
+    """Read and check a campaign file of one run.
+
+    Raises
+    ------
+    InputError : no such file.
+    UsageError : every mistake with its file and line; a file of several runs.
+    """
+    found = load_campaigns(path)
+    if len(found) > 1:
+        raise UsageError(
+            f"the file holds {len(found)} runs",
+            where=str(path),
+            expected="a campaign of one run",
+            mend="copy it with one entry under 'runs'; hyperval validate takes all of them",
+        )
+    return found[0]

@@ -1,0 +1,79 @@
+"""Campaigns with values still to be filled in: SKIPPED where the collection is not at hand, else refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hyperval.campaign.references import Named, named_in
+from hyperval.campaign.schema import Campaign, Outline
+from hyperval.campaign.template import campaign_runs
+from hyperval.config import Location, load_yaml, unfilled, validate
+from hyperval.datasets import held_set
+from hyperval.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """A campaign that waits for its collection: what it says of itself, its file, and why it cannot run."""
+
+    campaign: Outline
+    path: Path
+    reason: str
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the campaign file."""
+        return self.path.resolve().parent
+
+
+@dataclass(frozen=True)
+class Text:
+    """One run of a campaign file as it is written, and what it names."""
+
+    path: Path
+    words: Mapping[str, str]
+    content: Any
+    lines: dict[Location, int]
+    named: Named
+
+    def outline(self) -> Outline:
+        """Name, words and comparisons; UsageError for mistakes in these."""
+        keys = {info.alias or name for name, info in Outline.model_fields.items()}
+        known = keys | set(Campaign.model_fields)
+        if not isinstance(self.content, dict):
+            return validate(Outline, self.content, self.lines, str(self.path))
+        # Unknown keys are left in, so that they are named.
+        own = {key: value for key, value in self.content.items() if key in keys or key not in known}
+        return validate(Outline, own, self.lines, str(self.path))
+
+    def campaign(self) -> Campaign:
+        """The campaign; UsageError for mistakes and for values that are still to be filled in."""
+        found = validate(Campaign, self.content, self.lines, str(self.path))
+        found._run = self.words
+        return found
+
+    def not_held(self) -> str | None:
+        """Why the campaign cannot be tried here: the collection is not public, and not a file of it is at hand."""
+        held = {r: owner for r in self.named.files if (owner := held_set(r.text)) is not None}
+        if not held or any(r.path is not None for r in held):
+            return None
+        first, owner = next(iter(held.items()))
+        left = len(self.named.to_fill_in)
+        more = f"; {left} values are to be filled in then (hyperval validate --dry-run lists them)" if left else ""
+        return f"{owner.name} is not on this machine: {first.problem}{more}"
+
+    def unfilled(self) -> UsageError:
+        """The error that names every value to be filled in."""
+        return unfilled(list(self.named.to_fill_in))
+
+
+def read_texts(path: Path) -> list[Text]:
+    """Every run of a campaign file, before anything in it is checked."""
+    data, lines = load_yaml(path)
+    return [
+        Text(Path(path), words, content, lines, named_in(Path(path), content, lines, words))
+        for words, content in campaign_runs(data, lines, str(path))
+    ]

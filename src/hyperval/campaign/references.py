@@ -1,0 +1,87 @@
+"""Which files a campaign and its scenarios name, found without checking or reading the rest of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hyperval.campaign.template import filled
+from hyperval.config import FILL_IN, Placeholder, load_yaml, placeholders
+from hyperval.datasets import PREFIX, resolve
+from hyperval.errors import HypervalError
+from hyperval.scenario import builtin_scenarios
+
+FILE_KEYS = frozenset({"path", "header", "file", "csv", "simulate", "size_classes", "library", "table"})
+SIMULATED = "simulated:"
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A file that is named: its key, the reference, the folder that it is relative to."""
+
+    key: str
+    text: str
+    base: Path
+
+    @property
+    def path(self) -> Path | None:
+        """Where the file is, None when it is not at hand."""
+        try:
+            return resolve(self.text, self.base)
+        except HypervalError:
+            return None
+
+    @property
+    def problem(self) -> str:
+        """What to do about a file that is not at hand."""
+        try:
+            resolve(self.text, self.base)
+        except HypervalError as error:
+            return error.mend or error.what
+        return ""
+
+
+@dataclass(frozen=True)
+class Named:
+    """What a campaign file and the scenarios it names refer to."""
+
+    files: tuple[Reference, ...]
+    to_fill_in: tuple[Placeholder, ...]
+
+
+def named_in(path: Path, content: Any, lines: dict[Any, int], words: Mapping[str, str]) -> Named:
+    """Files and values to fill in of one run of a campaign: of its own text, then of its scenario files."""
+    base = Path(path).resolve().parent
+    files = _files(content, base)
+    marks = placeholders(content, lines, str(path))
+    scenarios = content.get("scenarios") if isinstance(content, dict) else None
+    for item in scenarios if isinstance(scenarios, list) else []:
+        if not isinstance(item, str) or item in builtin_scenarios() or item.startswith(FILL_IN):
+            continue
+        reference = Reference("scenarios", item, base)
+        files.append(reference)
+        found = reference.path
+        if found is None:
+            continue
+        inner, inner_lines = load_yaml(found)
+        inner = filled(inner, words)
+        files += _files(inner, found.resolve().parent)
+        name = item if item.startswith(PREFIX) else str(Path(path).parent / item)
+        marks += placeholders(inner, inner_lines, name)
+    unique = {(r.text, r.base if not r.text.startswith(PREFIX) else None): r for r in reversed(files)}
+    return Named(tuple(reversed(unique.values())), tuple(marks))
+
+
+def _files(content: Any, base: Path, at: tuple[str, ...] = ()) -> list[Reference]:
+    if isinstance(content, dict):
+        return [r for key, value in content.items() for r in _files(value, base, (*at, str(key)))]
+    if isinstance(content, list):
+        return [r for value in content for r in _files(value, base, at)]
+    if not isinstance(content, str) or content.startswith((SIMULATED, FILL_IN)):
+        return []
+    is_file = (
+        at[-1] in FILE_KEYS or "materials" in at or (at[-1] == "sensor" and content.endswith((".yaml", ".yml")))
+    )
+    return [Reference(".".join(at), content, base)] if is_file or content.startswith(PREFIX) else []
