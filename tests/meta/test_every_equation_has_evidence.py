@@ -24,6 +24,8 @@ MODULES = (
     "hyperval.processing.features",
     "hyperval.processing.elm_model",
     "hyperval.processing.roc_model",
+    "hyperval.processing.ace_model",
+    "hyperval.processing.classification",
 )
 FOLDER = Path(__file__).parents[2] / "validation" / "equations"
 EQUATION = re.compile(r"\b3\.([7-9]|[12]\d|3[0-3])\b")

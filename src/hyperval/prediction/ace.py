@@ -57,6 +57,7 @@ def add_ace(
             draws,
             np.random.default_rng([seed, i]),
             background.tail_of(c),
+            decades=np.linspace(0.0, -float(np.log10(task.pfa[0])), 4).tolist(),
         )
         for i, c in enumerate(background.classes)
     ]

@@ -1,10 +1,11 @@
 """The adaptive coherence estimator on statistics: no closed form, so conditional Monte Carlo (after 3.22-3.33).
 
-ACE(x) = (d^T Sigma^-1 (x - mu))^2 / [(d^T Sigma^-1 d) (x - mu)^T Sigma^-1 (x - mu)], the squared cosine of the angle
-between pixel and target in whitened space (Kraut and Scharf 1999).  For a pixel y = m + G z in that space, z standard
-normal, one direction of z is integrated exactly: along it ACE > eta is a quadratic inequality, whose
-probability is a sum of normal distribution functions.  The other directions are drawn.  Probabilities far below one
-over the number of draws come out with a small error, which is stated.
+ACE(x) = (d^T Sigma^-1 (x - mu))^2 / [(d^T Sigma^-1 d) (x - mu)^T Sigma^-1 (x - mu)], the squared cosine of the
+angle between pixel and target in whitened space (Kraut and Scharf 1999).  For a pixel y = m + G z in that space, z
+standard normal, one direction of z is integrated exactly: along it ACE > eta is a quadratic inequality, whose
+probability is a sum of normal distribution functions.  The other directions are drawn, in part closer to the mean
+than they lie and with weights to make up for it, since small probabilities come from there.  So probabilities far
+below one over the number of draws have a small error, which is stated.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
 from hyperval.errors import UsageError
 from hyperval.processing.filters import PositiveDefinite
@@ -86,6 +87,7 @@ def ace_exceedance(
     rng: np.random.Generator,
     tail_dof: float | None = None,
     scores: npt.ArrayLike = _SCORES,
+    decades: Sequence[float] = (0.0,),
 ) -> Exceedance:
     """P(ACE > eta) of a population (in the place of 3.26-3.29 and 3.31, 3.33).
 
@@ -95,6 +97,7 @@ def ace_exceedance(
     draws : random pixels
     tail_dof : degrees of freedom of a multivariate t with this mean and covariance; None: Gaussian
     scores : (S,) values eta in 0-1
+    decades : -log10 of the probabilities of interest; the draws are shared out among them
     """
     eta = np.asarray(scores, dtype=float)
     cov = np.asarray(covariance, dtype=float)
@@ -107,6 +110,7 @@ def ace_exceedance(
     unit = along / length
     z = rng.standard_normal((draws, m.size))
     z -= (z @ unit)[:, None] * unit  # the direction that is integrated exactly
+    weight = _drawn_closer(z, decades)
     scale = np.ones(draws)
     if tail_dof is not None:
         scale = np.sqrt((tail_dof - 2.0) / rng.chisquare(tail_dof, draws))
@@ -120,7 +124,7 @@ def ace_exceedance(
         a = scale**2 * (length**2 - e * float(step @ step))
         b = 2.0 * scale * (u0 * length - e * cross)
         c = u0**2 - e * square
-        p = _positive(a, b, c)
+        p = weight * _positive(a, b, c)
         probability[k], error[k] = p.mean(), p.std() / np.sqrt(draws)
     return Exceedance(eta, probability, error)
 
@@ -138,7 +142,22 @@ def ace_threshold(pfa: npt.ArrayLike, fractions: Sequence[float], classes: Seque
 def exceedance_at(threshold: npt.ArrayLike, population: Exceedance) -> Array:
     """P(ACE > threshold) of a population between the scores it was evaluated at (3.31)."""
     x = np.arctanh(np.sqrt(np.clip(np.asarray(threshold, dtype=float), 0.0, 1.0 - 1e-12)))
-    return np.interp(x, np.arctanh(np.sqrt(population.scores)), population.probability)
+    log_p = np.log(np.maximum(population.probability, 1e-300))
+    return np.exp(np.interp(x, np.arctanh(np.sqrt(population.scores)), log_p))
+
+
+def _drawn_closer(z: Array, decades: Sequence[float]) -> Array:
+    """Scale the draws ``z`` in place, in turns, and return their weights (balance heuristic, Veach 1995).
+
+    For a pixel of the background itself P_FA is about E[exp(-t^2 r^2 / 2)] with r^2 of F - 1 degrees of freedom: it
+    comes from draws whose variance is smaller by 1 + t^2 = P_FA^(-2 / (F - 1)).
+    """
+    d = max(z.shape[1] - 1, 1)
+    scale = 10.0 ** (-np.asarray(decades, dtype=float) / d)
+    z *= scale[np.arange(z.shape[0]) % scale.size][:, None]
+    square = (z**2).sum(axis=1)
+    log_density = -d * np.log(scale) - 0.5 * square[:, None] * (scale**-2.0 - 1.0)
+    return np.asarray(np.exp(-logsumexp(log_density, axis=1, b=1.0 / scale.size)))
 
 
 def _positive(a: Array, b: Array, c: Array) -> Array:

@@ -1,0 +1,272 @@
+"""Shade, darkest pixel, noise-adjusted features, SMF, ACE, densities, separability: by hand and simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.processing.ace_model import (
+    ace_exceedance,
+    ace_score,
+    ace_space,
+    ace_threshold,
+    exceedance_at,
+)
+from hyperval.processing.classification import bhattacharyya_distance, classification_error
+from hyperval.processing.elm_model import darkest_level, retrieved_covariance, two_panel_line
+from hyperval.processing.features import feature_covariance, minimum_noise_fraction
+from hyperval.processing.filters import matched_filter_weights, spectral_matched_filter
+from hyperval.processing.roc_model import (
+    ClassScore,
+    TargetScore,
+    detection_probability,
+    log_false_alarm,
+    score_density,
+    target_density,
+)
+from hyperval.scene.radiance import (
+    illumination_factor,
+    mean_radiance,
+    radiance_covariance,
+    target_pixel_covariance,
+    target_pixel_reflectance,
+)
+from hyperval.sensor.noise import calibration_variance, measured_noise_variance
+
+TERMS = AtmosphericTerms(
+    wavelength_nm=np.array([550.0, 860.0]),
+    path_radiance=np.array([1.0, 0.4]),
+    direct=np.array([10.0, 8.0]),
+    adjacency=np.array([2.0, 1.0]),
+    spherical_albedo=np.array([0.1, 0.05]),
+    ground_irradiance=np.array([40.0, 30.0]),
+    gas_transmittance=np.ones(2),
+    diffuse_fraction=np.array([0.3, 0.15]),
+)
+AVERAGE = np.array([0.2, 0.4])
+
+
+def test_3_7_shade_by_hand():
+    # S rho_ave = 0.02. Full shade under an open sky: 0.98 * 0.3 + 0.02 = 0.314 and 0.98 * 0.15 + 0.02 = 0.167.
+    assert illumination_factor(TERMS, AVERAGE, 0.0, 1.0) == pytest.approx([0.314, 0.167])
+    # Half of the beam, a quarter of the sky hidden: 0.98 (0.7 * 0.5 + 0.3 * 0.75) + 0.02 * 0.75 = 0.5785.
+    assert illumination_factor(TERMS, AVERAGE, 0.5, 0.75)[0] == pytest.approx(0.5785)
+
+
+def test_3_7_shade_limits():
+    assert illumination_factor(TERMS, AVERAGE, 1.0, 1.0) == pytest.approx([1.0, 1.0])  # the open
+    assert illumination_factor(TERMS, AVERAGE, 0.0, 0.0) == pytest.approx([0.0, 0.0])  # a closed box
+    # Black surroundings send nothing back to the sky: the parts are those of the light on a black ground.
+    assert illumination_factor(TERMS, np.zeros(2), 0.0, 1.0) == pytest.approx(TERMS.diffuse_fraction)
+    # A ground that the sky mirrors for ever (S rho -> 1) is lit by the sky alone.
+    assert illumination_factor(TERMS, np.array([9.999999, 19.999998]), 0.0, 1.0) == pytest.approx([1, 1], abs=1e-6)
+
+
+def test_3_7_shade_is_the_sum_of_all_bounces():
+    # Light on the target: beam, sky, and what ground and sky hand back and forth, which arrives from the sky.
+    q, s, a = TERMS.diffuse_fraction, TERMS.spherical_albedo, TERMS.direct
+    beam, sky, rho = 0.3, 0.6, 0.5
+    light = (1 - q) * beam + q * sky + sky * sum((s * AVERAGE) ** n for n in range(1, 60))
+    shaded = rho * illumination_factor(TERMS, AVERAGE, beam, sky)
+    dark = mean_radiance(TERMS, np.zeros(2), AVERAGE)
+    assert mean_radiance(TERMS, shaded, AVERAGE) - dark == pytest.approx(a * rho * light, rel=1e-12)
+
+
+def test_3_12_shaded_target_by_monte_carlo():
+    """1e6 mixed pixels in partial shade; 3 covariances from 200 batches, |z| < 5, false failure 2e-6."""
+    rng = np.random.default_rng(3121)
+    n, f, sf = 1_000_000, 0.3, 0.08
+    beam, sky = 0.2, 0.7
+    t, ct = np.array([0.5, 0.6]), np.array([[4e-4, 1e-4], [1e-4, 9e-4]])
+    h, ch = np.array([0.1, 0.3]), np.array([[9e-4, 2e-4], [2e-4, 4e-4]])
+    phi = illumination_factor(TERMS, AVERAGE, beam, sky)
+    covariance = target_pixel_covariance(f, sf**2, phi * t, ct * np.outer(phi, phi), h, ch)
+    rho = target_pixel_reflectance(f, phi * t, h)
+    expected = radiance_covariance(TERMS, rho, covariance, AVERAGE, np.zeros((2, 2)))
+    # The radiance of each pixel, light on both parts written out.
+    q, s = TERMS.diffuse_fraction, TERMS.spherical_albedo
+    back = s * AVERAGE / (1 - s * AVERAGE)
+    light = (1 - q) * beam + sky * (q + back)
+    fill = np.clip(rng.normal(f, sf, n), 0, 1)[:, None]
+    target = rng.multivariate_normal(t, ct, n) * light
+    host = rng.multivariate_normal(h, ch, n) * (1 + back)
+    batch = (TERMS.direct * (fill * target + (1 - fill) * host)).reshape(200, -1, 2)
+    centred = batch - batch.mean(axis=1, keepdims=True)
+    found = np.einsum("bni,bnj->bij", centred, centred) / (batch.shape[1] - 1)
+    z = (found.mean(axis=0) - expected) / (found.std(axis=0, ddof=1) / np.sqrt(200))
+    assert np.abs(z).max() < 5
+
+
+def test_darkest_pixel_by_hand():
+    # One class, one pixel: the median is the mean. Two: F = 1 - 2^-1/2 = 0.292893, Phi^-1 = -0.544952.
+    assert darkest_level([1.0], [[5.0]], [[2.0]], 1) == pytest.approx([5.0])
+    assert darkest_level([1.0], [[5.0]], [[2.0]], 2) == pytest.approx([5.0 - 2 * 0.544952], rel=1e-6)
+
+
+def test_darkest_pixel_by_monte_carlo():
+    """1e6 pixels in 1000 scenes of 1000: half of the minima lie below; |z| < 5, failure 6e-7."""
+    rng = np.random.default_rng(320)
+    which = rng.random((1000, 1000)) < 0.3
+    pixels = np.where(which, rng.normal(3.0, 0.5, which.shape), rng.normal(4.0, 0.9, which.shape))
+    median = darkest_level([0.3, 0.7], [[3.0], [4.0]], [[0.5], [0.9]], 1000)
+    assert abs((pixels.min(axis=1) < median).mean() - 0.5) < 5 * 0.5 / np.sqrt(1000)
+
+
+def test_noise_fractions_by_hand_and_whitening():
+    # Noise 1 and 4: N^-1/2 Sigma N^-1/2 = [[3, 0], [0, 2]] for Sigma = diag(3, 8): components along the bands.
+    psi = minimum_noise_fraction(np.diag([3.0, 8.0]), [1.0, 4.0], 2)
+    assert psi == pytest.approx(np.array([[1.0, 0.0], [0.0, 0.5]]))
+    a = np.random.default_rng(321).standard_normal((6, 6))
+    cov, noise = a @ a.T + np.eye(6), np.linspace(0.1, 2.0, 6)
+    psi = minimum_noise_fraction(cov, noise, 6)
+    assert feature_covariance(psi, np.diag(noise)) == pytest.approx(np.eye(6), abs=1e-12)
+    seen = feature_covariance(psi, cov)
+    assert seen == pytest.approx(np.diag(np.diag(seen)), abs=1e-9)
+    assert np.all(np.diff(np.diag(seen)) <= 1e-9)
+
+
+def test_smf_by_hand():
+    # d^T Sigma^-1 d = 2: SMF = sqrt(2) times the filter of unit response; variance 1 over the background.
+    cov = np.diag([1.0, 4.0])
+    smf = spectral_matched_filter([2.0, 3.0], [1.0, 1.0], cov)
+    assert smf.weights == pytest.approx(np.sqrt(2) * matched_filter_weights([2.0, 3.0], [1.0, 1.0], cov).weights)
+    assert smf.variance(cov) == pytest.approx(1.0)
+    assert float(smf.score([2.0, 3.0])) == pytest.approx(np.sqrt(2))
+
+
+def test_ace_by_hand():
+    # Whitened with Sigma = diag(1, 4): target (1, 1), pixel (2, 0): cos^2 = 4 / (2 * 4) = 0.5; the target itself 1.
+    space = ace_space([2.0, 3.0], [1.0, 1.0], np.diag([1.0, 4.0]))
+    assert ace_score(space, [[3.0, 1.0], [2.0, 3.0], [1.5, 0.0]]) == pytest.approx([0.5, 1.0, 0.0])
+
+
+def test_ace_of_the_background_is_a_beta_distribution():
+    """Closed form: cos^2 of a normal vector in F dimensions is Beta(1/2, (F - 1)/2).
+
+    4000 draws, |z| < 5 at 6 scores (false failure 4e-6); at 1e-9 counting would need 1e11 draws for the same error.
+    """
+    rng = np.random.default_rng(322)
+    a = rng.standard_normal((20, 20))
+    cov, mean, target = a @ a.T + 20 * np.eye(20), rng.random(20), rng.random(20) + 1
+    space = ace_space(target, mean, cov)
+    law = stats.beta(0.5, 9.5)
+    scores = law.isf([0.5, 0.1, 1e-2, 1e-4, 1e-6, 1e-9])
+    found = ace_exceedance(space, mean, cov, 4000, rng, scores=scores, decades=(0, 3, 6, 9))
+    z = (found.probability - law.sf(scores)) / found.standard_error
+    assert np.abs(z).max() < 5
+    assert found.standard_error[-1] / found.probability[-1] < 0.1
+    whole = ace_exceedance(space, mean, cov, 4000, rng, decades=(0, 3, 6, 9))
+    at = ace_threshold([1e-6, 1e-3, 0.1], [1.0], [whole])
+    # Between the tabulated scores and with the error of the draws: 20 % of P_FA.
+    assert law.sf(at) == pytest.approx([1e-6, 1e-3, 0.1], rel=0.2)
+    assert exceedance_at(at, whole) == pytest.approx([1e-6, 1e-3, 0.1], rel=1e-3)
+    assert whole.moments[0] == pytest.approx(law.mean(), rel=0.01)
+
+
+@pytest.mark.parametrize("tail", [None, 6.0])
+def test_ace_by_monte_carlo(tail):
+    """1e6 pixels of another covariance than the filter's; |z| < 5 at 4 scores, false failure 5e-6 (both errors)."""
+    rng = np.random.default_rng(323)
+    n, bands = 1_000_000, 5
+    a, b = rng.standard_normal((2, bands, bands))
+    sigma, cov = a @ a.T + np.eye(bands), b @ b.T + 0.5 * np.eye(bands)
+    mean, target, own = rng.random(bands), rng.random(bands) + 2, rng.random(bands) + 1
+    space = ace_space(target, mean, sigma)
+    x = rng.standard_normal((n, bands))
+    if tail is not None:
+        x *= np.sqrt((tail - 2) / rng.chisquare(tail, n))[:, None]
+    score = ace_score(space, own + x @ np.linalg.cholesky(cov).T)
+    scores = np.array([0.05, 0.3, 0.8, 0.99])
+    found = ace_exceedance(space, own, cov, 40_000, rng, tail, scores)
+    count = (score[:, None] > scores).mean(axis=0)
+    error = np.hypot(np.sqrt(count * (1 - count) / n), found.standard_error)
+    assert np.abs((count - found.probability) / error).max() < 5
+
+
+def test_densities_are_the_derivatives():
+    classes = [ClassScore(0.6, 0.0, 0.2), ClassScore(0.4, 0.3, 0.5, 4.0)]
+    x, h = np.linspace(-1, 2, 13), 1e-5
+    slope = (np.exp(log_false_alarm(x - h, classes)) - np.exp(log_false_alarm(x + h, classes))) / (2 * h)
+    assert score_density(x, classes) == pytest.approx(slope, rel=1e-6)
+    assert integrate.quad(lambda v: float(score_density(v, classes)), -60, 60, points=[0, 0.3])[0] == pytest.approx(
+        1.0, abs=1e-5
+    )
+    target = TargetScore(np.array([0.2, 0.8]), np.array([0.1, 0.2]), np.array([0.3, 0.7]))
+    slope = (detection_probability(x - h, target) - detection_probability(x + h, target)) / (2 * h)
+    assert target_density(x, target) == pytest.approx(slope, rel=1e-5, abs=1e-9)
+
+
+def test_bhattacharyya_by_hand():
+    # Equal unit covariances two apart: B = 4/8 = 0.5, error Phi(-1) = 0.158655.
+    eye = np.eye(2)
+    assert bhattacharyya_distance([0.0, 0.0], eye, [2.0, 0.0], eye) == pytest.approx(0.5)
+    assert classification_error(0.5)[0] == pytest.approx(0.158655, rel=1e-5)
+    # Equal means, variances 1 and 4 in one band: 1/2 ln(2.5 / 2) = 0.111572.
+    assert bhattacharyya_distance([0.0], [[1.0]], [0.0], [[4.0]]) == pytest.approx(0.5 * np.log(1.25))
+
+
+def test_classification_error_by_monte_carlo():
+    """1e6 pixels of two classes, the better likelihood decides: within the bounds, |z| < 5 (false failure 6e-7)."""
+    rng = np.random.default_rng(324)
+    n = 500_000
+    m, c1, c2 = np.array([1.2, 0.4]), np.array([[1.0, 0.3], [0.3, 0.6]]), np.array([[0.5, -0.1], [-0.1, 1.4]])
+    laws = stats.multivariate_normal(np.zeros(2), c1), stats.multivariate_normal(m, c2)
+    wrong = sum(
+        np.count_nonzero(laws[1 - k].pdf(x) > laws[k].pdf(x))
+        for k in (0, 1)
+        for x in [laws[k].rvs(n, random_state=rng)]
+    )
+    error, se = wrong / (2 * n), np.sqrt(0.25 / (2 * n))
+    estimate, lower, upper = classification_error(bhattacharyya_distance(np.zeros(2), c1, m, c2))
+    assert lower - 5 * se < error < upper + 5 * se
+    assert lower <= estimate <= upper
+    # Equal covariances: the estimate is exact.
+    x = rng.multivariate_normal(np.zeros(2), c1, 2 * n)
+    d = np.linalg.solve(c1, m)
+    missed = (x @ d > 0.5 * m @ d).mean()
+    expected = classification_error(bhattacharyya_distance(np.zeros(2), c1, m, c1))[0]
+    assert abs(missed - expected) < 5 * np.sqrt(expected / (2 * n))
+
+
+def test_3_17_calibration_error_by_monte_carlo():
+    """1e6 readings with their own gain error; s.e. of a variance sigma^2 sqrt(2/n): |z| < 5, false failure 6e-7."""
+    rng = np.random.default_rng(3171)
+    expected = float(calibration_variance(4.0, 0.5))
+    found = (4.0 * (1 + 0.005 * rng.standard_normal(1_000_000))).var()
+    assert abs(found - expected) < 5 * expected * np.sqrt(2e-6)
+
+
+def test_measured_noise_by_a_simulated_detector():
+    """1e6 readings of the detector that (a, b, 0) stands for: |z| < 5, false failure 6e-7."""
+    rng = np.random.default_rng(3151)
+    a, b, level = 0.01, 1.2, 5.0
+    electrons = rng.poisson(level / a**2, 1_000_000) + rng.normal(0, np.sqrt(b) / a, 1_000_000)
+    expected = float(measured_noise_variance(level, a, b, 0.0))
+    assert abs((electrons * a**2).var() - expected) < 5 * expected * np.sqrt(2e-6)
+
+
+def test_retrieved_covariance_by_monte_carlo():
+    """1e6 pixels through the line; 3 entries, s.e. by Isserlis, |z| < 5, false failure 2e-6."""
+    rng = np.random.default_rng(3211)
+    n, cov = 1_000_000, np.array([[0.09, 0.04], [0.04, 0.16]])
+    line = two_panel_line([2.0, 3.0], [7.0, 5.0])
+    x = (rng.multivariate_normal([4.0, 4.0], cov, n) - line.offset) / line.gain
+    expected = retrieved_covariance(line, cov)
+    error = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / n)
+    assert np.abs((np.cov(x.T) - expected) / error).max() < 5
+
+
+def test_t_tail_by_monte_carlo():
+    """1e6 pixels of a multivariate t (nu = 4.5) through a filter; P_FA at 5 thresholds, |z| < 5, failure 3e-6."""
+    rng = np.random.default_rng(3331)
+    n, nu = 1_000_000, 4.5
+    cov, mean = np.array([[1.0, 0.4], [0.4, 2.0]]), np.array([0.2, 0.1])
+    f = matched_filter_weights([2.0, 3.0], mean, cov)
+    g = rng.standard_normal((n, 2)) @ np.linalg.cholesky(cov).T * np.sqrt((nu - 2) / rng.chisquare(nu, n))[:, None]
+    score = f.score(mean + g)
+    c = ClassScore(1.0, float(f.score(mean)), float(np.sqrt(f.variance(cov))), nu)
+    for x in c.sd * np.array([-1.0, 0.5, 2.0, 4.0, 8.0]):
+        p = float(np.exp(log_false_alarm(x, [c])))
+        assert abs((score > x).mean() - p) < 5 * np.sqrt(p * (1 - p) / n)
