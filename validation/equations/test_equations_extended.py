@@ -23,6 +23,7 @@ from hyperval.processing.roc_model import (
     TargetScore,
     detection_probability,
     log_false_alarm,
+    object_detection_probability,
     score_density,
     target_density,
 )
@@ -256,6 +257,18 @@ def test_retrieved_covariance_by_monte_carlo():
     expected = retrieved_covariance(line, cov)
     error = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / n)
     assert np.abs((np.cov(x.T) - expected) / error).max() < 5
+
+
+def test_3_31_objects_by_monte_carlo():
+    """1e6 objects of three pixels at two positions; P_D at 4 thresholds, |z| < 5, false failure 3e-6."""
+    rng = np.random.default_rng(3311)
+    n = 1_000_000
+    means, sds = np.array([[0.5, 0.2, 0.1], [0.3, 0.3, 0.0]]), np.array([[0.1, 0.2, 0.2], [0.15, 0.1, 0.2]])
+    at = rng.integers(0, 2, n)
+    best = (means[at] + sds[at] * rng.standard_normal((n, 3))).max(axis=1)
+    thresholds = np.array([0.2, 0.4, 0.6, 0.9])
+    for x, p in zip(thresholds, object_detection_probability(thresholds, means, sds), strict=True):
+        assert abs((best > x).mean() - p) < 5 * np.sqrt(p * (1 - p) / n)
 
 
 def test_t_tail_by_monte_carlo():

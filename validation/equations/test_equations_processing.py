@@ -91,9 +91,9 @@ def test_3_26_to_3_29_scores_by_hand():
 
 
 def test_3_28_random_fill_by_monte_carlo():
-    """4e5 mixed pixels; z from 200 batches, |z| < 5, false failure 1e-6."""
+    """1e6 mixed pixels; z from 200 batches, |z| < 5, false failure 1e-6."""
     rng = np.random.default_rng(328)
-    n, fill = 400_000, beta_fill(0.3, 0.1)
+    n, fill = 1_000_000, beta_fill(0.3, 0.1)
     f = rng.choice(fill.values, n, p=fill.weights)
     score = f * rng.normal(1, 0.2, n) + (1 - f) * rng.normal(0.1, 0.3, n) + rng.normal(0, 0.05, n)
     mean, sd = target_score_moments(fill, 0.1, 0.04, 0.09, 0.0025)
@@ -154,7 +154,7 @@ def test_3_30_to_3_33_the_printed_procedure_gives_the_same_curve():
 
 
 def test_roc_by_monte_carlo():
-    """1e6 background and 1e5 target scores; z of P_FA and P_D at 5 thresholds, |z| < 5, false failure 6e-6."""
+    """1e6 background and 1e6 target scores; z of P_FA and P_D at 5 thresholds, |z| < 5, false failure 6e-6."""
     rng = np.random.default_rng(333)
     n = 1_000_000
     which = rng.choice(3, n, p=[c.fraction for c in CLASSES])
@@ -164,8 +164,8 @@ def test_roc_by_monte_carlo():
     score = mean[which] + sd[which] * np.where(which == 2, t, z)
     fill = beta_fill(0.6, 0.15)
     target = TargetScore(fill.values, np.full(fill.values.size, 0.2), fill.weights)
-    hits = rng.choice(fill.values, 100_000, p=fill.weights) + 0.2 * rng.standard_normal(100_000)
+    hits = rng.choice(fill.values, n, p=fill.weights) + 0.2 * rng.standard_normal(n)
     curve = predicted_roc(target, CLASSES, [1e-4, 1e-3, 1e-2, 1e-1, 0.3])
     for pfa, pd, x in zip(curve.pfa, curve.pd, curve.threshold, strict=True):
         assert abs((score > x).mean() - pfa) < 5 * np.sqrt(pfa * (1 - pfa) / n)
-        assert abs((hits > x).mean() - pd) < 5 * np.sqrt(pd * (1 - pd) / 100_000)
+        assert abs((hits > x).mean() - pd) < 5 * np.sqrt(pd * (1 - pd) / n)

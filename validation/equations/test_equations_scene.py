@@ -109,7 +109,7 @@ def covariance_z(sample: np.ndarray, expected: np.ndarray) -> np.ndarray:
 def test_3_11_covariance_by_monte_carlo():
     """Pixel and neighbourhood drawn, the exact radiance formed: 6 entries, |z| < 5, false failure 4e-6."""
     rng = np.random.default_rng(311)
-    terms, n, kappa = atmosphere(3), 400_000, 0.04
+    terms, n, kappa = atmosphere(3), 1_000_000, 0.04
     rho, ave = np.array([0.3, 0.4, 0.2]), np.array([0.25, 0.3, 0.2])
     sigma = 1e-4 * np.array([[4, 2, 1], [2, 5, -1], [1, -1, 3]])
     sigma_ave = 1e-4 * np.array([[9, 5, 2], [5, 8, 3], [2, 3, 7]])
@@ -137,7 +137,7 @@ def test_3_12_by_hand():
 def test_3_12_by_monte_carlo():
     """Fill, target and host drawn; per entry a z from 200 batches, |z| < 5, false failure under 1e-5."""
     rng = np.random.default_rng(312)
-    n = 400_000
+    n = 1_000_000
     target, host = np.array([0.6, 0.3]), np.array([0.1, 0.25])
     s_t, s_h = 1e-4 * np.array([[4, 1], [1, 2]]), 1e-4 * np.array([[3, -1], [-1, 5]])
     fill = beta_fill(0.4, 0.1)
@@ -186,9 +186,9 @@ def test_pixel_fills_agree_with_the_closed_form_and_conserve_area(blur):
 
 
 def test_rotated_fill_by_counting_points():
-    """2e5 points in the target, aperture alone: binomial, |z| < 5 over 9 pixels, false failure 5e-6."""
+    """1e6 points in the target, aperture alone: binomial, |z| < 5 over 9 pixels, false failure 5e-6."""
     rng = np.random.default_rng(7)
-    n, angle = 200_000, np.deg2rad(30.0)
+    n, angle = 1_000_000, np.deg2rad(30.0)
     along, across = rng.uniform(-1, 1, n) * 0.9, rng.uniform(-1, 1, n) * 0.4
     x = along * np.sin(angle) + across * np.cos(angle) + 0.2
     y = along * np.cos(angle) - across * np.sin(angle) - 0.1

@@ -1,0 +1,124 @@
+"""Statistics libraries: samples, there and back, other bands, and files that are none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from hyperval.errors import InputError, UsageError
+from hyperval.scene.builtin import builtin_class
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.statistics_library import (
+    on_bands,
+    read_statistics_library,
+    statistics_of_samples,
+    write_statistics_library,
+)
+
+AXIS = SpectralAxis(np.linspace(450.0, 900.0, 10), np.full(10, 20.0), np.arange(10) != 3)
+GRASS = replace(builtin_class("grass", AXIS), n=120, source="lawn", tail_dof=5.0)
+SOIL = builtin_class("soil", AXIS)
+
+
+@pytest.fixture
+def path(tmp_path):
+    write_statistics_library(tmp_path / "library.nc", [GRASS, SOIL])
+    return tmp_path / "library.nc"
+
+
+def spoiled(path, change):
+    with xr.open_dataset(path, engine="h5netcdf") as data:
+        held = data.load()
+    path.unlink()
+    change(held).to_netcdf(path, engine="h5netcdf")
+    return path
+
+
+def test_samples_by_hand():
+    axis = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
+    s = statistics_of_samples("a", axis, [[1.0, 2.0], [3.0, 2.0], [2.0, 5.0]])
+    assert s.mean == pytest.approx([2.0, 3.0])
+    assert s.covariance == pytest.approx(np.array([[1.0, 0.0], [0.0, 3.0]]))
+    assert s.n == 3
+    for bad in ([[1.0, 2.0]], [[1.0], [2.0]], [1.0, 2.0]):
+        with pytest.raises(UsageError, match="samples of shape"):
+            statistics_of_samples("a", axis, bad)
+
+
+def test_there_and_back(path):
+    back = read_statistics_library(path, "grass")
+    assert np.array_equal(back.mean, GRASS.mean)
+    assert np.array_equal(back.covariance, GRASS.covariance)
+    assert np.array_equal(back.axis.good, AXIS.good)
+    assert (back.n, back.source, back.tail_dof) == (120, "lawn", 5.0)
+    soil = read_statistics_library(path, "soil")
+    assert (soil.n, soil.tail_dof) == (None, None)
+
+
+def test_which_record(path, tmp_path):
+    with pytest.raises(UsageError, match=r"several classes(.|\n)*grass, soil"):
+        read_statistics_library(path)
+    with pytest.raises(UsageError, match="has no class 'sand'"):
+        read_statistics_library(path, "sand")
+    write_statistics_library(tmp_path / "one.nc", [SOIL])
+    assert read_statistics_library(tmp_path / "one.nc").name == "soil"
+
+
+def test_what_cannot_be_written(tmp_path):
+    with pytest.raises(UsageError, match="each with its own name"):
+        write_statistics_library(tmp_path / "x.nc", [SOIL, SOIL])
+    other = builtin_class("grass", SpectralAxis(np.linspace(450, 910, 10), np.full(10, 20.0)))
+    with pytest.raises(UsageError, match="one set of bands"):
+        write_statistics_library(tmp_path / "x.nc", [SOIL, other])
+    assert not (tmp_path / "x.nc").exists()
+
+
+def test_files_that_are_no_library(path, tmp_path):
+    with pytest.raises(InputError, match="no such statistics library"):
+        read_statistics_library(tmp_path / "none.nc")
+    (tmp_path / "text.nc").write_text("wavelength mean")
+    with pytest.raises(InputError, match="not a NetCDF-4 file"):
+        read_statistics_library(tmp_path / "text.nc")
+    cut = tmp_path / "cut.nc"
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(InputError):
+        read_statistics_library(cut, "grass")
+    with pytest.raises(UsageError, match="not a path of a local"):
+        read_statistics_library("https://example.org/library.nc")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.drop_vars("covariance"), "has no variable covariance"),
+        (lambda d: d.isel(band_2=slice(0, 4)), r"sizes contradict each other: covariance \(2, 10, 4\)"),
+        (lambda d: d.isel(band=slice(0, 0), band_2=slice(0, 0)), "2 classes of 0 bands"),
+    ],
+)
+def test_sizes_are_checked(path, change, words):
+    with pytest.raises(InputError, match=words):
+        read_statistics_library(spoiled(path, change), "grass")
+
+
+def test_more_bands_than_the_limit(path, monkeypatch):
+    monkeypatch.setattr("hyperval.statistics_library.MAX_BANDS", 9)
+    with pytest.raises(InputError, match="2 classes of 10 bands"):
+        read_statistics_library(path, "grass")
+    monkeypatch.setattr("hyperval.statistics_library.MAX_BYTES", 100)
+    with pytest.raises(InputError, match="larger than"):
+        read_statistics_library(path, "grass")
+
+
+def test_other_bands_by_hand():
+    assert on_bands(SOIL, AXIS) is SOIL
+    half = SpectralAxis(np.array([475.0, 550.0]), np.full(2, 20.0))
+    s = on_bands(SOIL, half)
+    assert s.mean == pytest.approx([0.5 * (SOIL.mean[0] + SOIL.mean[1]), SOIL.mean[2]])
+    # The variance of a mean of two bands.
+    c = SOIL.covariance
+    assert s.covariance[0, 0] == pytest.approx(0.25 * (c[0, 0] + 2 * c[0, 1] + c[1, 1]))
+    with pytest.raises(UsageError, match="covers 450-900 nm and 1 bands lie outside it"):
+        on_bands(SOIL, SpectralAxis(np.array([500.0, 950.0]), np.full(2, 10.0)))
