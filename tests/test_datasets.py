@@ -41,6 +41,8 @@ HEADER = "hysu/published/full/DLR_HySU_HS_full.hdr"
 def test_registry_is_complete_and_pinned():
     assert {"hysu", "pasadena"} <= set(datasets.registry())
     for name, entry in datasets.registry().items():
+        if not entry.public:
+            continue
         assert re.fullmatch(r"[0-9a-f]{10,40}", entry.commit), name
         assert entry.licence
         assert entry.citation
@@ -65,6 +67,39 @@ def test_registry_agrees_with_the_real_files(data_dir, monkeypatch, name):
     monkeypatch.setenv("HYPERVAL_DATA", str(root))
     assert [c.path for c in datasets.verify(name) if c.state != "ok"] == []
     assert datasets.missing(name) == []
+
+
+def test_a_set_that_is_not_public_says_who_holds_it_and_where_it_goes(places):
+    entry = datasets.dataset("share2012")
+    assert not entry.public
+    assert entry.files == ()
+    assert "Rochester" in entry.held_by
+    reference = "data:share2012/lines/0920-1631_rad.dat"
+    with pytest.raises(MissingDataError, match="not public.*Rochester.*folder share2012 below HYPERVAL_DATA"):
+        datasets.resolve(reference)
+    with pytest.raises(InputError, match="ask the laboratory"):
+        datasets.fetch("share2012")
+    assert datasets.verify("share2012") == []
+    assert datasets.files_at_hand("share2012") == 0
+    target = put(places[0], reference.removeprefix("data:"))
+    assert datasets.resolve(reference) == target
+    assert datasets.files_at_hand("share2012") == 1
+    known = datasets.describe(reference)
+    assert (known["dataset"], known["licence"], known["sha256"]) == ("share2012", "not public", None)
+    (record,) = (log := InputLog(places[0])).resolve(reference) and log.entries()
+    assert (record["dataset"], record["as_registered"]) == ("share2012", None)
+    assert datasets.held_set("share2012/x") is None
+    assert datasets.held_set("data:hysu/x") is None
+
+
+def test_a_set_has_an_address_or_a_holder():
+    from hyperval.config import validate
+
+    good = {"title": "t", "licence": "l", "citation": "c"}
+    for more in ({}, {"repository": "a/b"}, {"held_by": "h"},
+                 {"repository": "a/b", "commit": "0", "held_by": "h", "obtain": "o"}):  # fmt: skip
+        with pytest.raises(UsageError, match="either repository and commit, or held_by and obtain"):
+            validate(datasets._Sets, {"sets": {"x": good | more}}, {}, "sets.yaml")
 
 
 def test_local_copy_wins_over_the_cache(places):

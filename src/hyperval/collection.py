@@ -89,6 +89,9 @@ class TargetTruth(Model):
     pixels: Literal["touched", "centre"] = Field(
         "touched", description="pixels of an object: all it may touch, or the one that holds its centre (csv only)"
     )
+    pixel_size_m: float | None = Field(
+        None, gt=0, le=1000, description="ground size of a pixel, where the cube has no map position (csv only)"
+    )
     guard_pixels: int = Field(1, ge=0, description="pixels around every target left out of the background")
 
     @model_validator(mode="after")
@@ -97,6 +100,8 @@ class TargetTruth(Model):
             raise ValueError("give exactly one of rasters, csv")
         if self.rasters is not None and self.pixels == "centre":
             raise ValueError("rasters do not say where a target's centre is: pixels must be 'touched'")
+        if self.rasters is not None and self.pixel_size_m is not None:
+            raise ValueError("pixel_size_m belongs to a list of targets (csv)")
         return self
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from hyperval.campaign.draft import read_texts
 from hyperval.campaign.schema import load_campaign
 from hyperval.errors import InputError, UsageError
 
@@ -51,7 +52,8 @@ def test_a_good_campaign(tmp_path):
 
 @pytest.mark.parametrize("path", sorted((ROOT / "campaigns").glob("*/campaign*.yaml")), ids=lambda p: p.parent.name)
 def test_the_campaigns_of_the_project_are_valid(path):
-    campaign = load_campaign(path)
+    # A campaign with values to be filled in has tests of its own.
+    campaign = read_texts(path)[0].outline() if "FILL_IN" in path.read_text() else load_campaign(path)
     assert any(gate.gate for gate in campaign.comparisons) or "broken" in campaign.name
     assert campaign.assumptions
 

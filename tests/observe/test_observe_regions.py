@@ -167,3 +167,20 @@ def test_what_the_header_says_of_the_flight_is_noted(world):
     notes = " ".join(opened(world).notes)
     assert "CO2 shift 3.65 nm found" in notes
     assert "fps 67.00" in notes
+
+
+def test_a_cube_without_a_map_takes_the_stated_pixel_size(world):
+    placed = opened(world)
+    world.write(transform=None, crs=None)
+    with pytest.raises(UsageError, match=r"ground size of a pixel is not known.*\n.*targets\.pixel_size_m"):
+        opened(world)
+    world.collection["targets"]["pixel_size_m"] = 2.0
+    place = opened(world)
+    assert place.pixel_area_m2 == 4.0
+    assert [t.mask.sum() for t in place.targets] == [t.mask.sum() for t in placed.targets]
+
+
+def test_a_pixel_size_beside_a_map_is_refused(world):
+    world.collection["targets"]["pixel_size_m"] = 2.0
+    with pytest.raises(UsageError, match="has a map position"):
+        opened(world)

@@ -108,11 +108,18 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         targets,
         near,
         left_out,
-        cube.pixel_area_m2,
+        _pixel_area_m2(cube, collection.targets),
         collection.targets.pixels if collection.targets else "touched",
         frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None),
         tuple(notes),
     )
+
+
+def _pixel_area_m2(cube: Cube, truth: TargetTruth | None) -> float | None:
+    """Ground area of a pixel [m2]: of the map grid, else as the campaign states its size."""
+    if cube.transform is None and truth is not None and truth.pixel_size_m is not None:
+        return truth.pixel_size_m**2
+    return cube.pixel_area_m2
 
 
 def target_overlaps(regions: Iterable[Region], targets: Sequence[TargetObject], near: Mask) -> list[str]:
@@ -208,7 +215,13 @@ def _regions(cube: Cube, sources: Sequence[RegionSource], resolve: Resolve, show
 
 def _targets(cube: Cube, truth: TargetTruth, resolve: Resolve) -> list[TargetObject]:
     if truth.csv is not None:
-        return read_targets(resolve(truth.csv), cube.shape, transform=cube.transform)
+        if truth.pixel_size_m is not None and cube.transform is not None:
+            raise UsageError(
+                "the cube has a map position, and 'targets.pixel_size_m' is stated", mend="take it out"
+            )
+        return read_targets(
+            resolve(truth.csv), cube.shape, transform=cube.transform, pixel_size_m=truth.pixel_size_m
+        )
     rasters = truth.rasters
     assert rasters is not None  # noqa: S101 - one of the two is given
     masks = {}
