@@ -13,7 +13,9 @@ from hyperval.spectra.axis import SpectralAxis
 _KEPT: OrderedDict[tuple[object, ...], AtmosphericTerms] = OrderedDict()
 _MOST = 32
 # What decides which files an engine finds.
-_ENVIRONMENT = ("HYPERVAL_CACHE", "HYPERVAL_DATA")
+_ENVIRONMENT = (
+    "HYPERVAL_CACHE", "HYPERVAL_DATA", "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
+)  # fmt: skip
 
 
 def remembered(
