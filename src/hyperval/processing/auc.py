@@ -10,7 +10,8 @@ from scipy import special
 
 from hyperval.errors import UsageError
 from hyperval.processing.intervals import clopper_pearson
-from hyperval.processing.roc import Nan, _sorted_scores, roc_points
+from hyperval.processing.rank_counts import rank_counts
+from hyperval.processing.roc import Nan, _valid_scores, roc_points
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,20 @@ def auc_with_interval(
     933-945, 1957) stands in.  Where the samples are fully apart the variance is 0 and the limit is the exact
     binomial one of min(m, n) trials.
     """
-    t = _sorted_scores(target_scores, "target", nan)
-    b = _sorted_scores(background_scores, "background", nan)
+    t = _valid_scores(target_scores, "target", nan)
+    b = _valid_scores(background_scores, "background", nan)
     m, n = t.size, b.size
-    below = 0.5 * (np.searchsorted(b, t, side="left") + np.searchsorted(b, t, side="right")) / n
-    above = 1.0 - 0.5 * (np.searchsorted(t, b, side="left") + np.searchsorted(t, b, side="right")) / m
-    auc = float(np.mean(below))
+    counts = rank_counts(t, b)
+    below, weight = counts.below, counts.targets
+    # Share of targets above a background score: the same for all between two targets, and for all on one.
+    over = np.concatenate([np.cumsum(counts.targets[::-1])[::-1], [0]]) / m
+    above = np.concatenate([over, over[:-1] - 0.5 * counts.targets / m])
+    times = np.concatenate([counts.between, counts.ties])
+    auc = float(weight @ below / m)
     if min(m, n) > 1:
-        variance = float(np.var(below, ddof=1) / m + np.var(above, ddof=1) / n)
+        spread_t = weight @ (below - auc) ** 2 / (m - 1)
+        spread_b = times @ (above - auc) ** 2 / (n - 1)
+        variance = float(spread_t / m + spread_b / n)
     else:
         variance = auc * (1.0 - auc) / min(m, n)
     if auc in (0.0, 1.0) or variance == 0.0:

@@ -43,7 +43,8 @@ def pixel_detector(
     Parameters
     ----------
     target : (B,) spectrum that is looked for; not used by "rx"
-    mean, covariance : (B,) and (B, B) of the background, the latter as an array or factorised; "osp" and "sam" take none
+    mean, covariance : (B,) and (B, B) of the background, the latter as an array or factorised; "osp" and "sam" do
+        without the latter
     undesired : (K, B) spectra that "osp" projects away
 
     Raises

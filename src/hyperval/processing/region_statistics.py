@@ -24,14 +24,14 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Precision = Literal["auto", "exact", "fast"]
 
-BLOCK_PIXELS = 2560
+BLOCK_PIXELS = 1024
 # Up to so many stored numbers "auto" is exact.
 EXACT_VALUES = 100_000_000
 # Fewer pixels of one kind wait until there are so many: products of few columns cost as much as of many.
 WAITING_PIXELS = 256
 # Lines, and pixels in all of them, of the first estimate.
 SAMPLED_LINES = 16
-SAMPLED_PIXELS = 4096
+SAMPLED_PIXELS = 2048
 # Directions that are taken apart in single precision; scenes seldom have more that stand out.
 DIRECTIONS = 12
 _BITS = 62

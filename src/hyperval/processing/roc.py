@@ -225,6 +225,10 @@ def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
 
 
 def _sorted_scores(scores: npt.ArrayLike, name: str, nan: Nan) -> Array:
+    return np.sort(_valid_scores(scores, name, nan))
+
+
+def _valid_scores(scores: npt.ArrayLike, name: str, nan: Nan) -> Array:
     values = np.asarray(scores, dtype=float).ravel()
     missing = np.isnan(values)
     if np.any(missing):
@@ -236,7 +240,7 @@ def _sorted_scores(scores: npt.ArrayLike, name: str, nan: Nan) -> Array:
         values = values[~missing]
     if values.size == 0:
         raise UsageError(f"there are no {name} scores", expected="at least one valid score on each side of a ROC")
-    return np.sort(values)
+    return values
 
 
 def _greatest(ascending: Array, rank: npt.NDArray[np.int64]) -> Array:
