@@ -54,7 +54,7 @@ def test_files_agree_in_unit_and_size(data_dir, monkeypatch):
 
 def test_absent_file_says_how_to_mend(monkeypatch):
     monkeypatch.delenv("HYPERVAL_DATA", raising=False)
-    with pytest.raises(MissingDataError, match=r"tsis_f0_0p5\.txt[\s\S]*HYPERVAL_DATA[\s\S]*astm-g173"):
+    with pytest.raises(MissingDataError, match=r"tsis_f0_0p5\.txt[\s\S]*data fetch solar[\s\S]*astm-g173"):
         solar.extraterrestrial_irradiance("tsis-1", GRID)
 
 

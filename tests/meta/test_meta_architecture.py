@@ -18,7 +18,7 @@ BASE = {"errors", "units", "files", "paths", "config", "progress", "envi_header"
 # What each room may import besides BASE and itself.
 ROOMS: dict[str, set[str]] = {
     "spectra": set(),
-    "atmosphere": {"spectra"},
+    "atmosphere": {"spectra", "datasets"},
     "scene": {"spectra", "atmosphere.terms"},
     "sensor": {"spectra"},
     "processing": {"spectra", "scene.statistics", "scene.fill", "products"},

@@ -13,12 +13,13 @@ import numpy.typing as npt
 import pandas as pd
 from pvlib import solarposition, spectrum
 
+from hyperval.datasets import resolve
 from hyperval.errors import InputError, MissingDataError, UsageError
 from hyperval.units import irradiance_to_internal
 
 Array = npt.NDArray[np.float64]
 
-# Choice -> (file below HYPERVAL_DATA, unit of its second column, wavelengths in nm in the first).
+# Choice -> (file of a registered data set, unit of its second column, wavelengths in nm in the first).
 _FILES = {
     "tsis-1": ("sensors/tsis_f0_0p5.txt", "mW m-2 nm-1"),
     "kurucz": ("sensors/kurudz_0.1nm.dat.gz", "mW m-2 nm-1"),
@@ -67,7 +68,7 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
 
     Parameters
     ----------
-    name : "astm-g173" (in every installation), "tsis-1" or "kurucz" (files below HYPERVAL_DATA)
+    name : "astm-g173" (in every installation), "tsis-1" or "kurucz" (files of the data directory)
     wavelength_nm : (n,) increasing, at least two
     distance_au : Earth-Sun distance; the spectra hold at 1 au
 
@@ -77,7 +78,7 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     MissingDataError : the file is not at hand.
     """
     grid = np.asarray(wavelength_nm, dtype=float)
-    source_nm, irradiance = _extended(*_spectrum(name, os.environ.get("HYPERVAL_DATA", "")), grid)
+    source_nm, irradiance = _extended(*_spectrum(name, _places()), grid)
     if grid[0] < source_nm[0] - _REACH_NM or grid[-1] > source_nm[-1] + _REACH_NM:
         raise UsageError(
             f"the solar spectrum {name} covers {source_nm[0]:g}-{source_nm[-1]:g} nm",
@@ -92,13 +93,17 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     return np.asarray(values @ weight / weight.sum()) / distance_au**2
 
 
+def _places() -> tuple[str, ...]:
+    return os.environ.get("HYPERVAL_DATA", ""), os.environ.get("HYPERVAL_CACHE", "")
+
+
 def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, Array]:
     """The spectrum continued to the ends of the grid with the shape of ASTM G173.
 
     At most ``_EXTENSION_NM``, which serves the edges of the first and last band responses only; the level is that
     of the two spectra's averages over the last 20 nm they share.
     """
-    wide_nm, wide = _spectrum("astm-g173", "")
+    wide_nm, wide = _spectrum("astm-g173", ())
     for below in (True, False):
         end = source_nm[0] if below else source_nm[-1]
         gap = end - grid[0] if below else grid[-1] - end
@@ -115,8 +120,8 @@ def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, 
 
 
 @lru_cache(maxsize=8)
-def _spectrum(name: str, root: str) -> tuple[Array, Array]:
-    """Wavelength [nm] and irradiance at 1 au [uW cm-2 nm-1]."""
+def _spectrum(name: str, places: tuple[str, ...]) -> tuple[Array, Array]:
+    """Wavelength [nm] and irradiance at 1 au [uW cm-2 nm-1]; ``places`` tells one data directory from another."""
     if name == "astm-g173":
         table = spectrum.get_reference_spectra(standard="ASTM G173-03")
         unit = irradiance_to_internal("W m-2 nm-1")
@@ -124,14 +129,14 @@ def _spectrum(name: str, root: str) -> tuple[Array, Array]:
     if name not in _FILES:
         raise UsageError(f"unknown solar spectrum {name!r}", expected="one of " + ", ".join(SPECTRA))
     relative, unit_name = _FILES[name]
-    path = Path(root) / relative
-    if not root or not path.is_file():
+    try:
+        path = resolve(f"data:{relative}")
+    except MissingDataError as error:
         raise MissingDataError(
-            f"the solar spectrum {name!r} is not at hand",
-            where=relative,
-            expected="the file below HYPERVAL_DATA",
-            mend="set HYPERVAL_DATA to the data directory, or choose solar_spectrum: astm-g173",
-        )
+            f"the solar spectrum {name!r} is not on this machine",
+            where=error.where,
+            mend=f"{error.mend}; or choose solar_spectrum: astm-g173, which is in every installation",
+        ) from error
     return _read_two_columns(path, irradiance_to_internal(unit_name))
 
 
