@@ -195,7 +195,7 @@ def target_pixel_covariance(
     g2 = (1.0 - fill_mean) ** 2 + variance  # E[(1-f)^2]
     result = (f2 * target_gain) * np.asarray(target_covariance, dtype=float)
     result += (g2 * host_gain) * np.asarray(host_covariance, dtype=float)
-    if variance:
-        d = np.asarray(target, dtype=float) - np.asarray(host, dtype=float)
+    d = np.asarray(target, dtype=float) - np.asarray(host, dtype=float)
+    if variance or not np.all(np.isfinite(d)):  # a band without a mean has no covariance either
         result += np.outer(variance * d, d)
     return np.asarray(result)  # (3.12)
