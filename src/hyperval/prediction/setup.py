@@ -90,7 +90,8 @@ def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
 def refuse_gaps(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], axis: SpectralAxis) -> None:
     """Refuse a spectrum that does not cover the band set: usable bands beyond one of its ends.
 
-    Bands on the bad-band list may lack, and one band at each end; so may bands within the spectrum that its file marks as unknown.
+    Bands on the bad-band list may lack, and one band at each end; so may bands within
+    the spectrum that its file marks as unknown.
 
     Raises
     ------

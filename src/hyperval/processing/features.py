@@ -34,8 +34,8 @@ def principal_components(covariance: npt.ArrayLike, count: int) -> Array:
 def minimum_noise_fraction(covariance: npt.ArrayLike, noise_variance: npt.ArrayLike, count: int) -> Array:
     """Psi (count, B) of minimum-noise-fraction components, largest signal-to-noise first (3.21).
 
-    Rows e^T N^-1/2 with e the leading eigenvectors of N^-1/2 Sigma N^-1/2 and N = diag(noise): in these features the noise
-    has unit covariance and Sigma is diagonal (Green et al. 1988; noise-adjusted principal components).
+    Rows e^T N^-1/2 with e the leading eigenvectors of N^-1/2 Sigma N^-1/2 and N = diag(noise): in these features
+    the noise has unit covariance and Sigma is diagonal (Green et al. 1988; noise-adjusted principal components).
 
     Parameters
     ----------
@@ -49,7 +49,8 @@ def minimum_noise_fraction(covariance: npt.ArrayLike, noise_variance: npt.ArrayL
     noise = np.asarray(noise_variance, dtype=float)
     if not np.all(noise > 0):
         raise UsageError(
-            f"minimum noise fractions need noise in every band; {int(np.sum(~(noise > 0)))} of {noise.size} have none",
+            "minimum noise fractions need noise in every band; "
+            f"{int(np.sum(~(noise > 0)))} of {noise.size} have none",
             mend="use pca, or a scenario with a sensor and an atmosphere",
         )
     scale = 1.0 / np.sqrt(noise)

@@ -83,8 +83,8 @@ def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarianc
 def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
     """SMF: the matched filter scaled to unit variance over the background (variant of 3.22-3.25).
 
-    w = Sigma^-1 d / sqrt(d^T Sigma^-1 d): :func:`matched_filter_weights` times sqrt(d^T Sigma^-1 d).  The score is in
-    standard deviations of the background, so that one threshold gives one false-alarm rate for every target; a
+    w = Sigma^-1 d / sqrt(d^T Sigma^-1 d): :func:`matched_filter_weights` times sqrt(d^T Sigma^-1 d).  The score is
+    in standard deviations of the background, so that one threshold gives one false-alarm rate for every target; a
     positive factor leaves the ROC curve as it is.
 
     Parameters and errors as :func:`matched_filter_weights`.

@@ -213,7 +213,7 @@ def score_density(score: npt.ArrayLike, classes: Sequence[ClassScore]) -> Array:
 
 
 def target_density(score: npt.ArrayLike, target: TargetScore) -> Array:
-    """Probability density of the target pixels' score over the fill (the derivative of 3.31) [per unit of score]."""
+    """Probability density of the score of target pixels (the derivative of 3.31) [per unit of score]."""
     parts = [ClassScore(w, m, s) for w, m, s in zip(target.weights, target.means, target.sds, strict=True)]
     return score_density(score, parts)
 
