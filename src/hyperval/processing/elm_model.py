@@ -81,7 +81,8 @@ def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.Array
     """Radiance of the darkest of ``pixels`` pixels of the scene, band by band: its median (before 3.21), (B,).
 
     All of n independent pixels exceed x with probability (1 - F(x))^n, F = sum f_m Phi((x - L_m) / sigma_m); the
-    median of their least is F(x) = 1 - 2^(-1/n).  Darkest-pixel compensation takes it for the radiance of a dark surface.
+    median of their least is F(x) = 1 - 2^(-1/n).  Darkest-pixel compensation takes it for that of a
+    dark surface.
 
     Parameters
     ----------
