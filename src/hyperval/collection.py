@@ -113,10 +113,30 @@ class PanelReference(Model):
     relative_uncertainty: float = Field(0.0, ge=0, lt=1, description="of the panel reflectance, standard")
 
 
-class EmpiricalLineSource(Model):
-    """Panels for the empirical line."""
+class DarkestPixel(Model):
+    """The darkest radiance of the scene, band by band, as a panel of assumed reflectance."""
 
-    panels: list[PanelReference] = Field(min_length=2)
+    reflectance: float = Field(0.0, ge=0, lt=1)
+    uncertainty: float = Field(0.01, gt=0, lt=1, description="of the reflectance, standard")
+    radiance_noise: float = Field(
+        0.0, ge=0, description="standard deviation of one pixel's noise [uW cm-2 sr-1 nm-1]"
+    )
+
+
+class EmpiricalLineSource(Model):
+    """Panels for the empirical line; a material of known spectrum in the scene is a panel too."""
+
+    panels: list[PanelReference] = Field(min_length=1)
+    darkest_pixel: DarkestPixel | None = Field(None, description="a dark panel where none was laid out")
+    intercept: bool = Field(True, description="false: a line through the origin, for radiance without path part")
+
+    @model_validator(mode="after")
+    def _enough(self) -> EmpiricalLineSource:
+        if self.intercept and len(self.panels) + bool(self.darkest_pixel) < 2:
+            raise ValueError("an empirical line needs two panels, or one and darkest_pixel, or intercept: false")
+        if not self.intercept and self.darkest_pixel:
+            raise ValueError("darkest_pixel measures the path part, which intercept: false says is none")
+        return self
 
 
 class CalibrationUncertainty(Model):

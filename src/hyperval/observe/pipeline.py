@@ -12,13 +12,15 @@ import numpy.typing as npt
 
 from hyperval.collection import Collection, Detection, EmpiricalLineSource
 from hyperval.errors import UsageError
+from hyperval.imagery.cube import Cube
 from hyperval.observe.detection import BACKGROUND, Detected, detect, in_reflectance, scored_pixels, target_groups
 from hyperval.observe.place import Place, open_place
 from hyperval.observe.site_spectra import observe_spectra
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.elm import EmpiricalLine, PanelMeasurement, fit_elm
-from hyperval.processing.region_statistics import region_statistics
+from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
+from hyperval.processing.region_statistics import darkest_values, region_statistics
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.processing.streaming import SampleStatistics
 from hyperval.products import Observation, SpectralEstimate
@@ -86,7 +88,7 @@ def observe(
         masks |= populations
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
     measured = region_statistics(cube, masks, place.left_out, precision=collection.precision, watch=watch)
-    elm = _empirical_line(collection.empirical_line, measured, cube.axis, resolve)
+    elm = _empirical_line(collection.empirical_line, measured, cube, resolve)
     regions = {name: measured[name] for name in place.regions}
     subjects = regions | {name: measured[name] for name in populations}
 
@@ -172,7 +174,7 @@ def _sampled(sample: SampleStatistics) -> SpectralEstimate:
 def _empirical_line(
     source: EmpiricalLineSource | None,
     measured: Mapping[str, SampleStatistics],
-    axis: SpectralAxis,
+    cube: Cube,
     resolve: Resolve,
 ) -> EmpiricalLine | None:
     if source is None:
@@ -184,8 +186,8 @@ def _empirical_line(
                 f"empirical line: no region {panel.region!r}", expected="one of " + ", ".join(measured)
             )
         sample = measured[panel.region]
-        field = Sources(axis, {}, resolve).spectrum(panel.spectrum, panel.region)
-        spread = np.zeros(len(axis))
+        field = Sources(cube.axis, {}, resolve).spectrum(panel.spectrum, panel.region)
+        spread = np.zeros(len(cube.axis))
         if field.standard_deviation is not None:
             spread = field.standard_deviation / np.sqrt(field.n or 1)
         panels.append(
@@ -198,6 +200,12 @@ def _empirical_line(
                 sample.n,
             )
         )
+    if not source.intercept:
+        return fit_gain(panels)
+    if source.darkest_pixel is not None:
+        dark = source.darkest_pixel
+        noise = np.full(len(cube.axis), dark.radiance_noise**2)
+        panels.append(darkest_pixel_panel(darkest_values(cube), noise, dark.reflectance, dark.uncertainty))
     return fit_elm(panels)
 
 

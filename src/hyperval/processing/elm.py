@@ -130,7 +130,7 @@ def fit_elm(
     """
     panels = tuple(panels)
     names = tuple(p.name for p in panels)
-    _refuse_bad_panels(panels, saturation)
+    refuse_bad_panels(panels, saturation)
     rho, u_rho, radiance, variance = (
         np.stack([getattr(p, name) for p in panels])
         for name in ("reflectance", "reflectance_sd", "radiance", "radiance_variance")
@@ -179,9 +179,14 @@ def fit_elm(
     return EmpiricalLine(**{**line.__dict__, "leave_one_out": errors})
 
 
-def _refuse_bad_panels(panels: tuple[PanelMeasurement, ...], saturation: npt.ArrayLike | None) -> None:
-    if len(panels) < 2:
-        raise UsageError(f"{len(panels)} panel for an empirical line", expected="two or more")
+def refuse_bad_panels(
+    panels: tuple[PanelMeasurement, ...], saturation: npt.ArrayLike | None, least: int = 2
+) -> None:
+    """Raise UsageError for fewer panels than ``least``, reflectances that are none, and saturated panels."""
+    if len(panels) < least:
+        raise UsageError(
+            f"{len(panels)} panel for an empirical line", expected="two or more" if least == 2 else "one or more"
+        )
     if len({p.reflectance.size for p in panels}) > 1:
         raise UsageError("the panels have different numbers of bands")
     for p in panels:

@@ -129,6 +129,32 @@ def region_statistics(
     return out
 
 
+def darkest_values(cube: StoredCube, *, threads: int | None = None) -> Array:
+    """The least value (B,) of each band over the pixels that hold data in every band.
+
+    Raises
+    ------
+    UsageError : no pixel holds data.
+    """
+    step = lines_per_block(cube, BLOCK_PIXELS)
+
+    def segment(firsts: range) -> Array:
+        least = np.full(cube.bands, np.inf)
+        for first in firsts:
+            stored, usable = cube.read_stored(first, min(step, cube.lines - first))
+            values = stored[:, usable]
+            if values.shape[1]:
+                # A negative gain would turn the order round; values are compared, not numbers.
+                ends = np.stack([values.min(axis=1), values.max(axis=1)]).astype(np.float64)
+                least = np.minimum(least, (cube.gain * ends + cube.offset).min(axis=0))
+        return least
+
+    found = np.stack([part for _, part in by_segments(cube, step, segment, threads=threads)]).min(axis=0)
+    if not np.all(np.isfinite(found)):
+        raise UsageError("no pixel of the cube holds data in every band")
+    return np.asarray(found)
+
+
 @dataclass(frozen=True)
 class _Regions:
     """Names and masks; the first is the scene."""

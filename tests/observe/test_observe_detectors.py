@@ -1,0 +1,100 @@
+"""Detectors, halo, precision and in-scene compensation as a campaign asks for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_world import BANDS, LINES, PLANTED, SAMPLES
+
+from hyperval.collection import Detection, EmpiricalLineSource
+from hyperval.errors import UsageError
+from hyperval.processing.detectors import DETECTORS, pixel_detector, whitener_of
+from hyperval.processing.objects import footprint_maxima
+
+
+def test_every_detector_makes_its_maps_and_curves(world):
+    world.detection |= {"detectors": list(DETECTORS), "background": ["image"], "undesired": ["corner"], "pools": []}
+    seen = world.observe()
+    target = world.on_bands("library.csv", "paint")
+    pixels = world.values.reshape(-1, BANDS)
+    mean, covariance = pixels.mean(axis=0), np.cov(pixels.T)
+    corner = world.values[35:45, 5:25].reshape(-1, BANDS).mean(axis=0)
+    whitener = whitener_of(mean, covariance)
+    assert set(seen.detected.score_maps) == {"rx" if d == "rx" else f"paint-{d}" for d in DETECTORS}
+    for name in DETECTORS:
+        found = seen.detected.score_maps["rx" if name == "rx" else f"paint-{name}"]
+        expected = pixel_detector(name, target, mean, covariance, corner[None]).score(world.values, whitener)
+        assert found == pytest.approx(expected, rel=1e-8, abs=1e-9)
+    units = {(detector, unit) for _, detector, unit in seen.observation.roc}
+    assert units == {(d, u) for d in DETECTORS for u in ("pixel", "object")}
+
+
+def test_a_halo_scores_background_and_objects_alike(world):
+    world.detection["halo_pixels"] = 1
+    seen = world.observe()
+    scores = seen.detected.score_maps["paint-cem"]
+    curve = seen.observation.roc["fill 0.8", "cem", "object"]
+    guarded = ~seen.place.left_out
+    tiles = footprint_maxima(scores, np.ones((3, 3), bool), ~guarded)
+    assert curve.n_target == 2
+    assert curve.n_background == 2 * tiles.size  # two objects of one shape
+    assert curve.background_area_km2 == pytest.approx(2 * tiles.size * 9 * 4.0 / 1e6)
+    # By pixel nothing changes.
+    assert seen.observation.roc["fill 0.8", "cem", "pixel"].n_background == LINES * SAMPLES - 5 * len(PLANTED)
+    best = max(scores[9:12, 9:12].max(), scores[9:12, 19:22].max())
+    assert curve.pd[curve.threshold < best].max() == 1
+    world.detection["halo_pixels"] = 24
+    with pytest.raises(UsageError, match=r"fit"):
+        world.observe()
+
+
+def test_fast_and_exact_scores_agree(world):
+    maps = {}
+    for precision in ("fast", "exact"):
+        world.write(data_type=4)
+        world.collection["precision"] = precision
+        maps[precision] = world.observe().detected.score_maps["paint-cem"]
+    assert not np.array_equal(maps["fast"], maps["exact"])
+    assert np.abs(maps["fast"] - maps["exact"]).max() < 1e-5 * maps["exact"].std()
+
+
+def test_osp_and_its_regions_go_together(world):
+    for change in ({"detectors": ["osp"]}, {"undesired": ["corner"]}):
+        with pytest.raises(ValueError, match="go together"):
+            Detection.model_validate(world.detection | change)
+    world.detection |= {"detectors": ["osp"], "undesired": ["nowhere"]}
+    with pytest.raises(UsageError, match="no region 'nowhere'"):
+        world.observe()
+
+
+def test_one_panel_with_the_darkest_pixel(make_radiance):
+    made = make_radiance()
+    panels = made.world.collection["empirical_line"]["panels"]
+    white = [p for p in panels if p["region"] == "white"]
+    dark = made.reflectance.reshape(-1, BANDS).min(axis=0)
+    made.world.collection["empirical_line"] = {
+        "panels": [{**white[0], "relative_uncertainty": 0.01}],
+        "darkest_pixel": {"reflectance": 0.02, "uncertainty": 0.01, "radiance_noise": 0.01},
+    }
+    line = made.world.observe().elm
+    assert line.panels == ("white", "darkest pixel")
+    assert line.reflectance(made.offset + made.gain * dark) == pytest.approx(np.full(BANDS, 0.02), abs=1e-9)
+
+
+def test_a_line_through_the_origin(make_radiance):
+    made = make_radiance()
+    panels = made.world.collection["empirical_line"]["panels"]
+    made.world.collection["empirical_line"] = {
+        "panels": [p for p in panels if p["region"] == "white"], "intercept": False,
+    }  # fmt: skip
+    line = made.world.observe().elm
+    assert not line.offset.any()
+    assert np.all(line.gain > made.gain)  # the path radiance goes into the gain
+
+
+def test_lines_that_nothing_fixes_are_refused():
+    one = {"region": "white", "spectrum": {"constant": 0.5}}
+    with pytest.raises(ValueError, match="needs two panels"):
+        EmpiricalLineSource.model_validate({"panels": [one]})
+    with pytest.raises(ValueError, match="intercept: false says is none"):
+        EmpiricalLineSource.model_validate({"panels": [one], "intercept": False, "darkest_pixel": {}})
