@@ -32,11 +32,11 @@ FILES: tuple[tuple[str, type[BaseModel], str], ...] = (
 HEAD = """# The files, key by key
 
 Made by `python scripts/file_reference.py --write` from the models that read the files; a test keeps it current.
-Files are YAML 1.2 with plain scalars only: no anchors, no tags, no second key of the same name. Unknown keys are errors with
-file and line. A file reference is relative to the file that holds it; `data:SET/PATH` is a file of the data directory
-(`HYPERVAL_DATA`, else the user's cache); in a campaign that simulates, `simulated:NAME` is a file of the simulated collection.
-Complete examples: [campaigns/](../campaigns), [built-in scenarios](../src/hyperval/scenarios),
-[sensors](../src/hyperval/sensor/library).
+Files are YAML 1.2 with plain scalars only: no anchors, no tags, no second key of the same name. Unknown keys are
+errors with file and line. A file reference is relative to the file that holds it; `data:SET/PATH` is a file of the
+data directory (`HYPERVAL_DATA`, else the user's cache); in a campaign that simulates, `simulated:NAME` is a file of
+the simulated collection. Complete examples: [campaigns/](../campaigns),
+[built-in scenarios](../src/hyperval/scenarios), [sensors](../src/hyperval/sensor/library).
 """
 
 
