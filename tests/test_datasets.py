@@ -75,7 +75,7 @@ def test_a_set_that_is_not_public_says_who_holds_it_and_where_it_goes(places):
     assert entry.files == ()
     assert "Rochester" in entry.held_by
     reference = "data:share2012/lines/0920-1631_rad.dat"
-    with pytest.raises(MissingDataError, match="not public.*Rochester.*folder share2012 below HYPERVAL_DATA"):
+    with pytest.raises(MissingDataError, match=r"not public.*Rochester.*folder share2012 below HYPERVAL_DATA"):
         datasets.resolve(reference)
     with pytest.raises(InputError, match="ask the laboratory"):
         datasets.fetch("share2012")
