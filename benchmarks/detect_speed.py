@@ -65,6 +65,7 @@ def write_cube(path, lines, seed=1):
 def ours(path, precision="auto", detectors=("cem",), targets=1):
     """(lines, samples) score by the package, from the path."""
     from hyperval.imagery.cube import open_cube
+    from hyperval.processing.blas import single_blas_thread
     from hyperval.processing.detectors import pixel_detector, whitener_of
     from hyperval.processing.elm import EmpiricalLine
     from hyperval.processing.filters import PositiveDefinite
@@ -78,14 +79,15 @@ def ours(path, precision="auto", detectors=("cem",), targets=1):
     elm = EmpiricalLine(
         gain, offset, np.zeros((BANDS, 2, 2)), none, none[0], None, np.ones(BANDS, bool), ("black", "white")
     )
-    mean = elm.reflectance(found.mean)
-    inverted = PositiveDefinite(found.covariance / np.outer(gain, gain))
-    made = {
-        f"{i}-{name}": pixel_detector(name, target_reflectance() * (1 + 0.02 * i), mean, inverted)
-        for i in range(targets)
-        for name in detectors
-    }
-    whitener = whitener_of(mean, inverted) if {"ace", "rx"} & set(detectors) else None
+    with single_blas_thread():  # as the pipeline does
+        mean = elm.reflectance(found.mean)
+        inverted = PositiveDefinite(found.covariance / np.outer(gain, gain))
+        made = {
+            f"{i}-{name}": pixel_detector(name, target_reflectance() * (1 + 0.02 * i), mean, inverted)
+            for i in range(targets)
+            for name in detectors
+        }
+        whitener = whitener_of(mean, inverted) if {"ace", "rx"} & set(detectors) else None
     return next(iter(score_cube(cube, made, elm, whitener=whitener).values()))
 
 

@@ -16,6 +16,7 @@ from hyperval.imagery.truth import TargetObject
 from hyperval.observe.object_roc import object_curve
 from hyperval.observe.place import Place
 from hyperval.prediction.inputs import Sources
+from hyperval.processing.blas import single_blas_thread
 from hyperval.processing.detectors import (
     ANOMALY_DETECTORS,
     WITHOUT_COVARIANCE,
@@ -125,24 +126,25 @@ def detect(
         background = replace(background, covariance=few.shrunk_covariance)
         notes.append(f"{background.n} background pixels are few: covariance shrunk by {few.shrinkage:.3g}")
     mean, covariance = in_reflectance(background, elm)
-    inverted = None
-    if not set(detection.detectors) <= set(WITHOUT_COVARIANCE):
-        inverted = PositiveDefinite(covariance[np.ix_(bands, bands)])
-        notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
-    for name in detection.undesired:
-        place.region(name)  # refuses a name that no region has
-    undesired = [in_reflectance(measured[name], elm)[0][bands] for name in detection.undesired]
-    detectors: dict[str, PixelDetector] = {}
-    for target in detection.targets:
-        for name in detection.detectors:
-            key = name if name in ANOMALY_DETECTORS else f"{target.name}-{name}"
-            if key not in detectors:
-                detectors[key] = pixel_detector(
-                    name, spectra[target.name][bands], mean[bands], inverted, np.array(undesired)
-                )
-    whitener = None
-    if inverted is not None and any(d.quadratic == "distance" for d in detectors.values()):
-        whitener = whitener_of(mean[bands], inverted)
+    with single_blas_thread():  # small matrices: more threads only wait for each other
+        inverted = None
+        if not set(detection.detectors) <= set(WITHOUT_COVARIANCE):
+            inverted = PositiveDefinite(covariance[np.ix_(bands, bands)])
+            notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
+        for name in detection.undesired:
+            place.region(name)  # refuses a name that no region has
+        undesired = [in_reflectance(measured[name], elm)[0][bands] for name in detection.undesired]
+        detectors: dict[str, PixelDetector] = {}
+        for target in detection.targets:
+            for name in detection.detectors:
+                key = name if name in ANOMALY_DETECTORS else f"{target.name}-{name}"
+                if key not in detectors:
+                    detectors[key] = pixel_detector(
+                        name, spectra[target.name][bands], mean[bands], inverted, np.array(undesired)
+                    )
+        whitener = None
+        if inverted is not None and any(d.quadratic == "distance" for d in detectors.values()):
+            whitener = whitener_of(mean[bands], inverted)
     watch = watch_lines("scores", place.cube.bytes_per_line, place.cube.lines, show=show_progress)
     maps = score_cube(place.cube, detectors, elm, bands, whitener=whitener, needed=axis.good, watch=watch)
 

@@ -1,6 +1,6 @@
 """Sums of pixels and of their products about a reference, in batches.
 
-Pixels are columns of arrays (B, N) of stored numbers.  Each batch is taken about its own mean, rounded to a
+Pixels are columns of arrays (B, N) of stored numbers.  Each batch is taken about a mean of its own, rounded to a
 whole number where the stored numbers are whole: the differences and, in float64, their products are then
 exact, and so is their sum while it stays below 2^53.
 
@@ -23,6 +23,9 @@ from hyperval.errors import UsageError
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+# A batch is taken about the mean of at least so many of its pixels.
+CENTRED_ON = 64
+
 
 @dataclass
 class Sums:
@@ -38,7 +41,7 @@ class Sums:
     n : pixels
     first : (B,) sum of x - reference
     second : (B, B) sum of products about the reference, without what ``split`` holds
-    split : (B + K, B + K) sum of products of (z - P y, y), with a basis
+    split : (B + K + 1, B + K + 1) sum of products of (z - P y, y, 1), with a basis
     """
 
     bands: int
@@ -53,33 +56,40 @@ class Sums:
 
     def __post_init__(self) -> None:
         bands = self.bands
-        both = 0 if self.basis is None else sum(self.basis.shape)
+        both = 0 if self.basis is None else sum(self.basis.shape) + 1
         self.first, self.second, self.split = np.zeros(bands), np.zeros((bands, bands)), np.zeros((both, both))
 
     def add(self, pixels: npt.NDArray[Any], keep: Mask | None = None, work: npt.NDArray[Any] | None = None) -> None:
         """Add a batch (B, N), float32 with a basis else float64; its content is lost.
 
-        ``keep`` (N,) says which columns count; the others must be finite.  ``work`` (B + K, N), used with a
+        ``keep`` (N,) says which columns count; the others must be finite.  ``work`` (B + K + 1, N), used with a
         basis, has the order of memory of ``pixels``.
         """
         weight = np.ones(pixels.shape[1], pixels.dtype) if keep is None else keep.astype(pixels.dtype)
         count = pixels.shape[1] if keep is None else int(np.count_nonzero(keep))
         if count == 0:
             return
-        centre = (pixels @ weight) / pixels.dtype.type(count)
+        # Any point near the pixels will do, since what is left of their sum is taken into account.
+        step = max(1, count // CENTRED_ON)
+        some = slice(None, None, step) if keep is None else np.flatnonzero(keep)[::step]
+        centre = pixels[:, some].mean(axis=1)
         if self.whole:
             np.rint(centre, out=centre)
         pixels -= centre[:, None]
         if count < pixels.shape[1]:
             pixels[:, weight == 0] = 0
-        rest = (pixels @ weight).astype(np.float64)
-        self._batches.append((count, centre.astype(np.float64), rest))
         # NumPy makes the product of an array and its transpose a symmetric rank-k update: half the work.
         if self.basis is None:
             self.second += pixels @ pixels.T
+            rest = pixels @ weight
         else:
-            both = _split(pixels, self.basis, work)
-            self.split += both @ both.T
+            bands, last = self.bands, self.split.shape[0] - 1
+            both = _split(pixels, self.basis, weight, work)
+            product = both @ both.T
+            self.split += product
+            sums = product[last].astype(np.float64)
+            rest = sums[:bands] + self.basis @ sums[bands:last]
+        self._batches.append((count, centre.astype(np.float64), rest.astype(np.float64)))
 
     def settle(self) -> None:
         """Move what was summed about the means of the batches to the reference.
@@ -124,24 +134,30 @@ class Sums:
         central = self.second - (mixed + mixed.T) - self.n * np.outer(e, e)
         if self.basis is not None:
             back = np.hstack([np.eye(e.size), self.basis.astype(np.float64)])  # z = (z - P y) + P y
-            central += back @ self.split @ back.T
+            central += back @ self.split[:-1, :-1] @ back.T
         covariance = central / (self.n - 1)
         return self.reference + c + e, (covariance + covariance.T) / 2.0
 
 
 def _split(
-    pixels: npt.NDArray[Any], basis: npt.NDArray[np.float32], work: npt.NDArray[Any] | None
+    pixels: npt.NDArray[Any],
+    basis: npt.NDArray[np.float32],
+    weight: npt.NDArray[Any],
+    work: npt.NDArray[Any] | None,
 ) -> npt.NDArray[Any]:
-    """(B + K, N): the rest z - P y and the coordinates y = P^T z of each column z."""
+    """(B + K + 1, N): the rest z - P y, the coordinates y = P^T z of each column z, and its weight."""
     bands, directions = basis.shape
+    rows = bands + directions + 1
     if not pixels.flags.c_contiguous:  # stored by pixel: the same with lines for columns
-        rows = np.empty((pixels.shape[1], bands + directions), np.float32) if work is None else work.T
-        np.matmul(pixels.T, basis, out=rows[:, bands:])
-        np.matmul(rows[:, bands:], basis.T, out=rows[:, :bands])
-        np.subtract(pixels.T, rows[:, :bands], out=rows[:, :bands])
-        return rows.T
-    both = np.empty((bands + directions, pixels.shape[1]), np.float32) if work is None else work
-    np.matmul(basis.T, pixels, out=both[bands:])
-    np.matmul(basis, both[bands:], out=both[:bands])
+        both = np.empty((pixels.shape[1], rows), np.float32) if work is None else work.T
+        np.matmul(pixels.T, basis, out=both[:, bands:-1])
+        np.matmul(both[:, bands:-1], basis.T, out=both[:, :bands])
+        np.subtract(pixels.T, both[:, :bands], out=both[:, :bands])
+        both[:, -1] = weight
+        return both.T
+    both = np.empty((rows, pixels.shape[1]), np.float32) if work is None else work
+    np.matmul(basis.T, pixels, out=both[bands:-1])
+    np.matmul(basis, both[bands:-1], out=both[:bands])
     np.subtract(pixels, both[:bands], out=both[:bands])
+    both[-1] = weight
     return both

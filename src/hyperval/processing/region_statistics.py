@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
+from hyperval.processing.blas import single_blas_thread
 from hyperval.processing.gram import Sums
 from hyperval.processing.passes import (
     StoredCube,
@@ -24,16 +25,16 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Precision = Literal["auto", "exact", "fast"]
 
-BLOCK_PIXELS = 1024
+BLOCK_PIXELS = 1920
 # Up to so many stored numbers "auto" is exact.
 EXACT_VALUES = 100_000_000
 # Fewer pixels of one kind wait until there are so many: products of few columns cost as much as of many.
 WAITING_PIXELS = 256
 # Lines, and pixels in all of them, of the first estimate.
 SAMPLED_LINES = 16
-SAMPLED_PIXELS = 2048
+SAMPLED_PIXELS = 1024
 # Directions that are taken apart in single precision; scenes seldom have more that stand out.
-DIRECTIONS = 12
+DIRECTIONS = 7
 _BITS = 62
 
 
@@ -93,7 +94,7 @@ def region_statistics(
             np.copyto(pixels, stored, casting="same_kind")
             work = None
             if basis is not None:
-                work = as_columns(workspace.columns("work", stored, sum(basis.shape), dtype))
+                work = as_columns(workspace.columns("work", stored, sum(basis.shape) + 1, dtype))
             part.add(as_columns(pixels), inside, work)
         part.finish()
         return part.sums, left_out
@@ -252,12 +253,17 @@ def _kinds(inside: Mask) -> list[tuple[bytes, Mask]]:
 
 
 def _brightest_directions(cube: StoredCube) -> npt.NDArray[np.float32]:
-    """(B, K) leading eigenvectors of the covariance of some lines."""
+    """(B, K) orthonormal directions of the greatest variance of some lines."""
     found = []
     for line in np.unique(np.linspace(0, cube.lines - 1, SAMPLED_LINES).astype(int)).tolist():
         stored, usable = cube.read_stored(line, 1)
         found.append(stored[:, usable].astype(np.float64)[:, : SAMPLED_PIXELS // SAMPLED_LINES])
     pixels = np.concatenate(found, axis=1)
     pixels -= pixels.sum(axis=1, keepdims=True) / max(pixels.shape[1], 1)
-    directions = np.linalg.eigh(pixels @ pixels.T)[1][:, -min(DIRECTIONS, cube.bands) :]
+    # Subspace iteration: these need not be the very eigenvectors, only span what stands out.
+    directions = np.random.default_rng(0).normal(size=(cube.bands, min(DIRECTIONS, cube.bands)))
+    with single_blas_thread():
+        covariance = pixels @ pixels.T
+        for _ in range(4):
+            directions = np.linalg.qr(covariance @ directions)[0]
     return np.ascontiguousarray(directions, np.float32)
