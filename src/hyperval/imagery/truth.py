@@ -81,7 +81,9 @@ def read_targets(
     if transform is not None:
         pixel_size_m = math.sqrt(abs(transform.determinant))
     if pixel_size_m is None or not pixel_size_m > 0:
-        raise UsageError("the ground size of a pixel is not known", where=str(path), mend="state targets.pixel_size_m")
+        raise UsageError(
+            "the ground size of a pixel is not known", where=str(path), mend="state targets.pixel_size_m"
+        )
     out: list[TargetObject] = []
     for line, row in rows:
         where = f"{path}:{line}"
