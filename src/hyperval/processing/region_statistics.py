@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Precision = Literal["auto", "exact", "fast"]
 
-BLOCK_PIXELS = 1920
+BLOCK_PIXELS = 1280
 # Up to so many stored numbers "auto" is exact.
 EXACT_VALUES = 100_000_000
 # Fewer pixels of one kind wait until there are so many: products of few columns cost as much as of many.
