@@ -13,6 +13,7 @@ import pytest
 
 from hyperval.atmosphere import AtmosphericTerms, read_chn
 from hyperval.atmosphere.modtran import read_chn_blocks
+from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.errors import InputError, UsageError
 
 WIDTHS = (12, 3, 3, 13, 13, 8, 13, 9, 9, 9, 9, *([13] * 10), *([10] * 5), 11)
@@ -170,15 +171,16 @@ def verdicts_of(compare_modtran, terms_of):
     return compute
 
 
-MISSED = pytest.mark.xfail(strict=True, reason="6S absorbs too little between 1220 and 1250 nm: median +2.5 %")
-WINDOWS = ("400-500", "500-600", "600-685", "740-755", "775-805", "845-885", "1000-1070", "1550-1700", "2100-2300")
+WINDOWS = (
+    "400-500", "500-600", "600-685", "740-755", "775-805", "845-885", "1000-1070", "1220-1250", "1550-1700",
+    "2100-2300",
+)  # fmt: skip
 CRITERIA = [
     *(f"total radiance, {w} nm" for w in WINDOWS),
     *(f"path radiance, {w} nm" for w in WINDOWS[:7]),
     "total radiance, transmittance above 0.7",
     "total radiance, transmittance 0.85-1",
     "total radiance, transmittance 0.7-0.85",
-    pytest.param("total radiance, 1220-1250 nm", marks=MISSED),
 ]
 
 
@@ -191,6 +193,32 @@ def test_embedded_engine_against_modtran_6(data_dir, verdicts_of, criterion):
     verdict = verdicts[criterion]
     assert verdict.limit == (0.10 if "path" in criterion else 0.05 if "transmittance" in criterion else 0.02)
     assert abs(verdict.median) <= verdict.limit
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_oxygen_continuum_is_what_modtran_has_and_the_solver_lacks(data_dir, compare_modtran, engine_cache):
+    """Shape and growth with the air mass, beside the lines of the two bands and clear of water."""
+    pairs = []
+    cases = {case.name: case for case in compare_modtran.cases(data_dir)}
+    for name in ("topoflux AOT550-0.0500_H2OSTR-1.2500", "pasadena lut_multi AOT550-0.1000_H2OSTR-1.5000"):
+        state = cases[name].state
+        ours = [sixs_terms(state, engine_cache, False, oxygen_continuum=on) for on in (True, False)]
+        matched = [compare_modtran.matched(cases[name], terms) for terms in ours]
+        on, off = (compare_modtran.total_radiance(m[0], 0.3) for m in matched)
+        lacking = np.log(off / compare_modtran.total_radiance(matched[0][1], 0.3))
+        pairs.append((matched[0][0].wavelength_nm, lacking, np.log(off / on)))
+    rises = []
+    for nm, lacking, added in pairs:
+        at = lambda values, low, high, nm=nm: np.interp(high, nm, values) - np.interp(low, nm, values)  # noqa: E731
+        # Differences within a band: 0.3-0.7 % of haze between the two codes are common to all channels.
+        assert at(lacking, 1038.0, 1063.0) == pytest.approx(at(added, 1038.0, 1063.0), rel=0.15)
+        assert at(lacking, 1238.4, 1248.4) == pytest.approx(at(added, 1238.4, 1248.4), rel=0.15)
+        near = ((nm > 1037.0) & (nm < 1070.0)) | ((nm > 1237.0) & (nm < 1255.0))
+        assert np.corrcoef(lacking[near], added[near])[0, 1] > 0.98
+        rises.append((at(lacking, 1238.4, 1253.4), at(added, 1238.4, 1253.4)))
+    (low, low_added), (high, high_added) = rises  # sun 33 and 53 degrees from the zenith
+    assert high / low == pytest.approx(high_added / low_added, rel=0.06)
 
 
 def test_a_criterion_can_be_missed(compare_modtran):
@@ -214,4 +242,5 @@ def test_the_document_holds_tables_that_the_script_writes():
     text = (Path(__file__).parents[2] / "docs/atmosphere.md").read_text("utf-8")
     between = text.split("<!-- compare_modtran.py: begin -->")[1].split("<!-- compare_modtran.py: end -->")[0]
     assert "| criterion | limit | median |" in between
-    assert between.count("MISSED") == 1
+    assert between.count("| met |") == len(CRITERIA)
+    assert "MISSED" not in between

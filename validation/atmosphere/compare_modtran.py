@@ -124,7 +124,8 @@ def verdicts(found: Differences) -> list[Verdict]:
 def tables(found: Differences) -> str:
     """The tables in Markdown."""
     lines = [
-        f"{found.states} states; hyperval over MODTRAN less one, in percent: median (5 %, 95 %).",
+        f"{found.states} states; hyperval over MODTRAN less one, percent: "
+        "median (5 %, 95 % of all channels and states).",
         "",
         f"| window [nm] | total radiance, rho = {RHO:g} | path radiance | spherical albedo |",
         "| --- | --- | --- | --- |",

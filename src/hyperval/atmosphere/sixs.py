@@ -9,13 +9,15 @@ for one by one without gas, gas transmittance in a table, and the terms are form
     B   = F T_down (T_up - exp(-tau/mu_v)) Tg
 
 (Vermote et al., IEEE TGRS 35, 1997, 675-686, equations 2 and 5-7; 6S user guide part 1.)
+
+To each Tg comes the absorption by colliding oxygen molecules, which 6S lacks (module oxygen_continuum).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from os import cpu_count
 from pathlib import Path
 
@@ -24,6 +26,7 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.cache import Arrays, cached
+from hyperval.atmosphere.oxygen_continuum import continuum_depth
 from hyperval.atmosphere.profiles import air_column, altitude_of_air_column, scaled_profile, standard_profile
 from hyperval.atmosphere.sixs_process import run_sixs, sixs_fingerprint
 from hyperval.atmosphere.sixs_text import (
@@ -75,7 +78,9 @@ class _Setting:
     height_km: float | None
 
 
-def sixs_terms(state: AtmosphericState, folder: Path, show_progress: bool | None = None) -> AtmosphericTerms:
+def sixs_terms(
+    state: AtmosphericState, folder: Path, show_progress: bool | None = None, *, oxygen_continuum: bool = True
+) -> AtmosphericTerms:
     """The terms of a state on the 2.5 nm grid 340-2600 nm.
 
     Parameters
@@ -83,6 +88,7 @@ def sixs_terms(state: AtmosphericState, folder: Path, show_progress: bool | None
     state : what is asked
     folder : cache folder
     show_progress : None follows the terminal
+    oxygen_continuum : False leaves out the collision-induced absorption, as 6S itself does
 
     Raises
     ------
@@ -98,7 +104,10 @@ def sixs_terms(state: AtmosphericState, folder: Path, show_progress: bool | None
     setting = _Setting(geometry, state.ground_altitude_km, height)
     scattering = _scattering(state, setting, folder, show_progress)
     gas = _gas(state, setting, folder, show_progress)
-    return _assemble(state, setting, scattering, gas)
+    if oxygen_continuum:
+        gas = _with_oxygen_continuum(gas, state, setting)
+    terms = _assemble(state, setting, scattering, gas)
+    return replace(terms, provenance={**terms.provenance, "oxygen_continuum": oxygen_continuum})
 
 
 def _assemble(state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arrays) -> AtmosphericTerms:
@@ -266,6 +275,22 @@ def _gas(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | 
         return found
 
     return cached(folder, "gas", inputs, compute)
+
+
+def _with_oxygen_continuum(gas: Arrays, state: AtmosphericState, setting: _Setting) -> Arrays:
+    """Gas transmittances times that of the collision-induced bands, over the same slanted paths (Beer's law).
+
+    Like 6S's other dry gases it dims what the air scatters by the whole way down and up.  It is not in the cache,
+    which holds what 6S printed.
+    """
+    profile, ground = standard_profile(state.model), setting.ground_km
+    sensor = None if setting.height_km is None else ground + setting.height_km
+    mu0 = np.cos(np.deg2rad(setting.geometry.solar_zenith))
+    mu_v = np.cos(np.deg2rad(setting.geometry.view_zenith))
+    down = np.exp(-continuum_depth(GRID_NM, profile, ground) / mu0)
+    both = down * np.exp(-continuum_depth(GRID_NM, profile, ground, sensor) / mu_v)
+    way = {"full": both, "half": both, "dry": both, "ground": down}
+    return {name: values * way[name] for name, values in gas.items()}
 
 
 def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> list[str]:
