@@ -31,6 +31,11 @@ _EXTENSION_NM = 110.0
 _REACH_NM = 12.0  # how far the end value of a spectrum may be carried on (TSIS-1 here starts at 350 nm)
 
 
+def reference_of(name: str) -> str | None:
+    """The file reference of a solar spectrum; None for the one that every installation has."""
+    return f"data:{_FILES[name][0]}" if name in _FILES else None
+
+
 def parse_utc(text: str) -> datetime:
     """Read an ISO 8601 time; without an offset it is UTC.  Raises UsageError."""
     try:

@@ -13,6 +13,7 @@ from hyperval.campaign.draft import Waiting, read_texts
 from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import command_without_output, provenance
+from hyperval.campaign.references import missing_sets
 from hyperval.campaign.schema import Campaign
 from hyperval.campaign.template import filled
 from hyperval.collection import Detection
@@ -135,10 +136,19 @@ def run_campaign(job: Job | Waiting, *, predicts: bool = True, show_progress: bo
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
-        return unfinished(job, Status.SKIPPED, str(error))
+        return unfinished(job, Status.SKIPPED, _with_every_set(job, error))
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _with_every_set(job: Job, error: MissingDataError) -> str:
+    """The message of the first missing file, with the command that fetches all sets the campaign lacks."""
+    files = next((t.named.files for t in read_texts(job.path) if t.outline().name == job.campaign.name), ())
+    sets = missing_sets(files)
+    if len(sets) < 2:
+        return str(error)
+    return f"{error.where}: {error.what}\n  to mend it: hyperval data fetch {' '.join(sets)}"
 
 
 def merged(predictions: Sequence[Prediction]) -> Prediction:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hyperval.atmosphere.solar import reference_of
 from hyperval.campaign.template import filled
 from hyperval.config import FILL_IN, Placeholder, load_yaml, placeholders
-from hyperval.datasets import PREFIX, resolve
+from hyperval.datasets import PREFIX, describe, resolve
 from hyperval.errors import HypervalError
 from hyperval.scenario import builtin_scenarios
 
@@ -51,6 +52,12 @@ class Named:
     to_fill_in: tuple[Placeholder, ...]
 
 
+def missing_sets(files: Sequence[Reference]) -> list[str]:
+    """Names of the registered data sets that files which are not at hand belong to."""
+    owners = [describe(f.text)["dataset"] for f in files if f.text.startswith(PREFIX) and f.path is None]
+    return list(dict.fromkeys(name for name in owners if name))
+
+
 def named_in(path: Path, content: Any, lines: dict[Any, int], words: Mapping[str, str]) -> Named:
     """Files and values to fill in of one run of a campaign: of its own text, then of its scenario files."""
     base = Path(path).resolve().parent
@@ -81,6 +88,9 @@ def _files(content: Any, base: Path, at: tuple[str, ...] = ()) -> list[Reference
         return [r for value in content for r in _files(value, base, at)]
     if not isinstance(content, str) or content.startswith((SIMULATED, FILL_IN)):
         return []
+    if at[-1] == "solar_spectrum":
+        spectrum = reference_of(content)
+        return [Reference(".".join(at), spectrum, base)] if spectrum else []
     is_file = (
         at[-1] in FILE_KEYS or "materials" in at or (at[-1] == "sensor" and content.endswith((".yaml", ".yml")))
     )
