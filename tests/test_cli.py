@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import types
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -247,8 +248,10 @@ sys.argv = ["hyperval", "observe", "c.yaml", "-o", {str(tmp_path / "out")!r}]
 from hyperval.cli import main
 main()
 """
+    # A shell starts what it runs in the background with SIGINT ignored, and its children inherit that.
+    heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     with subprocess.Popen(
-        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=heeds
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
