@@ -204,7 +204,7 @@ def test_filled_in_it_runs_through(no_data, tmp_path):
     assert all(r.status.name == "PASS" for s, r in decided.items() if s != "asphalt-court")
     curves = {key[0] for key in run.observation.roc} & {key[0] for key in run.prediction.roc}
     assert {"yellow-planks", "green-planks"} <= curves
-    # The small scene has too few background pixels for the lowest false-alarm rate, and says so; nothing else lacks.
+    # The small scene has too few background pixels for the lowest false-alarm rate, and says so.
     assert not [r for r in rows if r.status.name == "ERROR"]
     assert all("alarms at P_FA 1e-3" in r.reason for r in rows if r.status.name == "SKIPPED")
     assert run.campaign == "share2012-avon-0920-1631"
