@@ -1,0 +1,105 @@
+"""From the command's arguments to its exit code."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+import traceback
+from collections.abc import Sequence
+from types import FrameType
+from typing import Any, NoReturn
+
+from typer.exceptions import Abort, TyperException
+
+from hyperval import __version__
+from hyperval.cli import data, runs, sensor  # noqa: F401  (each adds its commands to the application)
+from hyperval.cli.shared import app, settings
+from hyperval.errors import HypervalError
+
+INTERNAL_ERROR = 4
+INTERRUPTED = 130
+TERMINATED = 143
+OUTPUT_CLOSED = 141
+
+
+class _Terminated(BaseException):
+    """SIGTERM came: unwinds like an interrupt, so that half-written files are removed."""
+
+
+def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
+    raise _Terminated
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; every error becomes one message on standard error."""
+    settings.quiet = settings.debug = False
+    try:
+        code: Any = app(args=arguments, prog_name="hyperval", standalone_mode=False)
+        sys.stdout.flush()
+    except (KeyboardInterrupt, Abort):
+        code = INTERRUPTED
+    except _Terminated:
+        code = TERMINATED
+    except SystemExit:
+        # typer stops with 1 when the reader of our output went away (`hyperval ... | head`), but 1 would
+        # mean that a comparison failed.
+        return OUTPUT_CLOSED
+    except BrokenPipeError:
+        # The same, met at the last flush: nothing more can be written.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OUTPUT_CLOSED
+    except TyperException as error:
+        return _usage(error)
+    except HypervalError as error:
+        if settings.debug:
+            traceback.print_exc()
+        _error(str(error))
+        return error.exit_code
+    except Exception as error:
+        return _internal(error)
+    if code in (INTERRUPTED, TERMINATED):
+        _error("interrupted" if code == INTERRUPTED else "terminated")
+    return code if isinstance(code, int) else 0
+
+
+def _usage(error: TyperException) -> int:
+    context = getattr(error, "ctx", None)
+    text = error.format_message().strip()
+    if not text:  # no command given: typer raises with the help already printed
+        return 2
+    command = context.command_path if context is not None else "hyperval"
+    _error(f"{text}\n  to mend it: see {command} --help")
+    return 2
+
+
+def _internal(error: Exception) -> int:
+    what = f"internal error: {type(error).__name__}: {error}"
+    if settings.debug:
+        traceback.print_exc()
+        _error(what)
+        return INTERNAL_ERROR
+    try:
+        handle, name = tempfile.mkstemp(prefix="hyperval-", suffix=".log")
+        with open(handle, "w", encoding="utf-8") as log:
+            log.write(f"hyperval {__version__}, Python {sys.version}\n{' '.join(sys.argv)}\n")
+            traceback.print_exception(error, file=log)
+        _error(f"{what} (traceback in {name}, or repeat with: hyperval --debug ...)")
+    except OSError:
+        _error(f"{what} (repeat with: hyperval --debug ...)")
+    return INTERNAL_ERROR
+
+
+def _error(text: str) -> None:
+    print(f"hyperval: {text}", file=sys.stderr)
+
+
+def main() -> None:
+    """Entry point of the command `hyperval`."""
+    # One thread for each matrix product, set before the libraries load: the last digits of a solve depend on the
+    # number of threads, and our own workers would fight for the processors with those of the library.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    signal.signal(signal.SIGTERM, _terminate)
+    sys.exit(run())

@@ -1,0 +1,70 @@
+"""Commands that run the model, the pipeline, or both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hyperval.cli.shared import Output, app, finished, note, print_table, settings
+from hyperval.errors import UsageError
+
+
+@app.command()
+def predict(
+    scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of a built-in scenario.")],
+    output: Output,
+) -> int:
+    """Run the forward model alone."""
+    from hyperval.campaign.run import predict_to_folder
+
+    return finished(predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
+
+
+@app.command()
+def observe(campaign: Annotated[Path, typer.Argument(help="A campaign file.")], output: Output) -> int:
+    """Run the empirical pipeline alone: what the collected imagery says."""
+    from hyperval.campaign.run import observe as run
+
+    return finished(run(campaign, output, show_progress=settings.show_progress), output)
+
+
+@app.command()
+def validate(
+    campaigns: Annotated[list[Path], typer.Argument(help="Campaign files.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Run nothing: list files, values to fill in, comparisons.")
+    ] = False,
+) -> int:
+    """Predict, observe, compare: the main job."""
+    if dry_run:
+        return _dry_run(campaigns)
+    if output is None:
+        raise UsageError("no folder for the results", mend="name one with --output (-o)")
+    from hyperval.campaign.run import validate as run
+
+    return finished(run(campaigns, output, show_progress=settings.show_progress), output)
+
+
+@app.command()
+def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], output: Output) -> int:
+    """Write a simulated collection with its truth."""
+    from hyperval.simulate import simulate_to_folder
+
+    return finished(simulate_to_folder(scene, output, show_progress=settings.show_progress), output)
+
+
+def _dry_run(campaigns: list[Path]) -> int:
+    from hyperval.campaign.dry_run import dry_run, summary
+    from hyperval.errors import InputError
+
+    items = dry_run(campaigns)
+    header = ("campaign", "kind", "state", "what", "detail")
+    print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in items])
+    for line in summary(items):
+        note(line)
+    return InputError.exit_code if any(i.lacking for i in items) else 0

@@ -1,0 +1,90 @@
+"""What all commands share: the application, options before the command, how they speak to people."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from hyperval import __version__
+
+app = typer.Typer(
+    help="Does the model of a hyperspectral imager agree with what it collected?",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@dataclass
+class Settings:
+    """What the options before the command say."""
+
+    quiet: bool = False
+    debug: bool = False
+
+    @property
+    def show_progress(self) -> bool:
+        """Bars only where somebody watches."""
+        return not self.quiet and sys.stderr.isatty()
+
+
+settings = Settings()
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"hyperval {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    data_dir: Annotated[
+        Path | None, typer.Option(help="Folder with local copies of data sets, before the cache (HYPERVAL_DATA).")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no notes; errors only.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of any error.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and stop.", callback=_show_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options that stand before the command."""
+    settings.quiet, settings.debug = quiet, debug
+    if data_dir is not None:
+        from hyperval.datasets import set_data_dir
+
+        set_data_dir(data_dir)
+
+
+def finished(code: int, output: Path) -> int:
+    """Say where the results are, and pass on the exit code."""
+    note(f"results in {output}")
+    return code
+
+
+def note(text: str) -> None:
+    """A message that --quiet leaves out."""
+    if not settings.quiet:
+        print(text, file=sys.stderr)
+
+
+def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table for people on a terminal, tab-separated values for programs."""
+    if not sys.stdout.isatty():
+        for row in (header, *rows):
+            print("\t".join(row))
+        return
+    table = Table(*header, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
