@@ -125,6 +125,8 @@ def _provenance(
     }
     if scenario.sensor_operation is not None:
         found["sensor_operation"] = scenario.sensor_operation.model_dump(mode="json")
+    if scenario.sensor_changes is not None:
+        found["sensor_changes"] = scenario.sensor_changes.model_dump(mode="json")
     return found
 
 

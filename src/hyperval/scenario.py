@@ -18,6 +18,7 @@ from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.scenario_uncertainty import SpectrumUncertainty as SpectrumUncertainty
 from hyperval.scenario_uncertainty import Uncertainty
+from hyperval.sensor.changes import SensorChanges
 from hyperval.sensor.operation import SensorOperation
 
 MODEL_DETECTORS = (*LINEAR_DETECTORS, *NUMERICAL_DETECTORS)
@@ -316,6 +317,7 @@ class Scenario(Model):
     atmosphere: AtmosphericState | None = None
     sensor: str | None = Field(None, description="name in the sensor library, or a sensor file")
     sensor_operation: SensorOperation | None = None
+    sensor_changes: SensorChanges | None = Field(None, description="numbers that differ from the sensor file")
     scene: Scene
     processing: Processing = Processing()
     uncertainty: Uncertainty = Uncertainty()
@@ -328,6 +330,8 @@ class Scenario(Model):
             raise ValueError("a scenario with an atmosphere needs a sensor")
         if self.sensor_operation is not None and self.sensor is None:
             raise ValueError("sensor_operation needs a sensor")
+        if self.sensor_changes is not None and self.sensor is None:
+            raise ValueError("sensor_changes needs a sensor")
         known = {s.name for s in (*self.scene.classes, *self.scene.panels, *self.scene.sites, *self.scene.targets)}
         classes = {c.name for c in self.scene.classes}
         for name in self.processing.filter_classes:

@@ -10,6 +10,7 @@ import numpy as np
 from hyperval.errors import UsageError
 from hyperval.prediction.inputs import Resolve, SurfaceStatistics
 from hyperval.scenario import Fill, Scenario, Target
+from hyperval.sensor.changes import changed_noise
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.operation import binned_axis, binned_noise
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
@@ -52,6 +53,8 @@ def instrument(
     if sensor is None:
         return Instrument(None, on, on, None)
     noise = sensor.noise(on, operation)
+    if scenario.sensor_changes is not None:
+        noise = changed_noise(noise, scenario.sensor_changes)
     true = sensor.true_axis(on, operation)
     count = operation.spectral_binning if operation else 1
     if count > 1:

@@ -1,0 +1,123 @@
+"""Any entry of a configuration by its dotted path: read it, or make a copy in which it differs.
+
+A path follows the keys of the YAML file; an item of a list goes by its ``name`` (or ``subject``) or by its
+number from 0: ``atmosphere.aot550``, ``scene.classes.grass.gain``, ``scene.targets.yellow.subjects.0.fill.fixed``.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
+
+from hyperval.config import validate
+from hyperval.errors import UsageError
+
+M = TypeVar("M", bound=BaseModel)
+
+_LABELS = ("name", "subject")
+
+
+def setting(model: BaseModel, path: str) -> Any:
+    """The value at a dotted path, defaults included.
+
+    Raises
+    ------
+    UsageError : no such entry; the message names those that there are.
+    """
+    at: Any = model.model_dump(mode="python", by_alias=True)
+    for i, part in enumerate(parts := _parts(path)):
+        if at is None:
+            raise UsageError(f"setting {path!r}: {'.'.join(parts[:i])} is not given")
+        at = at[_key(at, part, path)]
+    return at
+
+
+def with_settings(model: M, changes: Mapping[str, Any]) -> M:
+    """A copy of a configuration in which the entries at some paths have other values, checked as a file is.
+
+    Entries that do not stand in the file are made; ``None`` takes an entry back.  Private attributes, such as the
+    folder of a scenario, are kept.
+
+    Raises
+    ------
+    UsageError : a path that leads nowhere, or values that contradict the rest.
+    """
+    data = model.model_dump(mode="python", by_alias=True, exclude_unset=True)
+    for path, value in changes.items():
+        _set(data, _parts(path), value, path)
+    changed = validate(type(model), data, {}, "settings " + ", ".join(changes))
+    for name in model.__private_attributes__:
+        setattr(changed, name, getattr(model, name))
+    return changed
+
+
+def _set(data: dict[str, Any], parts: list[str], value: Any, path: str) -> None:
+    at: Any = data
+    for i, part in enumerate(parts[:-1]):
+        if isinstance(at, dict):
+            if at.get(part) is None:
+                at[
+                    part
+                ] = {}  # an optional part that the file leaves out; unknown keys are found when it is checked
+            at = at[part]
+        elif isinstance(at, list | tuple):
+            at = at[_index(at, part, path)]
+        else:
+            raise UsageError(f"setting {path!r}: {'.'.join(parts[:i])} has no parts")
+        if isinstance(at, tuple):
+            raise UsageError(f"setting {path!r}: {'.'.join(parts[: i + 1])} is set as a whole")
+    last = parts[-1]
+    if isinstance(at, dict):
+        at[last] = value
+    elif isinstance(at, list):
+        at[_index(at, last, path)] = value
+    else:
+        raise UsageError(f"setting {path!r}: {'.'.join(parts[:-1])} has no parts")
+
+
+def _parts(path: str) -> list[str]:
+    """The path cut at its dots; a name that holds dots stands in square brackets: ``classes.[dark 0.5 m].gain``."""
+    parts: list[str] = []
+    rest = path
+    while rest:
+        if rest.startswith("["):
+            word, bracket, rest = rest[1:].partition("]")
+            if not bracket or (rest and not rest.startswith(".")):
+                raise UsageError(f"setting {path!r}: a bracket is not closed", expected="[name with dots].key")
+            rest = rest[1:]
+        else:
+            word, _, rest = rest.partition(".")
+        parts.append(word)
+    if not parts or not all(parts) or path.endswith("."):
+        raise UsageError(f"setting {path!r} is no dotted path", expected="such as atmosphere.aot550")
+    return parts
+
+
+def _key(at: Any, part: str, path: str) -> Any:
+    if isinstance(at, dict):
+        if part in at:
+            return part
+        near = difflib.get_close_matches(part, at, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise UsageError(f"setting {path!r}: no {part!r}{hint}", expected="one of " + ", ".join(map(str, at)))
+    if isinstance(at, list | tuple):
+        return _index(at, part, path)
+    raise UsageError(f"setting {path!r}: nothing lies below {part!r}")
+
+
+def _index(items: list[Any] | tuple[Any, ...], part: str, path: str) -> int:
+    names = [
+        next((item[k] for k in _LABELS if k in item), None) if isinstance(item, dict) else None for item in items
+    ]
+    if part in names:
+        return names.index(part)
+    if part.isdecimal() and int(part) < len(items):
+        return int(part)
+    there = ", ".join(str(n) for n in names if n is not None)
+    raise UsageError(
+        f"setting {path!r}: no item {part!r}",
+        expected=f"a number below {len(items)}" + (f" or one of {there}" if there else ""),
+    )
