@@ -9,7 +9,8 @@ import pytest
 from affine import Affine
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.truth import intersected_objects, read_targets
+from hyperval.imagery.regions import guard
+from hyperval.imagery.truth import TargetMasks, all_pixels, cut_out, intersected_objects, read_targets
 
 SHAPE = (20, 30)
 TRANSFORM = Affine(2.0, 0, 1000.0, 0, -2.0, 5000.0)
@@ -98,3 +99,29 @@ def test_objects_are_the_intersection_and_need_not_be_connected():
         intersected_objects({"cloth": cloth}, sizes, {4: 1.0})
     with pytest.raises(InputError, match="differ in shape"):
         intersected_objects({"cloth": cloth[:5]}, sizes, {1: 1.0})
+
+
+def test_a_target_holds_its_window_alone(tmp_path: Path):
+    rows = "".join(f"a,{i % 20},{i % 30},0.5,t{i}\n" for i in range(60))
+    found = targets(tmp_path, "material,row0,col0,side_m,name\n" + rows, pixel_size_m=1.0)
+    assert sum(t.part.nbytes for t in found) == 60
+    assert all(t.mask.shape == SHAPE and t.mask.sum() == 1 for t in found)
+    masks = TargetMasks(found)
+    assert (list(masks)[-1], len(masks)) == ("t59", 60)
+    assert np.array_equal(all_pixels(found, SHAPE), np.logical_or.reduce([masks[name] for name in masks]))
+
+
+@pytest.mark.parametrize(
+    ("row", "col", "doubt"), [(0.5, 0.5, 3.0), (19.5, 29.5, 2.5), (10.2, 15.7, 1.0), (3, 3, 90)]
+)
+def test_a_widened_mask_in_a_window_is_that_in_the_whole_image(tmp_path: Path, row, col, doubt):
+    text = f"material,line,sample,side_m,position_uncertainty_m\na,{row},{col},0.6,{{}}\n"
+    (sure,) = targets(tmp_path, text.format(""), pixel_size_m=1.0)
+    (unsure,) = targets(tmp_path, text.format(doubt), pixel_size_m=1.0)
+    assert np.array_equal(unsure.mask, guard(sure.mask, doubt))
+
+
+def test_the_window_of_nothing_holds_nothing():
+    corner, part = cut_out(np.zeros(SHAPE, bool))
+    assert corner == (0, 0)
+    assert not part.any()

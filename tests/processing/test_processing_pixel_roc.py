@@ -9,7 +9,14 @@ from scipy import stats
 from hyperval.errors import UsageError
 from hyperval.processing.auc import auc_with_interval, partial_auc
 from hyperval.processing.intervals import clopper_pearson
-from hyperval.processing.objects import footprint, footprint_maxima, object_scores
+from hyperval.processing.objects import (
+    footprint,
+    footprint_maxima,
+    object_scores,
+    placed_with_halo,
+    values_on,
+    with_halo,
+)
 from hyperval.processing.roc import empirical_roc, pd_at_pfa, roc_points
 
 few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), min_size=1, max_size=25)
@@ -208,6 +215,21 @@ def test_objects_score_their_greatest_pixel_with_a_halo():
         object_scores(scores, {"none": np.zeros((8, 9), bool)})
     with pytest.raises(UsageError, match="shape"):
         object_scores(scores, {"a": mask[:2]})
+
+
+@pytest.mark.parametrize("halo", [0, 1, 4])
+def test_an_object_in_its_window_scores_as_in_the_whole_image(halo):
+    rng = np.random.default_rng(0)
+    scores = rng.normal(size=(9, 12))
+    for line, sample, part in ((0, 0, [[1, 0], [1, 1]]), (7, 9, [[0, 1, 1], [1, 0, 0]]), (4, 5, [[1]])):
+        part = np.array(part, bool)
+        mask = np.zeros(scores.shape, bool)
+        mask[line : line + part.shape[0], sample : sample + part.shape[1]] = part
+        placed = ((line, sample), part)
+        brute = scores[with_halo(mask, halo)]
+        assert sorted(values_on(scores, placed_with_halo(placed, halo, scores.shape))) == sorted(brute)
+        both = object_scores(scores, {"window": placed, "mask": mask}, halo)
+        assert both == {"window": brute.max(), "mask": brute.max()}
 
 
 def test_footprint_maxima_by_hand_and_without_the_excluded():

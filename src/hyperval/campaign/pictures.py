@@ -6,6 +6,7 @@ import numpy as np
 from skimage.exposure import adjust_gamma, rescale_intensity
 from skimage.util import img_as_ubyte
 
+from hyperval.imagery.truth import all_pixels
 from hyperval.observe import Observed
 from hyperval.report import Quicklook, ScoreMap
 
@@ -56,7 +57,7 @@ def quicklook(observed: Observed) -> Quicklook | None:
     size = observed.place.pixel_area_m2
     outlines = {n: mask for n, mask in observed.place.regions.items() if n not in observed.place.by_rule}
     if observed.place.targets:
-        outlines["targets"] = np.logical_or.reduce([t.mask for t in observed.place.targets])
+        outlines["targets"] = all_pixels(observed.place.targets, cube.shape)
     return Quicklook(
         img_as_ubyte(scaled),
         outlines,

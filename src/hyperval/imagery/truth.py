@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from hyperval.imagery.regions_files import read_table
 from hyperval.paths import checked_file
 
 Mask = npt.NDArray[np.bool_]
+# First line and sample of a window, and a mask within it.
+Placed = tuple[tuple[int, int], Mask]
 _PLACES = {("row0", "col0"): 0.5, ("row1", "col1"): -0.5, ("line", "sample"): 0.0, ("easting", "northing"): None}
 
 
@@ -30,7 +32,9 @@ class TargetObject:
     name, material : as in the list
     side_m : side of the (square) target [m], NaN when only the area is known
     area_m2 : area [m2], NaN when unknown
-    mask : (lines, samples) the pixels that may hold a part of it; need not be connected
+    shape : (lines, samples) of the image
+    corner : (line, sample) of the first pixel of the window that holds the target
+    part : (h, w) within that window, the pixels that may hold a part of the target; need not be connected
     centre_pixel : (line, sample) of the pixel that holds the centre, None where only the mask is known
     attributes : the columns of the list as text, for grouping
     """
@@ -39,9 +43,66 @@ class TargetObject:
     material: str
     side_m: float
     area_m2: float
-    mask: Mask
+    shape: tuple[int, int]
+    corner: tuple[int, int]
+    part: Mask
     centre_pixel: tuple[int, int] | None = None
     attributes: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def placed(self) -> Placed:
+        """Window and mask: what a list of many targets can afford to hold."""
+        return self.corner, self.part
+
+    @property
+    def mask(self) -> Mask:
+        """(lines, samples) the pixels that may hold a part of it, made anew each time."""
+        out = np.zeros(self.shape, bool)
+        self.paint(out)
+        return out
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Lines and samples of the window."""
+        (line, sample), (height, width) = self.corner, self.part.shape
+        return slice(line, line + height), slice(sample, sample + width)
+
+    def paint(self, image: Mask) -> None:
+        """Set the target's pixels in a mask of the whole image."""
+        image[self.window] |= self.part
+
+
+class TargetMasks(Mapping[str, Mask]):
+    """Name -> (lines, samples) mask of each target, made when it is asked for."""
+
+    def __init__(self, targets: Sequence[TargetObject]):
+        self._targets = {t.name: t for t in targets}
+
+    def __getitem__(self, name: str) -> Mask:
+        return self._targets[name].mask
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._targets)
+
+    def __len__(self) -> int:
+        return len(self._targets)
+
+
+def all_pixels(targets: Sequence[TargetObject], shape: tuple[int, int]) -> Mask:
+    """(lines, samples) the pixels of all targets."""
+    out = np.zeros(shape, bool)
+    for target in targets:
+        target.paint(out)
+    return out
+
+
+def cut_out(mask: Mask) -> Placed:
+    """The window of a mask (lines, samples) that holds all that is True in it; one pixel where nothing is."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if rows.size == 0:
+        return (0, 0), np.zeros((1, 1), bool)
+    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    return (int(rows[0]), int(columns[0])), mask[window].copy()
 
 
 def read_targets(
@@ -85,13 +146,15 @@ def read_targets(
             "the ground size of a pixel is not known", where=str(path), mend="state targets.pixel_size_m"
         )
     out: list[TargetObject] = []
+    names: set[str] = set()
     for line, row in rows:
         where = f"{path}:{line}"
         number = {key: _number(row.get(key), key, where) for key in fields if key not in ("name", "material")}
         material = row["material"]
         name = row.get("name") or f"{material} {line - 1}"
-        if not material or any(t.name == name for t in out):
+        if not material or name in names:
             raise InputError("no material, or a name that stands twice", where=where)
+        names.add(name)
         width = number.get("width_m", number.get("side_m", math.nan))
         length = number.get("length_m", width)
         area = number.get("area_m2", math.nan)
@@ -110,13 +173,13 @@ def read_targets(
         corners = _rectangle(
             x, y, width / pixel_size_m, length / pixel_size_m, 0.0 if math.isnan(heading) else heading
         )
-        mask = polygon_mask(corners, shape, where=where, touched=True)
+        placed = cut_out(polygon_mask(corners, shape, where=where, touched=True))
         doubt = number.get("position_uncertainty_m", math.nan)
         if doubt > 0:
-            mask = guard(mask, doubt / pixel_size_m)
+            placed = _grown(placed, doubt / pixel_size_m, shape)
         side = width if width == length else math.nan
         centre = (math.floor(y), math.floor(x))
-        out.append(TargetObject(name, material, side, area, mask, centre, dict(row)))
+        out.append(TargetObject(name, material, side, area, shape, *placed, centre, dict(row)))
     if not out:
         raise InputError("the list holds no target", where=str(path))
     return out
@@ -153,12 +216,21 @@ def intersected_objects(
             if not here.any():
                 raise InputError(f"{material} has no pixel of size class {value}")
             attributes = {"material": material, "side_m": f"{side:g}"}
-            out.append(
-                TargetObject(
-                    f"{material} {side:g} m", material, float(side), float(side) ** 2, here, attributes=attributes
-                )
-            )
+            name, area = f"{material} {side:g} m", float(side) ** 2
+            size = (here.shape[0], here.shape[1])
+            out.append(TargetObject(name, material, float(side), area, size, *cut_out(here), attributes=attributes))
     return out
+
+
+def _grown(placed: Placed, radius_pixels: float, shape: tuple[int, int]) -> Placed:
+    """The mask grown by a disc, in a window that has room for it within the image."""
+    (line, sample), part = placed
+    margin = math.ceil(min(radius_pixels, max(shape)))
+    first, start = max(line - margin, 0), max(sample - margin, 0)
+    end, stop = min(line + part.shape[0] + margin, shape[0]), min(sample + part.shape[1] + margin, shape[1])
+    room = np.zeros((end - first, stop - start), bool)
+    room[line - first : line - first + part.shape[0], sample - start : sample - start + part.shape[1]] = part
+    return (first, start), guard(room, radius_pixels)
 
 
 def _rectangle(x: float, y: float, width: float, length: float, heading_deg: float) -> npt.NDArray[np.float64]:

@@ -6,13 +6,14 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import AreaCheck, Detection, DetectionTarget
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.truth import TargetObject
+from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
 from hyperval.observe.object_roc import object_curve
 from hyperval.observe.place import Place
 from hyperval.prediction.inputs import Sources
@@ -25,10 +26,10 @@ from hyperval.processing.detectors import (
 )
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.filters import PositiveDefinite
-from hyperval.processing.objects import footprint, footprint_sums, with_halo
+from hyperval.processing.objects import Placed, footprint, footprint_sums, placed_with_halo, values_on
 from hyperval.processing.pixel_scores import PixelDetector, score_cube
 from hyperval.processing.roc import empirical_roc, pooled_roc
-from hyperval.processing.streaming import SampleStatistics, statistics_of
+from hyperval.processing.sample import SampleStatistics, statistics_of
 from hyperval.products import Abundance, RocCurve, ScoreDistribution, background_of
 from hyperval.progress import watch_lines
 from hyperval.spectra.axis import SpectralAxis
@@ -152,13 +153,13 @@ def detect(
     area_km2 = None if place.pixel_area_m2 is None else float(alarms.sum()) * place.pixel_area_m2 / 1e6
     scores: dict[tuple[str, str], ScoreDistribution] = {}
     roc: dict[tuple[str, str, str], RocCurve] = {}
-    outlines: dict[str, dict[str, Mask]] = {}
+    outlined: dict[str, dict[str, TargetObject]] = {}
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
         for detector in detection.detectors:
             key = detector if detector in ANOMALY_DETECTORS else f"{target.name}-{detector}"
             found = maps[key]
-            outlines.setdefault(key, {}).update({o.name: o.mask for members in groups.values() for o in members})
+            outlined.setdefault(key, {}).update({o.name: o for members in groups.values() for o in members})
             noise = found[alarms]
             noise = noise[np.isfinite(noise)]
             for subject, members in groups.items():
@@ -168,7 +169,7 @@ def detect(
                         where="detection.group",
                         mend="let the group hold {target}, the name of the detection target",
                     )
-                pixels = np.concatenate([found[scored_pixels(o, place)] for o in members])
+                pixels = np.concatenate([values_on(found, scored_pixels(o, place)) for o in members])
                 pixels = pixels[np.isfinite(pixels)]
                 if pixels.size == 0:
                     raise InputError(f"no valid pixel on the targets of {subject!r}")
@@ -200,16 +201,15 @@ def detect(
         found_areas, known = _areas(place, detection, check, maps)
         areas.update(found_areas)
         nominal.update(known)
+    outlines = {key: TargetMasks(list(objects.values())) for key, objects in outlined.items()}
     return Detected(maps, outlines, scores, roc, areas, detectors, bands, nominal, tuple(notes))
 
 
-def scored_pixels(target: TargetObject, place: Place) -> Mask:
-    """The pixels of an object that are scored."""
+def scored_pixels(target: TargetObject, place: Place) -> Placed:
+    """The pixels of an object that are scored, in their window."""
     if place.target_pixels == "touched" or target.centre_pixel is None:
-        return target.mask
-    only = np.zeros_like(target.mask)
-    only[target.centre_pixel] = True
-    return only
+        return target.placed
+    return target.centre_pixel, np.ones((1, 1), bool)
 
 
 def target_groups(
@@ -242,6 +242,11 @@ def _subject(form: str, words: Mapping[str, str]) -> str:
     return _BRACES.sub(lambda found: words[found[1]], form)
 
 
+def _window(image: npt.NDArray[Any], corner: tuple[int, int], like: Mask) -> npt.NDArray[Any]:
+    """The part of an image under a window of the size of ``like``."""
+    return image[corner[0] : corner[0] + like.shape[0], corner[1] : corner[1] + like.shape[1]]
+
+
 def _complete(pixels: Array) -> Array:
     """The pixels (n, B) that are finite in every band, as the statistics of regions take them."""
     return pixels[np.isfinite(pixels).all(axis=1)]
@@ -266,21 +271,27 @@ def _areas(
     if target is None or check.detector not in detection.detectors:
         raise UsageError(f"areas: no score map of target {check.target!r} with detector {check.detector!r}")
     scores = maps[f"{check.target}-{check.detector}"]
-    everything = np.logical_or.reduce([o.mask for o in place.targets])
+    everything = all_pixels(place.targets, place.cube.shape)
     out: dict[tuple[str, str], Abundance] = {}
     nominal: dict[tuple[str, str], float] = {}
     # A background of "image" holds the targets too; their sums say nothing of the error.
     counted = place.background(detection.background) & ~place.near_targets
+    spread: dict[tuple[tuple[int, ...], bytes], float] = {}  # variance of the sum, by shape of the footprint
     for subject, members in target_groups(place.targets, target, detection.group).items():
         total = 0.0
         pixels = 0
         variance = 0.0
         for item in members:
-            summed = with_halo(item.mask, check.margin_pixels) & (~everything | item.mask)
-            total += float(np.nansum(scores[summed]))
+            corner, grown = placed_with_halo(item.placed, check.margin_pixels, scores.shape)
+            summed = grown & (~_window(everything, corner, grown) | _window(item.mask, corner, grown))
+            total += float(np.nansum(_window(scores, corner, grown)[summed]))
             pixels += int(summed.sum())
-            elsewhere = footprint_sums(scores, footprint(summed), ~counted)
-            variance += float(np.var(elsewhere, ddof=1)) if elsewhere.size > 1 else float("nan")
+            shape = footprint(summed)
+            key = shape.shape, shape.tobytes()
+            if key not in spread:
+                elsewhere = footprint_sums(scores, shape, ~counted)
+                spread[key] = float(np.var(elsewhere, ddof=1)) if elsewhere.size > 1 else float("nan")
+            variance += spread[key]
         area = place.pixel_area_m2
         out[subject, check.detector] = Abundance(
             total / len(members) * area, float(np.sqrt(variance)) / len(members) * area, pixels

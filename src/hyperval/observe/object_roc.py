@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.processing.objects import footprint, footprint_maxima, object_scores
+from hyperval.processing.objects import Placed, footprint, footprint_maxima, object_scores
 from hyperval.processing.roc import empirical_roc
 from hyperval.products import RocCurve
 
@@ -17,18 +17,18 @@ Mask = npt.NDArray[np.bool_]
 
 
 def object_curve(
-    scores: Array, objects: Mapping[str, Mask], alarms: Mask, halo: int, pixel_area_m2: float | None
+    scores: Array, objects: Mapping[str, Placed], alarms: Mask, halo: int, pixel_area_m2: float | None
 ) -> RocCurve:
     """ROC of objects, each with the greatest score over its pixels and ``halo`` pixels around them.
 
     Without a halo a false alarm is a background pixel.  With one it is a placement of an object's footprint on
     the background, where noise has as many chances as it has on the object; objects of different shapes each
-    bring their own placements.
+    bring their own placements, objects of one shape the same.
 
     Parameters
     ----------
     scores : (lines, samples), NaN where invalid
-    objects : masks of the pixels that are scored
+    objects : the pixels that are scored, each object in its window
     alarms : (lines, samples) True on the background
 
     Raises
@@ -42,8 +42,9 @@ def object_curve(
         noise, looked_at = noise[np.isfinite(noise)], int(np.count_nonzero(alarms))
     else:
         parts, looked_at = [], 0
-        for mask in objects.values():
-            shape = footprint(mask, halo)
+        shapes = [footprint(part, halo) for _, part in objects.values()]
+        # The placements of one shape count once, however many objects have it: they are the same pixels.
+        for shape in {(s.shape, s.tobytes()): s for s in shapes}.values():
             parts.append(footprint_maxima(scores, shape, ~alarms))
             looked_at += parts[-1].size * shape.size
         noise = np.concatenate(parts)

@@ -21,8 +21,8 @@ from hyperval.prediction.inputs import Sources
 from hyperval.processing.elm import EmpiricalLine, PanelMeasurement, fit_elm
 from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
 from hyperval.processing.region_statistics import darkest_values, region_statistics
+from hyperval.processing.sample import SampleStatistics
 from hyperval.processing.snr import snr_decorrelated
-from hyperval.processing.streaming import SampleStatistics
 from hyperval.products import Observation, SpectralEstimate
 from hyperval.progress import watch_lines
 from hyperval.scene.statistics import ClassStatistics
@@ -139,7 +139,10 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[
             continue
         materials.add(target.material)
         for subject, members in target_groups(place.targets, target, detection.group).items():
-            union = np.logical_or.reduce([scored_pixels(o, place) for o in members])
+            union = np.zeros(place.cube.shape, bool)
+            for item in members:
+                (line, sample), part = scored_pixels(item, place)
+                union[line : line + part.shape[0], sample : sample + part.shape[1]] |= part
             if subject not in taken and np.count_nonzero(union) > 1:
                 out[subject] = union
     return out

@@ -14,7 +14,7 @@ from hyperval.errors import InputError, UsageError
 from hyperval.imagery.acquisition import acquisition_notes
 from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.regions import Region, guard, overlaps, read_regions, rectangle_region
-from hyperval.imagery.truth import TargetObject, intersected_objects, read_targets
+from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets
 from hyperval.progress import track
 
 Mask = npt.NDArray[np.bool_]
@@ -86,9 +86,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     cube = open_source(collection.cube, resolve)
     regions = _regions(cube, collection.regions, resolve, show_progress)
     targets = _targets(cube, collection.targets, resolve) if collection.targets else []
-    near = np.zeros(cube.shape, bool)
-    for target in targets:
-        near |= target.mask
+    near = all_pixels(targets, cube.shape)
     if targets and collection.targets and collection.targets.guard_pixels:
         near = guard(near, collection.targets.guard_pixels)
     left_out = near.copy()
@@ -127,7 +125,7 @@ def target_overlaps(regions: Iterable[Region], targets: Sequence[TargetObject], 
     notes = []
     touched = np.zeros(near.shape, np.int32)
     for target in targets:
-        touched += target.mask
+        touched[target.window] += target.part
     for region in regions:
         inside, guarded = int(np.sum(region.mask & (touched > 0))), int(np.sum(region.mask & near))
         if not guarded:

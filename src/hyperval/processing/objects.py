@@ -13,6 +13,8 @@ from hyperval.errors import UsageError
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+# First line and sample of a window of the image, and the mask of an object within it.
+Placed = tuple[tuple[int, int], Mask]
 
 
 def with_halo(mask: npt.NDArray[Any], halo: int) -> Mask:
@@ -23,15 +25,31 @@ def with_halo(mask: npt.NDArray[Any], halo: int) -> Mask:
     return ndimage.binary_dilation(grown, np.ones((2 * halo + 1, 2 * halo + 1), bool)) if halo else grown
 
 
+def placed_with_halo(placed: Placed, halo: int, shape: tuple[int, ...]) -> Placed:
+    """The object grown by ``halo`` pixels, in a window that is cut at the edges of an image of ``shape``."""
+    (line, sample), part = placed
+    grown = with_halo(np.pad(np.asarray(part, dtype=bool), max(halo, 0)), halo)
+    line, sample = line - halo, sample - halo
+    rows = slice(max(-line, 0), min(grown.shape[0], shape[0] - line))
+    columns = slice(max(-sample, 0), min(grown.shape[1], shape[1] - sample))
+    return (max(line, 0), max(sample, 0)), grown[rows, columns]
+
+
+def values_on(image: npt.NDArray[Any], placed: Placed) -> npt.NDArray[Any]:
+    """(n, ...) values of an image (lines, samples, ...) on the pixels of an object."""
+    (line, sample), part = placed
+    return np.asarray(image[line : line + part.shape[0], sample : sample + part.shape[1]][part])
+
+
 def object_scores(
-    score_map: npt.NDArray[Any], masks: Mapping[str, npt.NDArray[Any]], halo: int = 0
+    score_map: npt.NDArray[Any], objects: Mapping[str, Placed | npt.NDArray[Any]], halo: int = 0
 ) -> dict[str, float]:
     """Greatest score over each object's pixels and ``halo`` pixels around them.
 
     Parameters
     ----------
     score_map : (lines, samples), NaN where invalid
-    masks : (lines, samples) True on the pixels of each object
+    objects : the pixels of each object: a window with its mask, or a mask (lines, samples)
 
     Returns
     -------
@@ -40,12 +58,13 @@ def object_scores(
     """
     scores = np.asarray(score_map, dtype=float)
     found: dict[str, float] = {}
-    for name, mask in masks.items():
-        if np.shape(mask) != scores.shape:
-            raise UsageError(f"the mask of {name!r} has shape {np.shape(mask)}, the score map {scores.shape}")
-        if not np.any(mask):
+    for name, item in objects.items():
+        if not isinstance(item, tuple) and np.shape(item) != scores.shape:
+            raise UsageError(f"the mask of {name!r} has shape {np.shape(item)}, the score map {scores.shape}")
+        placed = item if isinstance(item, tuple) else ((0, 0), np.asarray(item, dtype=bool))
+        if not np.any(placed[1]):
             raise UsageError(f"the object {name!r} holds no pixel")
-        pixels = scores[with_halo(mask, halo)]
+        pixels = values_on(scores, placed_with_halo(placed, halo, scores.shape))
         pixels = pixels[~np.isnan(pixels)]
         found[name] = float(pixels.max()) if pixels.size else float("nan")
     return found

@@ -19,7 +19,7 @@ from hyperval.processing.passes import (
     by_segments,
     lines_per_block,
 )
-from hyperval.processing.streaming import SCENE, SampleStatistics
+from hyperval.processing.sample import SCENE, SampleStatistics
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
