@@ -1,0 +1,1 @@
+"""Why model and data differ: what each input moves, and which one would close the gap."""

@@ -1,0 +1,189 @@
+"""All that a run compares as one vector: observed minus predicted, and how well the data know each entry.
+
+Radiance of every subject (reflectance where there is none), SNR, moments of the scores, and the false-alarm rate at
+measured thresholds.  P_D is left out: it follows from the scores, and would count them twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import linalg
+
+from hyperval.products import Products, RocCurve, ScoreDistribution, SpectralEstimate, background_of
+
+Array = npt.NDArray[np.float64]
+
+# Numerical error of the model itself: what interpolation and rounding may do.  It keeps very well sampled quantities
+# from deciding alone.
+SPECTRUM_FLOOR = 1e-3  # of the value, each band by itself
+SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
+LOG_FLOOR = 0.02  # of the logarithm of a standard deviation
+RATE_FLOOR = 0.1  # of the logarithm of a false-alarm rate
+# A false-alarm rate says something of the tail where this many pixels lie above the threshold.
+LEAST_ALARMS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """One compared quantity.
+
+    Attributes
+    ----------
+    product, subject, method : as in the results table
+    observed : (n,) what the collection says
+    covariance : (n, n) of the error of ``observed``, the numerical floor of the model included
+    read : the same (n,) from a prediction
+    """
+
+    product: str
+    subject: str
+    method: str
+    observed: Array
+    covariance: Array
+    read: Callable[[Products], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Several blocks as one vector."""
+
+    blocks: tuple[Block, ...]
+
+    @property
+    def observed(self) -> Array:
+        """(n,) of all blocks."""
+        return np.concatenate([b.observed for b in self.blocks])
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n): the data of different blocks err independently of each other."""
+        return np.asarray(linalg.block_diag(*[b.covariance for b in self.blocks]))
+
+    def predicted(self, prediction: Products) -> Array:
+        """(n,) what a prediction says of the same quantities."""
+        return np.concatenate([b.read(prediction) for b in self.blocks])
+
+    def of(self, subjects: Sequence[str]) -> Stack:
+        """The blocks of some subjects."""
+        return Stack(tuple(b for b in self.blocks if b.subject in subjects))
+
+    def slices(self) -> list[slice]:
+        """Where each block stands."""
+        ends = np.cumsum([b.observed.size for b in self.blocks])
+        return [slice(int(e) - b.observed.size, int(e)) for b, e in zip(self.blocks, ends, strict=True)]
+
+
+def stacked(predicted: Products, observed: Products) -> Stack:
+    """Everything both sides hold, as far as both have values there."""
+    blocks: list[Block] = []
+    for name, estimate in observed.radiance.items():
+        blocks += _spectrum("radiance", name, predicted, estimate)
+    for name, estimate in observed.reflectance.items():
+        if name not in observed.radiance or name not in predicted.radiance:
+            blocks += _spectrum("reflectance", name, predicted, estimate)
+    for name, estimate in observed.snr.items():
+        blocks += _snr(name, predicted, estimate)
+    return Stack((*blocks, *_scores(predicted, observed), *_false_alarms(predicted, observed)))
+
+
+def _spectrum(product: str, subject: str, predicted: Products, estimate: SpectralEstimate) -> list[Block]:
+    there = getattr(predicted, product).get(subject)
+    if there is None:
+        return []
+    mean = there.mean
+    use = predicted.axis.good & np.isfinite(mean) & np.isfinite(estimate.mean)
+    use &= mean > 0.01 * np.nanmax(mean, initial=0.0)  # bands without light say nothing
+    if not use.any():
+        return []
+    covariance = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)])
+    covariance = covariance + np.diag((SPECTRUM_FLOOR * mean[use]) ** 2)
+
+    def read(p: Products) -> Array:
+        return np.asarray(getattr(p, product)[subject].mean[use])
+
+    return [Block(product, subject, "", estimate.mean[use], covariance, read)]
+
+
+def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> list[Block]:
+    there = predicted.snr.get(subject)
+    if there is None:
+        return []
+    with np.errstate(invalid="ignore"):
+        use = predicted.axis.good & (there.mean > 1.0) & (estimate.mean > 1.0)
+    if not use.any():
+        return []
+    value = estimate.mean[use]
+    covariance = estimate.error_covariance[np.ix_(use, use)] / np.outer(value, value)
+    covariance = np.nan_to_num(covariance) + np.diag(np.full(value.size, LOG_FLOOR**2))
+
+    def read(p: Products) -> Array:
+        return np.asarray(np.log(np.maximum(p.snr[subject].mean[use], 1e-3)))
+
+    return [Block("snr", subject, "", np.log(value), covariance, read)]
+
+
+def _scores(predicted: Products, observed: Products) -> list[Block]:
+    blocks: list[Block] = []
+    seen: set[tuple[float, float, str]] = set()
+    for (subject, detector), score in observed.scores.items():
+        there = predicted.scores.get((subject, detector))
+        if there is None or not _usable(score) or not there.sd > 0:
+            continue
+        same = (score.mean, score.sd, detector)
+        if same in seen:  # one filter's background stands under each of its targets
+            continue
+        seen.add(same)
+        blocks.append(_moments(subject, detector, score))
+    return blocks
+
+
+def _usable(score: ScoreDistribution) -> bool:
+    return score.n is not None and score.n >= 3 and np.isfinite(score.mean) and score.sd > 0
+
+
+def _moments(subject: str, detector: str, score: ScoreDistribution) -> Block:
+    """Mean and logarithm of the standard deviation, from n normal scores: variances s^2/n and 1/(2 (n - 1))."""
+    n = score.n or 0
+    variances = [score.sd**2 / n + SCORE_FLOOR**2, 0.5 / (n - 1) + LOG_FLOOR**2]
+
+    def read(p: Products) -> Array:
+        found = p.scores[subject, detector]
+        return np.array([found.mean, np.log(found.sd)])
+
+    return Block("scores", subject, detector, np.array([score.mean, np.log(score.sd)]), np.diag(variances), read)
+
+
+def _false_alarms(predicted: Products, observed: Products) -> list[Block]:
+    """Logarithm of the false-alarm rate at the thresholds that the data reach 1e-2 and 1e-3 with."""
+    blocks: list[Block] = []
+    seen: set[tuple[str, float]] = set()
+    for (subject, detector, unit), curve in observed.roc.items():
+        there = predicted.roc.get((subject, detector, unit))
+        n = curve.n_background or 0
+        if unit != "pixel" or there is None or not n:
+            continue
+        rates = np.array([p for p in (1e-2, 1e-3) if p * n >= LEAST_ALARMS and p >= curve.pfa[0]])
+        if not rates.size:
+            continue
+        thresholds = np.interp(np.log(rates), np.log(curve.pfa), curve.threshold)
+        if (detector, round(float(thresholds[0]), 9)) in seen or not np.isfinite(thresholds).all():
+            continue
+        seen.add((detector, round(float(thresholds[0]), 9)))
+        variance = 1.0 / (rates * n) + RATE_FLOOR**2  # of ln of a count
+        key = (subject, detector, unit)
+
+        def read(p: Products, key: tuple[str, str, str] = key, at: Array = thresholds) -> Array:
+            return log_false_alarm_rate(p.roc[key], at)
+
+        blocks.append(Block("roc", background_of(subject), detector, np.log(rates), np.diag(variance), read))
+    return blocks
+
+
+def log_false_alarm_rate(curve: RocCurve, threshold: Array) -> Array:
+    """ln P_FA at scores (K,), interpolated on the curve; held at its ends."""
+    rising = np.argsort(curve.threshold)
+    return np.asarray(np.interp(threshold, curve.threshold[rising], np.log(curve.pfa)[rising]))
