@@ -17,7 +17,7 @@ from hyperval.products import Products, RocCurve, ScoreDistribution, SpectralEst
 
 Array = npt.NDArray[np.float64]
 
-# Numerical error of the model itself: what interpolation and rounding may do.  It keeps very well sampled quantities
+# Numerical error of the model itself: what interpolation and rounding may do.  It keeps well sampled quantities
 # from deciding alone.
 SPECTRUM_FLOOR = 1e-3  # of the value, each band by itself
 SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
