@@ -6,6 +6,7 @@ side a product came from.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -97,11 +98,75 @@ class Abundance:
     Attributes
     ----------
     area_m2, standard_uncertainty : estimate and its standard uncertainty [m2]
+    n : pixels summed
+    nominal_m2 : area that the truth states, where both sides estimate it; None where the prediction is that area
     """
 
     area_m2: float
     standard_uncertainty: float
     n: int | None = None
+    nominal_m2: float | None = None
+
+
+@dataclass(frozen=True)
+class PixelDistribution:
+    """How the pixels of a class are distributed about their mean, whatever their covariance.
+
+    A linear change of the bands, such as an empirical line, leaves all of it as it is.
+
+    Attributes
+    ----------
+    tail_dof : degrees of freedom of a multivariate t; inf for the normal law
+    tail_lower, tail_upper : its 95 % interval; NaN for a definition
+    normality_p_value : of the likelihood ratio of normal and t; NaN for a definition
+    dimension : bands in which distances were taken, None for a definition
+    leading_tail_dof, leading_lower, leading_upper : the same in the few leading components that hold nearly all
+        variance, where noise does not dilute the surface's own tails
+    leading_dimension : number of those
+    n : pixels of the sample, None for a definition
+    effective_n : (K,) independent pixels behind the variance along the leading components; None for a definition
+    distance, exceedance : (Q,) squared Mahalanobis distances and the share of pixels beyond each
+    """
+
+    tail_dof: float = math.inf
+    tail_lower: float = math.nan
+    tail_upper: float = math.nan
+    normality_p_value: float = math.nan
+    dimension: int | None = None
+    leading_tail_dof: float = math.nan
+    leading_lower: float = math.nan
+    leading_upper: float = math.nan
+    leading_dimension: int | None = None
+    n: int | None = None
+    effective_n: Array | None = field(default=None, compare=False, repr=False)
+    distance: Array | None = field(default=None, compare=False, repr=False)
+    exceedance: Array | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True)
+class ClassificationError:
+    """How often a Gaussian maximum-likelihood classifier takes pixels of some classes for another of them.
+
+    Attributes
+    ----------
+    error : probability of error, classes equally likely [1]
+    lower, upper : 95 % interval of ``error``
+    n : pixels classified
+    effective_n : of them, as many count as independent; None for a prediction
+    distance : least Bhattacharyya distance of two of the classes
+    approximation : sum over pairs of Phi(-sqrt(2 B)), halved by priors (Kerekes & Landgrebe 1989)
+    bound_lower, bound_upper : limits that no law of the pixels with these distances breaks
+    """
+
+    error: float
+    lower: float
+    upper: float
+    n: int | None = None
+    effective_n: float | None = None
+    distance: float = math.nan
+    approximation: float = math.nan
+    bound_lower: float = math.nan
+    bound_upper: float = math.nan
 
 
 def background_of(subject: str) -> str:
@@ -116,7 +181,8 @@ class Products:
     The keys of ``radiance``, ``snr``, ``reflectance`` are subjects (a class, panel or site); those of
     ``scores`` are (subject, detector), with the background seen through a target's filter under
     (:func:`background_of` (subject), detector); those of ``roc`` and ``abundance`` are (subject, detector) with
-    the unit kept in the curve, so that (subject, detector, "pixel"|"object") names a curve.
+    the unit kept in the curve, so that (subject, detector, "pixel"|"object") names a curve.  ``distribution`` goes by
+    subject, ``classification`` by (classes, features), such as ("grass / asphalt", "2 bands").
     """
 
     axis: SpectralAxis
@@ -126,6 +192,8 @@ class Products:
     scores: Mapping[tuple[str, str], ScoreDistribution] = field(default_factory=dict)
     roc: Mapping[tuple[str, str, str], RocCurve] = field(default_factory=dict)
     abundance: Mapping[tuple[str, str], Abundance] = field(default_factory=dict)
+    distribution: Mapping[str, PixelDistribution] = field(default_factory=dict)
+    classification: Mapping[tuple[str, str], ClassificationError] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 

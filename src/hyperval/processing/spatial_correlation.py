@@ -1,0 +1,91 @@
+"""How many independent pixels a region is worth: neighbours on the ground resemble each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import fftconvolve
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+# A correlation within so many standard errors of 0 counts as none: their squares would add up over many lags.
+_SIGNIFICANT = 3.5
+
+
+@dataclass(frozen=True)
+class LagCorrelation:
+    """Correlation of pixels against their distance.
+
+    Attributes
+    ----------
+    value : (K, 2R + 1, 2R + 1) correlation of K quantities at lags of -R to R lines and samples
+    pairs : (2R + 1, 2R + 1) pairs of pixels behind it
+    """
+
+    value: Array
+    pairs: Array
+
+    def significant(self) -> Array:
+        """The correlation with 0 where it is not told from none: within 3.5 / sqrt(pairs)."""
+        with np.errstate(divide="ignore"):
+            noise = _SIGNIFICANT / np.sqrt(self.pairs)
+        return np.where(np.abs(self.value) > noise, self.value, 0.0)
+
+
+def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> LagCorrelation:
+    """Correlation by lag of centred quantities, pooled over windows of an image.
+
+    Parameters
+    ----------
+    windows : values (K, lines, samples), of mean 0 over the region, with the mask of the pixels that count
+    reach : greatest lag R [pixels]
+    """
+    products, pairs = 0.0, 0.0
+    for values, mask in windows:
+        inside = mask.astype(float)
+        held = np.where(mask, values, 0.0)
+        products = products + np.stack([_lagged(z, reach) for z in held])
+        pairs = pairs + np.round(_lagged(inside, reach))
+    total, counted = np.asarray(products), np.asarray(pairs)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        covariance = np.where(counted > 0, total / counted, 0.0)
+        value = covariance / covariance[:, reach, reach][:, None, None]
+    return LagCorrelation(np.nan_to_num(value), counted)
+
+
+def _lagged(z: Array, reach: int) -> Array:
+    """sum_x z(x) z(x + h) for lags h up to ``reach``."""
+    padded = np.pad(z, reach)
+    return np.asarray(fftconvolve(padded, z[::-1, ::-1], mode="valid"))
+
+
+def neighbour_shares(mask: Mask, reach: int, rng: np.random.Generator, most: int = 2000) -> Array:
+    """(2R + 1, 2R + 1) share of the pixels of a region whose neighbour at each lag belongs to it as well."""
+    lines, samples = np.nonzero(mask)
+    if lines.size > most:
+        chosen = rng.choice(lines.size, most, replace=False)
+        lines, samples = lines[chosen], samples[chosen]
+    padded = np.pad(mask, reach)
+    steps = np.arange(2 * reach + 1)
+    found = padded[lines[:, None, None] + steps[:, None], samples[:, None, None] + steps]
+    return np.asarray(found.mean(axis=0))
+
+
+def independent_for_mean(n: int, correlation: Array, shares: Array) -> float:
+    """n / sum_h rho(h) share(h): independent values that give the mean of n the same variance; 1 to n.
+
+    Source: Cressie, Statistics for Spatial Data, 1993, section 1.3.
+    """
+    return float(np.clip(n / max(float(np.sum(correlation * shares)), 1.0), 1.0, n))
+
+
+def independent_for_variance(n: int, correlation: Array, shares: Array) -> float:
+    """n / sum_h rho(h)^2 share(h): the same for the variance of normal values; 1 to n.
+
+    cov(x^2, y^2) = 2 rho^2 sigma^4 of two normal values takes the place of cov(x, y) = rho sigma^2.
+    """
+    return float(np.clip(n / max(float(np.sum(correlation**2 * shares)), 1.0), 1.0, n))
