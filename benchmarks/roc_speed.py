@@ -14,7 +14,10 @@ from hyperval.processing.rank_counts import bootstrap_pd, roc_corners
 from hyperval.processing.roc import empirical_roc, roc_points
 
 BACKGROUND, TARGETS, DRAWS = 640_000, 80, 1000
-LIMITS_MS = {"exact curve, corners": 10.0, f"{DRAWS} bootstrap curves": 100.0, "AUC with DeLong": 50.0}
+LIMITS_MS = {
+    "exact curve, corners": 10.0, "curve with intervals": 10.0, f"{DRAWS} bootstrap curves": 100.0,
+    "AUC with DeLong": 50.0,
+}  # fmt: skip
 
 
 def milliseconds(work, rounds=7):

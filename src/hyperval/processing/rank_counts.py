@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
+from hyperval.processing.order_statistics import bins_of
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -48,15 +49,15 @@ def rank_counts(target: Array, background: Array) -> RankCounts:
     value, targets = np.unique(target, return_counts=True)
     finite = value[np.isfinite(value)]
     if finite.size == 0 or finite[-1] / 2 - finite[0] / 2 > 1e307:
-        which = np.zeros(background.size, np.int64)
-        bins, near = np.zeros(value.size, np.int64), np.ones(background.size, bool)
+        which = np.zeros(background.size, np.intp)
+        bins, near = np.zeros(value.size, np.intp), np.ones(background.size, bool)
     else:
         low, width = finite[0], finite[-1] - finite[0]
         width = width if width > 1e-290 else 1.0  # any width is right, this one does not overflow
-        which, bins = (_bins(x, low, width) for x in (background, value))
+        which, bins = (bins_of(x, low, width, _BINS) for x in (background, value))
         held = np.zeros(_BINS + 2, bool)
         held[bins] = True
-        near = held[which]
+        near = held.take(which)
     close = background[near]
     left = np.searchsorted(value, close, side="left")
     tied = value[np.minimum(left, value.size - 1)] == close
@@ -67,14 +68,6 @@ def rank_counts(target: Array, background: Array) -> RankCounts:
     filled = np.flatnonzero(count)
     np.add.at(between, np.searchsorted(bins, filled, side="left"), count[filled])
     return RankCounts(value, targets.astype(np.int64), ties.astype(np.int64), between.astype(np.int64))
-
-
-def _bins(x: Array, low: float, width: float) -> npt.NDArray[np.int64]:
-    """Bin 1 to _BINS + 1 of each score from ``low`` to ``low + width``, 0 below, _BINS + 1 above."""
-    with np.errstate(over="ignore"):  # what overflows lies in the last or first bin
-        scaled = (x - low) * (_BINS / width)
-    np.clip(scaled, -1.0, float(_BINS), out=scaled)
-    return np.floor(scaled).astype(np.int64) + 1
 
 
 def roc_corners(target_scores: npt.ArrayLike, background_scores: npt.ArrayLike) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from scipy import stats
 
 from hyperval.errors import UsageError
 from hyperval.processing.intervals import clopper_pearson
+from hyperval.processing.order_statistics import OrderStatistics
 from hyperval.products import RocCurve
 
 Array = npt.NDArray[np.float64]
@@ -93,24 +94,24 @@ def pd_at_pfa(
     UsageError : no targets, no background, NaN, or a ``pfa`` outside (0, 1].
     """
     t = _sorted_scores(target_scores, "target", nan)
-    b = _sorted_scores(background_scores, "background", nan)
+    b = _valid_scores(background_scores, "background", nan)
     p = np.atleast_1d(np.asarray(pfa, dtype=float))
     if not (np.all(p > 0) and np.all(p <= 1)):
         raise UsageError("a preset false-alarm probability must lie in (0, 1]")
     k = np.minimum(np.floor(p * b.size * (1.0 + 1e-12)).astype(np.int64), b.size)
-    threshold = _greatest(b, k + 1)
-    detected = _above(t, threshold, k >= b.size)
-    alarms = _above(b, threshold, k >= b.size)
-    low, high = clopper_pearson(detected, t.size, level)
-
     tail = (1.0 - level) / 2.0
     # The greatest r with P(fewer than r scores above the true threshold) <= tail: the r-th greatest bounds it
     # from above, and nothing does where r = 0.
     r = stats.binom.ppf(tail, b.size, p).astype(np.int64)
     # The least s with P(s scores or more above it) <= tail: the s-th greatest bounds it from below.
     s = stats.binom.isf(tail, b.size, p).astype(np.int64) + 1
-    few = np.where(r >= 1, _above(t, _greatest(b, np.maximum(r, 1)), np.zeros(p.shape, bool)), 0)
-    many = _above(t, _greatest(b, s), s > b.size)
+    ordered = OrderStatistics(b, np.concatenate([k + 1, r, s]))
+    threshold, everything = ordered.greatest(k + 1), k >= b.size
+    detected = _above(t, threshold, everything)
+    alarms = np.where(everything, b.size, ordered.above(threshold))
+    low, high = clopper_pearson(detected, t.size, level)
+    few = np.where(r >= 1, _above(t, ordered.greatest(np.maximum(r, 1)), np.zeros(p.shape, bool)), 0)
+    many = _above(t, ordered.greatest(s), s > b.size)
     pd = detected / t.size
     # Never inside the binomial limits: what could lie inside them is rounding.
     wide_low = np.clip(pd - np.hypot(pd - low, pd - few / t.size), 0.0, low)
@@ -148,7 +149,7 @@ def empirical_roc(
     ``pfa`` defaults to a logarithmic grid from one alarm in the whole background to 1, which holds the decades.
     """
     if pfa is None:
-        n = _sorted_scores(background_scores, "background", nan).size
+        n = _valid_scores(background_scores, "background", nan).size
         decades = int(np.ceil(np.log10(max(n, 10))))
         grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
         pfa = grid[grid * n * (1.0 + 1e-12) >= 1.0]
@@ -241,12 +242,6 @@ def _valid_scores(scores: npt.ArrayLike, name: str, nan: Nan) -> Array:
     if values.size == 0:
         raise UsageError(f"there are no {name} scores", expected="at least one valid score on each side of a ROC")
     return values
-
-
-def _greatest(ascending: Array, rank: npt.NDArray[np.int64]) -> Array:
-    """The ``rank``-th greatest score (from 1); -inf beyond the last."""
-    n = ascending.size
-    return np.where(rank <= n, ascending[np.clip(n - rank, 0, n - 1)], -np.inf)
 
 
 def _above(ascending: Array, threshold: Array, everything: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
