@@ -29,7 +29,8 @@ class SpectrumCollection(Model):
 
     subject: str
     path: str
-    unit: str = "uW cm-2 sr-1 nm-1"
+    record: str | int | None = Field(None, description="which spectrum of a file of several, as for reflectances")
+    unit: str | None = Field(None, description="of the radiance; None: the file's, else uW cm-2 sr-1 nm-1")
     wavelength_unit: Literal["nm", "um"] = "nm"
     pixels: int | None = Field(None, ge=1, description="pixels averaged, when known")
 

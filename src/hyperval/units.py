@@ -31,6 +31,8 @@ _RADIANCE_TO_INTERNAL = {
     "mW m-2 sr-1 nm-1": 0.1,
     "W cm-2 sr-1 nm-1": 1e6,
     "W cm-2 sr-1 um-1": 1e3,
+    "mW cm-2 sr-1 nm-1": 1e3,
+    "uW cm-2 sr-1 um-1": 1e-3,
 }
 
 # What one of the named unit is in uW cm-2 nm-1.
@@ -39,6 +41,10 @@ _IRRADIANCE_TO_INTERNAL = {
     "W m-2 um-1": 0.1,
     "W m-2 nm-1": 100.0,
     "mW m-2 nm-1": 0.1,
+    "mW m-2 um-1": 1e-4,
+    "uW cm-2 um-1": 1e-3,
+    "mW cm-2 nm-1": 1e3,
+    "W cm-2 nm-1": 1e6,
 }
 
 

@@ -247,6 +247,23 @@ def test_collected_spectra_in_another_unit(sites):
     assert sites.observe().observation.radiance["lawn"].mean[0] == pytest.approx(1.2)
 
 
+def test_a_field_spectrometers_radiance_is_averaged_over_the_bands(sites):
+    grid = np.arange(400.0, 1701.0, 1.0)
+    rows = "".join(f"{w:g}\t{0.1 - 2e-5 * (w - 400):.8f}\n" for w in grid)
+    sites.text("lawn.txt", "Wavelength (nm)\tRadiance (W/m^2/sr/nm)\n" + rows)
+    observation = sites.observe().observation
+    # A straight line keeps its value at the centre of a symmetric band; 1 W m-2 is 100 uW cm-2.
+    assert observation.radiance["lawn"].mean == pytest.approx(10.0 - 2e-3 * (AXIS.centre_nm - 400), rel=1e-6)
+    assert "lawn: 1301 samples averaged over the 8 bands" in observation.notes
+    sites.text("lawn.txt", "Wavelength (nm)\tRadiance (W/m^2/sr/nm)\n" + "".join(rows.splitlines(True)[60:]))
+    with pytest.raises(InputError, match=r"lawn\.txt: 1241 wavelengths that are not those of the band table"):
+        sites.observe()
+    sites.collection["spectra"][0]["unit"] = "uW cm-2 sr-1 nm-1"
+    sites.text("lawn.txt", "Wavelength (nm)\tRadiance (W/m^2/sr/nm)\n" + rows)
+    with pytest.raises(UsageError, match="the file states radiance in W m-2 sr-1 nm-1"):
+        sites.observe()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [

@@ -6,16 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperval.collection import BandTable, Collection
 from hyperval.errors import InputError, UsageError
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
 from hyperval.products import Observation
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
-from hyperval.spectra.readers import read_spectrum
-from hyperval.units import wavelength_to_nm
+from hyperval.spectra.readers import FieldSpectrum, read_spectrum
+from hyperval.spectra.response import band_average
+from hyperval.units import RADIANCE_UNIT, wavelength_to_nm
 
+Array = npt.NDArray[np.float64]
 MAX_TABLE_BYTES = 10 << 20
+SAME_BAND_NM = 0.5
 
 
 def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> Observation:
@@ -28,22 +32,56 @@ def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> O
     if collection.bands is None:
         raise UsageError("collected spectra need a band table")
     axis = read_band_table(resolve(collection.bands.path), collection.bands)
-    radiance = {}
+    radiance, notes = {}, []
     for site in collection.spectra:
         path = resolve(site.path)
-        read = read_spectrum(path, quantity="radiance", unit=site.unit, wavelength_unit=site.wavelength_unit)
-        if read.wavelength_nm.size != len(axis) or np.any(np.abs(read.wavelength_nm - axis.centre_nm) > 0.5):
-            raise InputError(
-                f"{read.wavelength_nm.size} wavelengths that are not those of the band table ({len(axis)} bands)",
-                where=str(path),
-                expected="the same bands to 0.5 nm",
-            )
-        mean = read.values
+        read = read_spectrum(
+            path,
+            record=site.record,
+            quantity="radiance",
+            unit=site.unit,
+            unit_if_unstated=RADIANCE_UNIT,
+            wavelength_unit=site.wavelength_unit,
+        )
+        mean, how = in_bands(read, axis)
+        notes += [f"{site.subject}: {note}" for note in (*read.notes, *how)]
         parts = {}
         if collection.calibration is not None:
             parts["calibration"] = calibration_covariance(mean, axis, collection.calibration, resolve)
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
-    return Observation(axis=axis, radiance=radiance, provenance={"quantity": "radiance"})
+    return Observation(axis=axis, radiance=radiance, notes=tuple(notes), provenance={"quantity": "radiance"})
+
+
+def in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str, ...]]:
+    """(B,) radiance in the bands of the table, and what was done.
+
+    A spectrum at the bands' own centres is taken as it stands; one of a field spectrometer, which samples at most
+    half a band width apart, is averaged over the bands.
+
+    Raises
+    ------
+    InputError : other wavelengths, or bands that the spectrum does not cover.
+    """
+    at = read.wavelength_nm
+    if at.size == len(axis) and np.all(np.abs(at - axis.centre_nm) <= SAME_BAND_NM):
+        return read.values, ()
+    inside = axis.centre_nm[(axis.centre_nm >= at[0]) & (axis.centre_nm <= at[-1])]
+    spacing = np.interp(axis.centre_nm, 0.5 * (at[1:] + at[:-1]), np.diff(at)) if at.size > 1 else np.inf
+    if inside.size < len(axis) or np.any(spacing > 0.5 * axis.fwhm_nm):
+        raise InputError(
+            f"{at.size} wavelengths that are not those of the band table ({len(axis)} bands)",
+            where=read.source,
+            expected=f"the same bands to {SAME_BAND_NM:g} nm, or samples at most half a band width apart",
+        )
+    mean = band_average(at, read.values, axis, outside="nan")
+    if not np.all(np.isfinite(mean)):
+        lost = axis.centre_nm[~np.isfinite(mean)]
+        raise InputError(
+            f"the spectrum does not cover {lost.size} bands, first {lost[0]:g} nm",
+            where=read.source,
+            expected=f"samples beyond both ends of the bands ({axis.centre_nm[0]:g} to {axis.centre_nm[-1]:g} nm)",
+        )
+    return mean, (f"{at.size} samples averaged over the {len(axis)} bands",)
 
 
 def read_band_table(path: Path, table: BandTable) -> SpectralAxis:

@@ -24,6 +24,7 @@ def read_spectrum(
     wavelength_unit: str | None = None,
     reflectance_unit: str | None = None,
     unit: str | None = None,
+    unit_if_unstated: str | None = None,
     columns: tuple[str | int, ...] | None = None,
     wavelengths: Path | str | None = None,
     root: Path | None = None,
@@ -36,11 +37,12 @@ def read_spectrum(
         Spectral Evolution .sed, ASD binary
     record : which spectrum of a file with several: its name, a part that only one name has, its number
         from 0, or "mean" for mean, standard deviation and number of all
-    quantity : "reflectance" (values are handed out as fractions), "radiance" (uW cm-2 sr-1 nm-1; ``unit``
-        must be given) or "other" (as in the file)
+    quantity : "reflectance" (values are handed out as fractions), "radiance" (uW cm-2 sr-1 nm-1), "irradiance"
+        (uW cm-2 nm-1) or "other" (as in the file)
     wavelength_unit : nm or um where the file states none; must agree with the file otherwise
     reflectance_unit : "fraction", "percent" or "scaled:F" (divided by F) where the file states none
-    unit : unit of a radiance
+    unit : unit of a radiance or irradiance, where the file states none; must agree with the file otherwise
+    unit_if_unstated : taken where neither the file nor ``unit`` states one
     columns : (wavelength, value) or (wavelength, value, standard deviation) of a text file, by name or
         by number from 0
     wavelengths : the file of wavelengths of a library that keeps one column per file (USGS)
@@ -53,7 +55,7 @@ def read_spectrum(
     """
     path = checked_file(path, root=root, what="spectrum file")
     if wavelengths is None:
-        chosen = _chosen(_records(path, columns, root), record, str(path))
+        chosen = _chosen(_records(path, columns, root, quantity), record, str(path))
     else:
         grid = checked_file(wavelengths, root=root, what="wavelength file")
         chosen = readers_text.column_record(decoded(_read(path)), path, decoded(_read(grid)), grid)
@@ -63,6 +65,7 @@ def read_spectrum(
         wavelength_unit=wavelength_unit,
         reflectance_unit=reflectance_unit,
         unit=unit,
+        unit_if_unstated=unit_if_unstated,
     )
 
 
@@ -85,23 +88,23 @@ def read_records(
             reflectance_unit=reflectance_unit,
             unit=unit,
         )
-        for record in _records(path, None, root)
+        for record in _records(path, None, root, quantity)
     ]
 
 
-def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None) -> list[Record]:
+def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str) -> list[Record]:
     raw = _read(path)
     head = raw[:4096].lstrip(b"\xef\xbb\xbf")
     if readers_asd.is_asd(raw):
-        return [readers_asd.asd_record(raw, path)]
+        return [readers_asd.asd_record(raw, path, quantity)]
     if head.startswith(b"ENVI ASCII Plot File"):
         return readers_text.plot_records(decoded(raw), path)
     if head.startswith(b"ENVI") and head[4:5] in (b"\r", b"\n", b" "):
         return readers_library.library_records(path, None, root)
     if head.startswith(b"/*** Spectra Vista"):
-        return [readers_instruments.svc_record(decoded(raw), path)]
+        return [readers_instruments.svc_record(decoded(raw), path, quantity)]
     if b"Instrument:" in head and b"Columns [" in head:
-        return [readers_instruments.sed_record(decoded(raw), path)]
+        return [readers_instruments.sed_record(decoded(raw), path, quantity)]
     # A table may lie beside a cube of the same name, whose header is not its own.
     header = None if path.suffix.lower() in (".txt", ".csv") else readers_library.library_header(path)
     if header is not None:

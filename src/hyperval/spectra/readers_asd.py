@@ -1,4 +1,4 @@
-"""ASD binary files: reflectance as the stored spectrum over the stored reference.
+"""ASD binary files: reflectance as the stored spectrum over the stored reference; radiance and irradiance.
 
 Layout (little-endian): 484 bytes of header, with the data type at 186, first wavelength and step at
 191 and 195, data format at 199, number of channels at 204; the spectrum; from version 2 on a
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import InputError
+from hyperval.spectra.readers_asd_radiance import IRRADIANCE_UNIT, RADIANCE_UNIT, calibrated
 from hyperval.spectra.readers_record import Record
 
 _VERSIONS = (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
@@ -31,12 +32,12 @@ def is_asd(raw: bytes) -> bool:
     return raw[:3] in _VERSIONS and len(raw) > HEADER_BYTES and b"\0" in raw[3:HEADER_BYTES]
 
 
-def asd_record(raw: bytes, path: Path) -> Record:
-    """Reflectance (relative to the white reference) of an ASD file.
+def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> Record:
+    """Reflectance (relative to the white reference), radiance or irradiance of an ASD file, as its type says.
 
     Raises
     ------
-    InputError : cut short, a data type other than raw counts or reflectance, or no reference in it.
+    InputError : cut short, another data type, no reference in it, or counts without a calibration that fits.
     """
     where = str(path)
     kind = raw[186]
@@ -44,16 +45,30 @@ def asd_record(raw: bytes, path: Path) -> Record:
     channels = struct.unpack_from("<H", raw, 204)[0]
     if raw[199] not in _FORMATS or not 2 <= channels <= MAX_CHANNELS or not (np.isfinite(first) and step > 0):
         raise InputError("the ASD header is not valid", where=where)
-    if kind not in (0, 1):
+    if kind not in (0, 1, 2, 4):
         raise InputError(
             f"the file holds {_TYPES.get(kind, 'unknown data')}",
             where=where,
-            expected="reflectance, or raw counts with their white reference",
+            expected="reflectance, raw counts with their white reference, radiance or irradiance",
             mend="export the reflectance as text",
         )
     dtype = np.dtype(_FORMATS[raw[199]])
     spectrum = _array(raw, HEADER_BYTES, channels, dtype, where)
     wavelength = first + step * np.arange(channels, dtype=float)
+    if kind in (2, 4):
+        if quantity not in (
+            "radiance",
+            "irradiance",
+        ):  # refused by what it holds, whether it can be calibrated or not
+            return Record(path.stem, wavelength, spectrum, where, wavelength_unit="nm", quantity=_TYPES[kind])
+        values, held, notes = calibrated(
+            raw, _end_of_reference(raw, channels, dtype), spectrum, wavelength, dtype, where
+        )
+        return Record(
+            path.stem, wavelength, values, where,
+            wavelength_unit="nm", quantity=held, notes=notes,
+            unit=RADIANCE_UNIT if held == "radiance" else IRRADIANCE_UNIT,
+        )  # fmt: skip
     note: tuple[str, ...] = ()
     if raw[:3] == b"ASD":  # version 1 stores the reflectance itself and no reference
         if kind == 0:
@@ -81,6 +96,14 @@ def asd_record(raw: bytes, path: Path) -> Record:
         quantity="reflectance",
         notes=note,
     )
+
+
+def _end_of_reference(raw: bytes, channels: int, dtype: np.dtype) -> int:
+    """First byte behind the white reference; the end of a file that is too short to hold one."""
+    at = HEADER_BYTES + channels * dtype.itemsize
+    if raw[:3] == b"ASD" or len(raw) < at + 20:
+        return len(raw)
+    return at + 20 + int(struct.unpack_from("<H", raw, at + 18)[0]) + channels * dtype.itemsize
 
 
 def _array(raw: bytes, at: int, count: int, dtype: np.dtype, where: str) -> npt.NDArray[np.float64]:

@@ -7,13 +7,22 @@ from pathlib import Path
 
 from hyperval.errors import InputError
 from hyperval.spectra.readers_record import Record
-from hyperval.spectra.readers_text import number_table, reflectance_unit_in
+from hyperval.spectra.readers_text import number_table, power_unit_in, reflectance_unit_in
+
+# What the maker says that the numbers of a .sig file, times 1e-10, are in; the file itself names the quantity alone.
+SVC_UNITS = {"radiance": "W cm-2 sr-1 nm-1", "irradiance": "W cm-2 nm-1"}
+SVC_SCALE = 1e-10
 
 
-def svc_record(text: str, path: Path) -> Record:
-    """Reflectance of an SVC .sig file: columns wavelength [nm], reference, target, reflectance [percent].
+def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
+    """A spectrum of an SVC .sig file: columns wavelength [nm], reference, target, reflectance [percent].
 
-    The three detectors follow one another and overlap unless the file was matched.
+    ``quantity`` "radiance" or "irradiance" takes the target's column where ``units=`` says so; otherwise the
+    reflectance.  The three detectors follow one another and overlap unless the file was matched.
+
+    Raises
+    ------
+    InputError : not such a file, or a target in counts where radiance is asked for.
     """
     lines = text.splitlines()
     entries: dict[str, str] = {}
@@ -33,8 +42,24 @@ def svc_record(text: str, path: Path) -> Record:
             where=f"{path}:{start}",
             expected="wavelength, reference, target, reflectance in percent",
         )
+    name = entries.get("name", "").removesuffix(".sig") or path.stem
+    held = entries.get("units", "").split(",")[-1].strip().lower()
+    if quantity in SVC_UNITS:
+        if held not in SVC_UNITS:
+            raise InputError(f"the target is in {held or 'an unknown unit'}, not in {quantity}", where=str(path))
+        return Record(
+            name, table[:, 0], SVC_SCALE * table[:, 2], str(path),
+            wavelength_unit="nm", quantity=held, unit=SVC_UNITS[held],
+            notes=(f"{held} taken as {SVC_SCALE:g} {SVC_UNITS[held]}, the maker's unit",),
+        )  # fmt: skip
+    if not table[:, 3].any():
+        raise InputError(
+            f"no reflectance: a single scan of {held or 'an unknown quantity'}",
+            where=str(path),
+            expected="target over white reference in the fourth column",
+        )
     return Record(
-        name=entries.get("name", "").removesuffix(".sig") or path.stem,
+        name=name,
         wavelength=table[:, 0],
         values=table[:, 3],
         where=str(path),
@@ -44,13 +69,19 @@ def svc_record(text: str, path: Path) -> Record:
     )
 
 
-def sed_record(text: str, path: Path) -> Record:
-    """Reflectance of a Spectral Evolution .sed file: the column "Reflect. %" or "Reflect. [1.0]"."""
+def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
+    """A spectrum of a Spectral Evolution .sed file: the column "Reflect. %" or "Reflect. [1.0]".
+
+    ``quantity`` "radiance" or "irradiance" takes the column "Rad. (Target)" or "Irr. (Target)", whose unit stands
+    in the line ``Units:``.
+    """
     lines = text.splitlines()
     begin = next((i for i, line in enumerate(lines) if line.strip().lower() == "data:"), None)
     if begin is None or begin + 1 >= len(lines):
         raise InputError("no 'Data:' line", where=str(path))
     titles = [t.strip() for t in lines[begin + 1].split("\t")]
+    if quantity in ("radiance", "irradiance"):
+        return _sed_power(lines, begin, titles, path, quantity)
     found = [i for i, title in enumerate(titles) if re.match(r"reflect", title, re.IGNORECASE)]
     if len(found) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE):
         raise InputError(
@@ -73,3 +104,22 @@ def sed_record(text: str, path: Path) -> Record:
         reflectance_unit=unit,
         quantity="reflectance",
     )
+
+
+def _sed_power(lines: list[str], begin: int, titles: list[str], path: Path, quantity: str) -> Record:
+    pattern = r"irr\w*\.?\s*\(target" if quantity == "irradiance" else r"rad\w*\.?\s*\(target"
+    found = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
+    if len(found) != 1:
+        raise InputError(
+            f"no {quantity} of the target: " + ", ".join(titles),
+            where=f"{path}:{begin + 2}",
+            expected="Wvl and one column 'Rad. (Target)' or 'Irr. (Target)'",
+        )
+    stated = next((x.partition(":")[2] for x in lines[:begin] if x.lower().startswith("units:")), "")
+    header, table, _ = number_table("\n".join(lines[begin + 2 :]), path, first=begin + 3)
+    if header or table.shape[1] != len(titles):
+        raise InputError(f"{table.shape[1]} columns under {len(titles)} titles", where=f"{path}:{begin + 3}")
+    return Record(
+        path.stem, table[:, 0], table[:, found[0]], str(path),
+        wavelength_unit="nm", quantity=quantity, unit=power_unit_in(stated),
+    )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import InputError, UsageError
-from hyperval.units import radiance_to_internal, wavelength_to_nm
+from hyperval.units import irradiance_to_internal, radiance_to_internal, wavelength_to_nm
 
 Array = npt.NDArray[np.float64]
 
@@ -29,11 +29,12 @@ class FieldSpectrum:
     ----------
     name : as in the file, or the file's name
     wavelength_nm : (n,) strictly increasing [nm]
-    values : (n,) reflectance as a fraction, radiance in uW cm-2 sr-1 nm-1, or as in the file
+    values : (n,) reflectance as a fraction, radiance in uW cm-2 sr-1 nm-1, irradiance in uW cm-2 nm-1, or as in the
+        file
     standard_deviation : (n,) of the replicates behind the mean, in the unit of ``values``; None if unknown
     n : number of replicates, None if unknown
     source : the file
-    quantity : "reflectance", "radiance" or "other"
+    quantity : "reflectance", "radiance", "irradiance" or "other"
     notes : what was converted, cut or left out
     """
 
@@ -61,6 +62,7 @@ class Record:
     reflectance_unit: str | None = None
     quantity: str | None = None
     notes: tuple[str, ...] = ()
+    unit: str | None = None
 
 
 def reflectance_factor(unit: str) -> float:
@@ -86,19 +88,21 @@ def finished(
     wavelength_unit: str | None,
     reflectance_unit: str | None,
     unit: str | None = None,
+    unit_if_unstated: str | None = None,
 ) -> FieldSpectrum:
     """Convert units, put wavelengths in order, and refuse what cannot be true."""
-    if quantity not in ("reflectance", "radiance", "other"):
-        raise UsageError(f"unknown quantity {quantity!r}", expected="reflectance, radiance or other")
+    if quantity not in ("reflectance", "radiance", "irradiance", "other"):
+        raise UsageError(f"unknown quantity {quantity!r}", expected="reflectance, radiance, irradiance or other")
     if record.quantity is not None and quantity not in ("other", record.quantity):
-        raise InputError(f"the file holds {record.quantity}, not {quantity}", where=record.where)
+        mend = None
+        if quantity == "reflectance":
+            mend = "give the reflectance: the spectrum over that of a white panel under the same light"
+        raise InputError(f"the file holds {record.quantity}, not {quantity}", where=record.where, mend=mend)
     record = in_nm(record, wavelength_unit)
     record = ordered(without_gaps(record))
     factor = 1.0
-    if quantity == "radiance":
-        if unit is None:
-            raise UsageError("the unit of the radiance is not stated", where=record.where, mend="state unit:")
-        factor = radiance_to_internal(unit)
+    if quantity in ("radiance", "irradiance"):
+        factor = _power_factor(record, quantity, unit, unit_if_unstated)
     elif quantity == "reflectance":
         factor = _reflectance(record, reflectance_unit)
     spread = record.standard_deviation
@@ -208,6 +212,22 @@ def mean_of(records: list[Record]) -> Record:
         standard_deviation=values.std(axis=0, ddof=1),
         n=len(records),
     )
+
+
+def _power_factor(record: Record, quantity: str, given: str | None, otherwise: str | None) -> float:
+    """What turns the radiance or irradiance of a file into the internal unit; a stated unit must be the file's."""
+    to_internal = radiance_to_internal if quantity == "radiance" else irradiance_to_internal
+    unit = record.unit or given or otherwise
+    if unit is None:
+        raise UsageError(f"the unit of the {quantity} is not stated", where=record.where, mend="state unit:")
+    factor = to_internal(unit)
+    if record.unit is not None and given is not None and to_internal(given) != factor:
+        raise UsageError(
+            f"the file states {quantity} in {record.unit}, the caller in {given}",
+            where=record.where,
+            mend="leave unit out",
+        )
+    return factor
 
 
 def _reflectance(record: Record, given: str | None) -> float:

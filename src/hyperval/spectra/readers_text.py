@@ -69,6 +69,8 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
                 n=int(count.group(1)) if count else None,
                 wavelength_unit=unit,
                 reflectance_unit=reflectance_unit_in(y_units.group(1) if y_units else titles[i]),
+                quantity=quantity_in(y_units.group(1) if y_units else titles[i]),
+                unit=power_unit_in(y_units.group(1) if y_units else titles[i]),
             )
         )
     if len(records) == 1:
@@ -169,6 +171,32 @@ def reflectance_unit_in(title: str) -> str | None:
     if re.search(r"\[1(\.0)?\]|fraction", title, re.IGNORECASE):
         return "fraction"
     return None
+
+
+def quantity_in(title: str) -> str | None:
+    """Radiance or irradiance where a column title says so, else None."""
+    found = re.search(r"(?<![a-z])(ir)?radiance", title, re.IGNORECASE)
+    return None if found is None else found.group().lower()
+
+
+def power_unit_in(text: str) -> str | None:
+    """The unit of a radiance or irradiance, such as W/m^2/sr/nm or uW cm-2 sr-1 nm-1, in the project's words.
+
+    None where the text holds none that is known.
+    """
+    found = re.search(r"(?<![a-z])(m|u|µ|μ)?W(?![a-z])[^()\[\]]*", text, re.IGNORECASE)
+    if found is None:
+        return None
+    words = found.group()
+    # Below the fraction bar stand an area, perhaps a solid angle, and a wavelength.
+    area = re.search(r"(?<![a-z])(c?)m(?:\^|\*\*)?-?[2²]", words, re.IGNORECASE)
+    per = re.search(r"(?<![a-z])([nuµμ])m(?!\w*[2²])", words[1:], re.IGNORECASE)
+    if area is None or per is None:
+        return None
+    watt = {"": "W", "m": "mW"}.get((found.group(1) or "").lower(), "uW")
+    angle = "sr-1 " if re.search(r"(?<![a-z])sr(?![a-z])", words, re.IGNORECASE) else ""
+    unit = f"{watt} {'cm' if area.group(1) else 'm'}-2 {angle}{'nm' if per.group(1).lower() == 'n' else 'um'}-1"
+    return unit
 
 
 def _cells(line: str) -> list[str]:
