@@ -26,6 +26,7 @@ from hyperval.scenario import DarkestPixel, Scenario
 from hyperval.scene.mixture import average_reflectance, mixture_covariance
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.noise import NoiseModel
+from hyperval.sensor.specification import Sensor
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
@@ -44,6 +45,7 @@ def predict(
     cache_dir: Path | None = None,
     show_progress: bool | None = None,
     engine: Engine | None = None,
+    sensor: Sensor | None = None,
 ) -> Prediction:
     """Predict radiance, SNR, reflectance, detector scores and ROC of a scenario (3.7-3.33).
 
@@ -56,6 +58,7 @@ def predict(
         file, or ``data:`` for a registered data set
     cache_dir, show_progress : of the atmosphere engine
     engine : stands in for the atmosphere engine
+    sensor : stands in for the sensor that the scenario names
 
     Returns
     -------
@@ -72,7 +75,7 @@ def predict(
     """
     find = resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
     given = measured or {}
-    used = instrument(scenario, axis, next((s.axis for s in given.values()), None), find)
+    used = instrument(scenario, axis, next((s.axis for s in given.values()), None), find, sensor)
     scenario = with_sensor_blur(scenario, used.sensor)
     on, true = used.axis, used.true_axis
     surfaces, looked_for = _surfaces(scenario, Sources(true, given, find, on), Sources(on, given, find))

@@ -35,17 +35,21 @@ class Instrument:
 
 
 def instrument(
-    scenario: Scenario, axis: SpectralAxis | None, measured_axis: SpectralAxis | None, find: Resolve
+    scenario: Scenario,
+    axis: SpectralAxis | None,
+    measured_axis: SpectralAxis | None,
+    find: Resolve,
+    given: Sensor | None = None,
 ) -> Instrument:
-    """The sensor that a scenario names, on the bands asked for or its own (3.13-3.20).
+    """The sensor a scenario names, or the one given in its place, on the bands asked for or its own (3.13-3.20).
 
     Raises
     ------
     UsageError : no bands, or bins of bands that are handed in.
     """
     operation = scenario.sensor_operation
-    sensor = None
-    if scenario.sensor is not None:
+    sensor = given
+    if sensor is None and scenario.sensor is not None:
         sensor = load_sensor(scenario.sensor if scenario.sensor in library_names() else find(scenario.sensor))
     on = axis or (sensor.axis if sensor else None) or measured_axis
     if on is None:

@@ -54,17 +54,29 @@ class RegularBands(Model):
     fwhm_nm: float = Field(gt=0)
 
 
+class StatedGap(Model):
+    """A part of the spectrum that the sensor leaves out on purpose."""
+
+    range_nm: tuple[float, float] = Field(description="from the last band before it to the first after it [nm]")
+    source: Source
+
+
 class Bands(Model):
-    """The band set: a table of [centre nm, FWHM nm, good 0/1] or evenly spaced bands."""
+    """The band set: a table of [centre nm, FWHM nm, good 0/1], evenly spaced bands, or such bands part by part."""
 
     table: list[tuple[float, float, int]] | None = None
     regular: RegularBands | None = None
+    parts: list[RegularBands] | None = Field(None, min_length=1, description="evenly spaced bands, by spectrometer")
+    spacing: Literal["contiguous", "separate"] = Field(
+        "contiguous", description="separate: a multispectral sensor, whose bands need not touch"
+    )
+    gaps: tuple[StatedGap, ...] = Field((), description="parts that are left out on purpose")
     source: Source
 
     @model_validator(mode="after")
     def _one_of(self) -> Bands:
-        if (self.table is None) == (self.regular is None):
-            raise ValueError("give either table or regular")
+        if sum(given is not None for given in (self.table, self.regular, self.parts)) != 1:
+            raise ValueError("give either table, regular or parts")
         return self
 
     @property
@@ -73,10 +85,10 @@ class Bands(Model):
         if self.table is not None:
             rows: Array = np.array(self.table, dtype=np.float64)
             return SpectralAxis(rows[:, 0], rows[:, 1], rows[:, 2] > 0)
-        assert self.regular is not None  # noqa: S101 - the validator has seen to it
-        r = self.regular
-        centre = r.first_nm + r.step_nm * np.arange(r.count, dtype=np.float64)
-        return SpectralAxis(centre, np.full(r.count, r.fwhm_nm))
+        parts = self.parts or ([self.regular] if self.regular is not None else [])
+        centres = [r.first_nm + r.step_nm * np.arange(r.count, dtype=np.float64) for r in parts]
+        widths = [np.full(r.count, r.fwhm_nm) for r in parts]
+        return SpectralAxis(np.concatenate(centres), np.concatenate(widths))
 
 
 class Throughput(Model):

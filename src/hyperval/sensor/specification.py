@@ -16,6 +16,7 @@ from hyperval.config import Model, load_model
 from hyperval.errors import UsageError
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.operation import SensorOperation, averaged_noise
+from hyperval.sensor.published import KnownDiscrepancy, PublishedSnr
 from hyperval.sensor.quantities import Bands, Blur, Quantity, Source, SpectralShift, Throughput
 from hyperval.sensor.response import electrons_per_radiance
 from hyperval.spectra.axis import SpectralAxis
@@ -35,6 +36,7 @@ class Arm(Model):
     integration_time_s: Quantity
     fixed_noise_electrons: Quantity
     bits: int = Field(ge=1, le=32)
+    bits_source: Source | None = Field(None, description="where the number of bits is from")
     full_well_electrons: Quantity | None = Field(None, description="electrons at full scale; LSB = this / 2^bits")
     saturation_radiance: Quantity | None = Field(None, description="radiance at full scale [uW cm-2 sr-1 nm-1]")
     lsb_electrons: Quantity | None = None
@@ -78,6 +80,8 @@ class SensorSpecification(Model):
     psf: Blur | None = None
     spectral_calibration: tuple[SpectralShift, ...] = ()
     calibration_error_percent: Quantity
+    published_snr: tuple[PublishedSnr, ...] = Field((), description="what `hyperval sensor check` compares with")
+    known_discrepancies: tuple[KnownDiscrepancy, ...] = ()
 
     @model_validator(mode="after")
     def _one_noise(self) -> SensorSpecification:
