@@ -78,6 +78,8 @@ class RocCurve:
     n_target : pixels or objects counted, None for a prediction
     n_background : background pixels behind ``pfa``, None for a prediction
     background_area_km2 : ground area of the background pixels, for alarms per km2; None when unknown
+    preset_pfa : (K,) greatest false-alarm probability of any one class at ``threshold``: the preset of (3.30) read as
+        the curve's abscissa; None for a measurement
     """
 
     pfa: Array
@@ -89,6 +91,41 @@ class RocCurve:
     n_target: int | None = None
     n_background: int | None = None
     background_area_km2: float | None = None
+    preset_pfa: Array | None = None
+
+
+@dataclass(frozen=True)
+class ObjectScores:
+    """Scores of the whole objects of one subject: the greatest over the pixels of each [1].
+
+    Attributes
+    ----------
+    values : measured: (n,) one for each object.  Predicted: (S, R) draws of an object's score; a row shares one draw
+        of the uncertain inputs, the same in the same row of every subject, and within a row objects are independent
+    names : of the measured objects; empty for a prediction
+    """
+
+    values: Array = field(compare=False, repr=False)
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ExceedanceCurve:
+    """How often the background's score lies above a threshold.
+
+    Attributes
+    ----------
+    threshold : (T,) increasing [1]
+    probability : (T,) part of the background above it [1]
+    lower, upper : (T,) 95 % interval, that of a measured curve by blocks of the image; NaN where unknown
+    n : background pixels, None for a prediction
+    """
+
+    threshold: Array
+    probability: Array
+    lower: Array
+    upper: Array
+    n: int | None = None
 
 
 @dataclass(frozen=True)
@@ -154,8 +191,8 @@ class ClassificationError:
     n : pixels classified
     effective_n : of them, as many count as independent; None for a prediction
     distance : least Bhattacharyya distance of two of the classes
-    approximation : sum over pairs of Phi(-sqrt(2 B)), halved by priors (Kerekes & Landgrebe 1989)
-    bound_lower, bound_upper : limits that no law of the pixels with these distances breaks
+    approximation : error estimated from the distances, Phi(-sqrt(2 B)) of a pair (Kerekes & Landgrebe 1989)
+    bound_lower, bound_upper : limits of the least error of normal classes with these distances
     """
 
     error: float
@@ -181,8 +218,10 @@ class Products:
     The keys of ``radiance``, ``snr``, ``reflectance`` are subjects (a class, panel or site); those of
     ``scores`` are (subject, detector), with the background seen through a target's filter under
     (:func:`background_of` (subject), detector); those of ``roc`` and ``abundance`` are (subject, detector) with
-    the unit kept in the curve, so that (subject, detector, "pixel"|"object") names a curve.  ``distribution`` goes by
-    subject, ``classification`` by (classes, features), such as ("grass / asphalt", "2 bands").
+    the unit kept in the curve, so that (subject, detector, "pixel"|"object") names a curve; those of
+    ``object_scores`` are (subject, detector), those of ``exceedance`` (what is looked
+    for, detector).  ``distribution`` goes
+    by subject, ``classification`` by (classes, features), such as ("grass / asphalt", "2 bands").
     """
 
     axis: SpectralAxis
@@ -192,6 +231,8 @@ class Products:
     scores: Mapping[tuple[str, str], ScoreDistribution] = field(default_factory=dict)
     roc: Mapping[tuple[str, str, str], RocCurve] = field(default_factory=dict)
     abundance: Mapping[tuple[str, str], Abundance] = field(default_factory=dict)
+    object_scores: Mapping[tuple[str, str], ObjectScores] = field(default_factory=dict)
+    exceedance: Mapping[tuple[str, str], ExceedanceCurve] = field(default_factory=dict)
     distribution: Mapping[str, PixelDistribution] = field(default_factory=dict)
     classification: Mapping[tuple[str, str], ClassificationError] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

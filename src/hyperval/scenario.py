@@ -97,7 +97,9 @@ class BackgroundClass(Surface):
 
     fraction: Fraction = Field(description="area fraction f_m; the fractions of all classes sum to 1")
     gain: float = Field(1.0, ge=0, description="g_B: factor on the covariance")
-    tail_dof: float | None = Field(None, gt=2, description="multivariate t with this many degrees of freedom")
+    tail_dof: Annotated[float, Field(gt=2)] | Literal["measured"] | None = Field(
+        None, description="multivariate t with this many degrees of freedom, or as fitted to the measured region"
+    )
 
 
 class Geometry(Model):
@@ -150,6 +152,11 @@ class TargetSubject(Model):
     name: str = Field(min_length=1)
     fill: Fill
     scene_fraction: float = Field(0.0, ge=0, lt=1, description="part of all pixels, for filter_statistics: scene")
+    position_m: tuple[float, float] | None = Field(
+        None,
+        description="centre along lines and samples [m] in a frame common to all subjects: targets beside each other "
+        "then share pixels, in object scores",
+    )
 
 
 class Illumination(Model):

@@ -12,7 +12,7 @@ from hyperval.config import Model
 class SpectrumUncertainty(Model):
     """Standard uncertainty of the field spectrum of one subject."""
 
-    subject: str
+    subject: str = Field(description="entries of the same subject are independent and add up")
     relative: float | None = Field(None, gt=0, lt=1, description="as a part of the reflectance")
     absolute: float | None = Field(None, gt=0, lt=1, description="in reflectance")
     from_file: bool = Field(False, description="the standard deviation that the spectrum's file carries")
@@ -40,8 +40,27 @@ class EngineUncertainty(Model):
     correlation_nm: float | None = Field(None, gt=0)
 
 
+class CollectedReflectance(Model):
+    """Error of the reflectance that the collection holds, common to all its pixels: that of its compensation.
+
+    Statistics taken from the image have it, field spectra have not; it enters the scores of objects.
+    """
+
+    relative: float = Field(0.0, ge=0, lt=1, description="as a part of the reflectance")
+    absolute: float = Field(0.0, ge=0, lt=1, description="in reflectance")
+    correlation_nm: float | None = Field(None, gt=0, description="correlation length; None: fully correlated")
+
+
 class Uncertainty(Model):
     """Standard uncertainties of the inputs; each is a source of the budget."""
+
+    psf_fwhm_pixels: float | None = Field(
+        None, gt=0, lt=5, description="of the blur of targets with geometry, common to all; for object scores"
+    )
+    position_m: float | None = Field(
+        None, gt=0, lt=100, description="of the places of neighbouring targets in line and sample; for object scores"
+    )
+    collected_reflectance: CollectedReflectance | None = None
 
     aot550: float | None = Field(None, gt=0, description="absolute")
     water_vapour_g_cm2: float | None = Field(None, gt=0, description="absolute [g cm-2]")
