@@ -12,6 +12,14 @@ import numpy.typing as npt
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.errors import UsageError
+from hyperval.prediction.departure import (
+    Departure,
+    departed_axis,
+    departed_noise,
+    departed_scenario,
+    departed_surfaces,
+    departed_terms,
+)
 from hyperval.prediction.detection import Background, Detection, Task, detect, seen_background
 from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, cut, filled
 from hyperval.prediction.notes import saturation_notes, sensor_notes
@@ -30,7 +38,7 @@ from hyperval.sensor.specification import Sensor
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
-__all__ = ["detection_bands", "predict", "without_calibration_error"]
+__all__ = ["detection_bands", "predict", "surfaces_of", "without_calibration_error"]
 
 Array = npt.NDArray[np.float64]
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
@@ -45,6 +53,7 @@ def predict(
     cache_dir: Path | None = None,
     show_progress: bool | None = None,
     engine: Engine | None = None,
+    departure: Departure | None = None,
     sensor: Sensor | None = None,
 ) -> Prediction:
     """Predict radiance, SNR, reflectance, detector scores and ROC of a scenario (3.7-3.33).
@@ -59,6 +68,7 @@ def predict(
     cache_dir, show_progress : of the atmosphere engine
     engine : stands in for the atmosphere engine
     sensor : stands in for the sensor that the scenario names
+    departure : how the truth departs from the scenario; None: not at all
 
     Returns
     -------
@@ -75,12 +85,20 @@ def predict(
     """
     find = resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
     given = measured or {}
+    truth = departure or Departure()
+    scenario = departed_scenario(scenario, truth)
     used = instrument(scenario, axis, next((s.axis for s in given.values()), None), find, sensor)
     scenario = with_sensor_blur(scenario, used.sensor)
+    used = replace(used, true_axis=departed_axis(used.true_axis, truth), noise=departed_noise(used.noise, truth))
     on, true = used.axis, used.true_axis
-    surfaces, looked_for = _surfaces(scenario, Sources(true, given, find, on), Sources(on, given, find))
+    surfaces, looked_for = surfaces_of(scenario, Sources(true, given, find, on), Sources(on, given, find))
+    surfaces = departed_surfaces(scenario, surfaces, truth)
 
     def terms_of(state: AtmosphericState) -> AtmosphericTerms:
+        terms = engine_terms(state)
+        return terms if departure is None else departed_terms(terms, departure)
+
+    def engine_terms(state: AtmosphericState) -> AtmosphericTerms:
         if engine is not None:
             return engine(state).at_bands(true)
         if state.engine == "table":  # a file of the scenario, read again when it changes
@@ -89,6 +107,8 @@ def predict(
         return remembered(call, state, true, cache_dir=cache_dir, show_progress=show_progress)
 
     view = _base_view(scenario, surfaces, terms_of, used.noise if scenario.atmosphere else None)
+    if departure is not None and np.any(np.asarray(departure.surroundings) != 1.0):
+        view = replace(view, average=view.average * departure.surroundings)
     steps = perturbations(view, scenario, terms_of)
     errors = {
         item.subject: spectrum_error_covariance(item, surfaces[item.subject], on)
@@ -133,7 +153,7 @@ def _provenance(
     return found
 
 
-def _surfaces(
+def surfaces_of(
     scenario: Scenario, sources: Sources, labelled: Sources
 ) -> tuple[dict[str, SurfaceStatistics], dict[str, Array]]:
     """Statistics where the bands truly stand; what detectors look for where they are labelled."""
