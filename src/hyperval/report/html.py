@@ -68,7 +68,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     first = sorted(first, key=lambda r: not v.informs_of_disagreement(r))
     first = first[: max(_MOST_INFORMING, sum(v.informs_of_disagreement(r) for r in first))]
     shown = {id(r) for r in first}
-    return _environment().get_template("report.html.j2").render(
+    return environment().get_template("report.html.j2").render(
         run=run,
         tone=tone,
         verdict=words,
@@ -88,7 +88,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
         facts=_facts(run),
         maps=len(run.score_maps),
-        **_common(),
+        **common_words(),
     )  # fmt: skip
 
 
@@ -109,13 +109,15 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str]) -> str:
     hidden = {id(r) for r in skipped}
     single = [r for r in single if id(r) not in hidden]
     failed_bands = [r for r in notable if v.is_per_band(r) and r.status in (Status.FAIL, Status.ERROR)]
-    return _environment().get_template("index.html.j2").render(
+    return environment().get_template("index.html.j2").render(
         tone=tone, verdict=words, counts=v.status_words(rows), entries=entries, notable=single, hidden=len(skipped),
-        failed_by_subject=_grouped(failed_bands), simulated=[r.campaign for r in runs if r.simulated], **_common(),
+        failed_by_subject=_grouped(failed_bands), simulated=[r.campaign for r in runs if r.simulated],
+        **common_words(),
     )  # fmt: skip
 
 
-def _environment() -> jinja2.Environment:
+def environment() -> jinja2.Environment:
+    """The templates, strict and escaped, with the filters of rows."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("hyperval.report", "templates"),
         autoescape=True,
@@ -135,7 +137,8 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def _common() -> dict[str, Any]:
+def common_words() -> dict[str, Any]:
+    """What every page says: version, when it was made, how much is listed."""
     return {
         "version": hyperval.__version__,
         "generated": _generated(),

@@ -1,0 +1,175 @@
+"""Two runs side by side: what changed its verdict, what moved, and the figures of both beside each other."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hyperval.errors import UsageError
+from hyperval.files import whole_folder, write_text
+from hyperval.report import verdict as v
+from hyperval.report.html import common_words, environment
+from hyperval.report.outputs import write_tables
+from hyperval.report.stored import StoredRun, read_run
+from hyperval.report.tables import row_name
+from hyperval.results import Result, ResultTable, Status
+
+_FIGURE_BYTES = 4_200_000
+_MOST_MOVED = 60
+_MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
+_RANK = {Status.FAIL: 0, Status.ERROR: 1, Status.SKIPPED: 2, Status.INFO: 3, Status.PASS: 4}
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The same comparison in two runs; None where one has it not."""
+
+    a: Result | None
+    b: Result | None
+
+    @property
+    def either(self) -> Result:
+        """The row of one of them, for its names."""
+        row = self.a or self.b
+        assert row is not None  # noqa: S101 - a pair is made from at least one row
+        return row
+
+    @property
+    def name(self) -> str:
+        """What is compared."""
+        return f"{self.either.product} {row_name(self.either)}"
+
+    @property
+    def gates(self) -> bool:
+        """Whether the row decides something in either run."""
+        return any(r is not None and r.status is not Status.INFO for r in (self.a, self.b))
+
+    @property
+    def difference(self) -> float:
+        """B minus A; NaN where one has no value."""
+        return self.b.value - self.a.value if self.a and self.b else math.nan
+
+    @property
+    def verdict_changed(self) -> bool:
+        """Whether the status differs; a gating row that one run lacks has changed too."""
+        if self.a and self.b:
+            return self.a.status != self.b.status
+        return self.gates
+
+    @property
+    def size(self) -> float:
+        """Difference over the half width of the wider interval; over the value where there is none; 0 if equal."""
+        if not self.a or not self.b or not self.difference:
+            return 0.0
+        halves = [(r.upper - r.lower) / 2 for r in (self.a, self.b)]
+        scale = max((h for h in halves if h > 0), default=max(abs(self.a.value), abs(self.b.value)))
+        return abs(self.difference) / scale if scale > 0 else 0.0
+
+
+def paired(a: ResultTable, b: ResultTable) -> list[Pair]:
+    """Rows of two tables by what they compare, in the order of the first; of rows alike the n-th meets the n-th."""
+    first, second = _keyed(a), _keyed(b)
+    return [Pair(first.get(key), second.get(key)) for key in dict.fromkeys([*first, *second])]
+
+
+def compare_runs(one: Path, other: Path, output: Path) -> int:
+    """Write a page that sets two folders of results side by side, and the differences as a results table.
+
+    Raises
+    ------
+    InputError : a folder that holds no results.
+    UsageError : two runs that have no comparison in common.
+    """
+    a, b = read_run(one), read_run(other)
+    pairs = paired(a.table, b.table)
+    if not any(p.a and p.b for p in pairs):
+        raise UsageError(
+            "the two runs compare nothing in common", where=f"{one}, {other}", expected="runs of one campaign"
+        )
+    with whole_folder(output, ours="results.json") as folder:
+        write_tables(difference_table(pairs), folder)
+        write_text(folder / "report.html", side_by_side_page(a, b, pairs))
+    return 0
+
+
+def difference_table(pairs: Sequence[Pair]) -> ResultTable:
+    """One INFO row for each comparison that both runs have, its value B minus A; the others are SKIPPED."""
+    rows = []
+    for p in pairs:
+        r = p.either
+        names = (r.campaign, r.product, r.subject, r.method, f"{r.metric}_change")
+        if p.a and p.b:
+            told = f"A {v.value_text(p.a)} {p.a.status}, B {v.value_text(p.b)} {p.b.status}"
+            rows.append(Result(*names, value=p.difference, unit=r.unit, band_nm=r.band_nm, reason=told))
+        else:
+            only = f"only in run {'A' if p.a else 'B'}"
+            rows.append(Result(*names, unit=r.unit, band_nm=r.band_nm, status=Status.SKIPPED, reason=only))
+    return ResultTable(rows)
+
+
+def side_by_side_page(a: StoredRun, b: StoredRun, pairs: Sequence[Pair]) -> str:
+    """The page: both verdicts, verdicts that changed, what moved most, provenance that differs, figures."""
+    changed = sorted((p for p in pairs if p.verdict_changed), key=lambda p: _RANK[(p.b or p.either).status])
+    moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
+    whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
+    return environment().get_template("pair.html.j2").render(
+        runs=[{"label": label, "folder": run.folder.name or str(run.folder), "verdict": v.verdict(run.table),
+               "counts": v.status_words(run.table)} for label, run in (("A", a), ("B", b))],
+        changed=changed,
+        moved=whole[:_MOST_MOVED],
+        more=max(len(whole) - _MOST_MOVED, 0),
+        bands=len(moved) - len(whole),
+        single=[p for p in pairs if not (p.a and p.b) and not p.gates and not math.isfinite(p.either.band_nm)],
+        same=sum(bool(p.a and p.b) and p.size == 0 and not p.verdict_changed for p in pairs),
+        inputs=provenance_differences(a, b),
+        figures=_figures(a, b),
+        number=v.number_text,
+        **common_words(),
+    )  # fmt: skip
+
+
+def provenance_differences(a: StoredRun, b: StoredRun) -> list[tuple[str, str, str]]:
+    """Entries of the provenance that differ: key, in A, in B."""
+    left, right = _flat("", a.provenance), _flat("", b.provenance)
+    keys = dict.fromkeys([*left, *right])
+    return [(k, left.get(k, "–"), right.get(k, "–")) for k in keys if left.get(k) != right.get(k)]
+
+
+def _flat(prefix: str, value: Any) -> dict[str, str]:
+    if isinstance(value, dict):
+        return {k: x for name, item in value.items() for k, x in _flat(f"{prefix}.{name}".strip("."), item).items()}
+    if isinstance(value, list):
+        named = [(str(i.get("reference", n)) if isinstance(i, dict) else str(n), i) for n, i in enumerate(value)]
+        return {k: x for name, item in named for k, x in _flat(f"{prefix}[{name}]", item).items()}
+    return {prefix: str(value)}
+
+
+def _figures(a: StoredRun, b: StoredRun) -> list[dict[str, Any]]:
+    """Figures that either run has, as data; beyond the size of the page they are named only."""
+    room, out = _FIGURE_BYTES, []
+    for name in dict.fromkeys([*a.figures, *b.figures]):
+        sources = []
+        for run in (a, b):
+            path = run.figures.get(name)
+            text = "" if path is None else base64.b64encode(path.read_bytes()).decode("ascii")
+            source = f"data:{_MEDIA[path.suffix]};base64,{text}" if path else ""
+            room -= len(source)
+            sources.append({"source": source if room > 0 else "", "there": path is not None})
+        out.append({"name": name.rsplit(".", 1)[0], "sides": sources})
+    return out
+
+
+def _keyed(table: ResultTable) -> dict[tuple[Any, ...], Result]:
+    out: dict[tuple[Any, ...], Result] = {}
+    for row in table:
+        band = None if math.isnan(row.band_nm) else round(row.band_nm, 3)
+        key = (row.campaign, row.product, row.subject, row.method, row.metric, band)
+        count = 0
+        while (*key, count) in out:
+            count += 1
+        out[(*key, count)] = row
+    return out

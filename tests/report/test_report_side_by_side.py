@@ -1,0 +1,86 @@
+"""Two runs side by side."""
+
+import dataclasses
+import re
+
+import pytest
+from synthetic_run import make_run
+
+from hyperval import cli
+from hyperval.errors import InputError
+from hyperval.report import write_outputs
+from hyperval.report.side_by_side import compare_runs, difference_table, paired
+from hyperval.report.stored import read_results, read_run
+from hyperval.results import Result, ResultTable, Status
+
+
+def _row(metric="m", value=1.0, status=Status.PASS, **more):
+    interval = {"lower": value - 0.1, "upper": value + 0.1}
+    return Result("c", "radiance", "grass", "sixs", metric, value, status=status, **interval, **more)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    tmp_path = tmp_path_factory.mktemp("pair")
+    run = make_run()
+    changed = []
+    for row in run.table:
+        if row.status is Status.PASS:
+            row = dataclasses.replace(row, status=Status.FAIL, value=row.value + 1.0, upper=row.upper + 1.0)
+        changed.append(row)
+    for name, table in (("a", run.table), ("b", ResultTable(changed))):
+        (tmp_path / name).mkdir()
+        write_outputs(dataclasses.replace(run, table=table), tmp_path / name)
+    return tmp_path
+
+
+def test_a_stored_table_is_read_back_as_it_was(folders):
+    stored = read_run(folders / "a")
+    assert stored.table.frame().equals(make_run().table.frame())
+    assert stored.figures
+
+
+def test_a_verdict_that_turned_stands_first(folders):
+    assert cli.run(["-q", "compare", str(folders / "a"), str(folders / "b"), "-o", str(folders / "out")]) == 0
+    page = (folders / "out" / "report.html").read_text("utf-8")
+    changed = page[page.index("Verdicts that changed") : page.index("What moved")]
+    assert "FAIL" in changed
+    assert "PASS" in changed
+    assert not re.search(r'(src|href)="https?:', page)
+    assert len(page) < 5_000_000
+
+
+def test_a_run_against_itself_has_no_difference(folders):
+    compare_runs(folders / "a", folders / "a", folders / "same")
+    rows = list(read_results(folders / "same" / "results.json"))
+    assert rows
+    assert all(r.value == 0 or r.value != r.value for r in rows)
+    assert "Verdicts that changed</h2>\n<p>None." in (folders / "same" / "report.html").read_text("utf-8")
+
+
+def test_differences_count_in_half_intervals():
+    (pair,) = paired(ResultTable([_row(value=1.0)]), ResultTable([_row(value=1.3)]))
+    assert pair.difference == pytest.approx(0.3)
+    assert pair.size == pytest.approx(3.0)
+    assert not pair.verdict_changed
+
+
+def test_a_gate_that_one_run_lacks_is_a_changed_verdict():
+    pairs = paired(ResultTable([_row("m"), _row("n")]), ResultTable([_row("m")]))
+    assert [p.verdict_changed for p in pairs] == [False, True]
+    rows = list(difference_table(pairs))
+    assert [r.status for r in rows] == [Status.INFO, Status.SKIPPED]
+    assert rows[1].reason == "only in run A"
+
+
+@pytest.mark.parametrize("text", ["{}", "[1]", "{", '{"schema_version": 1, "rows": [{"value": 1}]}'])
+def test_other_files_are_refused(tmp_path, text):
+    (tmp_path / "results.json").write_text(text)
+    with pytest.raises(InputError):
+        read_results(tmp_path / "results.json")
+
+
+def test_a_folder_without_results_is_exit_code_3(tmp_path, capsys):
+    assert cli.run(["compare", str(tmp_path), str(tmp_path), "-o", str(tmp_path / "out")]) == 3
+    assert "results.json" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
