@@ -65,6 +65,50 @@ class ScoreDistribution:
 
 
 @dataclass(frozen=True)
+class AreaEstimate:
+    """An area under a measured ROC with its 95 % interval.
+
+    Attributes
+    ----------
+    value, lower, upper : mean detection probability over the range of false-alarm probabilities [1]
+    method : how the interval was made, in a few words
+    placements : (m,) the part that each target has in the value, which is their mean
+    background_variance : sampling variance of the value that the background brings
+    """
+
+    value: float
+    lower: float
+    upper: float
+    method: str = ""
+    placements: Array | None = field(default=None, compare=False, repr=False)
+    background_variance: float = 0.0
+
+
+@dataclass(frozen=True)
+class AlarmsAtDetection:
+    """False alarms at the highest threshold that reaches a stated detection probability.
+
+    Attributes
+    ----------
+    pd : the stated detection probability
+    threshold : score from which on pixels are declared
+    alarms : background samples declared
+    pfa : ``alarms`` over the background samples
+    pfa_lower, pfa_upper : 95 % interval of P_FA at the true P_D: background and targets both sampled
+    fixed_lower, fixed_upper : exact interval of P_FA at this threshold as it stands
+    """
+
+    pd: float
+    threshold: float
+    alarms: int
+    pfa: float
+    pfa_lower: float
+    pfa_upper: float
+    fixed_lower: float
+    fixed_upper: float
+
+
+@dataclass(frozen=True)
 class RocCurve:
     """Probability of detection against probability of false alarm, with intervals.
 
@@ -78,8 +122,8 @@ class RocCurve:
     n_target : pixels or objects counted, None for a prediction
     n_background : background pixels behind ``pfa``, None for a prediction
     background_area_km2 : ground area of the background pixels, for alarms per km2; None when unknown
-    preset_pfa : (K,) greatest false-alarm probability of any one class at ``threshold``: the preset of (3.30) read as
-        the curve's abscissa; None for a measurement
+    preset_pfa : (K,) greatest false-alarm probability of any one class at ``threshold``: the preset of (3.30) read
+        as the curve's abscissa; None for a measurement
     """
 
     pfa: Array
@@ -91,6 +135,9 @@ class RocCurve:
     n_target: int | None = None
     n_background: int | None = None
     background_area_km2: float | None = None
+    alarms: npt.NDArray[np.int64] | None = field(default=None, compare=False, repr=False)
+    areas: Mapping[str, AreaEstimate] = field(default_factory=dict, compare=False)
+    at_detection: tuple[AlarmsAtDetection, ...] = ()
     preset_pfa: Array | None = None
 
 
@@ -100,8 +147,8 @@ class ObjectScores:
 
     Attributes
     ----------
-    values : measured: (n,) one for each object.  Predicted: (S, R) draws of an object's score; a row shares one draw
-        of the uncertain inputs, the same in the same row of every subject, and within a row objects are independent
+    values : measured: (n,) one for each object.  Predicted: (S, R) draws of an object's score; a row shares one
+        draw of the uncertain inputs, the same in that row of every subject; within a row objects are independent
     names : of the measured objects; empty for a prediction
     """
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+
 import numpy as np
+from scipy import stats
 
 from hyperval.compare.difference import Z95
 from hyperval.compare.rows import RowMaker
@@ -23,6 +27,8 @@ def compare_abundance(
 
     The ratio is (predicted - observed)/observed with the first-order interval of both uncertainties; z is the
     difference over sqrt(u_p^2 + u_o^2).  Where neither side has an uncertainty, z and the verdict are SKIPPED.
+    Where both sides estimate a nominal area: ``area_error_predicted`` and ``area_error_observed`` [m2], estimate
+    less nominal area, and ``area_in_predicted_95``, 1 where the measured area lies in the predicted interval.
     """
     make = RowMaker(campaign, "abundance", subject, method)
 
@@ -46,6 +52,12 @@ def compare_abundance(
             )
         else:
             out.append(make.skipped("the observed area is not positive", "area_difference_ratio"))
+        if observed.nominal_m2 is not None:
+            for name, side, spread in (("predicted", predicted, up), ("observed", observed, uo)):
+                error = side.area_m2 - observed.nominal_m2
+                interval = (error - Z95 * spread, error + Z95 * spread)
+                out.append(make.row(f"area_error_{name}", error, interval=interval, unit="m2", n=side.n))
+            out.append(make.row("area_in_predicted_95", float(abs(p - o) <= Z95 * up), n=observed.n))
         u = float(np.hypot(up, uo))
         if not u > 0:
             return [
@@ -56,3 +68,41 @@ def compare_abundance(
         return [*out, make.row("area_z", z), make.row("area_inside_95", float(abs(z) <= Z95))]
 
     return make.compared(predicted, observed, rows)
+
+
+def compare_area_errors(
+    predicted: Mapping[tuple[str, str], Abundance], observed: Mapping[tuple[str, str], Abundance], *, campaign: str
+) -> list[Result]:
+    """Rows by nominal area and method: ``area_bias_*`` and ``area_rmse_*`` [m2] of both sides over its targets.
+
+    The bias has Student's interval, the root mean square error that of chi-square with as many degrees of freedom
+    as targets, as if errors were normal of mean 0.  The predicted mean square is that of predicted biases and
+    spreads.
+    """
+    groups: dict[tuple[str, float], list[tuple[str, str]]] = {}
+    for key, area in observed.items():
+        if area.nominal_m2 is not None and key in predicted:
+            groups.setdefault((key[1], round(area.nominal_m2, 6)), []).append(key)
+    rows: list[Result] = []
+    for (method, nominal), keys in groups.items():
+        if len(keys) < 2:
+            continue
+        make = RowMaker(campaign, "abundance", f"all targets of {nominal:g} m2", method)
+        error = np.array([observed[k].area_m2 - nominal for k in keys])
+        model = np.array([predicted[k].area_m2 - nominal for k in keys])
+        spread = np.array([predicted[k].standard_uncertainty for k in keys])
+        n = len(keys)
+        half = float(stats.t.ppf(0.975, n - 1) * np.std(error, ddof=1) / math.sqrt(n))
+        bias, expected = float(error.mean()), float(model.mean())
+        limits = Z95 * float(np.sqrt(np.sum(spread**2))) / n
+        rmse = float(np.sqrt(np.mean(error**2)))
+        low, high = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
+        rows += [
+            make.row("area_bias_observed", bias, interval=(bias - half, bias + half), unit="m2", n=n),
+            make.row(
+                "area_bias_predicted", expected, interval=(expected - limits, expected + limits), unit="m2", n=n
+            ),
+            make.row("area_rmse_observed", rmse, interval=(rmse * low, rmse * high), unit="m2", n=n),
+            make.row("area_rmse_predicted", float(np.sqrt(np.mean(model**2 + spread**2))), unit="m2", n=n),
+        ]
+    return rows

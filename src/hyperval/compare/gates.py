@@ -18,8 +18,14 @@ from hyperval.results import Result, Status
 # Metrics that cannot leave a range: a limit on or beyond its end can never fail.
 _UNIT_RANGE = (
     "p_value", "pd_", "fraction_inside_95", "objects_inside_95", "object_score_", "pit_uniformity", "area_inside",
+    "area_in_predicted", "eigenvalues_inside", "subspace_inside", "normality_p_value", "error_predicted",
+    "error_observed", "error_inside", "error_approximation", "error_bounds",
 )  # fmt: skip
-_SIGNED_UNIT_RANGE = ("pd_difference", "auc_difference")
+_SIGNED_UNIT_RANGE = ("pd_difference", "auc_difference", "error_difference")
+_POSITIVE = (
+    "eigenvalue_ratio", "total_variance_ratio", "bhattacharyya_distance", "distance_", "background_tail_dof",
+    "area_rmse", "effective_pixels",
+)  # fmt: skip
 # A ratio may be larger than 1, but a limit of 1 (100 %) or more is a slip of the pen.
 _RATIO = ("difference_ratio", "bias_ratio")
 _CHI2_SLIP = 100.0
@@ -43,7 +49,7 @@ class Gate(Model):
     reason : why this is, or is not, a gate
     """
 
-    product: Literal["radiance", "snr", "reflectance", "scores", "roc", "abundance"]
+    product: Literal["radiance", "snr", "reflectance", "covariance", "classification", "scores", "roc", "abundance"]
     metric: str = Field(min_length=1)
     subjects: tuple[str, ...] = Field(default=("*",), min_length=1)
     method: str = "*"
@@ -263,8 +269,8 @@ def _range_of(metric: str) -> tuple[float, float]:
         return -1.0, 1.0
     if any(metric.startswith(name) for name in _UNIT_RANGE):
         return 0.0, 1.0
-    if metric.startswith("spectral_angle"):
-        return 0.0, 90.0  # spectra are not negative
-    if metric.startswith(("median_abs", "max_abs", "chi2_reduced")):
+    if metric.startswith(("spectral_angle", "subspace_angle")):
+        return 0.0, 90.0  # spectra are not negative, and spaces have no sign
+    if metric.startswith(("median_abs", "max_abs", "chi2_reduced", *_POSITIVE)):
         return 0.0, math.inf
     return -math.inf, math.inf

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-from hyperval.compare.abundance import compare_abundance
+from hyperval.compare.abundance import compare_abundance, compare_area_errors
+from hyperval.compare.classification import compare_classification
+from hyperval.compare.covariance import compare_covariance, compare_distribution
 from hyperval.compare.radiance import compare_radiance
 from hyperval.compare.reflectance import compare_reflectance
 from hyperval.compare.roc import compare_roc
@@ -16,7 +18,9 @@ from hyperval.products import Products
 from hyperval.results import Result
 
 SPECTRAL = {"radiance": compare_radiance, "snr": compare_snr, "reflectance": compare_reflectance}
-PRODUCTS = (*SPECTRAL, "scores", "roc", "abundance")
+PRODUCTS = (*SPECTRAL, "covariance", "classification", "scores", "roc", "abundance")
+# Quantities in which pixels of a class spread.
+SPREAD = ("radiance", "reflectance")
 
 K = TypeVar("K")
 
@@ -33,8 +37,8 @@ def compare_products(
     """Rows of every product and subject that at least one side holds, in a fixed order.
 
     A subject that one side lacks gives a SKIPPED row, so that nothing planned is missing.  ``method`` names
-    the way of the spectral products; for scores and abundance the method is the detector, for ROC it is
-    "detector/unit".
+    the way of the spectral products; for covariances it is the quantity, for classification the features, for
+    scores and abundance the detector, for ROC "detector/unit".
 
     Raises
     ------
@@ -58,6 +62,16 @@ def compare_products(
                 method=method,
                 axis=observed.axis,
             )
+    rows += _covariance_rows(predicted, observed, campaign)
+    for classes, features in _keys(predicted.classification, observed.classification):
+        pair = (classes, features)
+        rows += compare_classification(
+            predicted.classification.get(pair),
+            observed.classification.get(pair),
+            campaign=campaign,
+            subject=classes,
+            method=features,
+        )
     for subject, detector in _keys(predicted.scores, observed.scores):
         key = (subject, detector)
         rows += compare_scores(
@@ -82,6 +96,32 @@ def compare_products(
             campaign=campaign,
             subject=subject,
             method=detector,
+        )
+    return rows + compare_area_errors(predicted.abundance, observed.abundance, campaign=campaign)
+
+
+def _covariance_rows(predicted: Products, observed: Products, campaign: str) -> list[Result]:
+    """Covariances that both sides hold, in each quantity, and the tails of the classes."""
+    rows: list[Result] = []
+    for quantity in SPREAD:
+        left, right = getattr(predicted, quantity), getattr(observed, quantity)
+        for subject in _keys(left, right):
+            rows += compare_covariance(
+                left.get(subject),
+                right.get(subject),
+                campaign=campaign,
+                subject=subject,
+                method=quantity,
+                axis=observed.axis,
+                predicted_distribution=predicted.distribution.get(subject),
+                observed_distribution=observed.distribution.get(subject),
+            )
+    for subject in _keys(predicted.distribution, observed.distribution):
+        rows += compare_distribution(
+            predicted.distribution.get(subject),
+            observed.distribution.get(subject),
+            campaign=campaign,
+            subject=subject,
         )
     return rows
 

@@ -1,8 +1,8 @@
 """How far a covariance measured on n pixels departs from the true one: eigenvalues, distance, subspaces.
 
-Sample eigenvalues are biased (the great ones too great, the small ones too small) where n is not far above the number
-of bands.  A prediction is therefore not compared with a measured eigenvalue itself, but with what n pixels drawn from
-the predicted covariance would show.
+Sample eigenvalues are biased (the great ones too great, the small ones too small) where n is not far above the
+number of bands.  A prediction is therefore not compared with a measured eigenvalue itself, but with what n pixels
+drawn from the predicted covariance would show.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from hyperval.processing.blas import single_blas_thread
 
 Array = npt.NDArray[np.float64]
 
-# With m draws the r-th least and r-th greatest, r = 0.025 (m + 1), bound a further draw with probability 0.95 exactly.
+# With m draws the r-th least and r-th greatest, r = 0.025 (m + 1), bound a further draw with probability 0.95,
+# exactly.
 DRAWS = 119
 _RANK = 3
 # Directions with less than this part of the greatest eigenvalue are rounding error.
@@ -120,9 +121,9 @@ def drawn_covariance(
     ----------
     size : P
     independent : degrees of freedom behind the variance of each direction: one number, or (P,)
-    kurtosis : kappa of the pixels' law.  To second moments a sample covariance of an elliptical law is a normal one of
-        n/(1 + kappa) pixels times a common factor of variance kappa/n, which gives an eigenvalue the relative variance
-        (2 + 3 kappa)/n (Waternaux 1976).
+    kurtosis : kappa of the pixels' law.  To second moments a sample covariance of an elliptical law is a normal one
+        of n/(1 + kappa) pixels times a common factor of variance kappa/n, which gives an eigenvalue the relative
+        variance (2 + 3 kappa)/n (Waternaux 1976).
     """
     n = np.broadcast_to(np.asarray(independent, dtype=float), (size,)) / (1.0 + kurtosis)
     least = float(n.min())
@@ -130,7 +131,7 @@ def drawn_covariance(
     if kurtosis > 0:
         common = float(np.exp(rng.normal(0.0, np.sqrt(kurtosis / (least * (1.0 + kurtosis))))))
     if least <= size:
-        pixels = rng.standard_normal((max(int(round(least)), 1), size))
+        pixels = rng.standard_normal((max(round(least), 1), size))
         return np.asarray(common * (pixels.T @ pixels) / pixels.shape[0])
     # Fewest first: what two directions share is limited by the one with fewer independent pixels.
     order = np.argsort(n, kind="stable")

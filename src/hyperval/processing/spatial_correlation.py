@@ -44,13 +44,14 @@ def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> LagCor
     windows : values (K, lines, samples), of mean 0 over the region, with the mask of the pixels that count
     reach : greatest lag R [pixels]
     """
-    products, pairs = 0.0, 0.0
+    total: Array | float = 0.0
+    counted: Array | float = 0.0
     for values, mask in windows:
         inside = mask.astype(float)
         held = np.where(mask, values, 0.0)
-        products = products + np.stack([_lagged(z, reach) for z in held])
-        pairs = pairs + np.round(_lagged(inside, reach))
-    total, counted = np.asarray(products), np.asarray(pairs)
+        total = total + np.stack([_lagged(z, reach) for z in held])
+        counted = counted + np.round(_lagged(inside, reach))
+    total, counted = np.asarray(total), np.asarray(counted)
     with np.errstate(divide="ignore", invalid="ignore"):
         covariance = np.where(counted > 0, total / counted, 0.0)
         value = covariance / covariance[:, reach, reach][:, None, None]

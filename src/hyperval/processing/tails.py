@@ -45,9 +45,9 @@ class TailFit:
 def tail_log_likelihood(inverse_dof: float, squared_distances: Array, dimension: int) -> float:
     """Greatest log likelihood of squared Mahalanobis distances (n,) under a multivariate t, whatever the scale.
 
-    d^2 nu/(nu - 2)/(p s) follows F(p, nu), chi-square over p in the limit nu -> inf (Kotz & Nadarajah, Multivariate t
-    Distributions, 2004, section 1.2).  The scale s is free: where tails are heavy the sample's own covariance
-    misses it by more than the tail's shape allows.
+    d^2 nu/(nu - 2)/(p s) follows F(p, nu), chi-square over p in the limit nu -> inf (Kotz & Nadarajah,
+    Multivariate t Distributions, 2004, section 1.2).  The scale s is free: where tails are heavy the sample's own
+    covariance misses it by more than the tail's shape allows.
     """
     d, p = squared_distances, dimension
     if inverse_dof < _LEAST:
@@ -79,8 +79,8 @@ def _t_width(d: Array, p: int, nu: float) -> float:
 def left_out_distances(squared_distances: npt.ArrayLike, pixels: float) -> Array:
     """Squared distances by mean and covariance of the other pixels, from those by the statistics of all.
 
-    A far pixel stretches the covariance that it is measured by, so that no distance exceeds (n - 1)^2/n.  Removing the
-    pixel (Sherman & Morrison) gives (n - 2) (n/(n - 1))^2 q/(1 - q n/(n - 1)) with q = d^2/(n - 1).
+    A far pixel stretches the covariance that it is measured by, so that no distance exceeds (n - 1)^2/n.  Removing
+    the pixel (Sherman & Morrison) gives (n - 2) (n/(n - 1))^2 q/(1 - q n/(n - 1)) with q = d^2/(n - 1).
     """
     n = float(pixels)
     q = np.asarray(squared_distances, dtype=float) / (n - 1.0)
@@ -103,8 +103,8 @@ def fit_tail_dof(
     squared_distances : (n,) of pixels from their mean, by their covariance; those of 0 are left out
     dimension : bands p
     estimated_on : pixels that mean and covariance were estimated on, these among them; None where both are known.
-        Distances are then taken from the other pixels; for normal pixels those follow T^2, which is a t with n - 1 - p
-        degrees of freedom, and its inverse is taken off
+        Distances are then taken from the other pixels; for normal pixels those follow T^2, which is a t with
+        n - 1 - p degrees of freedom, and its inverse is taken off
     independent : of these distances, as many count as independent; the likelihood is taken to that power over n
 
     Raises

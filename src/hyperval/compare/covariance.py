@@ -1,0 +1,214 @@
+"""The spread of a class from pixel to pixel: eigenvalues, directions, distance, tails."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.compare.rows import RowMaker
+from hyperval.processing.classification import bhattacharyya_distance
+from hyperval.processing.covariance_sampling import (
+    Directions,
+    SamplingBand,
+    Statistics,
+    full_rank,
+    kurtosis_parameter,
+    sampling_band,
+    statistics_of_covariance,
+)
+from hyperval.products import PixelDistribution, SpectralEstimate
+from hyperval.results import Result
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.windows import in_window
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+EIGENVALUES = 5
+SPACES = (1, 2, 3)
+FEWEST_PIXELS = 3
+_SEED = 20140501
+
+
+def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Mask:
+    """(B,) usable bands in the atmospheric windows in which both covariances say something."""
+    keep = in_window(axis.centre_nm) & axis.good
+    for side in (predicted, observed):
+        variance = np.diag(np.asarray(side.pixel_covariance))
+        keep = keep & np.isfinite(variance) & (variance > 0)
+    return np.asarray(keep)
+
+
+def independent_pixels(n: int, distribution: PixelDistribution | None, size: int) -> Array:
+    """(P,) degrees of freedom behind the variance along each direction, the leading ones first.
+
+    Directions beyond those whose correlation was measured take the last one's value.
+    """
+    found = None if distribution is None else distribution.effective_n
+    if found is None or distribution is None or not distribution.n:
+        return np.full(size, n - 1.0)
+    held = np.asarray(found, dtype=float)[:size]
+    return np.maximum(np.concatenate([held, np.full(size - held.size, held[-1])]) - 1.0, 1.0)
+
+
+def compare_covariance(
+    predicted: SpectralEstimate | None,
+    observed: SpectralEstimate | None,
+    *,
+    campaign: str,
+    subject: str,
+    method: str,
+    axis: SpectralAxis,
+    predicted_distribution: PixelDistribution | None = None,
+    observed_distribution: PixelDistribution | None = None,
+) -> list[Result]:
+    """Rows of one subject; ``method`` names the quantity.  There are none where a side has no spread.
+
+    The measured covariance is compared with covariances drawn from the predicted one (sampling bands at 95 %):
+
+    - ``eigenvalue_ratio@k`` predicted over measured, the predicted one being the mean of the draws;
+      ``eigenvalues_inside_95`` the share of them in the band;
+    - ``total_variance_ratio`` predicted over measured, by the trace;
+    - ``subspace_angle@k`` [deg] largest principal angle of the first k eigenvectors, ``subspace_inside_95@k``;
+    - ``bhattacharyya_distance`` of the two normal laws, and ``bhattacharyya_covariance_excess``: the covariance's
+      part less what sampling alone gives, with its band.  SKIPPED with fewer than 3 pixels for each band.
+    """
+    make = RowMaker(campaign, "covariance", subject, method)
+    if predicted is None or observed is None:
+        return []
+    if predicted.pixel_covariance is None or observed.pixel_covariance is None or observed.n is None:
+        return []
+    bands = compared_bands(predicted, observed, axis)
+    n = observed.n
+    if n < FEWEST_PIXELS or not bands.any():
+        return [make.skipped(f"{n} pixels and {int(bands.sum())} bands say nothing of a covariance")]
+    at = np.ix_(bands, bands)
+    first, second = predicted.pixel_covariance[at], np.asarray(observed.pixel_covariance[at])
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        return [make.skipped("a covariance is not finite")]
+    directions = Directions.of(first)
+    size = directions.values.size
+    independent = independent_pixels(n, observed_distribution, size)
+    kurtosis = 0.0 if predicted_distribution is None else kurtosis_parameter(predicted_distribution.tail_dof)
+    if math.isinf(kurtosis):
+        return [make.skipped("tails of 4 degrees of freedom or fewer: a sample covariance has no sampling band")]
+    count = max(min(EIGENVALUES, size, n - 1, int(independent.min())), 1)
+    spaces = tuple(k for k in SPACES if k <= count and k < size)
+    measured = statistics_of_covariance(
+        directions, directions.of_other(second), count, spaces, full_rank=full_rank(independent, size)
+    )
+    rng = np.random.default_rng(_SEED)
+    band = sampling_band(directions, independent, count, spaces, rng, kurtosis=kurtosis)
+    rows = _eigenvalue_rows(make, measured, band, n)
+    rows += _space_rows(make, measured, band, spaces, n)
+    if math.isnan(measured.distance):
+        why = f"{int(independent.min()) + 1} independent pixels for {size} directions"
+        names = ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
+        return rows + [make.skipped(why, name) for name in names]
+    distance = bhattacharyya_distance(predicted.mean[bands], first, observed.mean[bands], second)
+    rows.append(make.row("bhattacharyya_distance", distance, n=n))
+    excess = measured.distance - float(band.distance.mean())
+    low, high = SamplingBand.limits(band.distance - band.distance.mean())
+    reason = f"sampling alone gives {band.distance.mean():.3g}, {measured.distance:.3g} was found"
+    return [
+        *rows,
+        _row(
+            make,
+            "bhattacharyya_covariance_excess",
+            excess,
+            (excess - float(high), excess - float(low)),
+            n,
+            reason=reason,
+        ),
+    ]
+
+
+def _eigenvalue_rows(make: RowMaker, measured: Statistics, band: SamplingBand, n: int) -> list[Result]:
+    low, high = SamplingBand.limits(band.eigenvalues)
+    expected = band.eigenvalues.mean(axis=0)
+    rows = []
+    for k, value in enumerate(measured.eigenvalues):
+        interval = (float(low[k] / value), float(high[k] / value))
+        reason = f"measured {value:.4g}, expected of {n} pixels of the prediction {expected[k]:.4g}"
+        rows.append(_row(make, f"eigenvalue_ratio@{k + 1}", expected[k] / value, interval, n, reason=reason))
+    inside = (measured.eigenvalues >= low) & (measured.eigenvalues <= high)
+    rows.append(make.row("eigenvalues_inside_95", float(np.mean(inside)), n=n))
+    least, most = SamplingBand.limits(band.total)
+    ratio = float(band.total.mean()) / measured.total
+    interval = (float(least) / measured.total, float(most) / measured.total)
+    rows.append(_row(make, "total_variance_ratio", ratio, interval, n))
+    return rows
+
+
+def _space_rows(
+    make: RowMaker, measured: Statistics, band: SamplingBand, spaces: tuple[int, ...], n: int
+) -> list[Result]:
+    rows = []
+    for i, k in enumerate(spaces):
+        angle = float(measured.angles_deg[i])
+        # One-sided: only too large an angle tells against the prediction.
+        most = float(
+            np.sort(band.angles_deg[:, i])[-6]
+        )  # the sixth greatest of 119 is exceeded with probability 0.05
+        reason = f"sampling alone stays below {most:.3g} deg in 95 % of draws"
+        rows.append(make.row(f"subspace_angle@{k}", angle, unit="deg", n=n, reason=reason))
+        rows.append(make.row(f"subspace_inside_95@{k}", float(angle <= most), n=n, reason=reason))
+    return rows
+
+
+def _row(
+    make: RowMaker, metric: str, value: float, interval: tuple[float, float], n: int, reason: str = ""
+) -> Result:
+    """A row whose band is that of sampling; the mean of skewed draws may lie beyond an end of it."""
+    low, high = min(float(interval[0]), value), max(float(interval[1]), value)
+    return make.row(metric, value, interval=(low, high), n=n, reason=reason)
+
+
+def compare_distribution(
+    predicted: PixelDistribution | None,
+    observed: PixelDistribution | None,
+    *,
+    campaign: str,
+    subject: str,
+    method: str = "pixels",
+) -> list[Result]:
+    """Rows of the tails of one class.
+
+    ``background_tail_dof`` and ``background_tail_dof_leading``: measured degrees of freedom of a multivariate t in
+    all bands and in the few leading components, inf for normal pixels; ``tail_inverse_dof_difference``
+    1/predicted - 1/measured in the leading components, which stays finite; ``normality_p_value``;
+    ``effective_pixels``: independent pixels behind the variance of the first component.
+    """
+    make = RowMaker(campaign, "covariance", subject, method)
+    if predicted is None or observed is None:
+        return []
+    o, told = observed, f"predicted {_dof_text(predicted.tail_dof)}"
+    rows = [
+        make.row(
+            "background_tail_dof", o.tail_dof, interval=(o.tail_lower, o.tail_upper), n=o.n,
+            reason=f"{told}; in {o.dimension} bands",
+        )
+    ]  # fmt: skip
+    if not math.isnan(o.leading_tail_dof):
+        rows.append(
+            make.row(
+                "background_tail_dof_leading", o.leading_tail_dof, interval=(o.leading_lower, o.leading_upper),
+                n=o.n, reason=f"{told}; in the {o.leading_dimension} leading components",
+            )
+        )  # fmt: skip
+        inverse = [
+            0.0 if math.isinf(x) else 1.0 / x for x in (o.leading_upper, o.leading_tail_dof, o.leading_lower)
+        ]
+        expected = 0.0 if math.isinf(predicted.tail_dof) else 1.0 / predicted.tail_dof
+        low, value, high = (expected - x for x in reversed(inverse))
+        rows.append(make.row("tail_inverse_dof_difference", value, interval=(low, high), n=o.n, reason=told))
+    rows.append(make.row("normality_p_value", o.normality_p_value, n=o.n))
+    if o.effective_n is not None and o.effective_n.size:
+        rows.append(make.row("effective_pixels", float(o.effective_n[0]), n=o.n))
+    return rows
+
+
+def _dof_text(dof: float) -> str:
+    return "normal pixels" if math.isinf(dof) else f"{dof:.3g} degrees of freedom"
