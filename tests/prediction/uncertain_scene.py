@@ -1,0 +1,75 @@
+"""A scene of ten bands under a stand-in atmosphere, for departures, budgets and their propagation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
+from hyperval.config import parse_yaml, validate
+from hyperval.predict import predict
+from hyperval.products import Prediction
+from hyperval.scenario import Scenario
+from hyperval.spectra.axis import SpectralAxis
+
+AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
+
+
+def engine(state: AtmosphericState) -> AtmosphericTerms:
+    """Rayleigh-like path, haze by optical depth, water at 940 nm, light by the cosine of the sun's zenith angle."""
+    w = np.arange(340.0, 2601.0, 10.0)
+    blue = (w / 550.0) ** -4
+    haze = state.aerosol_optical_depth * (w / 550.0) ** -1.3
+    water = (state.water_vapour_g_cm2 or 2.0) * np.exp(-(((w - 940) / 60) ** 2))
+    ozone = (state.ozone_atm_cm or 0.3) * np.exp(-(((w - 600) / 60) ** 2))
+    mu = np.cos(np.radians(state.sun[0]))
+    sun = (60 * np.exp(-(((w - 480) / 500) ** 2)) + 1.0) * mu
+    gas = np.exp(-0.3 * water - 0.1 * ozone)
+    direct = sun * np.exp(-0.5 * (haze + 0.1 * blue) / mu) * gas / np.pi
+    return AtmosphericTerms(
+        wavelength_nm=w,
+        path_radiance=0.8 * blue + 0.5 * haze,
+        direct=direct,
+        adjacency=direct * (0.1 * haze + 0.05 * blue),
+        spherical_albedo=0.06 * blue + 0.15 * haze,
+        ground_irradiance=sun * gas,
+        gas_transmittance=gas,
+        provenance={"engine": "stand-in"},
+    )
+
+
+SCENE = """
+schema: 1
+name: small
+scene:
+  classes:
+    - {name: grass, fraction: 0.7, spectrum: {builtin: grass}}
+    - {name: asphalt, fraction: 0.3, spectrum: {builtin: asphalt}}
+  panels: [{name: panel, spectrum: {builtin: grey-panel-30}}]
+  targets:
+    - name: plank
+      spectrum: {builtin: yellow-paint-plank}
+      host: asphalt
+      subjects:
+        - {name: tenth, fill: {fixed: 0.1}}
+        - {name: loose, fill: {mean: 0.15, sd: 0.05}}
+processing: {detectors: [cem], bands: {drop_bad: false}}
+"""
+ATMOSPHERE = """
+atmosphere: {aot550: 0.2, water_vapour_g_cm2: 2.0, ozone_atm_cm: 0.3, sensor_altitude_km: 1, solar_zenith_deg: 30,
+             solar_azimuth_deg: 0, day_of_year: 200}
+sensor: prospectir-vs
+"""
+
+
+def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
+    """The scene with more YAML after it, and words of its text replaced."""
+    text = SCENE + extra
+    for old, new in replaced.items():
+        text = text.replace(old, new)
+    data, lines = parse_yaml(text)
+    return validate(Scenario, data, lines, "text")
+
+
+def run(s: Scenario, **kwargs) -> Prediction:
+    """The prediction on the ten bands."""
+    return predict(s, axis=AXIS, engine=engine, **kwargs)
