@@ -128,11 +128,14 @@ def test_both_byte_orders_of_a_geometry():
         _geometry(big[:-4], 0)
 
 
-def test_a_polygon_that_leaves_the_image_is_refused_with_its_extent(tmp_path):
-    path = write(tmp_path / "o.gpkg", [polygon(on_map([(2, 3), (14, 3), (14, 8)]))], ["grass"])
-    with pytest.raises(InputError, match=r"leaves the image: samples 2\.00 to 14\.00") as caught:
+def test_a_polygon_that_leaves_the_image_is_cut_and_one_outside_refused(tmp_path):
+    path = write(tmp_path / "o.gpkg", [polygon(on_map([(8, 3), (16, 3), (16, 8), (8, 8)]))], ["grass"])
+    region = read_regions(path, SHAPE, **PLACED)["grass"]
+    assert region.n == 20
+    assert "50.0 % of its area is outside" in region.remarks[0]
+    path = write(tmp_path / "p.gpkg", [polygon(on_map([(22, 3), (34, 3), (34, 8)]))], ["grass"])
+    with pytest.raises(InputError, match=r"region 'grass': the region leaves the image: samples 22\.00 to 34\.00"):
         read_regions(path, SHAPE, **PLACED)
-    assert "feature 1 (grass)" in str(caught.value)
 
 
 @pytest.mark.parametrize(

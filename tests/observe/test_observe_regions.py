@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from small_world import LINES, PLANTED, SAMPLES
@@ -160,6 +162,36 @@ def test_targets_that_touch_the_same_pixel_are_counted(world):
     rows = "name,material,group,row0,col0,side_m\na,paint,x,10,10,1\nb,paint,x,10,10,1\n"
     world.text("targets.csv", rows)
     assert "1 pixels may hold parts of more than one target" in opened(world).notes
+    world.text("targets.csv", rows.replace("b,paint", "b,cloth"))
+    assert "1 pixels may hold parts of more than one target: 1 of 'paint' and 'cloth'" in opened(world).notes
+
+
+def test_drawn_regions_tell_of_what_leaves_the_image_and_of_holes(world):
+    ring, hole = [[30, 5], [50, 5], [50, 15], [30, 15], [30, 5]], [[32, 7], [35, 7], [35, 9], [32, 9], [32, 7]]
+    world.text("rois.geojson", f'{{"type":"Polygon","coordinates":[{ring},{hole}]}}')
+    world.collection["regions"].append({"file": "rois.geojson", "coordinates": "pixel", "name": "court"})
+    notes = opened(world).notes
+    # 200 - 6 pixels in all, 100 - 6 inside.
+    assert (
+        "warning: the region 'court' leaves the image: 51.5 % of its area is outside, 94 pixels are left" in notes
+    )
+    assert "the region 'court' has a hole of 6 pixels, which are not part of it" in notes
+
+
+@pytest.mark.data
+def test_hysu_materials_overlap(data_dir):
+    """The masks of neighbouring materials share pixels; the note says which."""
+    from hyperval.campaign.schema import load_campaign
+
+    root = Path(str(data_dir("hysu/README.md"))).parents[1]
+    campaign = load_campaign(Path(__file__).resolve().parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml")
+    place = open_place(campaign.collection, lambda r: root / r.removeprefix("data:"), show_progress=False)
+    (said,) = [n for n in place.notes if "more than one target" in n]
+    masks = {t.material: np.zeros(place.cube.shape, bool) for t in place.targets}
+    for target in place.targets:
+        masks[target.material] |= target.mask
+    assert f"{np.sum(masks['red_fabric'] & masks['green_fabric'])} of 'red_fabric' and 'green_fabric'" in said
+    assert np.sum(masks["red_fabric"] & masks["green_fabric"]) > 0
 
 
 def test_what_the_header_says_of_the_flight_is_noted(world):

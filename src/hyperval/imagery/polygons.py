@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -43,18 +44,29 @@ def polygon_mask(
     ------
     InputError : fewer than three vertices, not finite, or a vertex outside the image.
     """
-    rings = [_ring(r, shape, where) for r in (exterior, *holes)]
+    rings = [ring_of(r, where) for r in (exterior, *holes)]
+    for ring in rings:
+        if not inside_image(ring, shape):
+            raise outside_error(ring, shape, where)
+    return burned(rings, shape, touched=touched)
+
+
+def burned(rings: Sequence[Array], shape: tuple[int, int], *, touched: bool = False) -> Mask:
+    """(lines, samples) mask of a polygon: its exterior, then its holes, each (n, 2); nothing is checked."""
     geometry = {"type": "Polygon", "coordinates": [np.vstack([r, r[:1]]).tolist() for r in rings]}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        burned = rasterize([(geometry, 1)], out_shape=shape, fill=0, dtype="uint8", all_touched=touched)
-    return burned.astype(bool)
+        mask = rasterize([(geometry, 1)], out_shape=shape, fill=0, dtype="uint8", all_touched=touched)
+    return np.asarray(mask.astype(bool))
 
 
 def point_mask(points: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> Mask:
     """(lines, samples) mask of the pixels that hold points (sample, line) in continuous coordinates."""
     xy = np.asarray(points, dtype=float).reshape(-1, 2)
-    _check_inside(xy, shape, where)
+    if not np.all(np.isfinite(xy)):
+        raise InputError("coordinates that are not finite", where=where)
+    if not inside_image(xy, shape):
+        raise outside_error(xy, shape, where)
     mask = np.zeros(shape, bool)
     col = np.clip(np.floor(xy[:, 0]).astype(int), 0, shape[1] - 1)
     row = np.clip(np.floor(xy[:, 1]).astype(int), 0, shape[0] - 1)
@@ -78,11 +90,28 @@ def pixel_mask(rows: npt.ArrayLike, cols: npt.ArrayLike, shape: tuple[int, int],
     return mask
 
 
-def map_to_pixel(points: npt.ArrayLike, transform: Affine | None, *, where: str) -> Array:
-    """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y)."""
+class MapGrid(Protocol):
+    """A position that is not an affine transform, such as a geographic lookup table."""
+
+    def to_pixel(self, points: Array, *, where: str, ring: bool = False) -> Array:
+        """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y)."""
+        ...
+
+
+Position = Affine | MapGrid | None
+
+
+def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str, ring: bool = False) -> Array:
+    """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y).
+
+    ``ring``: the points are the vertices of a polygon, whose straight sides may be bent in the image: more
+    vertices may come back.
+    """
     if transform is None:
         raise InputError("the cube has no position, so map coordinates cannot be placed", where=where)
     xy = np.asarray(points, dtype=float).reshape(-1, 2)
+    if not isinstance(transform, Affine):
+        return transform.to_pixel(xy, where=where, ring=ring)
     inverse = ~transform
     return np.column_stack(
         [
@@ -103,7 +132,13 @@ def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where
     return np.column_stack([east, north])
 
 
-def _ring(ring: Ring, shape: tuple[int, int], where: str) -> Array:
+def ring_of(ring: Ring, where: str) -> Array:
+    """(n, 2) vertices of a ring, the closing one left out.
+
+    Raises
+    ------
+    InputError : fewer than three different vertices, too many, or coordinates that are not finite.
+    """
     xy = np.asarray(ring, dtype=float)
     if xy.ndim != 2 or xy.shape[1] != 2:
         raise UsageError("a polygon is a list of (sample, line) pairs", where=where)
@@ -113,20 +148,26 @@ def _ring(ring: Ring, shape: tuple[int, int], where: str) -> Array:
         xy = xy[:-1]
     if len(np.unique(xy, axis=0)) < 3:
         raise InputError(f"a polygon of {len(np.unique(xy, axis=0))} different vertices", where=where)
-    _check_inside(xy, shape, where)
+    if not np.all(np.isfinite(xy)):
+        raise InputError("coordinates that are not finite", where=where)
     return xy
 
 
-def _check_inside(xy: Array, shape: tuple[int, int], where: str) -> None:
+def inside_image(xy: Array, shape: tuple[int, int]) -> bool:
+    """Whether all of (n, 2) points (sample, line) lie in the image, to a millionth of a pixel."""
     lines, samples = shape
-    if not np.all(np.isfinite(xy)):
-        raise InputError("coordinates that are not finite", where=where)
-    low, high = xy.min(axis=0) if xy.size else np.zeros(2), xy.max(axis=0) if xy.size else np.zeros(2)
-    if low.min() < -_EDGE or high[0] > samples + _EDGE or high[1] > lines + _EDGE:
-        raise InputError(
-            f"the region leaves the image: samples {low[0]:.2f} to {high[0]:.2f}, "
-            f"lines {low[1]:.2f} to {high[1]:.2f}",
-            where=where,
-            expected=f"samples 0 to {samples}, lines 0 to {lines} (continuous pixel coordinates)",
-            mend="check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube",
-        )
+    if not xy.size:
+        return True
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    return bool(low.min() >= -_EDGE and high[0] <= samples + _EDGE and high[1] <= lines + _EDGE)
+
+
+def outside_error(xy: Array, shape: tuple[int, int], where: str) -> InputError:
+    """The error for points (n, 2) that the image does not hold."""
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    return InputError(
+        f"the region leaves the image: samples {low[0]:.2f} to {high[0]:.2f}, lines {low[1]:.2f} to {high[1]:.2f}",
+        where=where,
+        expected=f"samples 0 to {shape[1]}, lines 0 to {shape[0]} (continuous pixel coordinates)",
+        mend="check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube",
+    )

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from affine import Affine
 from rasterio.crs import CRS
 from scipy import ndimage
 from skimage.measure import label
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import regions_envi, regions_files, regions_vector
-from hyperval.imagery.polygons import polygon_mask
+from hyperval.imagery.drawing import WARNING, Drawing
+from hyperval.imagery.polygons import Position, polygon_mask
 from hyperval.imagery.rasters import TIFF_SUFFIXES, header_beside
 from hyperval.paths import checked_file
 
@@ -32,11 +32,13 @@ class Region:
     name : as in the file, or as the campaign calls it
     mask : (lines, samples) True inside
     source : file, or "inline"
+    notes : what was found in drawing it, such as a part outside the image, to stand after its name
     """
 
     name: str
     mask: Mask
     source: str
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.mask.dtype != bool or self.mask.ndim != 2:
@@ -53,12 +55,20 @@ class Region:
         """Number of pixels."""
         return int(self.mask.sum())
 
+    @property
+    def remarks(self) -> list[str]:
+        """The notes as sentences with the name of the region."""
+        return [
+            f"{WARNING * note.startswith(WARNING)}the region {self.name!r} {note.removeprefix(WARNING)}"
+            for note in self.notes
+        ]
+
 
 def read_regions(
     path: Path | str,
     cube_shape: tuple[int, int],
     *,
-    transform: Affine | None = None,
+    transform: Position = None,
     crs: CRS | None = None,
     names: Mapping[str | int, str] | Sequence[str] | None = None,
     coordinates: str | None = None,
@@ -73,7 +83,8 @@ def read_regions(
     Parameters
     ----------
     cube_shape : (lines, samples) of the cube that the regions belong to
-    transform, crs : position of the cube, for regions in map coordinates
+    transform, crs : position of the cube, for regions in map coordinates: an affine transform, or a geographic
+        lookup table
     names : the regions to read: a list of names in the file, or a mapping from name (or value of a
         class raster) in the file to the name wanted; None reads all
     coordinates : "pixel", "map" (the cube's own system) or "lonlat", for GeoJSON, which must be told, and for a
@@ -82,38 +93,47 @@ def read_regions(
 
     Raises
     ------
-    InputError : missing, unreadable, empty, outside the image, or made for an image of another size.
+    InputError : missing, unreadable, empty, wholly outside the image, or made for an image of another size.
     UsageError : unknown format, unknown names, or ``coordinates`` not stated.
     """
     path = checked_file(path, root=root, what="region file")
     head = regions_files.head_of(path)
     stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
-    masks: Mapping[Any, Mask]
+    drawn: Mapping[Any, Mask | Drawing]
     if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        masks = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names))
+        drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names))
     elif stripped.startswith(b"<"):
-        masks = regions_envi.xml_masks(path, cube_shape, transform=transform, crs=crs)
+        drawn = regions_envi.xml_drawings(path, cube_shape, transform=transform, crs=crs)
     elif b"ENVI Output of ROIs" in head[:200]:
-        masks = regions_envi.ascii_masks(path, cube_shape)
+        drawn = regions_envi.ascii_drawings(path, cube_shape)
     elif head.startswith(b"JoeB"):
-        masks = regions_envi.binary_masks(path, cube_shape)
+        drawn = regions_envi.binary_drawings(path, cube_shape)
     elif regions_vector.is_vector(head):
-        masks = regions_vector.vector_masks(
+        drawn = regions_vector.vector_drawings(
             path, cube_shape, coordinates=coordinates, transform=transform, crs=crs, root=root
         )
     elif stripped.startswith(b"{"):
-        masks = regions_files.geojson_masks(path, cube_shape, coordinates=coordinates, transform=transform, crs=crs)
+        drawn = regions_files.geojson_drawings(
+            path, cube_shape, coordinates=coordinates, transform=transform, crs=crs
+        )
     elif path.suffix.lower() == ".hdr" or header_beside(path) is not None:
-        masks = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names))
+        drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names))
     elif path.suffix.lower() in (".csv", ".txt"):
-        masks = regions_files.csv_masks(path, cube_shape)
+        drawn = regions_files.csv_drawings(path, cube_shape)
     else:
         raise UsageError(
             "the format of the region file is not known",
             where=str(path),
             expected="GeoJSON, GeoPackage, Shapefile, ENVI ROI (XML, ASCII, binary), CSV pixel list, class raster",
         )
-    return {name: Region(name, mask, str(path)) for name, mask in _named(masks, names, str(path)).items()}
+    return {name: _region(name, made, str(path)) for name, made in _named(drawn, names, str(path)).items()}
+
+
+def _region(name: str, made: Mask | Drawing, source: str) -> Region:
+    if not isinstance(made, Drawing):
+        return Region(name, made, source)
+    made.check(f"{source}: region {name!r}")
+    return Region(name, made.mask, source, made.notes())
 
 
 def polygon_region(
@@ -149,6 +169,16 @@ def overlaps(regions: Iterable[Region]) -> list[tuple[str, str, int]]:
     return found
 
 
+def holes(mask: Mask) -> tuple[int, int]:
+    """Number of holes in a mask, and their pixels: groups (of 4 neighbours) that it encloses."""
+    if not mask.any():
+        return 0, 0
+    lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    part = mask[lines[0] : lines[-1] + 1, samples[0] : samples[-1] + 1]
+    labels, count = label(~np.pad(part, 1), connectivity=1, return_num=True)
+    return int(count) - 1, int(np.count_nonzero(labels > 1))  # the first label is that of the surroundings
+
+
 def objects(mask: Mask) -> tuple[npt.NDArray[np.int32], int]:
     """Connected groups of pixels (8 neighbours): labels (lines, samples), 0 outside, and their number."""
     labels, count = label(mask, connectivity=2, return_num=True)
@@ -169,8 +199,8 @@ def _by_value(names: Mapping[str | int, str] | Sequence[str] | None) -> bool:
 
 
 def _named(
-    masks: Mapping[Any, Mask], names: Mapping[str | int, str] | Sequence[str] | None, where: str
-) -> dict[str, Mask]:
+    masks: Mapping[Any, Mask | Drawing], names: Mapping[str | int, str] | Sequence[str] | None, where: str
+) -> dict[str, Mask | Drawing]:
     if not masks:
         raise InputError("the file holds no region", where=where)
     if names is None:

@@ -9,24 +9,23 @@ from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
-from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.errors import InputError
-from hyperval.imagery.polygons import map_to_pixel, pixel_mask, point_mask, polygon_mask, reprojected
+from hyperval.imagery.drawing import Drawing
+from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
 from hyperval.imagery.regions_files import read_text
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 MAX_XML_BYTES = 8 << 20
 MAX_BINARY_BYTES = 64 << 20
 
 
-def xml_masks(
-    path: Path, shape: tuple[int, int], *, transform: Affine | None = None, crs: CRS | None = None
-) -> dict[str, Mask]:
-    """Masks by name of an ENVI 5 ROI file.
+def xml_drawings(
+    path: Path, shape: tuple[int, int], *, transform: Position = None, crs: CRS | None = None
+) -> dict[str, Drawing]:
+    """Drawings by name of an ENVI 5 ROI file.
 
     ``CoordSysStr`` "none" means continuous pixel coordinates, a WKT means map coordinates, which
     are projected to the cube's system where it differs.
@@ -47,41 +46,41 @@ def xml_masks(
         raise InputError(f"not valid XML: {error}", where=f"{path}:{error.position[0]}") from error
     if root.tag != "RegionsOfInterest":
         raise InputError(f"the root element is {root.tag!r}", where=str(path), expected="RegionsOfInterest")
-    masks: dict[str, Mask] = {}
+    drawings: dict[str, Drawing] = {}
     for number, region in enumerate(root.iter("Region"), start=1):
         name = region.get("name") or str(number)
         where = f"{path}: region {name!r}"
-        if name in masks:
+        if name in drawings:
             raise InputError("the name stands twice", where=where)
-        mask = np.zeros(shape, bool)
+        drawing = Drawing(shape)
         for definition in region.iter("GeometryDef"):
             system = " ".join((definition.findtext("CoordSysStr") or "none").split())
 
-            def placed(element: ElementTree.Element, system: str = system, where: str = where) -> Array:
-                return _placed(_pairs(element, where), system, transform, crs, where)
+            def placed(element: ElementTree.Element, ring: bool, system: str = system, where: str = where) -> Array:
+                return _placed(_pairs(element, where), system, transform, crs, where, ring)
 
             for child in definition:
                 if child.tag == "CoordSysStr":
                     continue
                 if child.tag in ("Polygon", "MultiPolygon"):
                     for polygon in child.iter("Polygon"):
-                        outer = [placed(ring) for ring in polygon.findall("Exterior/LinearRing")]
-                        inner = [placed(ring) for ring in polygon.findall("Interior/LinearRing")]
+                        outer = [placed(ring, True) for ring in polygon.findall("Exterior/LinearRing")]
+                        inner = [placed(ring, True) for ring in polygon.findall("Interior/LinearRing")]
                         if len(outer) != 1:
                             raise InputError(f"a polygon with {len(outer)} exterior rings", where=where)
-                        mask |= polygon_mask(outer[0], shape, inner, where=where)
+                        drawing.add_polygon(outer[0], inner, where=where)
                 elif child.tag in ("Point", "MultiPoint"):
-                    mask |= point_mask(placed(child), shape, where=where)
+                    drawing.add_points(placed(child, False), where=where)
                 else:
                     raise InputError(
                         f"geometry {child.tag!r} has no area", where=where, expected="Polygon, Point or MultiPoint"
                     )
-        masks[name] = mask
-    return masks
+        drawings[name] = drawing
+    return drawings
 
 
-def ascii_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
-    """Masks by name of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
+def ascii_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
+    """Drawings by name of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
 
     Raises
     ------
@@ -137,16 +136,17 @@ def ascii_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
     if len(set(names)) < len(names):
         raise InputError("two regions have the same name", where=str(path))
     placed = np.array(rows, dtype=np.int64).reshape(-1, 2)
-    masks, start = {}, 0
+    drawings, start = {}, 0
     for name, count in zip(names, counts, strict=True):
         part = placed[start : start + count]
-        masks[name] = pixel_mask(part[:, 0], part[:, 1], shape, where=f"{path}: region {name!r}")
+        drawings[name] = Drawing(shape)
+        drawings[name].add_pixels(part[:, 0], part[:, 1], where=f"{path}: region {name!r}")
         start += count
-    return masks
+    return drawings
 
 
-def binary_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
-    """Masks by name of a classic ENVI ``.roi`` file (big-endian; pixel addresses and polygons from 0).
+def binary_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
+    """Drawings by name of a classic ENVI ``.roi`` file (big-endian; pixel addresses and polygons from 0).
 
     Raises
     ------
@@ -165,7 +165,7 @@ def binary_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
         at += size
         return out
 
-    masks: dict[str, Mask] = {}
+    drawings: dict[str, Drawing] = {}
     for _ in range(words(1)[0]):
         length = words(2)[1]
         if not 0 <= length <= 4096 or at + length > len(raw):
@@ -178,19 +178,18 @@ def binary_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
             raise InputError(f"made for {table[1]} lines x {table[0]} samples", where=where, expected=f"{shape}")
         if table[43]:
             raise InputError("polylines have no area", where=where)
-        if name in masks:
+        if name in drawings:
             raise InputError("the name stands twice", where=where)
-        mask = np.zeros(shape, bool)
+        drawings[name] = drawing = Drawing(shape)
         if table[44]:
             words(1)
             addresses = np.array(words(table[3]), dtype=np.int64)
-            mask |= pixel_mask(addresses // shape[1], addresses % shape[1], shape, where=where)
+            drawing.add_pixels(addresses // shape[1], addresses % shape[1], where=where)
         for _ in range(table[42]):
             vertices = words(2)[0]
             ring = np.column_stack([words(vertices, "f"), words(vertices, "f")])
-            mask |= polygon_mask(ring, shape, where=where)
-        masks[name] = mask
-    return masks
+            drawing.add_polygon(ring, where=where)
+    return drawings
 
 
 def _pairs(element: ElementTree.Element, where: str) -> Array:
@@ -204,14 +203,14 @@ def _pairs(element: ElementTree.Element, where: str) -> Array:
     return values.reshape(-1, 2)
 
 
-def _placed(points: Array, system: str, transform: Affine | None, crs: CRS | None, where: str) -> Array:
+def _placed(points: Array, system: str, transform: Position, crs: CRS | None, where: str, ring: bool) -> Array:
     if system.lower() == "none":
         return points
     try:
         source = CRS.from_wkt(system, morph_from_esri_dialect=True)
     except CRSError:
         raise InputError(f"unknown coordinate system {system[:60]!r}", where=where) from None
-    return map_to_pixel(reprojected(points, source, crs, where=where), transform, where=where)
+    return map_to_pixel(reprojected(points, source, crs, where=where), transform, where=where, ring=ring)
 
 
 def _whole(text: str, where: str) -> int:

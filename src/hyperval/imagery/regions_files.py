@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.polygons import map_to_pixel, pixel_mask, point_mask, polygon_mask, reprojected
+from hyperval.imagery.drawing import Drawing
+from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
 from hyperval.imagery.rasters import open_raster
 
 Mask = npt.NDArray[np.bool_]
@@ -80,10 +80,10 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
     return fields, rows
 
 
-def geojson_masks(
-    path: Path, shape: tuple[int, int], *, coordinates: str | None, transform: Affine | None, crs: CRS | None
-) -> dict[str, Mask]:
-    """Masks by name of the polygons and points of a GeoJSON file; features of one name are united."""
+def geojson_drawings(
+    path: Path, shape: tuple[int, int], *, coordinates: str | None, transform: Position, crs: CRS | None
+) -> dict[str, Drawing]:
+    """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united."""
     if coordinates not in ("pixel", "map", "lonlat"):
         raise UsageError(
             "a GeoJSON file does not say what its coordinates are",
@@ -98,7 +98,7 @@ def geojson_masks(
     if coordinates == "map" and stated is not None and crs is not None and stated != crs:
         raise InputError(f"the file is in {stated}, the cube in {crs}", where=str(path))
 
-    def place(points: Any, where: str) -> npt.NDArray[np.float64]:
+    def place(points: Any, where: str, ring: bool) -> npt.NDArray[np.float64]:
         try:
             xy = np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
         except (TypeError, ValueError, IndexError):
@@ -107,30 +107,29 @@ def geojson_masks(
             return xy
         if coordinates == "lonlat":
             xy = reprojected(xy, CRS.from_epsg(4326), crs, where=where)
-        return map_to_pixel(xy, transform, where=where)
+        return map_to_pixel(xy, transform, where=where, ring=ring)
 
-    masks: dict[str, Mask] = {}
+    drawings: dict[str, Drawing] = {}
     for number, (name, geometry) in enumerate(_features(data, path), start=1):
         where = f"{path}: feature {number} ({name})"
         kind, parts = geometry.get("type"), geometry.get("coordinates")
         if kind in ("Point", "MultiPoint"):
-            mask = point_mask(place([parts] if kind == "Point" else parts, where), shape, where=where)
+            placed = place([parts] if kind == "Point" else parts, where, False)
+            drawings.setdefault(name, Drawing(shape)).add_points(placed, where=where)
         elif kind in ("Polygon", "MultiPolygon"):
-            mask = np.zeros(shape, bool)
             polygons = [parts] if kind == "Polygon" else parts
             for rings in polygons if isinstance(polygons, list) else [None]:
                 if not isinstance(rings, list) or not rings:
                     raise InputError("a polygon without vertices", where=where)
-                placed = [place(ring, where) for ring in rings]
-                mask |= polygon_mask(placed[0], shape, placed[1:], where=where)
+                outer, *inner = [place(ring, where, True) for ring in rings]
+                drawings.setdefault(name, Drawing(shape)).add_polygon(outer, inner, where=where)
         else:
             raise InputError(f"geometry {kind!r}", where=where, expected="Polygon, MultiPolygon, Point, MultiPoint")
-        masks[name] = masks[name] | mask if name in masks else mask
-    return masks
+    return drawings
 
 
-def csv_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
-    """Masks by name of a CSV pixel list.
+def csv_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
+    """Drawings by name of a CSV pixel list.
 
     Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
     ``name`` or ``class`` where the file holds more than one region.
@@ -157,11 +156,12 @@ def csv_masks(path: Path, shape: tuple[int, int]) -> dict[str, Mask]:
         if not name:
             raise InputError(f"no name in column {column!r}", where=f"{path}:{number}")
         pixels.setdefault(name, []).append(place)
-    masks = {}
+    drawings = {}
     for name, listed in pixels.items():
         places = np.array(listed, dtype=np.int64)
-        masks[name] = pixel_mask(places[:, 0], places[:, 1], shape, where=f"{path}: region {name!r}")
-    return masks
+        drawings[name] = Drawing(shape)
+        drawings[name].add_pixels(places[:, 0], places[:, 1], where=f"{path}: region {name!r}")
+    return drawings
 
 
 def raster_masks(path: Path, shape: tuple[int, int], *, by_value: bool = False) -> dict[str | int, Mask]:

@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.polygons import map_to_pixel, point_mask, polygon_mask, reprojected
+from hyperval.imagery.drawing import Drawing
+from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
 from hyperval.paths import checked_file
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 MAX_BYTES = 256 << 20
 MAX_FEATURES = 100_000
 _NAME_COLUMNS = ("region", "name", "class")
@@ -32,16 +31,16 @@ def is_vector(head: bytes) -> bool:
     return head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a"
 
 
-def vector_masks(
+def vector_drawings(
     path: Path,
     shape: tuple[int, int],
     *,
     coordinates: str | None = None,
-    transform: Affine | None = None,
+    transform: Position = None,
     crs: CRS | None = None,
     root: Path | None = None,
-) -> dict[str, Mask]:
-    """Masks by name of the polygons and points of every layer; features of one name are united.
+) -> dict[str, Drawing]:
+    """Drawings by name of the polygons and points of every layer; features of one name are united.
 
     A name comes from the attribute ``region``, ``name`` or ``class``, else it is that of the layer.  The file's
     coordinate system places them; where it has none, ``coordinates`` must say "pixel", "map" or "lonlat".
@@ -61,7 +60,7 @@ def vector_masks(
             mend="pip install hyperval[vector], or export the regions as GeoJSON",
         ) from None
     _check_files(path, root)
-    masks: dict[str, Mask] = {}
+    drawings: dict[str, Drawing] = {}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -75,11 +74,10 @@ def vector_masks(
                 names = _names(layer, list(meta["fields"]), columns, len(shapes))
                 for number, (name, wkb) in enumerate(zip(names, shapes, strict=True), start=1):
                     where = f"{path}: layer {layer!r}, feature {number} ({name})"
-                    mask = _mask(wkb, shape, place, where)
-                    masks[name] = masks[name] | mask if name in masks else mask
+                    _draw(drawings.setdefault(name, Drawing(shape)), wkb, place, where)
     except (DataLayerError, DataSourceError) as error:
         raise InputError(f"cannot be read: {error}", where=str(path)) from error
-    return masks
+    return drawings
 
 
 def _check_files(path: Path, root: Path | None) -> None:
@@ -99,9 +97,7 @@ def _check_files(path: Path, root: Path | None) -> None:
         raise InputError(f"larger than {MAX_BYTES >> 20} MiB", where=str(path))
 
 
-def _placing(
-    coordinates: str | None, stated: str | None, transform: Affine | None, crs: CRS | None, where: str
-) -> Any:
+def _placing(coordinates: str | None, stated: str | None, transform: Position, crs: CRS | None, where: str) -> Any:
     """A function from the file's coordinates (n, 2) to continuous pixel coordinates."""
     try:
         own = CRS.from_user_input(stated) if stated else None
@@ -122,14 +118,14 @@ def _placing(
     if own is not None and coordinates == "lonlat" and not own.is_geographic:
         raise InputError(f"the file is in {own}, not in longitude and latitude", where=where)
 
-    def place(points: Array, where: str) -> Array:
+    def place(points: Array, where: str, ring: bool) -> Array:
         if coordinates == "pixel":
             return points
         if own is not None:
             points = reprojected(points, own, crs, where=where)
         elif coordinates == "lonlat":
             points = reprojected(points, CRS.from_epsg(4326), crs, where=where)
-        return map_to_pixel(points, transform, where=where)
+        return map_to_pixel(points, transform, where=where, ring=ring)
 
     return place
 
@@ -146,7 +142,7 @@ def _names(layer: str, fields: list[str], columns: Any, count: int) -> list[str]
     return out
 
 
-def _mask(wkb: bytes | None, shape: tuple[int, int], place: Any, where: str) -> Mask:
+def _draw(drawing: Drawing, wkb: bytes | None, place: Any, where: str) -> None:
     if wkb is None:
         raise InputError("a feature without geometry", where=where)
     try:
@@ -157,12 +153,12 @@ def _mask(wkb: bytes | None, shape: tuple[int, int], place: Any, where: str) -> 
         what = f"geometry {_KINDS[kind]!r}" if kind in _KINDS else "an empty geometry"
         raise InputError(what, where=where, expected="Polygon, MultiPolygon, Point, MultiPoint")
     if kind in (_POINT, _MULTI_POINT):
-        return point_mask(place(np.vstack([ring for part in parts for ring in part]), where), shape, where=where)
-    mask = np.zeros(shape, bool)
+        points = place(np.vstack([ring for part in parts for ring in part]), where, False)
+        drawing.add_points(points, where=where)
+        return
     for rings in parts:
-        placed = [place(ring, where) for ring in rings]
-        mask |= polygon_mask(placed[0], shape, placed[1:], where=where)
-    return mask
+        outer, *inner = [place(ring, where, True) for ring in rings]
+        drawing.add_polygon(outer, inner, where=where)
 
 
 def _geometry(raw: bytes, at: int) -> tuple[int, list[list[Array]], int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from hyperval.collection import Collection, CubeSource, NormalizedDifference, Re
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.acquisition import acquisition_notes
 from hyperval.imagery.cube import Cube, open_cube
-from hyperval.imagery.regions import Region, guard, overlaps, read_regions, rectangle_region
+from hyperval.imagery.regions import Region, guard, holes, overlaps, read_regions, rectangle_region
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets
 from hyperval.progress import track
 
@@ -95,10 +95,8 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
         left_out |= regions[name].mask
     notes = [*cube.notes, *acquisition_notes(cube.extras, cube.axis, cube.samples, cube.raster.bands)]
-    notes += [
-        f"the regions {first!r} and {second!r} share {count} pixels"
-        for first, second, count in overlaps(regions.values())
-    ]
+    by_rule = frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None)
+    notes += region_notes(regions.values(), by_rule)
     notes += target_overlaps(regions.values(), targets, near)
     return Place(
         cube,
@@ -108,7 +106,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         left_out,
         _pixel_area_m2(cube, collection.targets),
         collection.targets.pixels if collection.targets else "touched",
-        frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None),
+        by_rule,
         tuple(notes),
     )
 
@@ -118,6 +116,21 @@ def _pixel_area_m2(cube: Cube, truth: TargetTruth | None) -> float | None:
     if cube.transform is None and truth is not None and truth.pixel_size_m is not None:
         return truth.pixel_size_m**2
     return cube.pixel_area_m2
+
+
+def region_notes(regions: Iterable[Region], by_rule: frozenset[str] = frozenset()) -> list[str]:
+    """What leaves the image, which regions have holes (but those that a rule found), which share pixels."""
+    listed = list(regions)
+    notes = [remark for region in listed for remark in region.remarks]
+    for region in listed:
+        count, pixels = (0, 0) if region.name in by_rule else holes(region.mask)
+        if count:
+            what = "a hole" if count == 1 else f"{count} holes"
+            notes.append(f"the region {region.name!r} has {what} of {pixels} pixels, which are not part of it")
+    notes += [
+        f"the regions {first!r} and {second!r} share {count} pixels" for first, second, count in overlaps(listed)
+    ]
+    return notes
 
 
 def target_overlaps(regions: Iterable[Region], targets: Sequence[TargetObject], near: Mask) -> list[str]:
@@ -137,8 +150,17 @@ def target_overlaps(regions: Iterable[Region], targets: Sequence[TargetObject], 
             notes.append(f"{what} among {region.n}: left out of its statistics")
     shared = int(np.sum(touched > 1))
     if shared:
-        notes.append(f"{shared} pixels may hold parts of more than one target")
+        notes.append(f"{shared} pixels may hold parts of more than one target" + _between(targets))
     return notes
+
+
+def _between(targets: Sequence[TargetObject]) -> str:
+    """Which materials share pixels, in words: ": 12 of 'a' and 'b'"."""
+    masks: dict[str, Mask] = {}
+    for target in targets:
+        masks[target.material] = masks[target.material] | target.mask if target.material in masks else target.mask
+    pairs = overlaps(Region(name, mask, "targets") for name, mask in masks.items())
+    return ": " + ", ".join(f"{n} of {a!r} and {b!r}" for a, b, n in pairs) if pairs else ""
 
 
 def open_source(source: CubeSource, resolve: Resolve) -> Cube:
@@ -188,7 +210,7 @@ def _regions(cube: Cube, sources: Sequence[RegionSource], resolve: Resolve, show
             )
             if source.name is not None:
                 if len(new) == 1:
-                    new = {source.name: Region(source.name, next(iter(new.values())).mask, str(source.file))}
+                    new = {source.name: replace(next(iter(new.values())), name=source.name)}
                 elif source.name in new:
                     new = {source.name: new[source.name]}
                 else:

@@ -1,0 +1,147 @@
+"""What a region file draws: the pixels inside the image, and how much of the drawing lies outside it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import InputError
+from hyperval.imagery.polygons import Ring, burned, inside_image, outside_error, pixel_mask, point_mask, ring_of
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
+WARNING = "warning: "
+_SMALL = 0.01  # a part outside that is said without a warning
+
+
+@dataclass(eq=False)
+class Drawing:
+    """The polygons, points and pixels of one region on the grid of an image.
+
+    Attributes
+    ----------
+    shape : (lines, samples) of the image
+    mask : (lines, samples) the pixels of the region
+    area, area_inside : of its polygons, and of what the image holds of them [pixels]
+    points, points_outside : single points, and those that the image does not hold
+    """
+
+    shape: tuple[int, int]
+    mask: Mask = field(init=False)
+    area: float = 0.0
+    area_inside: float = 0.0
+    points: int = 0
+    points_outside: int = 0
+    _bounds: list[Array] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.mask = np.zeros(self.shape, bool)
+
+    def add_polygon(self, exterior: Ring, holes: Sequence[Ring] = (), *, where: str) -> None:
+        """Add the pixels whose centre lies in a polygon; what leaves the image is cut off and counted.
+
+        Raises
+        ------
+        InputError : fewer than three different vertices, or coordinates that are none.
+        """
+        rings = [ring_of(r, where) for r in (exterior, *holes)]
+        for ring in rings:
+            if np.abs(ring).max() > FARTHEST:
+                raise outside_error(ring, self.shape, where)
+        whole = _net_area(rings)
+        self.area += whole
+        if all(inside_image(r, self.shape) for r in rings):
+            self.mask |= burned(rings, self.shape)
+            self.area_inside += whole
+            return
+        self._bounds.append(rings[0])
+        self.area_inside += _net_area([clipped(r, self.shape) for r in rings])
+        # A frame of one pixel: what runs along the cut lies on no pixel's centre.
+        framed = [clipped(r, self.shape, margin=1.0) for r in rings]
+        if len(framed[0]) >= 3:
+            self.mask |= burned([r for r in framed if len(r) >= 3], self.shape)
+
+    def add_points(self, points: npt.ArrayLike, *, where: str) -> None:
+        """Add the pixels that hold points (sample, line) in continuous coordinates."""
+        xy = np.asarray(points, dtype=float).reshape(-1, 2)
+        if not np.all(np.isfinite(xy)):
+            raise InputError("coordinates that are not finite", where=where)
+        inside = np.array([inside_image(p[None, :], self.shape) for p in xy], dtype=bool)
+        self.points += len(xy)
+        self.points_outside += int((~inside).sum())
+        if inside.any():
+            self.mask |= point_mask(xy[inside], self.shape, where=where)
+        if not inside.all():
+            self._bounds.append(xy)
+
+    def add_pixels(self, rows: npt.ArrayLike, cols: npt.ArrayLike, *, where: str) -> None:
+        """Add pixels named by 0-based whole numbers, which must be in the image."""
+        self.mask |= pixel_mask(rows, cols, self.shape, where=where)
+
+    def notes(self) -> tuple[str, ...]:
+        """What is to be said, after the region's name, of the part outside the image; empty without one."""
+        left = f"{int(self.mask.sum())} pixels are left"
+        out = []
+        # To the millionth of a pixel of the border, see ``inside_image``.
+        part = 1.0 - self.area_inside / self.area if self._bounds and self.area > 0.0 else 0.0
+        if part > 0.0:
+            sign = "" if part < _SMALL else WARNING
+            out.append(f"{sign}leaves the image: {_percent(part)} of its area is outside, {left}")
+        if self.points_outside:
+            out.append(
+                f"{WARNING}leaves the image: {self.points_outside} of {self.points} points are outside, {left}"
+            )
+        return tuple(out)
+
+    def check(self, where: str) -> None:
+        """Raise InputError where all of the drawing lies outside the image."""
+        if self._bounds and not self.mask.any():
+            raise outside_error(np.vstack(self._bounds), self.shape, where)
+
+
+def area_of(ring: Array) -> float:
+    """Area of a ring of (n, 2) vertices by the shoelace formula; 0 for fewer than three."""
+    if len(ring) < 3:
+        return 0.0
+    x, y = (ring - ring[0]).T  # about a vertex: map coordinates far from 0 would lose digits
+    return abs(0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+
+
+def _net_area(rings: Sequence[Array]) -> float:
+    """Area of a polygon: of its exterior less its holes."""
+    return max(area_of(rings[0]) - sum(area_of(r) for r in rings[1:]), 0.0)
+
+
+def clipped(ring: Array, shape: tuple[int, int], margin: float = 0.0) -> Array:
+    """The part of a ring (n, 2) inside the image widened by ``margin`` pixels; may be empty.
+
+    One side of the rectangle after the other cuts off what lies beyond it (Sutherland & Hodgman, Commun. ACM 17,
+    32-42, 1974).  Parts that fall apart stay joined along the border, which adds no area.
+    """
+    lines, samples = shape
+    for axis, limit, sign in ((0, -margin, 1), (0, samples + margin, -1), (1, -margin, 1), (1, lines + margin, -1)):
+        if len(ring) == 0:
+            return ring
+        ahead = np.roll(ring, -1, axis=0)
+        here, there = sign * (ring[:, axis] - limit), sign * (ahead[:, axis] - limit)
+        crosses = (here >= 0) != (there >= 0)
+        with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            share = np.where(crosses, here / (here - there), 0.0)
+        cut = ring + share[:, None] * (ahead - ring)
+        cut[crosses, axis] = limit
+        both = np.empty((2 * len(ring), 2))
+        both[0::2], both[1::2] = ring, cut
+        keep = np.empty(2 * len(ring), bool)
+        keep[0::2], keep[1::2] = here >= 0, crosses
+        ring = both[keep]
+    return ring
+
+
+def _percent(part: float) -> str:
+    return f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"
