@@ -1,8 +1,8 @@
 """How much of a quantity's variance each input brings, alone and together with the others.
 
-Inputs are standard normal; the quantity is fitted by Hermite polynomials of degree two, whose squared coefficients
-are the shares of the variance.  Source: Sudret, Reliab. Eng. Syst. Saf. 93, 964-979, 2008; indices: Sobol 1993,
-Homma & Saltelli 1996.
+Inputs are standard normal; the quantity is taken as a polynomial of degree two through a few evaluations, whose squared
+Hermite coefficients are the shares of the variance.  Source: Sudret, Reliab. Eng. Syst. Saf. 93, 964-979, 2008;
+indices: Sobol 1993, Homma & Saltelli 1996.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
-from scipy.stats import qmc
 
 from hyperval.errors import UsageError
 
@@ -29,54 +27,63 @@ class Indices:
     first : (Q, k) part of the variance that an input brings alone
     total : (Q, k) the same with all its interactions
     standard_deviation : (Q,) of each quantity under the inputs' distributions
-    predictivity : (Q,) 1 minus the leave-one-out error over the variance; far below 1 the indices mean little
+    misfit : (Q,) root mean square error at points that were not used, over the standard deviation; NaN without such
     """
 
     first: Array
     total: Array
     standard_deviation: Array
-    predictivity: Array
+    misfit: Array
 
 
-def normal_design(inputs: int, samples: int, seed: int) -> Array:
-    """(samples, inputs) scrambled Sobol points through the normal quantile.
+def quadratic_design(inputs: int) -> Array:
+    """Points that a polynomial of degree two needs: the middle, each input at -1 and 1, each pair at (1, 1).
+
+    Returns (n, inputs) with n = (k + 1)(k + 2)/2.
+    """
+    unit = np.eye(inputs)
+    pairs = [unit[i] + unit[j] for i, j in combinations(range(inputs), 2)]
+    return np.concatenate([np.zeros((1, inputs)), unit, -unit, *([np.array(pairs)] if pairs else [])])
+
+
+def sensitivity_indices(
+    design: npt.ArrayLike,
+    values: npt.ArrayLike,
+    check: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+) -> Indices:
+    """Indices of quantities (n, Q) evaluated at the points (n, k) of a design.
+
+    Parameters
+    ----------
+    check : further points (m, k) and the values there (m, Q), to see what the polynomial misses
 
     Raises
     ------
-    UsageError : fewer samples than a fit of degree two needs, twice over.
-    """
-    least = 2 * terms_of_degree_two(inputs)
-    if samples < least:
-        raise UsageError(f"{samples} samples for {inputs} inputs", expected=f"at least {least}")
-    power = int(np.ceil(np.log2(samples)))
-    points = qmc.Sobol(inputs, scramble=True, rng=np.random.default_rng(seed)).random_base2(power)[:samples]
-    return np.asarray(special.ndtri(np.clip(points, 1e-12, 1 - 1e-12)))
-
-
-def terms_of_degree_two(inputs: int) -> int:
-    """Number of polynomials of degree two and less: (k + 1)(k + 2)/2."""
-    return (inputs + 1) * (inputs + 2) // 2
-
-
-def sensitivity_indices(design: npt.ArrayLike, values: npt.ArrayLike) -> Indices:
-    """Indices of quantities (n, Q) evaluated at the points (n, k) of a normal design.
+    UsageError : fewer points than the polynomial has terms.
 
     A quantity without variance has NaN.
     """
     z, y = np.asarray(design, dtype=float), np.asarray(values, dtype=float)
     y = y[:, None] if y.ndim == 1 else y
     basis, members = _hermite(z)
+    if len(basis) < basis.shape[1]:
+        raise UsageError(f"{len(basis)} evaluations for {z.shape[1]} inputs", expected=f"{basis.shape[1]} and more")
     coefficients, *_ = np.linalg.lstsq(basis, y, rcond=None)
     squares = coefficients[1:] ** 2  # orthonormal: they sum to the variance
     variance = squares.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shares = np.where(variance > 1e-24 * (1.0 + coefficients[0] ** 2), squares / variance, np.nan)
-        alone = np.array([[m == (i,) for m in members] for i in range(z.shape[1])], dtype=float)
-        joint = np.array([[i in m for m in members] for i in range(z.shape[1])], dtype=float)
-        leverage = np.einsum("ij,ji->i", basis, np.linalg.pinv(basis))
-        left_out = (y - basis @ coefficients) / (1.0 - leverage)[:, None]
-        predictivity = 1.0 - np.mean(left_out**2, axis=0) / np.var(y, axis=0)
-    return Indices((alone @ shares).T, (joint @ shares).T, np.sqrt(variance), predictivity)
+    moves = variance > 1e-24 * (1.0 + coefficients[0] ** 2)
+    shares = np.where(moves, squares / np.where(moves, variance, 1.0), np.nan)
+    alone = np.array([[m == (i,) for m in members] for i in range(z.shape[1])], dtype=float)
+    joint = np.array([[i in m for m in members] for i in range(z.shape[1])], dtype=float)
+    sd = np.sqrt(variance)
+    misfit = np.full(y.shape[1], np.nan)
+    if check is not None:
+        there = np.asarray(check[1], dtype=float)
+        off = (there[:, None] if there.ndim == 1 else there) - _hermite(np.asarray(check[0], float))[
+            0
+        ] @ coefficients
+        misfit = np.where(moves, np.sqrt(np.mean(off**2, axis=0)) / np.where(moves, sd, 1.0), np.nan)
+    return Indices((alone @ shares).T, (joint @ shares).T, sd, misfit)
 
 
 def _hermite(z: Array) -> tuple[Array, list[tuple[int, ...]]]:
