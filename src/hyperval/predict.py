@@ -23,6 +23,7 @@ from hyperval.prediction.departure import (
 from hyperval.prediction.detection import Background, Detection, Task, detect, seen_background
 from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, cut, filled
 from hyperval.prediction.notes import saturation_notes, sensor_notes
+from hyperval.prediction.object_scores import predicted_object_scores
 from hyperval.prediction.setup import Instrument, instrument, refuse_gaps, with_sensor_blur
 from hyperval.prediction.spectra import SpectralProducts, spectral_products, without_calibration_error
 from hyperval.prediction.terms import remembered
@@ -55,6 +56,7 @@ def predict(
     engine: Engine | None = None,
     departure: Departure | None = None,
     sensor: Sensor | None = None,
+    objects: bool = False,
 ) -> Prediction:
     """Predict radiance, SNR, reflectance, detector scores and ROC of a scenario (3.7-3.33).
 
@@ -69,6 +71,7 @@ def predict(
     engine : stands in for the atmosphere engine
     sensor : stands in for the sensor that the scenario names
     departure : how the truth departs from the scenario; None: not at all
+    objects : also draw the scores of whole objects, which takes a few seconds where there are many
 
     Returns
     -------
@@ -110,13 +113,13 @@ def predict(
     if departure is not None and np.any(np.asarray(departure.surroundings) != 1.0):
         view = replace(view, average=view.average * departure.surroundings)
     steps = perturbations(view, scenario, terms_of)
-    errors = {
-        item.subject: spectrum_error_covariance(item, surfaces[item.subject], on)
-        for item in scenario.uncertainty.field_spectra
-    }
+    errors: dict[str, Array] = {}
+    for item in scenario.uncertainty.field_spectra:  # entries of one subject are independent
+        one = spectrum_error_covariance(item, surfaces[item.subject], on)
+        errors[item.subject] = errors[item.subject] + one if item.subject in errors else one
     spectra = spectral_products(scenario, on, surfaces, view, steps, errors)
     notes = [f"formulation: {scenario.formulation}"]
-    detection = _detection(scenario, on, surfaces, looked_for, view, steps, errors, spectra, notes)
+    detection = _detection(scenario, on, surfaces, looked_for, view, steps, errors, spectra, notes, objects)
     notes += detection.notes
     if view.noise is not None:
         notes += sensor_notes(used)
@@ -128,6 +131,8 @@ def predict(
         spectra.reflectance,
         detection.scores,
         detection.roc,
+        object_scores=detection.object_scores,
+        exceedance=detection.exceedance,
         notes=tuple(notes),
         provenance=_provenance(scenario, used, view, surfaces),
         noise=spectra.noise,
@@ -231,6 +236,7 @@ def _detection(
     errors: Mapping[str, Array],
     spectra: SpectralProducts,
     notes: list[str],
+    objects: bool,
 ) -> Detection:
     scene, processing = scenario.scene, scenario.processing
     if not scene.targets or not processing.detectors:
@@ -265,7 +271,16 @@ def _detection(
     here = view.at(bands)
     classes = [seen[c.name] for c in scene.classes]
     spread = [cut(c.pixel_covariance, bands) for c in classes]
-    base = detect(Background(scene.classes, on_bands, here, [c.mean[bands] for c in classes], spread), task)
+    background = Background(scene.classes, on_bands, here, [c.mean[bands] for c in classes], spread)
+    base = detect(background, task)
+    if objects:
+
+        def moved(with_view: View) -> Background:
+            return seen_background(with_view.at(bands), scene.classes, on_bands)
+
+        views = [(moved(s.plus), moved(s.minus)) for s in steps]
+        drawn = predicted_object_scores(background, task, scenario.uncertainty, axis.select(bands), views)
+        base = replace(base, object_scores=drawn)
     pairs = [(run(s.plus), run(s.minus)) for s in steps]
     if task.spectrum_error:
         pairs.append((run(view, 1.0), run(view, -1.0)))

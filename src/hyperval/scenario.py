@@ -154,8 +154,8 @@ class TargetSubject(Model):
     scene_fraction: float = Field(0.0, ge=0, lt=1, description="part of all pixels, for filter_statistics: scene")
     position_m: tuple[float, float] | None = Field(
         None,
-        description="centre along lines and samples [m] in a frame common to all subjects: targets beside each other "
-        "then share pixels, in object scores",
+        description="centre along lines and samples [m] in a frame common to all subjects: targets beside each "
+        "other then share pixels, in object scores",
     )
 
 

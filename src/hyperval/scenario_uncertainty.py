@@ -58,7 +58,7 @@ class Uncertainty(Model):
         None, gt=0, lt=5, description="of the blur of targets with geometry, common to all; for object scores"
     )
     position_m: float | None = Field(
-        None, gt=0, lt=100, description="of the places of neighbouring targets in line and sample; for object scores"
+        None, gt=0, lt=100, description="of the places of neighbours in line and sample; for object scores"
     )
     collected_reflectance: CollectedReflectance | None = None
 

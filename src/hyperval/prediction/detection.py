@@ -6,7 +6,7 @@ Everything here stands on the detector's bands: the view and the surfaces come c
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,7 @@ from hyperval.processing.roc_model import (
     ClassScore,
     TargetScore,
     detection_probability,
+    greatest_class_false_alarm,
     object_detection_probability,
     score_density,
     score_mean,
@@ -34,7 +35,7 @@ from hyperval.processing.roc_model import (
     target_density,
     threshold_at,
 )
-from hyperval.products import RocCurve, ScoreDistribution, background_of
+from hyperval.products import ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import BackgroundClass, Features, Fill, Processing, Target, TargetSubject
 from hyperval.scene.fill import (
     FillDistribution,
@@ -61,26 +62,34 @@ def fill_distribution(fill: Fill) -> FillDistribution:
     if fill.fixed is not None:
         return fixed_fill(fill.fixed)
     if fill.geometry is not None:
-        return ranked_pixel_fill(_geometry(fill), fill.geometry.n or 1).binned()
+        return ranked_pixel_fill(geometry_of(fill), fill.geometry.n or 1).binned()
     return beta_fill(fill.mean or 0.0, fill.sd or 0.0)
 
 
-def fills_of_objects(fill: Fill) -> Array:
-    """(K, n) fills of the pixels of one object (f of 3.10); one pixel unless the geometry says more."""
+def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:
+    """(K, n) fills of the pixels of one object (f of 3.10); one pixel unless the geometry says more.
+
+    ``wider`` : added to the width of the blur [pixels]
+    """
     if fill.geometry is not None:
-        return object_fills(_geometry(fill), fill.geometry.n or 1)
+        return object_fills(geometry_of(fill, wider), fill.geometry.n or 1)
     return fill_distribution(fill).values[:, None]
 
 
-def _geometry(fill: Fill) -> TargetGeometry:
+def geometry_of(fill: Fill, wider: float = 0.0) -> TargetGeometry:
+    """The geometry of a fill that has one, its blur ``wider`` by so much, but not below 0 [pixels]."""
     g = fill.geometry
-    assert g is not None  # noqa: S101 - both callers have asked
+    assert g is not None  # noqa: S101 - all callers have asked
+    blur = g.psf_fwhm_pixels or 0.0
+    if wider:
+        along, across = blur if isinstance(blur, tuple) else (blur, blur)
+        blur = max(along + wider, 0.0), max(across + wider, 0.0)
     return TargetGeometry(
         g.side_m or g.length_m or 0.0,
         g.side_m or g.width_m or 0.0,
         g.gsd_m,
         None if g.heading_deg == "random" else float(g.heading_deg),
-        g.psf_fwhm_pixels or 0.0,
+        blur,
         g.phase,
     )
 
@@ -106,7 +115,8 @@ class Background:
 
     def tail_of(self, c: BackgroundClass) -> float | None:
         """Degrees of freedom of a class; None = Gaussian."""
-        return c.tail_dof or self.surfaces[c.name].tail_dof
+        fitted = self.surfaces[c.name].tail_dof
+        return fitted if c.tail_dof == "measured" else c.tail_dof or fitted
 
 
 def seen_background(
@@ -278,6 +288,8 @@ class Detection:
 
     scores: dict[tuple[str, str], ScoreDistribution]
     roc: dict[RocKey, RocCurve]
+    exceedance: dict[tuple[str, str], ExceedanceCurve] = field(default_factory=dict)
+    object_scores: dict[tuple[str, str], ObjectScores] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
@@ -300,6 +312,19 @@ class Task:
     spectrum_error: Mapping[str, Array]
 
 
+def filter_populations(background: Background, task: Task) -> list[tuple[float, Array, Array]]:
+    """Target pixels (part of the scene, mean (F,), covariance (F, F)) that the filter's statistics hold, if any."""
+    if task.processing.filter_statistics != "scene":
+        return []
+    thesis = background.view.formulation == "thesis"
+    return [
+        (p.scene_fraction, *seen_population(background, t, moments(p, thesis)))
+        for t in task.targets
+        for p in t.populations
+        if p.scene_fraction > 0
+    ]
+
+
 def detect(background: Background, task: Task, shift: float = 0.0) -> Detection:
     """Scores and ROC curves of all target populations (3.22-3.33).
 
@@ -308,14 +333,7 @@ def detect(background: Background, task: Task, shift: float = 0.0) -> Detection:
     found = Detection({}, {})
     view, processing = background.view, task.processing
     thesis = view.formulation == "thesis"
-    populations = []
-    if processing.filter_statistics == "scene":
-        populations = [
-            (p.scene_fraction, *seen_population(background, t, moments(p, thesis)))
-            for t in task.targets
-            for p in t.populations
-            if p.scene_fraction > 0
-        ]
+    populations = filter_populations(background, task)
     base = filter_base(background, populations, processing.filter_classes, processing.features)
     notes: list[str] = []
     for target in task.targets:
@@ -345,6 +363,10 @@ def _add_linear(
     threshold = threshold_at(task.pfa, classes)
     response = target_response(background, target, detector, task.spectrum_error.get(target.name), shift)
     mixture = _mixture_score(classes)
+    preset = greatest_class_false_alarm(threshold, classes)
+    found.exceedance[target.name, name] = ExceedanceCurve(
+        threshold[::-1], task.pfa[::-1], task.pfa[::-1], task.pfa[::-1]
+    )
     for population in target.populations:
         fill = moments(population, thesis)
         means, sds = response.at(fill.values)
@@ -355,11 +377,15 @@ def _add_linear(
         )
         found.scores[background_of(population.name), name] = mixture
         pd = np.clip(detection_probability(threshold, score), 0.0, 1.0)
-        found.roc[population.name, name, "pixel"] = RocCurve(task.pfa, pd, pd, pd, threshold, "pixel")
+        found.roc[population.name, name, "pixel"] = RocCurve(
+            task.pfa, pd, pd, pd, threshold, "pixel", preset_pfa=preset
+        )
         objects = np.array([[fill.mean]]) if thesis else fills_of_objects(population.fill)
         if objects.shape[1] > 1 or fill.values.size < objects.shape[0]:
             pd = object_detection_probability(threshold, *response.at(objects))
-        found.roc[population.name, name, "object"] = RocCurve(task.pfa, pd, pd, pd, threshold, "object")
+        found.roc[population.name, name, "object"] = RocCurve(
+            task.pfa, pd, pd, pd, threshold, "object", preset_pfa=preset
+        )
 
 
 def moments(population: TargetSubject, thesis: bool) -> FillDistribution:

@@ -120,6 +120,16 @@ def log_false_alarm(threshold: npt.ArrayLike, classes: Sequence[ClassScore]) -> 
     return np.asarray(total)
 
 
+def greatest_class_false_alarm(threshold: npt.ArrayLike, classes: Sequence[ClassScore]) -> Array:
+    """(...,) max_m P(score of class m > x): the preset of (3.30) whose least P_D (3.32) has threshold x.
+
+    x = max_m x_m(P) is where the class with the longest tail gives P and all others less.  A curve drawn against P
+    is the reading of (3.32) without (3.33): it counts the worst class as if it covered the image.
+    """
+    x = np.asarray(threshold, dtype=float)
+    return np.asarray(np.exp(np.max([_log_tail(x, c) for c in classes if c.fraction > 0], axis=0)))
+
+
 def _log_tail(x: Array, c: ClassScore) -> Array:
     sd = max(c.sd, _SMALLEST_SD)
     if c.tail_dof is None:

@@ -138,14 +138,19 @@ def object_fills(geometry: TargetGeometry, n: int) -> Array:
     return fills[:, :n]
 
 
+def lattice_positions(count: int) -> Array:
+    """(count, 2) places on the pixel grid, (x, y) from a pixel's centre, spread evenly [pixels]."""
+    i = np.arange(count)
+    return np.asarray(np.stack([(i + 0.5) / PHASES, (i * _LATTICE + 0.5) / PHASES], axis=1) % 1.0 - 0.5)
+
+
 @lru_cache(maxsize=256)
 def _sampled_fills(geometry: TargetGeometry) -> Array:
     """(K, P) fills of all pixels that the target reaches, one row per sampled position."""
     random = geometry.phase == "random"
     count = PHASES if random or geometry.heading_deg is None else 1
     i = np.arange(count)
-    position = np.stack([(i + 0.5) / PHASES, (i * _LATTICE + 0.5) / PHASES], axis=1) % 1.0
-    offset = position - 0.5 if random else np.zeros((count, 2))
+    offset = lattice_positions(count) if random else np.zeros((count, 2))
     any_way = 180.0 * ((0.5 + i * np.sqrt(2.0)) % 1.0)
     heading = any_way if geometry.heading_deg is None else np.full(count, geometry.heading_deg)
     fills = pixel_fills(geometry, offset, heading)
