@@ -128,10 +128,55 @@ def test_missing_file_names_the_command_that_fetches_it():
     assert caught.value.exit_code == 3
 
 
-def test_missing_file_of_no_registered_set_names_the_data_directory():
-    with pytest.raises(MissingDataError, match="HYPERVAL_DATA") as caught:
+def test_a_name_that_nobody_knows_is_a_usage_error_that_says_where_it_looked(places):
+    with pytest.raises(UsageError, match=f"nor on this machine .looked in {places[0]}") as caught:
         datasets.resolve("data:mine/cube.img")
+    assert caught.value.exit_code == 2
+    assert "HYPERVAL_DATA" in str(caught.value)
     assert "fetch" not in str(caught.value)
+    assert "perhaps" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("mistyped", "meant"),
+    [
+        ("hysu/published/full/DLR_HySU_HS_ful.hdr", HEADER),
+        ("hysu/Published/full/dlr_hysu_hs_full.hdr", HEADER),
+        ("hyzu/published/full/DLR_HySU_HS_full.hdr", HEADER),
+        ("pasadina/x", "pasadena"),
+        ("mine/cub.img", "mine/cube.img"),
+    ],
+)
+def test_a_mistyped_name_is_told_the_nearest(places, mistyped, meant):
+    put(places[0], "mine/cube.img")
+    with pytest.raises(UsageError, match="no such file in any registered data set") as caught:
+        datasets.resolve("data:" + mistyped)
+    assert f"data:{meant}" in (caught.value.expected or "")
+
+
+def test_a_pattern_stands_for_every_file_that_matches(places, tmp_path):
+    from hyperval.file_names import matching
+
+    local, cache = places
+    two = [put(local, f"mine/grass{i}.asd") for i in (1, 2)]
+    put(local, "mine/sand1.asd")
+    put(cache, "mine/grass3.asd")  # the first folder that has any counts
+    pattern = datasets.resolve("data:mine/grass*.asd")
+    assert matching(pattern) == two
+    log = InputLog(local / "mine")
+    assert matching(log.resolve("data:mine/grass?.asd")) == two
+    assert matching(log.resolve("*1.asd")) == [two[0], local / "mine/sand1.asd"]
+    assert [e["reference"] for e in log.entries()] == [
+        "data:mine/grass1.asd", "data:mine/grass2.asd", "grass1.asd", "sand1.asd",
+    ]  # fmt: skip
+    odd = put(local, "mine/a[1].asd")  # a name that only looks like a pattern
+    assert matching(datasets.resolve("data:mine/a[1].asd")) == [odd]
+    with pytest.raises(InputError, match="no such file"):
+        datasets.resolve("*.sed", local / "mine")
+    with pytest.raises(UsageError, match="no such file in any registered data set"):
+        datasets.resolve("data:mine/*.sed")
+    with pytest.raises(MissingDataError, match="fetch hysu"):
+        datasets.resolve("data:hysu/published/full/*.hdr")
 
 
 def test_unregistered_file_of_the_local_copy_is_found(places):

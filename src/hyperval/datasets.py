@@ -13,8 +13,10 @@ import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import cache
 from importlib import resources
+from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 from urllib.parse import quote
@@ -25,6 +27,7 @@ from pydantic import model_validator
 from hyperval.config import Model, parse_yaml, validate
 from hyperval.download import download
 from hyperval.errors import InputError, MissingDataError, UsageError
+from hyperval.file_names import is_pattern, matching, nearest
 from hyperval.files import sha256_of
 from hyperval.paths import checked_file
 from hyperval.progress import track
@@ -166,10 +169,13 @@ def resolve(reference: str, base: Path | None = None) -> Path:
 
     ``data:PATH`` is looked for below HYPERVAL_DATA and then in the cache; anything else is a path relative
     to ``base`` (the folder of the YAML file that holds the reference; by default the working directory).
+    Where the last part is a pattern (``*``, ``?``) the path of the pattern comes back, which at least one file
+    matches (:func:`hyperval.file_names.matching` lists them).
 
     Raises
     ------
-    UsageError : the reference is empty, an address, or leaves the data directory.
+    UsageError : the reference is empty, an address, leaves the data directory, or names a file that neither this
+        machine nor the registry knows.
     MissingDataError : a file of a data set that is not on this machine.
     InputError : no such file.
     """
@@ -180,7 +186,8 @@ def resolve(reference: str, base: Path | None = None) -> Path:
     # An address is refused before it is joined to the folder and becomes a path that only does not exist.
     if "://" in reference or reference.startswith("/vsi"):
         return checked_file(reference)
-    return checked_file((Path(base) if base is not None else Path()) / reference)
+    path = (Path(base) if base is not None else Path()) / reference
+    return path if is_pattern(reference) and matching(path) else checked_file(path)
 
 
 def describe(reference: str) -> dict[str, str | None]:
@@ -285,6 +292,10 @@ class InputLog:
     def resolve(self, reference: str) -> Path:
         """Like :func:`resolve`, and keep a record of the file."""
         path = resolve(reference, self.base)
+        if is_pattern(reference) and not path.is_file():
+            for one in matching(path):
+                self.resolve((PurePosixPath(reference).parent / one.name).as_posix())
+            return path
         if not reference.startswith(PREFIX) and Path(reference).is_absolute():
             return self.add(path)
         return self.add(path, reference)
@@ -337,7 +348,7 @@ def _roots() -> list[Path]:
 
 
 def _find(path: str) -> Path | None:
-    return next((p for root in _roots() if (p := root / path).is_file()), None)
+    return next((p for root in _roots() if matching(p := root / path)), None)
 
 
 @cache
@@ -354,10 +365,32 @@ def _resolve_data(path: str) -> Path:
     if found is not None:
         return found
     looked = ", ".join(str(root) for root in _roots())
-    owner, holder = _registered(path), held_set(PREFIX + path)
-    mend = "name a folder that holds it with --data-dir or HYPERVAL_DATA; it is in no registered data set"
+    owner, holder = _owner(path), held_set(PREFIX + path)
     if owner:
-        mend = f"hyperval data fetch {owner[0].name}"
+        mend = f"hyperval data fetch {owner}"
     elif holder:
         mend = f"the collection is not public, it is held by {holder.held_by}: {how_to_get(holder)}"
+    else:
+        raise _unknown(path, looked)
     raise MissingDataError(f"not on this machine (looked in {looked})", where=PREFIX + path, mend=mend)
+
+
+def _owner(path: str) -> str | None:
+    """The public set that holds a file, or a file that matches a pattern."""
+    found = _registered(path)
+    if found is None and is_pattern(path):
+        found = next((v for known, v in _by_path().items() if fnmatchcase(known, path)), None)
+    return found[0].name if found else None
+
+
+def _unknown(path: str, looked: str) -> UsageError:
+    """The error for a file that neither the registry nor this machine knows, with the names nearest to it."""
+    folders = [folder for root in _roots() if (folder := (root / path).parent).is_dir()]
+    beside = [str(PurePosixPath(path).parent / p.name) for f in folders for p in islice(f.iterdir(), 10_000)]
+    close = nearest(path, [*_by_path(), *beside]) or nearest(path.split("/")[0], registry())
+    return UsageError(
+        f"no such file in any registered data set, nor on this machine (looked in {looked})",
+        where=PREFIX + path,
+        expected="perhaps " + ", ".join(PREFIX + name for name in close) if close else None,
+        mend="correct the name, or name a folder that holds the file with --data-dir or HYPERVAL_DATA",
+    )

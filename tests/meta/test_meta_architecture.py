@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "hyperval"
 MAX_LINES = 400
 
-BASE = {"errors", "units", "files", "paths", "config", "settings", "progress", "envi_header"}
+BASE = {"errors", "units", "files", "paths", "file_names", "config", "settings", "progress", "envi_header"}
 # What each room may import besides BASE and itself.
 ROOMS: dict[str, set[str]] = {
     "spectra": set(),

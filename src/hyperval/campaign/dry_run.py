@@ -12,6 +12,7 @@ from hyperval.campaign.template import filled
 from hyperval.compare.gates import Gate
 from hyperval.config import load_yaml, validate
 from hyperval.datasets import held_set, how_to_get
+from hyperval.file_names import matching
 from hyperval.imagery.rasters import TIFF_SUFFIXES, header_beside
 from hyperval.scenario import Scenario, builtin_scenarios
 
@@ -87,7 +88,10 @@ def _file(name: str, reference: Reference, text: Text) -> list[Item]:
         holder = held_set(reference.text)
         place = f"to stand below HYPERVAL_DATA (--data-dir); {holder.name} is not public" if holder else ""
         return [Item(name, FILE, MISSING, reference.text, place or reference.problem)]
-    rows = [Item(name, FILE, FOUND, reference.text, f"{path.stat().st_size} bytes")]
+    found = matching(path)
+    size = sum(p.stat().st_size for p in found)
+    detail = f"{size} bytes" if len(found) == 1 else f"{len(found)} files, {size} bytes"
+    rows = [Item(name, FILE, FOUND, reference.text, detail)]
     if reference.key == "collection.cube.path" and path.suffix.lower() not in TIFF_SUFFIXES:
         given = text.content["collection"]["cube"].get("header")
         if given is None and path.suffix.lower() != ".hdr" and header_beside(path) is None:

@@ -13,7 +13,7 @@ from hyperval.campaign.draft import Waiting, read_texts
 from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import command_without_output, provenance
-from hyperval.campaign.references import missing_sets
+from hyperval.campaign.references import check_names, missing_sets
 from hyperval.campaign.schema import Campaign
 from hyperval.campaign.template import filled
 from hyperval.collection import Detection
@@ -55,10 +55,12 @@ def jobs_of(path: Path) -> list[Job | Waiting]:
     Raises
     ------
     InputError : no such file.
-    UsageError : mistakes, or values still to be filled in of a campaign that could run.
+    UsageError : mistakes, file names that no registry knows, or values still to be filled in of a campaign that
+        could run.
     """
     out: list[Job | Waiting] = []
     for text in read_texts(path):
+        check_names(Path(path), text.named.files)
         if not text.named.to_fill_in:
             out.append(Job(text.campaign(), Path(path)))
             continue

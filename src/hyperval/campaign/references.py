@@ -11,10 +11,12 @@ from hyperval.atmosphere.solar import reference_of
 from hyperval.campaign.template import filled
 from hyperval.config import FILL_IN, Placeholder, load_yaml, placeholders
 from hyperval.datasets import PREFIX, describe, resolve
-from hyperval.errors import HypervalError
+from hyperval.errors import HypervalError, UsageError
 from hyperval.scenario import builtin_scenarios
 
-FILE_KEYS = frozenset({"path", "header", "file", "csv", "simulate", "size_classes", "library", "table"})
+FILE_KEYS = frozenset(
+    {"path", "header", "file", "csv", "simulate", "size_classes", "library", "table", "glt", "replicates"}
+)
 SIMULATED = "simulated:"
 
 
@@ -40,6 +42,8 @@ class Reference:
         try:
             resolve(self.text, self.base)
         except HypervalError as error:
+            if isinstance(error, UsageError):
+                return "; ".join(x for x in (error.what, error.expected) if x)
             return error.mend or error.what
         return ""
 
@@ -50,6 +54,20 @@ class Named:
 
     files: tuple[Reference, ...]
     to_fill_in: tuple[Placeholder, ...]
+
+
+def check_names(path: Path, files: Sequence[Reference]) -> None:
+    """Raise UsageError for a ``data:`` reference that no registry and no folder on this machine knows."""
+    for reference in files:
+        if not reference.text.startswith(PREFIX):
+            continue
+        try:
+            resolve(reference.text, reference.base)
+        except UsageError as error:
+            where = f"{path}: {reference.key}: {error.where or reference.text}"
+            raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from None
+        except HypervalError:
+            continue  # the registry knows it: it is only not at hand
 
 
 def missing_sets(files: Sequence[Reference]) -> list[str]:
