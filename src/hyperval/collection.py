@@ -215,6 +215,76 @@ class AreaCheck(Model):
     margin_pixels: int = Field(1, ge=0, description="pixels around the object included in the sum")
 
 
+class ClassFeatures(Model):
+    """What a classifier sees of a spectrum: a few bands, principal components, or every usable band."""
+
+    name: str = Field(min_length=1, description="stands in the table as the method")
+    bands_nm: list[float] = Field(
+        default_factory=list, max_length=400, description="the bands nearest to these wavelengths; empty: all"
+    )
+    pca: int | None = Field(
+        None, ge=1, le=400, description="principal components of the classes taken together; None: bands"
+    )
+
+
+class Classification(Model):
+    """Classes that a Gaussian maximum-likelihood classifier is to tell apart, and how its error is measured."""
+
+    classes: list[str] = Field(min_length=2, max_length=12, description="regions, each the subject of its class")
+    features: list[ClassFeatures] = Field(min_length=1)
+    pairs: bool = Field(False, description="every pair of classes as well")
+    block_lines: int = Field(
+        8,
+        ge=1,
+        description="lines of a block: whole blocks train or test, as neighbouring pixels resemble each other",
+    )
+    pixels: int = Field(20_000, ge=100, le=200_000, description="at most so many pixels of a class train, or test")
+    seed: int = Field(0, ge=0)
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Classification:
+        for names in (self.classes, [f.name for f in self.features]):
+            twice = sorted({n for n in names if names.count(n) > 1})
+            if twice:
+                raise ValueError(f"{twice[0]!r} stands twice")
+        return self
+
+
+class UnmixedTarget(Model):
+    """A detection target whose area is found by unmixing, and what the model takes it for."""
+
+    target: str = Field(description="name of a detection target: its spectrum is the endmember")
+    scenario_target: str | None = Field(
+        None, description="target of the scenario that gives fills, host and spread; None: the one of the same name"
+    )
+    relative_uncertainty: float = Field(
+        0.0, ge=0, lt=1, description="of the endmember as a picture of the target, standard"
+    )
+    correlation_nm: float | None = Field(None, gt=0, description="of that uncertainty; None: fully correlated")
+
+
+class Unmixing(Model):
+    """Area of each target object from its abundances: endmembers are its spectrum and the background around it."""
+
+    targets: list[UnmixedTarget] = Field(min_length=1)
+    background: str = Field(description="region whose pixels around the object give the other endmember")
+    ring_pixels: int = Field(8, ge=1, le=64, description="how far around the object they are taken")
+    weights: list[Literal["equal", "background"]] = Field(
+        default_factory=lambda: ["equal"],
+        min_length=1,
+        description="all bands alike (method fcls), or by the inverse covariance of the background (fcls-weighted)",
+    )
+    draws: int = Field(400, ge=50, le=5000, description="objects drawn for the prediction")
+    seed: int = Field(0, ge=0)
+
+
+class Bootstrap(Model):
+    """Resampling of target objects, for the intervals of areas under the ROC."""
+
+    draws: int = Field(1000, ge=100, le=100_000)
+    seed: int = Field(0, ge=0)
+
+
 class Detection(Model):
     """How targets are looked for in the image."""
 
@@ -244,7 +314,9 @@ class Detection(Model):
         description="subject of a target object; the columns of the truth stand in braces, such as {material}",
     )
     pools: list[Pool] = Field(default_factory=list)
+    bootstrap: Bootstrap = Field(default_factory=Bootstrap)
     areas: list[AreaCheck] = Field(default_factory=list)
+    unmixing: Unmixing | None = None
 
     @field_validator("detectors")
     @classmethod

@@ -5,9 +5,11 @@ import pytest
 from scipy import stats
 
 from hyperval.compare.abundance import compare_abundance
+from hyperval.compare.difference import difference_interval
 from hyperval.compare.gates import Gate, apply_gates
 from hyperval.compare.products import compare_products
-from hyperval.compare.roc import compare_roc, curve_auc, difference_interval, equivalent, value_at
+from hyperval.compare.roc import compare_roc, equivalent, value_at
+from hyperval.compare.roc_areas import curve_area
 from hyperval.compare.rows import scientific
 from hyperval.compare.scores import (
     compare_object_scores,
@@ -17,7 +19,8 @@ from hyperval.compare.scores import (
 )
 from hyperval.errors import UsageError
 from hyperval.processing.auc import auc_with_interval
-from hyperval.processing.roc import empirical_roc
+from hyperval.processing.roc import empirical_roc, with_summary
+from hyperval.processing.roc_areas import WHOLE, RocArea
 from hyperval.products import (
     Abundance,
     Observation,
@@ -173,8 +176,10 @@ def test_auc_with_and_without_estimates():
     rng = np.random.default_rng(3)
     t, b = rng.normal(2, 1, 200), rng.normal(0, 1, 50000)
     truth = stats.norm.cdf(2 / np.sqrt(2))
-    assert curve_auc(model_curve(2.0), 1e-6) == pytest.approx(truth, abs=2e-4)
-    assert curve_auc(empirical_roc(t, b), 1e-4) == pytest.approx(auc_with_interval(t, b).auc, abs=2e-3)
+    assert curve_area(model_curve(2.0), WHOLE) == pytest.approx(truth, abs=1e-5)
+    assert curve_area(empirical_roc(t, b), RocArea(1e-4, 1.0)) == pytest.approx(
+        auc_with_interval(t, b).auc, abs=2e-3
+    )
     # A curve that stops at P_FA 0.6 is joined to (1, 1); one that stops at 0.3 has no area.
     whole = model_curve(2.0)
 
@@ -182,21 +187,14 @@ def test_auc_with_and_without_estimates():
         kept = whole.pfa <= end
         return RocCurve(*(x[kept] for x in (whole.pfa, whole.pd, whole.pd_lower, whole.pd_upper, whole.threshold)))
 
-    assert curve_auc(cut(0.6), 1e-6) == pytest.approx(truth, abs=5e-3)
+    assert curve_area(cut(0.6), WHOLE) == pytest.approx(truth, abs=5e-3)
     pixel = model_curve(2.0, unit="pixel")
     assert by_metric(compare_roc(cut(0.6), pixel, **NAMES))["auc_difference"].value == pytest.approx(0, abs=5e-3)
     assert by_metric(compare_roc(cut(0.3), pixel, **NAMES))["auc_difference"].status is Status.SKIPPED
-    rows = by_metric(
-        compare_roc(
-            model_curve(2.0),
-            empirical_roc(t, b, unit="object"),
-            predicted_auc=truth,
-            observed_auc=auc_with_interval(t, b),
-            **NAMES,
-        )
-    )
+    curve = with_summary(empirical_roc(t, b, unit="object"), t, b)
+    rows = by_metric(compare_roc(model_curve(2.0), curve, **NAMES))
     assert rows["auc_difference"].lower < rows["auc_difference"].value < rows["auc_difference"].upper
-    assert rows["auc_difference"].value == pytest.approx(truth - auc_with_interval(t, b).auc)
+    assert rows["auc_difference"].value == pytest.approx(truth - auc_with_interval(t, b).auc, abs=1e-5)
 
 
 def test_value_between_grid_points_is_linear_in_the_logarithm():

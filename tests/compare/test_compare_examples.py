@@ -7,7 +7,7 @@ import pytest
 
 
 @pytest.mark.parametrize(
-    "name", ["compare.difference", "compare.consistency", "compare.rows", "compare.roc", "processing.intervals"]
+    "name", ["compare.difference", "compare.consistency", "compare.rows", "processing.intervals"]
 )
 def test_examples(name):
     outcome = doctest.testmod(importlib.import_module(f"hyperval.{name}"))

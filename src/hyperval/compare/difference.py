@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -62,6 +63,25 @@ def regions(axis: SpectralAxis) -> Mapping[str, Mask]:
         parts[name.lower()] = window & (wavelength >= low) & (wavelength < high)
     parts["absorption"] = ~window & (wavelength >= 400.0) & (wavelength <= 2500.0)
     return parts
+
+
+def difference_interval(
+    a: float, a_interval: tuple[float, float], b: float, b_interval: tuple[float, float]
+) -> tuple[float, float]:
+    """Interval of a - b from the separate intervals of two independent estimates.
+
+    L = a - b - sqrt((a - l_a)^2 + (u_b - b)^2), U = a - b + sqrt((u_a - a)^2 + (b - l_b)^2).
+    Source: Newcombe, Stat. Med. 17, 873-890, 1998, method 10; Zou & Donner, Stat. Med. 27, 1693-1702, 2008.
+
+    Examples
+    --------
+    >>> low, high = difference_interval(0.8, (0.7, 0.9), 0.5, (0.5, 0.5))
+    >>> round(low, 6), round(high, 6)
+    (0.2, 0.4)
+    """
+    low = a - b - math.hypot(a - a_interval[0], b_interval[1] - b)
+    high = a - b + math.hypot(a_interval[1] - a, b - b_interval[0])
+    return low, high
 
 
 def median_interval(ratio: Array, covariance: Array) -> tuple[float, float]:

@@ -8,9 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.compare.difference import difference_interval
+from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, joint_rows
+from hyperval.compare.roc_areas import area_rows, curve_area
 from hyperval.compare.rows import RowMaker, scientific
 from hyperval.errors import UsageError
-from hyperval.processing.auc import AucEstimate
+from hyperval.processing.roc_areas import RocArea
 from hyperval.products import RocCurve
 from hyperval.results import Result
 
@@ -39,25 +42,6 @@ def value_at(curve: RocCurve, values: Array, pfa: float) -> float:
         return float(np.interp(np.log(pfa), np.log(grid), values))
 
 
-def difference_interval(
-    a: float, a_interval: tuple[float, float], b: float, b_interval: tuple[float, float]
-) -> tuple[float, float]:
-    """Interval of a - b from the separate intervals of two independent estimates.
-
-    L = a - b - sqrt((a - l_a)^2 + (u_b - b)^2), U = a - b + sqrt((u_a - a)^2 + (b - l_b)^2).
-    Source: Newcombe, Stat. Med. 17, 873-890, 1998, method 10; Zou & Donner, Stat. Med. 27, 1693-1702, 2008.
-
-    Examples
-    --------
-    >>> low, high = difference_interval(0.8, (0.7, 0.9), 0.5, (0.5, 0.5))
-    >>> round(low, 6), round(high, 6)
-    (0.2, 0.4)
-    """
-    low = a - b - math.hypot(a - a_interval[0], b_interval[1] - b)
-    high = a - b + math.hypot(a_interval[1] - a, b - b_interval[0])
-    return low, high
-
-
 def equivalent(interval: tuple[float, float], margin: float) -> bool:
     """Two one-sided tests: the whole 95 % interval of the difference lies inside +-``margin``.
 
@@ -69,20 +53,6 @@ def equivalent(interval: tuple[float, float], margin: float) -> bool:
     return -margin < interval[0] and interval[1] < margin
 
 
-def curve_auc(curve: RocCurve, pfa_low: float) -> float:
-    """Mean P_D of a curve over ``pfa_low`` to 1, evenly in P_FA (trapezoidal on a fine common grid).
-
-    Every ROC ends at (1, 1), where everything is declared; a curve that stops before is joined to that point.
-    """
-    grid = np.concatenate([np.geomspace(pfa_low, 0.1, 400, endpoint=False), np.linspace(0.1, 1.0, 901)])
-    pfa, value = curve.pfa, curve.pd
-    if pfa[-1] < 1.0:
-        pfa, value = np.append(pfa, 1.0), np.append(value, 1.0)
-    with np.errstate(divide="ignore"):
-        pd = np.interp(np.log(grid), np.log(pfa), value)
-    return float(np.trapezoid(pd, grid) / (1.0 - pfa_low))
-
-
 def compare_roc(
     predicted: RocCurve | None,
     observed: RocCurve | None,
@@ -92,8 +62,6 @@ def compare_roc(
     method: str,
     pfa: Sequence[float] | None = None,
     equivalence_margin: float | None = None,
-    predicted_auc: AucEstimate | float | None = None,
-    observed_auc: AucEstimate | None = None,
 ) -> list[Result]:
     """Rows at each false-alarm probability, named METRIC@1e-2 and the like.
 
@@ -110,8 +78,9 @@ def compare_roc(
     expect 10 alarms.  A probability that the background or a curve does not reach gives SKIPPED rows.
     The verdicts (but not the values) are SKIPPED too where the measured interval is wider than 0.9, as with a
     single target object: a test that nothing can fail is no test.
-    ``auc_difference`` is of both curves over their common range of P_FA, or of the AUC estimates
-    when both are given; it has an interval in the latter case only.
+    With what a measured curve knows beyond its points come the areas (:mod:`hyperval.compare.roc_areas`), false
+    alarms per km2 and joint regions (:mod:`hyperval.compare.roc_alarms`); ``auc_difference`` of bare curves is over
+    their common range of P_FA and has no interval.
     """
     make = RowMaker(campaign, "roc", subject, method)
 
@@ -129,7 +98,12 @@ def compare_roc(
         out: list[Result] = []
         for level in levels:
             out += _at(make, predicted, observed, level, equivalence_margin)
-        return [*out, _auc_row(make, predicted, observed, predicted_auc, observed_auc)]
+            if not background or level * background >= LEAST_EXPECTED_ALARMS:
+                out += [*far_row(make, observed, level), *joint_rows(make, predicted, observed, level)]
+        out += far_at_detection_rows(make, predicted, observed)
+        if not observed.areas:
+            return [*out, _bare(make, predicted, observed)]
+        return [*out, *area_rows(make, predicted, observed)]
 
     return make.compared(predicted, observed, rows)
 
@@ -174,26 +148,15 @@ def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, mar
     return out
 
 
-def _auc_row(
-    make: RowMaker,
-    predicted: RocCurve,
-    observed: RocCurve,
-    predicted_auc: AucEstimate | float | None,
-    observed_auc: AucEstimate | None,
-) -> Result:
-    if predicted_auc is not None and observed_auc is not None:
-        if isinstance(predicted_auc, AucEstimate):
-            p, p_interval = predicted_auc.auc, (predicted_auc.lower, predicted_auc.upper)
-        else:
-            p, p_interval = float(predicted_auc), (float(predicted_auc), float(predicted_auc))
-        interval = difference_interval(p, p_interval, observed_auc.auc, (observed_auc.lower, observed_auc.upper))
-        return make.row("auc_difference", p - observed_auc.auc, interval=interval, n=observed_auc.n_target)
+def _bare(make: RowMaker, predicted: RocCurve, observed: RocCurve) -> Result:
+    """The difference of areas of curves without scores."""
     low = max(float(predicted.pfa[0]), float(observed.pfa[0]))
     if low >= 0.1 or min(float(predicted.pfa[-1]), float(observed.pfa[-1])) < LEAST_END:
         return make.skipped(f"the curves do not both reach from P_FA below 0.1 to {LEAST_END:g}", "auc_difference")
+    area = RocArea(low, 1.0)
     return make.row(
         "auc_difference",
-        curve_auc(predicted, low) - curve_auc(observed, low),
+        curve_area(predicted, area) - curve_area(observed, area),
         n=observed.n_target,
         reason=f"area of both curves over P_FA {low:.2g} to 1; no interval from curves alone",
     )

@@ -28,7 +28,7 @@ from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.filters import PositiveDefinite
 from hyperval.processing.objects import Placed, footprint, footprint_sums, placed_with_halo, values_on
 from hyperval.processing.pixel_scores import PixelDetector, score_cube
-from hyperval.processing.roc import empirical_roc, pooled_roc
+from hyperval.processing.roc import empirical_roc, pooled_roc, with_summary
 from hyperval.processing.sample import SampleStatistics, statistics_of
 from hyperval.products import Abundance, RocCurve, ScoreDistribution, background_of
 from hyperval.progress import watch_lines
@@ -175,15 +175,16 @@ def detect(
                     raise InputError(f"no valid pixel on the targets of {subject!r}")
                 scores[subject, detector] = _moments(pixels)
                 scores[background_of(subject), detector] = _moments(noise)
-                roc[subject, detector, "pixel"] = empirical_roc(
-                    pixels, noise, unit="pixel", background_area_km2=area_km2
-                )
+                by_pixel = empirical_roc(pixels, noise, unit="pixel", background_area_km2=area_km2)
+                roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise)
                 roc[subject, detector, "object"] = object_curve(
                     found,
                     {o.name: scored_pixels(o, place) for o in members},
                     alarms,
                     detection.halo_pixels,
                     place.pixel_area_m2,
+                    draws=detection.bootstrap.draws,
+                    seed=detection.bootstrap.seed,
                 )
     for pool in detection.pools:
         if any(pool.name == subject for subject, _, _ in roc):

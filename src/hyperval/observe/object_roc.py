@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.processing.objects import Placed, footprint, footprint_maxima, object_scores
-from hyperval.processing.roc import empirical_roc
+from hyperval.processing.roc import empirical_roc, with_summary
 from hyperval.products import RocCurve
 
 Array = npt.NDArray[np.float64]
@@ -17,7 +17,14 @@ Mask = npt.NDArray[np.bool_]
 
 
 def object_curve(
-    scores: Array, objects: Mapping[str, Placed], alarms: Mask, halo: int, pixel_area_m2: float | None
+    scores: Array,
+    objects: Mapping[str, Placed],
+    alarms: Mask,
+    halo: int,
+    pixel_area_m2: float | None,
+    *,
+    draws: int = 1000,
+    seed: int = 0,
 ) -> RocCurve:
     """ROC of objects, each with the greatest score over its pixels and ``halo`` pixels around them.
 
@@ -30,6 +37,7 @@ def object_curve(
     scores : (lines, samples), NaN where invalid
     objects : the pixels that are scored, each object in its window
     alarms : (lines, samples) True on the background
+    draws, seed : of the bootstrap over objects
 
     Raises
     ------
@@ -54,4 +62,5 @@ def object_curve(
                 where="detection.halo_pixels",
             )
     area = None if pixel_area_m2 is None else looked_at * pixel_area_m2 / 1e6
-    return empirical_roc(best, noise, unit="object", background_area_km2=area)
+    curve = empirical_roc(best, noise, unit="object", background_area_km2=area)
+    return with_summary(curve, best, noise, draws=draws, rng=np.random.default_rng(seed))

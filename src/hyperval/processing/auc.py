@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from hyperval.errors import UsageError
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.rank_counts import rank_counts
-from hyperval.processing.roc import Nan, _valid_scores, roc_points
+from hyperval.processing.roc import Nan, _valid_scores
+from hyperval.processing.roc_areas import RocArea, area_variance, roc_area
 
 
 @dataclass(frozen=True)
@@ -42,18 +42,8 @@ def auc_with_interval(
     b = _valid_scores(background_scores, "background", nan)
     m, n = t.size, b.size
     counts = rank_counts(t, b)
-    below, weight = counts.below, counts.targets
-    # Share of targets above a background score: the same for all between two targets, and for all on one.
-    over = np.concatenate([np.cumsum(counts.targets[::-1])[::-1], [0]]) / m
-    above = np.concatenate([over, over[:-1] - 0.5 * counts.targets / m])
-    times = np.concatenate([counts.between, counts.ties])
-    auc = float(weight @ below / m)
-    if min(m, n) > 1:
-        spread_t = weight @ (below - auc) ** 2 / (m - 1)
-        spread_b = times @ (above - auc) ** 2 / (n - 1)
-        variance = float(spread_t / m + spread_b / n)
-    else:
-        variance = auc * (1.0 - auc) / min(m, n)
+    auc = roc_area(counts)
+    variance = sum(area_variance(counts)) if min(m, n) > 1 else auc * (1.0 - auc) / min(m, n)
     if auc in (0.0, 1.0) or variance == 0.0:
         trials = min(m, n)
         low, high = (float(x) for x in clopper_pearson(round(auc * trials), trials, level))
@@ -75,22 +65,13 @@ def partial_auc(
     logarithmic: bool = False,
     nan: Nan = "raise",
 ) -> float:
-    """Mean detection probability over ``pfa_low`` to ``pfa_high``, evenly in P_FA or in log P_FA.
+    """Mean detection probability over ``pfa_low`` to ``pfa_high``, evenly in P_FA or in log P_FA, exact with ties.
 
-    Along a tie P_D is linear in P_FA = x, P_D = c + d x, so each piece integrates in closed form:
-    c dx + d dx^2/2, and with weight 1/x: c ln(x2/x1) + d (x2 - x1).
+    Raises
+    ------
+    UsageError : no such range, no scores on a side, or NaN.
     """
-    if not 0.0 <= pfa_low < pfa_high <= 1.0 or (logarithmic and pfa_low <= 0.0):
-        raise UsageError(f"no range of false-alarm probabilities: {pfa_low:g} to {pfa_high:g}")
-    x, y, _ = roc_points(target_scores, background_scores, nan)
-    x1, x2, y1, y2 = x[:-1], x[1:], y[:-1], y[1:]
-    run = x2 > x1
-    x1, x2, y1, y2 = x1[run], x2[run], y1[run], y2[run]
-    slope = (y2 - y1) / (x2 - x1)
-    level = y1 - slope * x1
-    a, b = np.clip(x1, pfa_low, pfa_high), np.clip(x2, pfa_low, pfa_high)
-    if logarithmic:
-        keep = b > a
-        a, b, slope, level = a[keep], b[keep], slope[keep], level[keep]
-        return float(np.sum(level * np.log(b / a) + slope * (b - a)) / np.log(pfa_high / pfa_low))
-    return float(np.sum(level * (b - a) + slope * (b**2 - a**2) / 2.0) / (pfa_high - pfa_low))
+    counts = rank_counts(
+        _valid_scores(target_scores, "target", nan), _valid_scores(background_scores, "background", nan)
+    )
+    return roc_area(counts, RocArea(pfa_low, pfa_high, logarithmic))

@@ -69,6 +69,27 @@ def zero_count_upper_limit(total: int, level: float = 0.95) -> float:
     return float(-np.expm1(np.log1p(-level) / total))
 
 
+def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[float, float]:
+    """Limits of the mean of a population within [0, 1], of which values (m,) were drawn; nothing else is assumed.
+
+    Upper limit u_0 + sum_j (u_j - u_(j-1)) v_(j), with v_(1) >= v_(2) >= ... the values and u_j the upper limit of
+    Clopper & Pearson for j of m; the lower one by 1 - v.  With values of 0 and 1 alone it is theirs.  Source:
+    Stringer, Proc. Bus. Econ. Stat. Sect. ASA, 405-411, 1963; Bickel, Int. Stat. Rev. 60, 197-209, 1992.
+
+    Examples
+    --------
+    >>> low, high = bounded_mean_limits([1.0] * 15 + [0.0] * 5)
+    >>> print(f"{low:.3f} {high:.3f}")
+    0.509 0.913
+    """
+    v = np.sort(np.asarray(values, dtype=float).ravel())
+    if v.size == 0 or not (v[0] >= 0.0 and v[-1] <= 1.0):
+        raise UsageError("limits of a bounded mean need values between 0 and 1")
+    upper = clopper_pearson(np.arange(v.size + 1), v.size, level)[1]
+    steps = np.diff(upper)
+    return float(1.0 - upper[0] - steps @ (1.0 - v)), float(upper[0] + steps @ v[::-1])
+
+
 def wilson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
     """Wilson's score interval of a proportion: narrower than Clopper-Pearson, right on average over p only.
 

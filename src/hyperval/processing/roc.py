@@ -6,7 +6,7 @@ A pixel is declared a target when its score lies strictly above the threshold.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,8 +14,11 @@ import numpy.typing as npt
 from scipy import stats
 
 from hyperval.errors import UsageError
+from hyperval.processing.alarms import alarms_at_detection
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.order_statistics import OrderStatistics
+from hyperval.processing.rank_counts import counts_of
+from hyperval.processing.roc_areas import area_estimates, areas_within, pooled_areas
 from hyperval.products import RocCurve
 
 Array = npt.NDArray[np.float64]
@@ -164,7 +167,28 @@ def empirical_roc(
         n_target=found.n_target,
         n_background=found.n_background,
         background_area_km2=background_area_km2,
+        alarms=found.alarms,
     )
+
+
+def with_summary(
+    curve: RocCurve,
+    target_scores: npt.ArrayLike,
+    background_scores: npt.ArrayLike,
+    *,
+    draws: int = 1000,
+    rng: np.random.Generator | None = None,
+) -> RocCurve:
+    """The curve of these scores with its areas (:mod:`hyperval.processing.roc_areas`) and alarms at stated P_D.
+
+    Parameters
+    ----------
+    draws, rng : of the bootstrap over objects; by default a generator of seed 0
+    """
+    counts = counts_of(target_scores, background_scores)
+    areas = areas_within(int(curve.n_background or 0))
+    found = area_estimates(counts, areas, curve.unit, draws, rng or np.random.default_rng(0))
+    return replace(curve, areas=found, at_detection=alarms_at_detection(counts))
 
 
 def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
@@ -201,6 +225,7 @@ def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
         n_target=total,
         n_background=min(backgrounds) if backgrounds else None,
         background_area_km2=curves[0].background_area_km2,
+        areas=pooled_areas([c.areas for c in curves], min(backgrounds) if backgrounds else 0),
     )
 
 

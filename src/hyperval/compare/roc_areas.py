@@ -1,0 +1,109 @@
+"""Areas under the ROC: of the predicted curve, of the measured one, and their difference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import PchipInterpolator
+
+from hyperval.compare.difference import difference_interval
+from hyperval.compare.rows import RowMaker
+from hyperval.processing.roc_areas import AREAS, RocArea
+from hyperval.products import AreaEstimate, RocCurve
+from hyperval.results import Result
+
+Array = npt.NDArray[np.float64]
+_POINTS = 4001
+
+
+def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> float:
+    """Mean P_D of a curve over the range of ``area``; NaN where it does not reach the range.
+
+    P_D is interpolated over log P_FA by a monotone cubic.  Every ROC ends at (1, 1), where everything is declared;
+    a curve that stops before is joined to that point.  Below its first point P_D is taken as there, which counts
+    only where the range begins at 0.
+
+    Parameters
+    ----------
+    values : (K,) what stands for P_D, such as a limit of its band
+    """
+    pfa, pd = curve.pfa, curve.pd if values is None else values
+    known = (pfa > 0) & np.isfinite(pd)
+    pfa, pd = pfa[known], pd[known]
+    if pfa.size < 2 or pfa[0] > max(area.low, 1e-2 * area.high):
+        return math.nan
+    if pfa[-1] < 1.0:
+        pfa, pd = np.append(pfa, 1.0), np.append(pd, 1.0)
+    curve_of = PchipInterpolator(np.log(pfa), pd)
+    low = max(area.low, float(pfa[0]))
+    u = np.linspace(math.log(low), math.log(area.high), _POINTS)
+    if area.logarithmic:
+        return float(np.trapezoid(curve_of(u), u) / (u[-1] - u[0]))
+    x = np.exp(u)
+    # dP_FA = P_FA d(log P_FA)
+    inside = float(np.trapezoid(curve_of(u) * x, u)) + (low - area.low) * float(pd[0])
+    return inside / (area.high - area.low)
+
+
+def predicted_area(curve: RocCurve, area: RocArea) -> tuple[float, tuple[float, float]]:
+    """Area of a predicted curve and of the limits of its band; without a band the interval is a point."""
+    value = curve_area(curve, area)
+    low, high = (curve_area(curve, area, limit) for limit in (curve.pd_lower, curve.pd_upper))
+    if math.isnan(low) or math.isnan(high):
+        return value, (value, value)
+    return value, (min(low, value), max(high, value))
+
+
+def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | None) -> list[Result]:
+    """``auc_predicted``, ``auc_measured``, ``auc_difference`` and the same of the partial and log-weighted areas.
+
+    The names of partial areas end in their range of P_FA.  The predicted interval is that of the curve's band, as
+    if its errors went together over the whole curve; the measured one is explained in its reason.  The difference
+    (predicted - measured) has the interval of :func:`~hyperval.compare.difference.difference_interval`.
+    """
+    rows: list[Result] = []
+    measured: Mapping[str, AreaEstimate] = observed.areas if observed is not None else {}
+    for full, area in AREAS.items():
+        name, _, span = full.partition("@")
+        label = {side: f"{name}_{side}" + (f"@{span}" if span else "") for side in _SIDES}
+        p, p_interval, reason = math.nan, (math.nan, math.nan), ""
+        if predicted is not None:
+            p, p_interval = predicted_area(predicted, area)
+            if math.isfinite(p):
+                rows.append(make.row(label["predicted"], p, interval=p_interval))
+            else:
+                reason = f"the predicted curve does not reach the range P_FA {span or '0..1'}"
+                rows.append(make.skipped(reason, label["predicted"]))
+        if observed is None:
+            continue
+        found = measured.get(full)
+        if found is None:
+            lacking = _why_not(observed, area, span)
+            rows.append(make.skipped(lacking, label["measured"]))
+            if predicted is not None:
+                rows.append(make.skipped(lacking, label["difference"]))
+            continue
+        o_interval = (found.lower, found.upper)
+        n = observed.n_target
+        rows.append(make.row(label["measured"], found.value, interval=o_interval, n=n, reason=found.method))
+        if predicted is None:
+            continue
+        if reason:
+            rows.append(make.skipped(reason, label["difference"]))
+        else:
+            interval = difference_interval(p, p_interval, found.value, o_interval)
+            rows.append(make.row(label["difference"], p - found.value, interval=interval, n=n))
+    return rows
+
+
+_SIDES = ("predicted", "measured", "difference")
+
+
+def _why_not(observed: RocCurve, area: RocArea, span: str) -> str:
+    n = observed.n_background
+    if area.logarithmic and n is not None and observed.areas:
+        return f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {span}; 10 are needed"
+    return "the measured curve comes without its scores, so its area has no interval"
