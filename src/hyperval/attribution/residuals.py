@@ -6,7 +6,7 @@ measured thresholds.  P_D is left out: it follows from the scores, and would cou
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +37,7 @@ class Block:
     observed : (n,) what the collection says
     covariance : (n, n) of the error of ``observed``, the numerical floor of the model included
     read : the same (n,) from a prediction
+    read_variance : (n,) variances that a prediction states for it, None where it states none
     """
 
     product: str
@@ -45,6 +46,7 @@ class Block:
     observed: Array
     covariance: Array
     read: Callable[[Products], Array]
+    read_variance: Callable[[Products], Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +69,13 @@ class Stack:
         """(n,) what a prediction says of the same quantities."""
         return np.concatenate([b.read(prediction) for b in self.blocks])
 
-    def of(self, subjects: Sequence[str]) -> Stack:
-        """The blocks of some subjects."""
-        return Stack(tuple(b for b in self.blocks if b.subject in subjects))
+    def predicted_variance(self, prediction: Products) -> Array:
+        """(n,) variances that a prediction states of its spectra; 0 for what it states none of."""
+        parts = [
+            np.zeros(b.observed.size) if b.read_variance is None else b.read_variance(prediction)
+            for b in self.blocks
+        ]
+        return np.concatenate(parts)
 
     def slices(self) -> list[slice]:
         """Where each block stands."""
@@ -105,7 +111,10 @@ def _spectrum(product: str, subject: str, predicted: Products, estimate: Spectra
     def read(p: Products) -> Array:
         return np.asarray(getattr(p, product)[subject].mean[use])
 
-    return [Block(product, subject, "", estimate.mean[use], covariance, read)]
+    def variance(p: Products) -> Array:
+        return np.nan_to_num(np.diag(getattr(p, product)[subject].error_covariance)[use])
+
+    return [Block(product, subject, "", estimate.mean[use], covariance, read, variance)]
 
 
 def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> list[Block]:

@@ -1,8 +1,8 @@
 """How much of a quantity's variance each input brings, alone and together with the others.
 
-Inputs are standard normal; the quantity is taken as a polynomial of degree two through a few evaluations, whose squared
-Hermite coefficients are the shares of the variance.  Source: Sudret, Reliab. Eng. Syst. Saf. 93, 964-979, 2008;
-indices: Sobol 1993, Homma & Saltelli 1996.
+Inputs are standard normal; the quantity is taken as a polynomial of degree two through a few evaluations, whose
+squared Hermite coefficients are the shares of the variance.  Source: Sudret, Reliab. Eng. Syst. Saf. 93,
+964-979, 2008; indices: Sobol 1993, Homma & Saltelli 1996.
 """
 
 from __future__ import annotations

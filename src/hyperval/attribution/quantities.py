@@ -1,0 +1,70 @@
+"""Single numbers of a comparison, for which each input's effect and the change that closes the gap are told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperval.products import Products, RocCurve, SpectralEstimate
+from hyperval.spectra.windows import in_window
+
+POINTS = (1e-2, 1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """One number of both sides.
+
+    Attributes
+    ----------
+    product, subject, method, metric : as in the results table
+    observed : what the collection says
+    read : the same of a prediction
+    """
+
+    product: str
+    subject: str
+    method: str
+    metric: str
+    observed: float
+    read: Callable[[Products], float]
+
+
+def quantities(predicted: Products, observed: Products) -> list[Quantity]:
+    """Mean over windows of radiance, reflectance and SNR, mean of target scores, P_D at P_FA 1e-2 and 1e-3."""
+    found: list[Quantity] = []
+    for product in ("radiance", "reflectance", "snr"):
+        left, right = getattr(predicted, product), getattr(observed, product)
+        for subject in right:
+            if subject not in left:
+                continue
+            use = observed.axis.good & in_window(observed.axis.centre_nm)
+            use &= np.isfinite(left[subject].mean) & np.isfinite(right[subject].mean)
+            if not use.any():
+                continue
+
+            def mean(p: Products, product: str = product, subject: str = subject, use: np.ndarray = use) -> float:
+                estimate: SpectralEstimate = getattr(p, product)[subject]
+                return float(np.mean(estimate.mean[use]))
+
+            found.append(Quantity(product, subject, "", "mean_windows", mean(observed), mean))
+    for key, curve in observed.roc.items():
+        there = predicted.roc.get(key)
+        if there is None:
+            continue
+        for pfa in POINTS:
+            if pfa < max(curve.pfa[0], there.pfa[0]):
+                continue
+
+            def pd(p: Products, key: tuple[str, str, str] = key, at: float = pfa) -> float:
+                return _pd_at(p.roc[key], at)
+
+            name = f"pd@{pfa:.0e}".replace("e-0", "e-")
+            found.append(Quantity("roc", key[0], f"{key[1]}/{key[2]}", name, pd(observed), pd))
+    return found
+
+
+def _pd_at(curve: RocCurve, pfa: float) -> float:
+    return float(np.interp(np.log(pfa), np.log(curve.pfa), curve.pd))

@@ -1,0 +1,156 @@
+"""Which input, less well known than stated, would best explain the residuals; and whether that is enough."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.attribution.likelihood import Explanation, Whitened, explanation
+
+Array = npt.NDArray[np.float64]
+
+ENOUGH = 0.05  # p-value from which residuals count as explained
+MOST_STEPS = 3
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An input as a reason.
+
+    Attributes
+    ----------
+    name, kind : for people
+    step : one unit in words
+    budgeted : its uncertainty is stated, and is in the covariance already
+    """
+
+    name: str
+    kind: str
+    step: str
+    budgeted: bool
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One candidate's account of a group of residuals.
+
+    Attributes
+    ----------
+    gain : twice the log-likelihood gained by freeing it
+    units : most likely change in units of its (stated or usual) uncertainty; with a sign where it has one direction
+    needed : standard deviation in the same units at which the data are most likely; 1 when the stated one will do,
+        0 when an unstated one need not move
+    chi_square, p_value : of the residuals with that uncertainty
+    """
+
+    candidate: Candidate
+    gain: float
+    units: float
+    needed: float
+    chi_square: float
+    p_value: float
+    amplitudes: tuple[float, ...] = field(default=(), repr=False)
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """All candidates for one group of residuals, the best first.
+
+    Attributes
+    ----------
+    group : subject, or "all"
+    chi_square, dof, p_value : under the stated uncertainties
+    ranked : by gain, the greatest first
+    together : the best one, then the best of what it leaves, until that is enough
+    """
+
+    group: str
+    chi_square: float
+    dof: int
+    p_value: float
+    ranked: tuple[Ranked, ...]
+    together: tuple[Ranked, ...]
+
+    @property
+    def conclusion(self) -> str:
+        """What a reader should take from it."""
+        before = f"reduced chi-square {self.chi_square / self.dof:.3g} of {self.dof} residuals"
+        if self.p_value >= ENOUGH:
+            return f"nothing to explain: {before} (p = {self.p_value:.2g})"
+        if not self.together:
+            return f"no input explains anything: {before} (p = {self.p_value:.2g})"
+        best, last = self.together[0], self.together[-1]
+        first = f"{best.candidate.name} ({told(best)}) explains most"
+        if best.p_value >= ENOUGH:
+            return f"{first}, and is enough: {before}, {best.chi_square / self.dof:.3g} after"
+        names = " and ".join(r.candidate.name for r in self.together)
+        if last.p_value >= ENOUGH:
+            return f"{first}; {names} together are enough: {before}, {last.chi_square / self.dof:.3g} after"
+        return f"{first}, but none is enough: {before}, {last.chi_square / self.dof:.3g} after {names}"
+
+
+def told(item: Ranked) -> str:
+    """How far an input would have to move, in words."""
+    what = "stated uncertainty" if item.candidate.budgeted else f"step of {item.candidate.step}"
+    size = f"{item.units:+.2g}" if len(item.amplitudes) == 1 else f"{item.units:.2g}"
+    return f"{size} times its {what}"
+
+
+def ranking(
+    group: str,
+    residual: Array,
+    covariance: Array,
+    columns: Mapping[Candidate, Array],
+) -> Ranking:
+    """Rank the candidates.
+
+    Parameters
+    ----------
+    residual : (n,) observed minus predicted
+    covariance : (n, n) of it, with everything that is budgeted
+    columns : candidate -> (n, k) change of the prediction per unit of each of its directions
+    """
+    data = Whitened(residual, covariance)
+    ranked = _all(data, columns)
+    together: list[Ranked] = []
+    rest, widened, left = ranked, covariance, dict(columns)
+    while rest and rest[0].gain > 0 and len(together) < MOST_STEPS:
+        best = rest[0]
+        together.append(best)
+        if best.p_value >= ENOUGH:
+            break
+        g = left.pop(best.candidate)
+        tau2 = best.needed**2 - float(best.candidate.budgeted)
+        widened = widened + tau2 * g @ g.T
+        rest = _all(Whitened(residual, widened), left)
+    return Ranking(group, data.chi_square, data.dof, data.p_value, tuple(ranked), tuple(together))
+
+
+def _all(data: Whitened, columns: Mapping[Candidate, Array]) -> list[Ranked]:
+    found = [_ranked(c, explanation(data, g, budgeted=c.budgeted)) for c, g in columns.items()]
+    return sorted(found, key=lambda r: (-r.gain, r.candidate.name))
+
+
+def _ranked(candidate: Candidate, e: Explanation) -> Ranked:
+    units = float(e.amplitudes[0]) if e.amplitudes.size == 1 else float(np.linalg.norm(e.amplitudes))
+    needed = float(np.sqrt(e.tau**2 + float(candidate.budgeted)))
+    return Ranked(candidate, e.gain, units, needed, e.chi_square, e.p_value, tuple(float(x) for x in e.amplitudes))
+
+
+def budget_covariance(columns: Mapping[Candidate, Array], size: int) -> Array:
+    """(n, n) covariance of everything whose uncertainty is stated."""
+    total = np.zeros((size, size))
+    for candidate, g in columns.items():
+        if candidate.budgeted:
+            total += g @ g.T
+    return total
+
+
+def groups_of(subjects: Sequence[str], patterns: Sequence[str]) -> list[str]:
+    """The subjects that patterns name, in the order of the subjects."""
+
+    return [s for s in dict.fromkeys(subjects) if any(fnmatchcase(s, p) for p in patterns)]

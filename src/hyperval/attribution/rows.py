@@ -1,0 +1,87 @@
+"""The reasons as rows of the results table."""
+
+from __future__ import annotations
+
+import math
+
+from hyperval.attribution.likelihood import closing_change
+from hyperval.attribution.ranking import ENOUGH, Ranking, told
+from hyperval.attribution.run import Attribution
+from hyperval.attribution.what_ifs import Outcome
+from hyperval.results import Result
+
+_EVERYTHING = "every input"
+
+
+def attribution_rows(found: Attribution, campaign: str) -> list[Result]:
+    """INFO rows of the products ``attribution``, ``sensitivity`` and ``what-if``.
+
+    attribution: for each group of residuals ``reduced_chi_square`` and ``p_value`` under the stated uncertainties,
+    then for each input ``likelihood_gain`` (twice the log-likelihood gained when it may be less well known) and
+    ``needed_uncertainty`` (in units of its stated one, or of a usual step).  sensitivity: for each number of the
+    comparison the change per unit of each input, with the units that would close the gap, and its total share.
+    what-if: ``reduced_chi_square`` after the experiment, and each summary gap after it.
+    """
+    rows = [row for r in found.rankings for row in _ranking_rows(r, campaign)]
+    rows += _sensitivity_rows(found, campaign)
+    return rows + [row for o in found.what_ifs for row in _outcome_rows(o, campaign)]
+
+
+def _ranking_rows(r: Ranking, campaign: str) -> list[Result]:
+    def row(method: str, metric: str, value: float, reason: str = "", n: int | None = None) -> Result:
+        return Result(campaign, "attribution", r.group, method, metric, value, n=n, reason=reason)
+
+    verdict = r.conclusion if r.p_value >= ENOUGH else f"disagrees: {r.conclusion}"
+    rows = [
+        row(_EVERYTHING, "reduced_chi_square", r.chi_square / r.dof, verdict, r.dof),
+        row(_EVERYTHING, "p_value", r.p_value, n=r.dof),
+    ]
+    if r.together:
+        rows.append(
+            row(_EVERYTHING, "p_value_explained", r.together[-1].p_value,
+                "with " + " and ".join(x.candidate.name for x in r.together) + " freed", r.dof)
+        )  # fmt: skip
+    for place, item in enumerate(r.ranked, start=1):
+        reason = f"rank {place}: {told(item)}; leaves reduced chi-square {item.chi_square / r.dof:.3g}"
+        rows.append(row(item.candidate.name, "likelihood_gain", item.gain, reason, r.dof))
+        unit = "stated uncertainty" if item.candidate.budgeted else f"step of {item.candidate.step}, none is stated"
+        rows.append(row(item.candidate.name, "needed_uncertainty", item.needed, f"in units of its {unit}"))
+    return rows
+
+
+def _sensitivity_rows(found: Attribution, campaign: str) -> list[Result]:
+    rows = []
+    place = {c: i for i, c in enumerate(found.stated)}
+    for q, quantity in enumerate(found.quantities):
+        gap = quantity.observed - found.predicted[q]
+        for c, candidate in enumerate(found.candidates):
+            change = float(found.changes[q, c])
+            closes = closing_change(gap, change)
+            reason = f"gap {gap:.4g}" + (
+                f" closed by {closes:+.3g} units" if math.isfinite(closes) else ", not closed by this input"
+            )
+            if found.indices is not None and candidate in place:
+                total = float(found.indices.total[q, place[candidate]])
+                first = float(found.indices.first[q, place[candidate]])
+                reason += f"; share of the variance {first:.3g} alone, {total:.3g} in all"
+            unit = "stated uncertainty" if candidate.budgeted else candidate.step
+            method = f"{candidate.name} / {quantity.method}" if quantity.method else candidate.name
+            rows.append(
+                Result(campaign, "sensitivity", quantity.subject, method,
+                       f"{quantity.product}_{quantity.metric}_change", change, reason=f"per {unit}; {reason}")
+            )  # fmt: skip
+    return rows
+
+
+def _outcome_rows(o: Outcome, campaign: str) -> list[Result]:
+    def row(metric: str, value: float, reason: str) -> Result:
+        return Result(campaign, "what-if", "all", o.name, metric, value, n=o.dof, reason=reason)
+
+    rows = [
+        row("reduced_chi_square", o.after, f"{o.before:.4g} before; {o.question}"),
+        row("likelihood_gain", o.gain, f"p = {o.p_value:.2g} after"),
+    ]
+    for name, (before, after) in o.gaps.items():
+        words = name.replace("|", "").replace("@", " at ").split()
+        rows.append(row("_".join(words), after, f"{before:.4g} before"))
+    return rows

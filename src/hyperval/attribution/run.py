@@ -1,0 +1,237 @@
+"""Looking for the reasons: every input moved, every what-if run, all of them ranked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.attribution.model import Model
+from hyperval.attribution.quantities import Quantity, quantities
+from hyperval.attribution.ranking import Candidate, Ranking, budget_covariance, groups_of, ranking
+from hyperval.attribution.residuals import Stack, stacked
+from hyperval.attribution.schema import AttributionOptions
+from hyperval.attribution.sensitivity import Indices, quadratic_design, sensitivity_indices
+from hyperval.attribution.what_ifs import Outcome, run_what_ifs
+from hyperval.errors import UsageError
+from hyperval.prediction.departure import Departure, combined
+from hyperval.products import Products, background_of
+from hyperval.progress import track
+
+Array = npt.NDArray[np.float64]
+Move = Callable[[float], Departure]
+
+ALL = "all"
+ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
+_CHECKS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Input:
+    """An uncertain input of one scenario.
+
+    Attributes
+    ----------
+    name, kind : for people
+    step : one unit in words
+    directions : how units of its uncertainty along each of its independent directions move the truth
+    """
+
+    name: str
+    kind: str
+    step: str
+    directions: tuple[Move, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Attribution:
+    """Why the two sides differ.
+
+    Attributes
+    ----------
+    candidates : inputs, in the order of the columns below
+    rankings : of all residuals together, then of single subjects
+    quantities : single numbers of both sides
+    predicted : (Q,) their values by the model
+    changes : (Q, k) change of each per unit of each input
+    indices : first and total sensitivities to the inputs whose uncertainty is stated, None where not asked for
+    stated : which candidates ``indices`` counts
+    what_ifs : outcomes of the named experiments
+    """
+
+    candidates: tuple[Candidate, ...]
+    rankings: tuple[Ranking, ...]
+    quantities: tuple[Quantity, ...]
+    predicted: Array
+    changes: Array
+    indices: Indices | None
+    stated: tuple[Candidate, ...]
+    what_ifs: tuple[Outcome, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Reason:
+    """A candidate with how it moves each scenario: direction -> scenario -> move, None where it has none there."""
+
+    candidate: Candidate
+    directions: tuple[tuple[Move | None, ...], ...]
+
+    def at(self, direction: int, units: float) -> list[Departure]:
+        return [Departure() if move is None else move(units) for move in self.directions[direction]]
+
+
+def attribute(
+    model: Model,
+    observed: Products,
+    stated: Sequence[Sequence[Input]],
+    assumed: Sequence[Sequence[Input]],
+    options: AttributionOptions,
+    *,
+    budgeted: Products | None = None,
+    show_progress: bool | None = None,
+) -> Attribution:
+    """Move every input, run every what-if, rank them all.
+
+    Parameters
+    ----------
+    stated, assumed : inputs of each scenario, those with a stated uncertainty and the others; one that is stated
+        in any scenario is left out of the others
+    budgeted : the prediction with its error covariances; what they hold beyond the inputs' directions counts as
+        independent in each band
+
+    Raises
+    ------
+    UsageError : nothing that both sides hold, or a what-if that fits no scenario.
+    """
+    base = model.departed([Departure() for _ in model.scenarios])
+    stack = stacked(base, observed)
+    if not stack.blocks:
+        raise UsageError("attribution: prediction and collection hold nothing in common")
+    asked = quantities(base, observed)
+    reasons = _reasons(stated, assumed if options.unbudgeted else [() for _ in stated])
+    evaluate = _Evaluation(model, stack, asked)
+    columns: dict[Candidate, Array] = {}
+    changes = np.zeros((len(asked), len(reasons)))
+    single: dict[tuple[Candidate, int], Array] = {}
+    for i, reason in enumerate(track(reasons, "reasons: inputs", show=show_progress)):
+        moved = []
+        for d in range(len(reason.directions)):
+            (up, up_q), (down, down_q) = (evaluate(reason.at(d, z)) for z in (1.0, -1.0))
+            moved.append(0.5 * (up - down))
+            if d == 0:
+                changes[:, i] = 0.5 * (up_q - down_q)
+                single[reason.candidate, 1], single[reason.candidate, -1] = up_q, down_q
+        columns[reason.candidate] = np.stack(moved, axis=1)
+    predicted, values = stack.predicted(base), np.array([q.read(base) for q in asked])
+    budget = budget_covariance(columns, predicted.size)
+    covariance = stack.covariance + budget
+    if budgeted is not None:
+        covariance += np.diag(np.clip(stack.predicted_variance(budgeted) - np.diag(budget), 0.0, None))
+    residual = stack.observed - predicted
+    indices, counted = None, [r for r in reasons if r.candidate.budgeted]
+    if options.totals and counted and asked:
+        indices = _indices(counted, evaluate, values, single, show_progress)
+    rankings = [ranking(ALL, residual, covariance, columns)]
+    for group in groups_of([b.subject for b in stack.blocks], options.each):
+        here = _indices_of(stack, group)
+        part = {c: g[here] for c, g in columns.items() if np.any(g[here])}
+        rankings.append(ranking(group, residual[here], covariance[np.ix_(here, here)], part))
+    outcomes = run_what_ifs(model, stack, asked, covariance, observed, options.what_ifs, show_progress)
+    return Attribution(
+        tuple(r.candidate for r in reasons),
+        tuple(rankings),
+        tuple(asked),
+        values,
+        changes,
+        indices,
+        tuple(r.candidate for r in counted),
+        tuple(outcomes),
+    )
+
+
+class _Evaluation:
+    """All residual quantities and all single numbers of one departed prediction."""
+
+    def __init__(self, model: Model, stack: Stack, asked: Sequence[Quantity]):
+        self._model, self._stack, self._asked = model, stack, asked
+
+    def __call__(self, departures: Sequence[Departure]) -> tuple[Array, Array]:
+        products = self._model.departed(departures)
+        return self._stack.predicted(products), np.array([q.read(products) for q in self._asked])
+
+
+def _reasons(stated: Sequence[Sequence[Input]], assumed: Sequence[Sequence[Input]]) -> list[_Reason]:
+    """Inputs of all scenarios by name: what bears one name moves in all of them at once."""
+    out: list[_Reason] = []
+    known: set[str] = set()
+    for budgeted, groups in ((True, stated), (False, assumed)):
+        for name in dict.fromkeys(i.name for group in groups for i in group):
+            if name in known:
+                continue
+            known.add(name)
+            members = [next((i for i in group if i.name == name), None) for group in groups]
+            first = next(m for m in members if m is not None)
+            depth = max(len(m.directions) for m in members if m is not None)
+            directions = tuple(
+                tuple(m.directions[d] if m is not None and d < len(m.directions) else None for m in members)
+                for d in range(depth)
+            )
+            out.append(_Reason(Candidate(name, first.kind, first.step, budgeted), directions))
+    return out
+
+
+def _indices(
+    reasons: Sequence[_Reason],
+    evaluate: _Evaluation,
+    base: Array,
+    single: Mapping[tuple[Candidate, int], Array],
+    show_progress: bool | None,
+) -> Indices:
+    """First and total sensitivities, each input along its leading direction.
+
+    Two inputs of the atmosphere are not changed together, as each pair would take a run of the engine: their
+    interaction counts as none.
+    """
+    design = quadratic_design(len(reasons))
+    values = [base, *(single[r.candidate, 1] for r in reasons), *(single[r.candidate, -1] for r in reasons)]
+    pairs = list(combinations(range(len(reasons)), 2))
+    for i, j in track(pairs, "reasons: pairs of inputs", show=show_progress):
+        a, b = reasons[i], reasons[j]
+        together = None
+        if not a.candidate.kind == b.candidate.kind == ATMOSPHERE:
+            together = _together([a, b], [1.0, 1.0])
+        values.append(
+            single[a.candidate, 1] + single[b.candidate, 1] - base if together is None else evaluate(together)[1]
+        )
+    rng = np.random.default_rng(0)
+    points, there = [], []
+    for _ in range(_CHECKS):
+        z = rng.choice([-1.0, 1.0], size=len(reasons))
+        engine = [i for i, r in enumerate(reasons) if r.candidate.kind == ATMOSPHERE]
+        z[engine[1:]] = 0.0
+        together = _together(reasons, z)
+        if together is not None:
+            points.append(z)
+            there.append(evaluate(together)[1])
+    return sensitivity_indices(design, np.array(values), (np.array(points), np.array(there)) if points else None)
+
+
+def _together(reasons: Sequence[_Reason], units: Sequence[float] | Array) -> list[Departure] | None:
+    """Several inputs at once; None where two of them set the same entry."""
+    moved = [r.at(0, z) for r, z in zip(reasons, units, strict=True) if z]
+    try:
+        return [combined(*parts) for parts in zip(*moved, strict=True)]
+    except UsageError:
+        return None
+
+
+def _indices_of(stack: Stack, group: str) -> npt.NDArray[np.intp]:
+    """Residuals of one subject, with those of the background seen through its filter."""
+    names = {group, background_of(group)}
+    parts = [
+        np.arange(s.start, s.stop) for b, s in zip(stack.blocks, stack.slices(), strict=True) if b.subject in names
+    ]
+    return np.concatenate(parts)
