@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hyperval.report.figures_attribution import attribution_figures
 from hyperval.report.figures_detection import abundance_figures, roc_figures, score_figures
 from hyperval.report.figures_images import quicklook_figure, score_map_figures
 from hyperval.report.figures_spectra import budget_figures, eigenvalue_figures, pair_figures
@@ -26,4 +27,5 @@ def draw_figures(run: RunReport) -> list[Drawing]:
         drawings += score_map_figures(run.score_maps, simulated=simulated)
         drawings += roc_figures(sides, simulated=simulated)
         drawings += abundance_figures(sides, simulated=simulated)
+        drawings += attribution_figures(run.table, simulated=simulated)
     return drawings

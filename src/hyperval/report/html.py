@@ -37,6 +37,9 @@ _SECTIONS = {
     "scores": "Detector scores",
     "roc": "Detection and false alarms",
     "abundance": "Abundance and target area",
+    "attribution": "Why they differ",
+    "sensitivity": "What moves what",
+    "what-if": "What-ifs",
 }
 _MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
 

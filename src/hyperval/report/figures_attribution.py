@@ -1,0 +1,199 @@
+"""Figures of the reasons: which input explains the residuals, what moves what, what-ifs before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from hyperval.report import style
+from hyperval.report.style import Drawing
+from hyperval.results import Result, ResultTable
+
+_MOST_INPUTS = 14
+_MOST_GROUPS = 26
+_MOST_QUANTITIES = 26
+_STATED, _UNSTATED = "#0072B2", "#E69F00"
+_ALL = "all"
+# Twice a log-likelihood of 10.8 has one chance in a thousand by luck, for one direction.
+_TELLING = 10.8
+
+
+def attribution_figures(table: ResultTable, *, simulated: bool) -> list[Drawing]:
+    """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
+    drawings = []
+    gains = [r for r in table.where(product="attribution") if r.metric == "likelihood_gain"]
+    whole = sorted((r for r in gains if r.subject == _ALL), key=lambda r: -r.value)
+    if whole:
+        drawings.append(_bars(whole[:_MOST_INPUTS], table, simulated))
+    single = [r for r in gains if r.subject != _ALL]
+    if single:
+        drawings.append(_by_subject(single, simulated))
+    moves = [r for r in table.where(product="sensitivity") if r.metric.endswith("_change")]
+    if moves:
+        drawings.append(_effects(moves, simulated))
+    outcomes = [r for r in table.where(product="what-if") if r.metric == "reduced_chi_square"]
+    if outcomes:
+        drawings.append(_what_ifs(outcomes, simulated))
+    return drawings
+
+
+def _bars(rows: Sequence[Result], table: ResultTable, simulated: bool) -> Drawing:
+    title = "Which input, were it less well known, would explain the differences"
+    figure = style.new_figure(10.0, 1.3 + 0.32 * len(rows), title, simulated)
+    axes = figure.add_subplot()
+    stated = _stated(table)
+    names = [r.method for r in rows]
+    colours = [_STATED if n in stated else _UNSTATED for n in names]
+    at = np.arange(len(rows))[::-1]
+    values = np.array([max(r.value, 0.1) for r in rows])
+    axes.barh(at, values, color=colours, height=0.7)
+    for y, r in zip(at, rows, strict=True):
+        words = r.reason.partition("; ")[0].partition(": ")[2]
+        axes.annotate(
+            style.plain(words), (max(r.value, 0.1), y), xytext=(4, 0), textcoords="offset points", va="center",
+            fontsize=7.5,
+        )  # fmt: skip
+    axes.set_yticks(at, [style.plain(style.shortened(n, 40)) for n in names])
+    axes.set_xscale("log")
+    axes.set_xlim(0.1, max(float(values.max()) * 30.0, 30.0))
+    style.log_ticks(axes.xaxis)
+    axes.axvline(_TELLING, color="#333333", linestyle=":", linewidth=1.0)
+    axes.set_xlabel("likelihood gained, 2 Δ ln L [1]; dotted: one chance in a thousand by luck")
+    axes.grid(visible=False, axis="y")
+    style.add_legend(
+        figure, [(Patch(color=_STATED), "uncertainty stated"), (Patch(color=_UNSTATED), "none stated: usual step")]
+    )
+    best = rows[0]
+    alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
+    alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
+    return Drawing("attribution-inputs", "attribution", title, alt, style.svg_bytes(figure), "svg")
+
+
+def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing:
+    """A matrix of subjects by inputs: the area of a dot is the part of the greatest gain of its row."""
+    title = "The same for each subject by itself"
+    every = list(dict.fromkeys(r.subject for r in rows))
+    subjects = every[:_MOST_GROUPS]
+    by = {(r.subject, r.method): r.value for r in rows}
+    best: dict[str, float] = {}
+    for r in rows:
+        best[r.method] = max(best.get(r.method, 0.0), r.value)
+    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS] or list(best)[:1]
+    figure = style.new_figure(10.0, 2.6 + 0.25 * len(subjects), title, simulated)
+    axes = figure.add_subplot()
+    for i, subject in enumerate(subjects):
+        top = max((by.get((subject, n), 0.0) for n in inputs), default=0.0)
+        for j, name in enumerate(inputs):
+            gain = by.get((subject, name), 0.0)
+            if gain > 0.0 and top > 0.0:
+                first = gain == top
+                axes.scatter(j, i, s=120.0 * gain / top, color="#C2410C" if first else "#8aa4b8", linewidths=0)
+                if first:
+                    axes.annotate(f"{gain:.2g}", (j, i), xytext=(9, 0), textcoords="offset points", fontsize=7,
+                                  va="center")  # fmt: skip
+    axes.set_xticks(
+        range(len(inputs)), [style.plain(style.shortened(n, 30)) for n in inputs], rotation=35, ha="right"
+    )
+    axes.set_yticks(range(len(subjects)), [style.plain(style.shortened(s, 30)) for s in subjects])
+    axes.set_xlim(-0.6, len(inputs) - 0.1)
+    axes.set_ylim(len(subjects) - 0.4, -0.6)
+    tops = {s: max(inputs, key=lambda n: by.get((s, n), 0.0)) for s in subjects}
+    alt = "For each subject the input that gains most: " + "; ".join(f"{s}: {n}" for s, n in tops.items()) + "."
+    legend = "red: the greatest gain of a row, with its size 2 Δ ln L; grey: others as parts of it"
+    title += style.left_out([subjects], every)
+    return Drawing("attribution-subjects", "attribution", title, alt, style.svg_bytes(figure), "svg", legend=legend)
+
+
+def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
+    """Change of each number of the comparison per unit of each input, as a matrix of colours."""
+    title = "What one unit of each input moves"
+
+    def label(r: Result) -> str:
+        way = r.method.partition(" / ")[2]
+        return f"{r.subject}, {r.metric.removesuffix('_change')}" + (f" {way}" if way else "")
+
+    every = list(dict.fromkeys(label(r) for r in rows))
+    gaps = {label(r): _gap(r) for r in rows}
+    shown = sorted(every, key=lambda q: -gaps[q])[:_MOST_QUANTITIES]
+    by = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
+    names = list(dict.fromkeys(r.method.partition(" / ")[0] for r in rows))
+    names = sorted(names, key=lambda n: -max(abs(by.get((q, n), 0.0)) for q in shown))[:_MOST_INPUTS]
+    values = np.array([[by.get((q, n), math.nan) for n in names] for q in shown])
+    size = max(float(np.nanpercentile(np.abs(values), 97)), 1e-6)
+    figure = style.new_figure(10.0, 2.8 + 0.25 * len(shown), title, simulated)
+    axes = figure.add_subplot()
+    axes.grid(visible=False)
+    image = axes.imshow(
+        values, cmap=matplotlib.colormaps["PuOr"], norm=TwoSlopeNorm(0.0, -size, size), aspect="auto"
+    )
+    for (i, j), value in np.ndenumerate(values):
+        if np.isfinite(value) and abs(value) >= 0.0005:
+            shade = "white" if abs(value) > 0.65 * size else "black"
+            axes.text(j, i, f"{value:+.2g}", ha="center", va="center", fontsize=6.5, color=shade)
+    axes.set_xticks(
+        range(len(names)), [style.plain(style.shortened(n, 30)) for n in names], rotation=35, ha="right"
+    )
+    axes.set_yticks(
+        range(len(shown)),
+        [style.plain(style.shortened(f"{q} (gap {gaps[q]:.2g})", 58)) for q in shown],
+        fontsize=7.5,
+    )
+    figure.colorbar(image, ax=axes, label="change per unit [1]", shrink=0.8, extend="both")
+    largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
+    alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
+    alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
+    legend = "spectra as a part of the collected mean, P_D as it stands; those with the largest gap are shown"
+    return Drawing("attribution-effects", "sensitivity", title, alt, style.svg_bytes(figure), "svg", legend=legend)
+
+
+def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
+    title = "What-ifs: the gap before and after"
+    figure = style.new_figure(10.0, 1.3 + 0.4 * len(rows), title, simulated)
+    axes = figure.add_subplot()
+    told = []
+    for y, r in enumerate(reversed(rows)):
+        before = _leading_number(r.reason)
+        better = r.value < before
+        axes.plot([before, r.value], [y, y], color="#17643a" if better else "#9b1c1c", linewidth=2.0)
+        axes.plot(before, y, "o", color="white", markeredgecolor="#333333")
+        axes.plot(r.value, y, "s", color="#17643a" if better else "#9b1c1c")
+        told.append(f"{r.method} from {before:.3g} to {r.value:.3g}")
+    axes.set_yticks(range(len(rows)), [style.plain(style.shortened(r.method, 44)) for r in reversed(rows)])
+    axes.set_ylim(-0.6, len(rows) - 0.4)
+    axes.set_xscale("log")
+    style.log_ticks(axes.xaxis)
+    axes.set_xlabel("reduced chi-square of all residuals [1]; 1 is what the uncertainties allow")
+    axes.axvline(1.0, color="#333333", linestyle=":", linewidth=1.0)
+    style.add_legend(
+        figure,
+        [
+            (Line2D([], [], marker="o", color="white", markeredgecolor="#333333"), "as the campaign has it"),
+            (Line2D([], [], marker="s", color="#17643a"), "after, closer"),
+            (Line2D([], [], marker="s", color="#9b1c1c"), "after, farther"),
+        ],
+    )
+    alt = "Reduced chi-square of all residuals before and after each what-if: " + "; ".join(reversed(told)) + "."
+    return Drawing("what-ifs", "what-if", title, alt, style.svg_bytes(figure), "svg")
+
+
+def _stated(table: ResultTable) -> set[str]:
+    rows = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
+    return {r.method for r in rows if "none is stated" not in r.reason}
+
+
+def _leading_number(text: str) -> float:
+    try:
+        return float(text.split()[0])
+    except (IndexError, ValueError):
+        return math.nan
+
+
+def _gap(row: Result) -> float:
+    """The gap that the row's reason tells, as a size."""
+    return abs(_leading_number(row.reason.partition("gap ")[2]))
