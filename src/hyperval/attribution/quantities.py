@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperval.products import Products, RocCurve, SpectralEstimate
 from hyperval.spectra.windows import in_window
@@ -33,7 +34,7 @@ class Quantity:
 
 
 def quantities(predicted: Products, observed: Products) -> list[Quantity]:
-    """Mean over windows of radiance, reflectance and SNR, mean of target scores, P_D at P_FA 1e-2 and 1e-3."""
+    """Predicted over observed mean in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3."""
     found: list[Quantity] = []
     for product in ("radiance", "reflectance", "snr"):
         left, right = getattr(predicted, product), getattr(observed, product)
@@ -45,11 +46,21 @@ def quantities(predicted: Products, observed: Products) -> list[Quantity]:
             if not use.any():
                 continue
 
-            def mean(p: Products, product: str = product, subject: str = subject, use: np.ndarray = use) -> float:
-                estimate: SpectralEstimate = getattr(p, product)[subject]
-                return float(np.mean(estimate.mean[use]))
+            level = float(np.mean(right[subject].mean[use]))
+            if not level > 0:
+                continue
 
-            found.append(Quantity(product, subject, "", "mean_windows", mean(observed), mean))
+            def ratio(
+                p: Products,
+                product: str = product,
+                subject: str = subject,
+                use: npt.NDArray[np.bool_] = use,
+                level: float = level,
+            ) -> float:
+                estimate: SpectralEstimate = getattr(p, product)[subject]
+                return float(np.mean(estimate.mean[use])) / level
+
+            found.append(Quantity(product, subject, "", "ratio_windows", 1.0, ratio))
     for key, curve in observed.roc.items():
         there = predicted.roc.get(key)
         if there is None:
