@@ -19,9 +19,16 @@ from hyperval.results import Result, Status
 _UNIT_RANGE = (
     "p_value", "pd_", "fraction_inside_95", "objects_inside_95", "object_score_", "pit_uniformity", "area_inside",
     "area_in_predicted", "eigenvalues_inside", "subspace_inside", "normality_p_value", "error_predicted",
-    "error_observed", "error_inside", "error_approximation", "error_bounds",
+    "error_observed", "error_inside", "error_approximation", "error_bounds", "auc_", "partial_auc_", "log_auc_",
+    "joint_",
 )  # fmt: skip
-_SIGNED_UNIT_RANGE = ("pd_difference", "auc_difference", "error_difference")
+_SIGNED_UNIT_RANGE = (
+    "pd_difference",
+    "auc_difference",
+    "partial_auc_difference",
+    "log_auc_difference",
+    "error_difference",
+)
 _POSITIVE = (
     "eigenvalue_ratio", "total_variance_ratio", "bhattacharyya_distance", "distance_", "background_tail_dof",
     "area_rmse", "effective_pixels",
@@ -73,7 +80,7 @@ class Gate(Model):
             raise ValueError(f"within [{self.within[0]:g}, {self.within[1]:g}] holds no range")
         if self.bands_nm is not None and not self.bands_nm[0] < self.bands_nm[1]:
             raise ValueError(f"bands_nm [{self.bands_nm[0]:g}, {self.bands_nm[1]:g}] holds no range")
-        low, high = _range_of(self.metric)
+        low, high = range_of(self.metric)
         floor, ceiling = self.limits
         if floor <= low and ceiling >= high:
             raise ValueError(
@@ -264,7 +271,8 @@ def _starts(metric: str, names: Sequence[str]) -> bool:
     return any(name in metric for name in names)
 
 
-def _range_of(metric: str) -> tuple[float, float]:
+def range_of(metric: str) -> tuple[float, float]:
+    """The least and greatest value that a metric can take; infinite where it has no such end."""
     if any(metric.startswith(name) for name in _SIGNED_UNIT_RANGE):
         return -1.0, 1.0
     if any(metric.startswith(name) for name in _UNIT_RANGE):
