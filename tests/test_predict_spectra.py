@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.prediction.inputs import _on_bands
+from hyperval.prediction.replicates import in_bands
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.response import band_average
 
@@ -13,12 +13,12 @@ AXIS = SpectralAxis(np.arange(420.0, 900.0, 3.6), 4.8)
 
 def test_a_library_at_the_bands_own_centres_is_taken_as_it_stands():
     values = np.sin(AXIS.centre_nm / 7.0)
-    assert np.array_equal(_on_bands(AXIS.centre_nm + 0.01, values, AXIS), values)
+    assert np.array_equal(in_bands(AXIS.centre_nm + 0.01, values, AXIS), values)
 
 
 def test_any_other_sampling_is_averaged_over_the_responses():
     grid = np.arange(400.0, 950.0, 1.0)
     values = np.sin(grid / 7.0)
-    assert np.array_equal(_on_bands(grid, values, AXIS), band_average(grid, values, AXIS))
-    shifted = _on_bands(AXIS.centre_nm + 1.0, np.sin((AXIS.centre_nm + 1.0) / 7.0), AXIS)
+    assert np.array_equal(in_bands(grid, values, AXIS), band_average(grid, values, AXIS))
+    shifted = in_bands(AXIS.centre_nm + 1.0, np.sin((AXIS.centre_nm + 1.0) / 7.0), AXIS)
     assert not np.array_equal(shifted, np.sin((AXIS.centre_nm + 1.0) / 7.0))

@@ -16,6 +16,9 @@ from hyperval.config import Model, load_model
 from hyperval.errors import UsageError
 from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.processing.filters import LINEAR_DETECTORS
+from hyperval.scenario_sources import CovarianceSource as CovarianceSource
+from hyperval.scenario_sources import SpectrumSource as SpectrumSource
+from hyperval.scenario_sources import exactly_one
 from hyperval.scenario_uncertainty import SpectrumUncertainty as SpectrumUncertainty
 from hyperval.scenario_uncertainty import Uncertainty
 from hyperval.sensor.changes import SensorChanges
@@ -26,62 +29,6 @@ MODEL_DETECTORS = (*LINEAR_DETECTORS, *NUMERICAL_DETECTORS)
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Channel = Annotated[int, Field(ge=0, lt=5000)]
 BlurWidth = Annotated[float, Field(ge=0, le=5)]
-
-
-def _exactly_one(model: Model, names: tuple[str, ...]) -> None:
-    given = [n for n in names if getattr(model, n) is not None]
-    if len(given) != 1:
-        raise ValueError(f"give exactly one of {', '.join(names)}" + (f": {given} are given" if given else ""))
-
-
-class SpectrumSource(Model):
-    """A reflectance spectrum: built in, constant, from a file, or measured on the imagery."""
-
-    builtin: str | None = Field(None, description="name of a built-in surface")
-    constant: float | None = Field(None, ge=0, le=1.5, description="the same reflectance in every band [1]")
-    file: str | None = Field(None, description="field spectrum or library file")
-    library: str | None = Field(None, description="statistics library: mean and covariance of classes (NetCDF)")
-    measured: str | None = Field(None, description="region of the collection whose statistics are handed in")
-    record: str | int | None = Field(
-        None, description="which spectrum of a file of several: name, number from 0, or mean of all"
-    )
-    gaps: Literal["refused", "allowed"] = Field(
-        "refused", description="usable bands beyond the ends of the spectrum; where allowed they are left out"
-    )
-    wavelength_unit: str | None = Field(None, description="stated when the file does not say")
-    reflectance_unit: str | None = Field(None, description="stated when the file does not say: fraction, percent")
-
-    @model_validator(mode="after")
-    def _check(self) -> SpectrumSource:
-        _exactly_one(self, ("builtin", "constant", "file", "library", "measured"))
-        if self.file is None and (self.wavelength_unit or self.reflectance_unit):
-            raise ValueError("record and units belong to a file")
-        if self.file is None and self.library is None and self.record is not None:
-            raise ValueError("record and units belong to a file")
-        if self.library is not None and not isinstance(self.record, str | None):
-            raise ValueError("a record of a statistics library goes by name")
-        return self
-
-
-class CovarianceSource(Model):
-    """Spread from pixel to pixel: built in, measured, none, or a relative one with a correlation length."""
-
-    builtin: str | None = None
-    library: str | None = Field(None, description="statistics library (NetCDF)")
-    record: str | None = Field(None, description="with library: name of the class")
-    measured: str | None = None
-    relative_sd: float | None = Field(
-        None, ge=0, description="standard deviation as a part of the mean [1]; 0: none"
-    )
-    correlation_nm: float | None = Field(None, gt=0, description="with relative_sd; None: fully correlated")
-    band_sd: float = Field(0.0, ge=0, description="with relative_sd: independent part of each band [1]")
-
-    @model_validator(mode="after")
-    def _check(self) -> CovarianceSource:
-        _exactly_one(self, ("builtin", "library", "measured", "relative_sd"))
-        if self.record is not None and self.library is None:
-            raise ValueError("record belongs to a library")
-        return self
 
 
 class Surface(Model):
@@ -140,7 +87,7 @@ class Fill(Model):
 
     @model_validator(mode="after")
     def _check(self) -> Fill:
-        _exactly_one(self, ("fixed", "mean", "geometry"))
+        exactly_one(self, ("fixed", "mean", "geometry"))
         if (self.mean is None) != (self.sd is None):
             raise ValueError("mean and sd go together")
         return self
@@ -265,7 +212,7 @@ class Features(Model):
 
     @model_validator(mode="after")
     def _check(self) -> Features:
-        _exactly_one(self, ("pca", "mnf"))
+        exactly_one(self, ("pca", "mnf"))
         return self
 
 

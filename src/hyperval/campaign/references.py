@@ -110,6 +110,9 @@ def _files(content: Any, base: Path, at: tuple[str, ...] = ()) -> list[Reference
         spectrum = reference_of(content)
         return [Reference(".".join(at), spectrum, base)] if spectrum else []
     is_file = (
-        at[-1] in FILE_KEYS or "materials" in at or (at[-1] == "sensor" and content.endswith((".yaml", ".yml")))
+        at[-1] in FILE_KEYS
+        or "materials" in at
+        or (at[-1] == "files" and "replicates" in at)
+        or (at[-1] == "sensor" and content.endswith((".yaml", ".yml")))
     )
     return [Reference(".".join(at), content, base)] if is_file or content.startswith(PREFIX) else []

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
+from hyperval.prediction.replicates import ReplicateStatistics, in_bands, replicate_statistics
 from hyperval.scenario import CovarianceSource, SpectrumSource, Surface
+from hyperval.scenario_sources import Replicates
 from hyperval.scene.builtin import builtin_class
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.response import band_average
 
 Array = npt.NDArray[np.float64]
-SAME_BAND_NM = 0.05  # centres this close are the same band
 Resolve = Callable[[str], Path]
 
 
@@ -31,6 +31,7 @@ class SurfaceStatistics:
     covariance : (B, B), zero where nothing is known of the spread
     standard_deviation : (B,) that a spectrum's file carries, None without
     n : samples behind it
+    mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
     """
 
     name: str
@@ -40,6 +41,7 @@ class SurfaceStatistics:
     tail_dof: float | None = None
     standard_deviation: Array | None = None
     n: int | None = None
+    mean_error: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -66,16 +68,14 @@ class Sources:
         if surface.covariance is None:
             return base
         covariance = self._covariance(surface.covariance, base.mean, surface.name)
-        return SurfaceStatistics(
-            surface.name, base.mean, covariance, base.source, base.tail_dof, base.standard_deviation, base.n
-        )
+        return replace(base, covariance=covariance)
 
     def spectrum(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
         """The statistics that a spectrum source brings along."""
         bands = len(self.axis)
         if source.builtin is not None:
-            found = builtin_class(source.builtin, self.axis)
-            return SurfaceStatistics(name, found.mean, found.covariance, found.source)
+            made = builtin_class(source.builtin, self.axis)
+            return SurfaceStatistics(name, made.mean, made.covariance, made.source)
         if source.measured is not None:
             known = self._measured(source.measured, name)
             return SurfaceStatistics(
@@ -89,7 +89,20 @@ class Sources:
             return SurfaceStatistics(
                 name, held.mean, held.covariance, held.source or source.library, held.tail_dof, None, held.n
             )
+        if source.replicates is not None:
+            found = self._replicates(source.replicates, name)
+            return SurfaceStatistics(
+                name, found.mean, found.covariance, found.summary, None,
+                found.standard_deviation, found.n, found.mean_error,
+            )  # fmt: skip
         return self._from_file(source, name)
+
+    def _replicates(self, source: Replicates, name: str) -> ReplicateStatistics:
+        try:
+            return replicate_statistics(source, self.axis, self.resolve)
+        except UsageError as error:
+            where = f"replicates of {name!r}: " + (error.where or "")
+            raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
 
     def _library(self, file: str, record: str | int | None, name: str, key: str) -> ClassStatistics:
         from hyperval.statistics_library import on_bands, read_statistics_library
@@ -110,7 +123,7 @@ class Sources:
             wavelength_unit=source.wavelength_unit,
             reflectance_unit=source.reflectance_unit,
         )
-        mean = _on_bands(read.wavelength_nm, read.values, self.axis)
+        mean = in_bands(read.wavelength_nm, read.values, self.axis)
         if not np.any(np.isfinite(mean)):
             raise UsageError(
                 f"the spectrum of {name!r} ({source.file}) covers none of the bands",
@@ -118,7 +131,7 @@ class Sources:
             )
         spread = None
         if read.standard_deviation is not None:
-            spread = _on_bands(read.wavelength_nm, read.standard_deviation, self.axis)
+            spread = in_bands(read.wavelength_nm, read.standard_deviation, self.axis)
         zero = np.zeros((len(self.axis), len(self.axis)))
         return SurfaceStatistics(name, mean, zero, str(source.file), None, spread, read.n)
 
@@ -139,6 +152,8 @@ class Sources:
             return builtin_class(source.builtin, self.axis).covariance
         if source.library is not None:
             return self._library(source.library, source.record, name, "covariance").covariance
+        if source.replicates is not None:
+            return self._replicates(source.replicates, name).covariance
         if source.measured is not None:
             return self._measured(source.measured, name).covariance
         sd = (source.relative_sd or 0.0) * np.nan_to_num(mean)
@@ -169,17 +184,3 @@ def filled(values: Array) -> Array:
         return values
     at = np.arange(values.size)
     return np.interp(at, at[known], values[known])
-
-
-def _on_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis) -> Array:
-    """Values in the bands: as they stand where they are sampled at the bands' centres, else band averages.
-
-    A library at the sensor's own bands was convolved when it was made; a second time would smooth it and lose its
-    first and last bands.
-    """
-    if wavelength_nm.size == len(axis) and np.all(np.abs(wavelength_nm - axis.centre_nm) <= SAME_BAND_NM):
-        return np.array(values, dtype=float)
-    known = np.isfinite(values)
-    if known.sum() < 2:
-        return np.full(len(axis), np.nan)
-    return band_average(wavelength_nm[known], values[known], axis, outside="nan")

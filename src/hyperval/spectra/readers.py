@@ -6,6 +6,7 @@ and never guessed; where detectors overlap, each join is cut in its middle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from hyperval.errors import InputError, UsageError
@@ -72,13 +73,22 @@ def read_spectrum(
 def read_records(
     path: Path | str,
     *,
+    records: Sequence[str | int] | None = None,
     quantity: str = "reflectance",
     wavelength_unit: str | None = None,
     reflectance_unit: str | None = None,
     unit: str | None = None,
     root: Path | None = None,
 ) -> list[FieldSpectrum]:
-    """Read every spectrum of a file, by the rules of :func:`read_spectrum`."""
+    """Read the spectra of a file, by the rules of :func:`read_spectrum`.
+
+    ``records`` are the names, or numbers from 0, of those wanted; other names are passed over.
+
+    Raises
+    ------
+    InputError : as for :func:`read_spectrum`.
+    UsageError : the same, and numbers that the file does not have.
+    """
     path = checked_file(path, root=root, what="spectrum file")
     return [
         finished(
@@ -88,8 +98,17 @@ def read_records(
             reflectance_unit=reflectance_unit,
             unit=unit,
         )
-        for record in _records(path, None, root, quantity)
+        for record in _wanted(_records(path, None, root, quantity), records, str(path))
     ]
+
+
+def _wanted(held: list[Record], wanted: Sequence[str | int] | None, where: str) -> list[Record]:
+    if wanted is None:
+        return held
+    numbers = {w for w in wanted if isinstance(w, int)}
+    if any(not 0 <= w < len(held) for w in numbers):
+        raise UsageError(f"no record {max(numbers)}", where=where, expected=f"0 to {len(held) - 1}")
+    return [r for i, r in enumerate(held) if i in numbers or r.name in wanted]
 
 
 def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str) -> list[Record]:

@@ -1,0 +1,141 @@
+"""Several field spectra of one surface: their mean, their spread, and how well they know the mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from hyperval.errors import UsageError
+from hyperval.file_names import MAX_MATCHES, matching
+from hyperval.processing.sample import statistics_of
+from hyperval.scenario_sources import Replicates
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.readers import FieldSpectrum, read_records
+from hyperval.spectra.response import band_average
+
+Array = npt.NDArray[np.float64]
+Resolve = Callable[[str], Path]
+SAME_BAND_NM = 0.05  # centres this close are the same band
+# Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
+FEW_PER_BAND = 3
+Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True, eq=False)
+class ReplicateStatistics:
+    """What n spectra of one surface say of it, in the bands; NaN where one of them does not reach.
+
+    Attributes
+    ----------
+    mean : (B,) reflectance [1]
+    standard_deviation : (B,) from spectrum to spectrum, divisor n - 1
+    covariance : (B, B) from spectrum to spectrum, shrunk where they are few; 0 where the mean is NaN
+    mean_error : (B, B) error covariance of the mean, see :func:`mean_error_covariance`
+    n : spectra
+    shrinkage : part of the shrunk covariance that is not the sample's, 0 without
+    names : of the spectra
+    """
+
+    mean: Array
+    standard_deviation: Array
+    covariance: Array
+    mean_error: Array
+    n: int
+    shrinkage: float
+    names: tuple[str, ...]
+
+    @property
+    def summary(self) -> str:
+        """The numbers in words."""
+        few = f", covariance shrunk by {self.shrinkage:.3g}" if self.shrinkage else ""
+        return f"{self.n} replicate spectra{few}"
+
+
+def replicate_statistics(source: Replicates, axis: SpectralAxis, resolve: Resolve) -> ReplicateStatistics:
+    """Mean, covariance and number of the spectra that ``source`` names, in the bands of ``axis``.
+
+    Raises
+    ------
+    InputError : missing or corrupt files.
+    UsageError : fewer than two spectra, records that no file has, or spectra that share no band.
+    """
+    spectra = replicate_spectra(source, resolve)
+    return statistics_in_bands(spectra, axis, ", ".join(source.references))
+
+
+def statistics_in_bands(spectra: Sequence[FieldSpectrum], axis: SpectralAxis, where: str) -> ReplicateStatistics:
+    """Statistics of spectra, each averaged over the bands first."""
+    if len(spectra) < 2:
+        raise UsageError(
+            "a single spectrum has no spread", where=where, expected="two or more replicates", mend="use file:"
+        )
+    values = np.array([in_bands(s.wavelength_nm, s.values, axis) for s in spectra])
+    known = np.all(np.isfinite(values), axis=0)
+    if not known.any():
+        raise UsageError(
+            "the replicates share none of the bands",
+            where=where,
+            expected=f"samples between {axis.centre_nm[0]:g} and {axis.centre_nm[-1]:g} nm",
+        )
+    sample = statistics_of(values[:, known])
+    few = sample.n < FEW_PER_BAND * int(known.sum())
+    at = np.ix_(known, known)
+    mean, deviation = np.full(len(axis), np.nan), np.full(len(axis), np.nan)
+    covariance, error = np.zeros((len(axis), len(axis))), np.zeros((len(axis), len(axis)))
+    mean[known], deviation[known] = sample.mean, np.sqrt(np.diag(sample.covariance))
+    covariance[at] = sample.shrunk_covariance if few else sample.covariance
+    error[at] = mean_error_covariance(sample.covariance, sample.n)
+    names = tuple(s.name for s in spectra)
+    shrinkage = sample.shrinkage if few else 0.0
+    return ReplicateStatistics(mean, deviation, covariance, error, sample.n, shrinkage, names)
+
+
+def mean_error_covariance(covariance: Array, n: int) -> Array:
+    """(t/1.96)^2 S/n with t the 97.5 % point of Student's t with n - 1 degrees of freedom [unit of S].
+
+    Few spectra know their own spread badly; with this +-1.96 u is the 95 % interval of the mean.
+    Source: JCGM 100:2008 (GUM), 4.2.3 and G.3.
+    """
+    wider = float(stats.t.ppf(0.975, n - 1)) / Z95
+    return np.asarray(wider**2 * covariance / n)
+
+
+def replicate_spectra(source: Replicates, resolve: Resolve) -> list[FieldSpectrum]:
+    """The spectra that ``source`` names, file by file in the order of the list, by name within a pattern."""
+    out: list[FieldSpectrum] = []
+    for reference in source.references:
+        path = resolve(reference)
+        files = matching(path) or [path]  # a file that is missing is the reader's to report
+        if len(files) > MAX_MATCHES:
+            raise UsageError(f"more than {MAX_MATCHES} files match", where=reference)
+        for file in files:
+            out += read_records(
+                file,
+                records=source.records,
+                wavelength_unit=source.wavelength_unit,
+                reflectance_unit=source.reflectance_unit,
+            )
+    if source.records is not None:
+        for wanted in source.records:
+            if isinstance(wanted, str) and all(s.name != wanted for s in out):
+                raise UsageError(f"no spectrum {wanted!r}", where=", ".join(source.references))
+    return out
+
+
+def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis) -> Array:
+    """(B,) values in the bands: as they stand where they are sampled at the bands' centres, else band averages.
+
+    A library at the sensor's own bands was convolved when it was made; a second time would smooth it and lose its
+    first and last bands.  NaN in bands that the samples do not cover.
+    """
+    if wavelength_nm.size == len(axis) and np.all(np.abs(wavelength_nm - axis.centre_nm) <= SAME_BAND_NM):
+        return np.array(values, dtype=float)
+    known = np.isfinite(values)
+    if known.sum() < 2:
+        return np.full(len(axis), np.nan)
+    return band_average(wavelength_nm[known], values[known], axis, outside="nan")

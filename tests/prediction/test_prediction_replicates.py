@@ -1,0 +1,229 @@
+"""Replicate field spectra as the source of a class: mean, covariance, number, standard error."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hyperval.config import validate
+from hyperval.errors import InputError, UsageError
+from hyperval.predict import predict
+from hyperval.prediction.inputs import Sources
+from hyperval.prediction.replicates import mean_error_covariance, replicate_statistics
+from hyperval.scenario import Scenario, SpectrumSource, Surface
+from hyperval.scenario_sources import Replicates
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.response import band_average
+
+AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860]), np.full(5, 10.0))
+GRID = np.arange(400.0, 901.0, 5.0)
+
+
+def lawn(n: int, seed: int = 1) -> np.ndarray:
+    """(n, grid) spectra that differ in brightness and slope."""
+    rng = np.random.default_rng(seed)
+    base = 0.05 + 0.4 / (1 + np.exp(-(GRID - 710) / 15))
+    level, slope = rng.normal(1, 0.1, (n, 1)), rng.normal(0, 0.02, (n, 1))
+    return level * base + slope * (GRID - 650) / 250
+
+
+def write(folder: Path, spectra: np.ndarray, stem: str = "grass") -> Path:
+    for i, values in enumerate(spectra):
+        rows = "".join(f"{w:g},{v:.9f}\n" for w, v in zip(GRID, values, strict=True))
+        (folder / f"{stem}{i:02d}.csv").write_text("wavelength_nm,reflectance\n" + rows)
+    return folder
+
+
+def found(folder: Path, files: Any, **options: Any):
+    source = Replicates.model_validate({"files": files, "wavelength_unit": "nm", **options})
+    return replicate_statistics(source, AXIS, lambda reference: folder / reference)
+
+
+def shrunk(x: np.ndarray) -> tuple[np.ndarray, float]:
+    """Ledoit & Wolf (2004) by its definition, spectrum by spectrum."""
+    n, bands = x.shape
+    z = x - x.mean(axis=0)
+    s = z.T @ z / n
+    mu = np.trace(s) / bands
+    d2 = np.sum((s - mu * np.eye(bands)) ** 2)
+    b2 = min(d2, sum(np.sum((np.outer(k, k) - s) ** 2) for k in z) / n**2)
+    unbiased = s * n / (n - 1)
+    return (1 - b2 / d2) * unbiased + b2 / d2 * np.trace(unbiased) / bands * np.eye(bands), b2 / d2
+
+
+def test_mean_and_covariance_of_the_files_of_a_pattern(tmp_path):
+    spectra = lawn(20)
+    write(tmp_path, spectra)
+    write(tmp_path, lawn(3, 2), "sand")
+    got = found(tmp_path, "grass*.csv")
+    values = band_average(GRID, np.round(spectra, 9), AXIS)
+    assert got.n == 20
+    assert got.names[:2] == ("grass00", "grass01")
+    assert np.allclose(got.mean, values.mean(axis=0), rtol=0, atol=1e-12)
+    assert np.allclose(got.covariance, np.cov(values.T), rtol=1e-9)  # 20 are enough for 5 bands
+    assert got.shrinkage == 0.0
+    assert np.allclose(got.standard_deviation, values.std(axis=0, ddof=1))
+    listed = found(tmp_path, [f"grass{i:02d}.csv" for i in reversed(range(20))])
+    assert np.allclose(listed.covariance, got.covariance, rtol=1e-12)
+    assert found(tmp_path, ["grass*.csv", "sand*.csv"]).n == 23
+
+
+def test_few_spectra_shrink_the_covariance(tmp_path):
+    spectra = lawn(4)
+    write(tmp_path, spectra)
+    got = found(tmp_path, "*.csv")
+    values = band_average(GRID, np.round(spectra, 9), AXIS)
+    covariance, share = shrunk(values)
+    assert 0 < share < 1
+    assert got.shrinkage == pytest.approx(share, rel=1e-9)
+    assert np.allclose(got.covariance, covariance, rtol=1e-9)
+    assert np.linalg.matrix_rank(got.covariance) == 5
+    assert np.allclose(got.standard_deviation, values.std(axis=0, ddof=1))
+    assert got.summary == f"4 replicate spectra, covariance shrunk by {share:.3g}"
+
+
+def test_the_error_of_the_mean_covers_the_truth_as_often_as_said():
+    """95 % intervals from three spectra: t / 1.96 makes them hold where the plain standard error covers 0.81.
+
+    4000 trials: the coverage has a standard deviation of 0.0034, so 0.0137 (4 sigma) fails once in 16,000 seeds.
+    """
+    rng = np.random.default_rng(6)
+    inside = plain = 0
+    for _ in range(4000):
+        x = rng.normal(0.3, 0.02, 3)
+        s = np.array([[x.var(ddof=1)]])
+        u = float(np.sqrt(mean_error_covariance(s, 3)[0, 0]))
+        inside += abs(x.mean() - 0.3) <= 1.96 * u
+        plain += abs(x.mean() - 0.3) <= 1.96 * np.sqrt(s[0, 0] / 3)
+    assert abs(inside / 4000 - 0.95) < 0.0137
+    assert plain / 4000 < 0.85
+    assert mean_error_covariance(s, 2)[0, 0] == pytest.approx((stats.t.ppf(0.975, 1) / 1.959964) ** 2 * s[0, 0] / 2)
+    assert mean_error_covariance(s, 10**6)[0, 0] == pytest.approx(s[0, 0] / 1e6, rel=1e-5)
+
+
+def test_records_of_one_file(tmp_path):
+    spectra = lawn(6)
+    rows = "".join(
+        ",".join(f"{v:.9f}" for v in (w, *column)) + "\n" for w, column in zip(GRID, spectra.T, strict=True)
+    )
+    (tmp_path / "all.csv").write_text("wavelength_nm,m1,m2,m3,m4,m5,m6\n" + rows)
+    values = band_average(GRID, np.round(spectra, 9), AXIS)
+    assert np.allclose(found(tmp_path, "all.csv").mean, values.mean(axis=0))
+    some = found(tmp_path, "all.csv", records=["m2", 4])
+    assert (some.n, some.names) == (2, ("m2", "m5"))
+    assert np.allclose(some.mean, values[[1, 4]].mean(axis=0))
+    with pytest.raises(UsageError, match="no spectrum 'm9'"):
+        found(tmp_path, "all.csv", records=["m2", "m9"])
+    with pytest.raises(UsageError, match=r"no record 6\n.*0 to 5"):
+        found(tmp_path, "all.csv", records=[1, 6])
+
+
+def test_what_is_refused(tmp_path):
+    write(tmp_path, lawn(1))
+    with pytest.raises(UsageError, match="a single spectrum has no spread"):
+        found(tmp_path, "grass*.csv")
+    with pytest.raises(InputError, match="no such spectrum file"):
+        found(tmp_path, "sand*.csv")
+    write(tmp_path, lawn(2))
+    far = SpectralAxis(np.array([1500.0, 1600.0]), 10.0)
+    with pytest.raises(UsageError, match="share none of the bands"):
+        replicate_statistics(
+            Replicates.model_validate({"files": "grass*.csv", "wavelength_unit": "nm"}), far, lambda r: tmp_path / r
+        )
+
+
+def test_a_band_that_one_spectrum_lacks_is_unknown(tmp_path):
+    write(tmp_path, lawn(3))
+    short = (tmp_path / "grass01.csv").read_text().splitlines()
+    (tmp_path / "grass01.csv").write_text("\n".join(short[:-12]) + "\n")  # ends at 840 nm
+    got = found(tmp_path, "grass*.csv")
+    assert np.isnan(got.mean).tolist() == [False] * 4 + [True]
+    assert np.all(got.covariance[4] == 0.0)
+    assert np.all(got.mean_error[4] == 0.0)
+
+
+def test_a_bare_name_or_list_stands_for_the_files():
+    for given in ("a*.csv", ["a.csv", "b.csv"]):
+        assert SpectrumSource.model_validate({"replicates": given}).replicates == Replicates(files=given)
+    with pytest.raises(ValueError, match="exactly one of"):
+        SpectrumSource.model_validate({"replicates": "a", "file": "b"})
+
+
+def test_a_surface_takes_spectrum_and_covariance_from_replicates(tmp_path):
+    write(tmp_path, lawn(20))
+    sources = Sources(AXIS, {}, lambda reference: tmp_path / reference)
+    replicates = {"files": "grass*.csv", "wavelength_unit": "nm"}
+    direct = sources.surface(Surface.model_validate({"name": "lawn", "spectrum": {"replicates": replicates}}))
+    mixed = sources.surface(
+        Surface.model_validate(
+            {"name": "lawn", "spectrum": {"constant": 0.2}, "covariance": {"replicates": replicates}}
+        )
+    )
+    assert np.array_equal(direct.covariance, mixed.covariance)
+    assert direct.n == 20
+    assert direct.mean_error is not None
+    assert mixed.mean_error is None
+    assert direct.source == "20 replicate spectra"
+    with pytest.raises(UsageError, match="replicates of 'lawn'"):
+        sources.spectrum(
+            SpectrumSource.model_validate({"replicates": {**replicates, "files": "grass00.csv"}}), "lawn"
+        )
+
+
+def scenario(folder: Path, stated: list[dict[str, Any]]) -> Scenario:
+    replicates = {"files": str(folder / "grass*.csv"), "wavelength_unit": "nm"}
+    data = {
+        "schema": 1,
+        "name": "t",
+        "scene": {
+            "classes": [
+                {"name": "lawn", "fraction": 0.5, "spectrum": {"replicates": replicates}},
+                {"name": "road", "fraction": 0.5, "spectrum": {"builtin": "asphalt"}},
+            ]
+        },
+        "uncertainty": {"field_spectra": stated},
+    }
+    return validate(Scenario, data, {}, "t.yaml")
+
+
+def test_the_standard_error_is_the_uncertainty_unless_the_scenario_states_one(tmp_path):
+    write(tmp_path, lawn(4))
+    values = band_average(GRID, np.round(lawn(4), 9), AXIS)
+    expected = stats.t.ppf(0.975, 3) / 1.959964 * values.std(axis=0, ddof=1) / 2.0
+    product = predict(scenario(tmp_path, []), axis=AXIS).reflectance
+    assert np.allclose(product["lawn"].standard_uncertainty, expected, rtol=1e-6)
+    assert np.all(product["road"].standard_uncertainty == 0.0)
+    stated = predict(scenario(tmp_path, [{"subject": "lawn", "absolute": 0.01}]), axis=AXIS).reflectance
+    assert np.allclose(stated["lawn"].standard_uncertainty, 0.01)
+    spread = predict(scenario(tmp_path, [{"subject": "lawn", "from_file": True}]), axis=AXIS).reflectance
+    assert np.allclose(spread["lawn"].standard_uncertainty, values.std(axis=0, ddof=1))
+
+
+@pytest.mark.data
+def test_real_replicates(data_dir):
+    """Ten scans of grass in one file; five of the HySU grass among 49 measurements of three detectors."""
+    path = data_dir("spectra/asd_txt_multicolumn/GrassByBuilding01_10.txt")
+    source = Replicates.model_validate({"files": "x", "wavelength_unit": "nm"})
+    got = replicate_statistics(source, AXIS, lambda reference: path)
+    table = np.array(path.read_text().replace(",", " ").split(), float).reshape(-1, 20)
+    values = band_average(table[:, 0], table[:, 1::2].T, AXIS)
+    assert got.n == 10
+    assert np.allclose(got.mean, values.mean(axis=0))
+    assert np.allclose(got.covariance, shrunk(values)[0], rtol=1e-6)  # 10 for 5 bands are few
+
+    raw = data_dir("hysu/field_measurements_svc_raw.csv")
+    with open(data_dir("hysu/field_measurements_svc_index.csv"), newline="") as stream:
+        grass = [f"m{r['meas_id']}" for r in csv.DictReader(stream) if r["comment"] == "grass"]
+    assert len(grass) >= 5
+    source = Replicates.model_validate({"files": "x", "records": grass})
+    lawn_of_hysu = replicate_statistics(source, AXIS, lambda reference: raw)
+    assert lawn_of_hysu.n == len(grass)
+    red, infrared = lawn_of_hysu.mean[2], lawn_of_hysu.mean[4]
+    assert (infrared - red) / (infrared + red) > 0.6  # grass
+    assert np.all(lawn_of_hysu.standard_deviation < 0.15)
+    assert np.all(np.linalg.eigvalsh(lawn_of_hysu.covariance) > 0)
