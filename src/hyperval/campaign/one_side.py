@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.products import Products
-from hyperval.results import Result
+from hyperval.compare.roc import ALWAYS, IF_BACKGROUND_ALLOWS, LEAST_EXPECTED_ALARMS
+from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, joint_rows
+from hyperval.compare.roc_areas import area_rows
+from hyperval.compare.rows import RowMaker
+from hyperval.products import Products, RocCurve
+from hyperval.results import Result, Status
 
 
 def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
@@ -52,6 +56,7 @@ def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
                     n=curve.n_target,
                 )
             )
+        rows += _beyond_points(RowMaker(campaign, "roc", subject, f"{detector}/{unit}"), curve)
     for (subject, detector), area in products.abundance.items():
         half_area = 1.96 * area.standard_uncertainty
         rows.append(
@@ -69,3 +74,15 @@ def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
             )
         )
     return rows
+
+
+def _beyond_points(make: RowMaker, curve: RocCurve) -> list[Result]:
+    """Areas of a curve; of a measured one its false alarms per km2 and joint regions too."""
+    if curve.n_target is None:
+        return area_rows(make, curve, None)
+    rows: list[Result] = []
+    for pfa in (*ALWAYS, *IF_BACKGROUND_ALLOWS):
+        if pfa * (curve.n_background or 0) >= LEAST_EXPECTED_ALARMS:
+            rows += [*far_row(make, curve, pfa), *joint_rows(make, None, curve, pfa)]
+    rows += [*far_at_detection_rows(make, None, curve), *area_rows(make, None, curve)]
+    return [row for row in rows if row.status is Status.INFO]  # nothing is planned here, so nothing is skipped
