@@ -25,12 +25,20 @@ from hyperval.processing.detectors import (
     whitener_of,
 )
 from hyperval.processing.elm import EmpiricalLine
+from hyperval.processing.exceedance import FEWEST_FOR_A_CURVE, exceedance_curve
 from hyperval.processing.filters import PositiveDefinite
-from hyperval.processing.objects import Placed, footprint, footprint_sums, placed_with_halo, values_on
+from hyperval.processing.objects import (
+    Placed,
+    footprint,
+    footprint_sums,
+    object_scores,
+    placed_with_halo,
+    values_on,
+)
 from hyperval.processing.pixel_scores import PixelDetector, score_cube
 from hyperval.processing.roc import empirical_roc, pooled_roc, with_summary
 from hyperval.processing.sample import SampleStatistics, statistics_of
-from hyperval.products import Abundance, RocCurve, ScoreDistribution, background_of
+from hyperval.products import Abundance, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution, background_of
 from hyperval.progress import watch_lines
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
@@ -57,6 +65,7 @@ class Detected:
     detectors : by the keys of ``score_maps``
     bands : (B,) the bands that the filters use
     nominal_area_m2 : area of the targets as the truth states it, by the keys of ``abundance``
+    object_scores, exceedance : products by their keys
     """
 
     score_maps: Mapping[str, Array]
@@ -68,6 +77,8 @@ class Detected:
     bands: Mask
     nominal_area_m2: Mapping[tuple[str, str], float]
     notes: tuple[str, ...] = field(default=())
+    object_scores: Mapping[tuple[str, str], ObjectScores] = field(default_factory=dict)
+    exceedance: Mapping[tuple[str, str], ExceedanceCurve] = field(default_factory=dict)
 
 
 def usable_bands(choice: str, axis: SpectralAxis, spectra: Sequence[Array], elm: EmpiricalLine | None) -> Mask:
@@ -154,6 +165,8 @@ def detect(
     scores: dict[tuple[str, str], ScoreDistribution] = {}
     roc: dict[tuple[str, str, str], RocCurve] = {}
     outlined: dict[str, dict[str, TargetObject]] = {}
+    of_objects: dict[tuple[str, str], ObjectScores] = {}
+    exceedance: dict[tuple[str, str], ExceedanceCurve] = {}
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
         for detector in detection.detectors:
@@ -162,6 +175,8 @@ def detect(
             outlined.setdefault(key, {}).update({o.name: o for members in groups.values() for o in members})
             noise = found[alarms]
             noise = noise[np.isfinite(noise)]
+            if noise.size >= FEWEST_FOR_A_CURVE:
+                exceedance[target.name, detector] = exceedance_curve(found, alarms)
             for subject, members in groups.items():
                 if (subject, detector) in scores:
                     raise UsageError(
@@ -177,6 +192,9 @@ def detect(
                 scores[background_of(subject), detector] = _moments(noise)
                 by_pixel = empirical_roc(pixels, noise, unit="pixel", background_area_km2=area_km2)
                 roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise)
+                if not detection.halo_pixels:  # the model does not know what a halo may catch
+                    best = object_scores(found, {o.name: scored_pixels(o, place) for o in members})
+                    of_objects[subject, detector] = ObjectScores(np.array(list(best.values())), tuple(best))
                 roc[subject, detector, "object"] = object_curve(
                     found,
                     {o.name: scored_pixels(o, place) for o in members},
@@ -203,7 +221,9 @@ def detect(
         areas.update(found_areas)
         nominal.update(known)
     outlines = {key: TargetMasks(list(objects.values())) for key, objects in outlined.items()}
-    return Detected(maps, outlines, scores, roc, areas, detectors, bands, nominal, tuple(notes))
+    return Detected(
+        maps, outlines, scores, roc, areas, detectors, bands, nominal, tuple(notes), of_objects, exceedance
+    )
 
 
 def scored_pixels(target: TargetObject, place: Place) -> Placed:
