@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +31,7 @@ from hyperval.prediction.terms import remembered
 from hyperval.prediction.uncertainty import Perturbation, perturbations, spectrum_error_covariance, with_bands
 from hyperval.prediction.view import ClassLevels, View
 from hyperval.processing.roc_model import false_alarm_grid
-from hyperval.products import Prediction
+from hyperval.products import PixelDistribution, Prediction
 from hyperval.scenario import DarkestPixel, Scenario
 from hyperval.scene.mixture import average_reflectance, mixture_covariance
 from hyperval.scene.statistics import ClassStatistics
@@ -142,6 +143,10 @@ def predict(
 
 def _provenance(
     scenario: Scenario, used: Instrument, view: View, surfaces: Mapping[str, SurfaceStatistics]
+        distribution={
+            c.name: PixelDistribution(c.tail_dof or surfaces[c.name].tail_dof or math.inf)
+            for c in scenario.scene.classes
+        },
 ) -> dict[str, object]:
     sensor = used.sensor
     found: dict[str, object] = {

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from hyperval.campaign.derived import predicted_unmixing, with_errors_of_classes
 from hyperval.campaign.draft import Waiting, read_texts
 from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.pictures import quicklook, score_maps
@@ -118,7 +119,11 @@ def run_campaign(job: Job | Waiting, *, predicts: bool = True, show_progress: bo
             scratch = Path(tempfile.mkdtemp(prefix="hyperval-simulated-"))
             seed = _simulate(job.campaign.collection.simulate, inputs, scratch, show_progress)
         observed = observe_collection(
-            job.campaign.collection, job.campaign.detection, inputs.resolve, show_progress=show_progress
+            job.campaign.collection,
+            job.campaign.detection,
+            inputs.resolve,
+            classification=job.campaign.classification,
+            show_progress=show_progress,
         )
         if observed.place is not None:
             inputs.record_beside(observed.place.cube.source_files)
@@ -187,10 +192,13 @@ def _report(
     campaign = job.campaign
     prediction = None
     if predictions:
-        prediction = without_circles(merged(predictions), scenarios)
+        whole = with_errors_of_classes(merged(predictions), campaign.classification, observed.observation)
+        finders = [_resolver(scenario, inputs) for scenario in scenarios]
+        areas = predicted_unmixing(scenarios, predictions, finders, campaign.detection, observed)
+        prediction = replace(without_circles(whole, scenarios), abundance=areas)
         if observed.detected is not None and observed.detected.nominal_area_m2:
-            areas = {k: Abundance(v, 0.0) for k, v in observed.detected.nominal_area_m2.items()}
-            prediction = replace(prediction, abundance=areas)
+            nominal = {k: Abundance(v, 0.0) for k, v in observed.detected.nominal_area_m2.items()}
+            prediction = replace(prediction, abundance={**nominal, **areas})
         if campaign.detection is not None:
             prediction = replace(
                 prediction, roc=with_pools(prediction.roc, observed.observation, campaign.detection)
@@ -230,10 +238,13 @@ def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Pr
     """The prediction without the spectra that were taken from the collection: they agree whatever is wrong."""
     surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
     taken = {s.name for s in surfaces if s.spectrum.measured is not None}
+    spread = {s.name for s in surfaces if s.covariance is not None and s.covariance.measured is not None}
+    radiance, reflectance = (
+        {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in held.items() if k not in taken}
+        for held in (prediction.radiance, prediction.reflectance)
+    )
     if not taken:
-        return prediction
-    radiance = {k: v for k, v in prediction.radiance.items() if k not in taken}
-    reflectance = {k: v for k, v in prediction.reflectance.items() if k not in taken}
+        return replace(prediction, radiance=radiance, reflectance=reflectance)
     note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
     return replace(prediction, radiance=radiance, reflectance=reflectance, notes=(*prediction.notes, note))
 

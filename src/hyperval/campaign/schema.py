@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import Field, PrivateAttr, model_validator
 
 from hyperval.campaign.template import campaign_runs
-from hyperval.collection import Collection, Detection
+from hyperval.collection import Classification, Collection, Detection
 from hyperval.compare.gates import Gate
 from hyperval.config import Model, load_yaml, validate
 from hyperval.errors import UsageError
@@ -34,6 +34,7 @@ class Campaign(Outline):
 
     collection: Collection
     detection: Detection | None = None
+    classification: Classification | None = None
     scenarios: list[Scenario | str] = Field(
         min_length=1, description="scenario files, built-in names or scenarios written out"
     )
@@ -51,6 +52,8 @@ class Campaign(Outline):
             raise ValueError("a campaign with a simulated collection says 'simulated: true'")
         if self.detection and not self.collection.cube:
             raise ValueError("detection needs a cube")
+        if self.classification and not self.collection.cube:
+            raise ValueError("classification needs a cube")
         return self
 
 

@@ -22,7 +22,7 @@ def compare_classification(
     ``error_predicted``, ``error_observed`` with their intervals; ``error_difference`` predicted - observed with the
     interval of Newcombe (1998); ``error_inside_interval`` 1 where that holds 0; ``error_approximation`` and
     ``error_bounds`` from the predicted Bhattacharyya distances (the bounds are the interval, the value their
-    geometric mean); ``distance_predicted``, ``distance_observed`` of the two classes that are nearest to each other.
+    geometric mean); ``distance_predicted``, ``distance_observed`` of the two nearest classes.
     """
     make = RowMaker(campaign, "classification", subject, method)
 

@@ -10,13 +10,16 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.collection import Collection, Detection, EmpiricalLineSource
+from hyperval.collection import Classification, Collection, Detection, EmpiricalLineSource
 from hyperval.errors import UsageError
 from hyperval.imagery.cube import Cube
+from hyperval.observe.classification import classification_errors
 from hyperval.observe.detection import BACKGROUND, Detected, detect, in_reflectance, scored_pixels, target_groups
 from hyperval.observe.place import Place, open_place
 from hyperval.observe.site_spectra import observe_spectra
+from hyperval.observe.spread import pixel_distribution
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
+from hyperval.observe.unmixing import Unmixed, unmix
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.elm import EmpiricalLine, PanelMeasurement, fit_elm
 from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
@@ -24,7 +27,7 @@ from hyperval.processing.region_statistics import darkest_values, region_statist
 from hyperval.processing.sample import SampleStatistics
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.products import Observation, SpectralEstimate
-from hyperval.progress import watch_lines
+from hyperval.progress import track, watch_lines
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
 
@@ -48,6 +51,7 @@ class Observed:
     place : the opened collection, None where there is no cube
     detected : filters and score maps, None without detection
     elm : the empirical line, None without panels
+    unmixed : areas by unmixing with what a prediction of them needs, None where they are not asked for
     """
 
     observation: Observation
@@ -55,17 +59,23 @@ class Observed:
     place: Place | None = None
     detected: Detected | None = None
     elm: EmpiricalLine | None = None
+    unmixed: Unmixed | None = None
 
 
 def observe(
-    collection: Collection, detection: Detection | None, resolve: Resolve, *, show_progress: bool | None = None
+    collection: Collection,
+    detection: Detection | None,
+    resolve: Resolve,
+    *,
+    classification: Classification | None = None,
+    show_progress: bool | None = None,
 ) -> Observed:
     """Measure what a collection holds.
 
     Parameters
     ----------
-    collection, detection : as in a campaign file; a simulated collection must have been written first and
-        stands here as its cube
+    collection, detection, classification : as in a campaign file; a simulated collection must have been
+        written first and stands here as its cube
     resolve : turns a file reference into a path
 
     Raises
@@ -110,6 +120,13 @@ def observe(
                 mend="add collection.empirical_line with two panels",
             )
         detected = detect(place, detection, measured, elm, resolve, show_progress=show_progress)
+    unmixed = None
+    if detection is not None and detection.unmixing is not None and detected is not None:
+        unmixed = unmix(place, detection, measured, elm, detected.bands, resolve, show_progress=show_progress)
+    found = {
+        name: pixel_distribution(place, masks[name], measured[name])
+        for name in track(list(place.regions), "tails", show=show_progress)
+    }
     notes = list(place.notes)
     if elm is not None:
         notes.append(f"empirical line through {', '.join(elm.panels)}: usable in {int(elm.usable.sum())} bands")
@@ -120,11 +137,15 @@ def observe(
         reflectance=reflectance,
         scores=detected.scores if detected else {},
         roc=detected.roc if detected else {},
-        abundance=detected.abundance if detected else {},
+        abundance={**(detected.abundance if detected else {}), **(unmixed.areas if unmixed else {})},
+        object_scores=detected.object_scores if detected else {},
+        exceedance=detected.exceedance if detected else {},
+        distribution={name: held for name, held in found.items() if held is not None},
+        classification=classification_errors(place, classification) if classification else {},
         notes=(*notes, *(detected.notes if detected else ())),
         provenance={"quantity": cube.quantity, "description": cube.description},
     )
-    return Observed(observation, _classes(regions, cube.axis, elm, cube.quantity), place, detected, elm)
+    return Observed(observation, _classes(regions, cube.axis, elm, cube.quantity), place, detected, elm, unmixed)
 
 
 def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[str, Mask]:

@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 def whitened(spectra: npt.ArrayLike, noise: PositiveDefinite | None) -> Array:
     """Spectra (..., B) in coordinates in which the noise is white; as they stand without a noise covariance."""
     x = np.asarray(spectra, dtype=float)
-    return x if noise is None else np.asarray(np.moveaxis(noise.whiten(np.moveaxis(x, -1, 0)), 0, -1))
+    return x if noise is None else noise.whiten(x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
 
 
 def fully_constrained(
@@ -43,10 +43,21 @@ def fully_constrained(
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(e))):
         raise UsageError("unmixing needs spectra and endmembers that are finite in every band")
     x, e = whitened(x, noise), whitened(e, noise)
+    if e.shape[-2] == 2:
+        return _between_two(x, e)
     flat = x.reshape(-1, x.shape[-1])
     sets = np.broadcast_to(e, (*x.shape[:-1], *e.shape[-2:])).reshape(-1, *e.shape[-2:])
     out = np.array([_closest_in_simplex(p, s) for p, s in zip(flat, sets, strict=True)])
     return out.reshape(*x.shape[:-1], e.shape[-2])
+
+
+def _between_two(x: Array, e: Array) -> Array:
+    """Two endmembers: the point of the line between them that is nearest, kept between its ends."""
+    d = e[..., 0, :] - e[..., 1, :]
+    length = np.einsum("...b,...b->...", d, d)
+    along = np.einsum("...b,...b->...", x - e[..., 1, :], np.broadcast_to(d, x.shape))
+    a = np.clip(along / length, 0.0, 1.0)
+    return np.stack([a, 1.0 - a], axis=-1)
 
 
 def _closest_in_simplex(pixel: Array, endmembers: Array) -> Array:

@@ -1,0 +1,54 @@
+"""Predictions that need to know how the campaign looks at its collection: classes told apart, areas by unmixing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from hyperval.collection import Classification, Detection
+from hyperval.observe import Observed
+from hyperval.observe.classification import class_sets
+from hyperval.prediction.classification import predicted_classification
+from hyperval.prediction.inputs import Sources
+from hyperval.prediction.unmixing import predicted_areas
+from hyperval.products import Abundance, Observation, Prediction
+from hyperval.scenario import Scenario
+
+
+def with_errors_of_classes(
+    prediction: Prediction, task: Classification | None, observation: Observation
+) -> Prediction:
+    """The prediction with the classification errors that the campaign asks for, in the quantity of its image."""
+    if task is None:
+        return prediction
+    quantity = str(observation.provenance.get("quantity", "radiance"))
+    found = predicted_classification(prediction, class_sets(task), task.features, quantity, task.seed)
+    return replace(prediction, classification=found)
+
+
+def predicted_unmixing(
+    scenarios: Sequence[Scenario],
+    predictions: Sequence[Prediction],
+    resolvers: Sequence[Callable[[str], Path]],
+    detection: Detection | None,
+    observed: Observed,
+) -> dict[tuple[str, str], Abundance]:
+    """The areas that unmixing would find, by (subject, method); empty where the campaign does not unmix."""
+    out: dict[tuple[str, str], Abundance] = {}
+    unmixed = observed.unmixed
+    if unmixed is None or detection is None or detection.unmixing is None:
+        return out
+    for scenario, prediction, resolve in zip(scenarios, predictions, resolvers, strict=True):
+        out |= predicted_areas(
+            scenario,
+            prediction,
+            unmixed.subjects,
+            unmixed.bands,
+            unmixed.covariances,
+            unmixed.pixel_area_m2,
+            Sources(prediction.axis, observed.statistics, resolve),
+            draws=detection.unmixing.draws,
+            seed=detection.unmixing.seed,
+        )
+    return out

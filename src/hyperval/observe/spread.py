@@ -1,0 +1,151 @@
+"""How the pixels of a region are distributed: tails, and how many of them are independent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.observe.place import Place
+from hyperval.processing.covariance_sampling import Directions
+from hyperval.processing.sample import SampleStatistics
+from hyperval.processing.spatial_correlation import (
+    independent_for_mean,
+    independent_for_variance,
+    lag_correlation,
+    neighbour_shares,
+)
+from hyperval.processing.tails import TailFit, fit_tail_dof, left_out_distances, squared_mahalanobis
+from hyperval.products import PixelDistribution
+from hyperval.spectra.windows import in_window
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+MOST_PIXELS = 20_000  # of a region, drawn at random: what memory should hold
+MOST_NUMBERS = 8_000_000  # pixels times bands held at once
+FEWEST_PIXELS = 200
+PIXELS_PER_BAND = 10  # fewer, and distances are taken in fewer components
+COMPONENTS = 6  # leading ones whose correlation on the ground is measured
+LEADING_SHARE = 0.99  # of the variance, in the leading components that tails are measured in as well
+FEWEST_LEADING = 2
+WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
+QUANTILES = 160
+_SEED = 31
+
+
+def pixel_distribution(place: Place, region: Mask, statistics: SampleStatistics) -> PixelDistribution | None:
+    """Tails and independence of a region's pixels in the windows of the atmosphere; None with too few of them.
+
+    Pixels are drawn at random (the seed is fixed), at most 20,000; correlation on the ground is measured in
+    windows of the image, at lags of up to 24 pixels.
+
+    Parameters
+    ----------
+    region : (lines, samples) the pixels that ``statistics`` were taken from, in the cube's values
+    """
+    if statistics.n < FEWEST_PIXELS:
+        return None
+    axis = place.cube.axis
+    variance = np.diag(statistics.covariance)
+    bands = np.flatnonzero(in_window(axis.centre_nm) & axis.good & np.isfinite(variance) & (variance > 0))
+    if bands.size < FEWEST_LEADING:
+        return None
+    rng = np.random.default_rng(_SEED)
+    directions = Directions.of(statistics.covariance[np.ix_(bands, bands)])
+    dimension = min(directions.values.size, statistics.n // PIXELS_PER_BAND)
+    directions = Directions(directions.vectors[:, :dimension], directions.values[:dimension])
+    mean = statistics.mean[bands]
+    share = np.cumsum(directions.values) / np.trace(statistics.covariance[np.ix_(bands, bands)])
+    leading = min(max(int(np.searchsorted(share, LEADING_SHARE)) + 1, FEWEST_LEADING), dimension)
+    leading = min(leading, max(COMPONENTS, FEWEST_LEADING))
+
+    independent, part = _independence(place, region, statistics.n, bands, mean, directions, leading, rng)
+    most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS)
+    pixels = _some(place, region, most, rng)[:, bands]
+    pixels = pixels[np.isfinite(pixels).all(axis=1)]
+    if pixels.shape[0] < FEWEST_PIXELS:
+        return None
+    every = squared_mahalanobis(pixels, mean, directions.vectors, directions.values)
+    few = squared_mahalanobis(pixels, mean, directions.vectors[:, :leading], directions.values[:leading])
+    whole = _fit(every, dimension, statistics.n, part[0])
+    lead = _fit(few, leading, statistics.n, part[1])
+    distance, exceedance = exceedance_curve(left_out_distances(few, statistics.n))
+    return PixelDistribution(
+        whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension,
+        lead.dof, lead.lower, lead.upper, leading, whole.n, independent, distance, exceedance,
+    )  # fmt: skip
+
+
+def exceedance_curve(values: Array) -> tuple[Array, Array]:
+    """At most 160 of the values, closest together in the upper tail, and the share of values beyond each."""
+    ordered = np.sort(values)[::-1]
+    rank = np.unique(np.round(np.geomspace(1, ordered.size, QUANTILES)).astype(int))
+    return ordered[rank - 1][::-1], (rank / (ordered.size + 1.0))[::-1]
+
+
+def _fit(distances: Array, dimension: int, n: int, part: float) -> TailFit:
+    return fit_tail_dof(distances, dimension, estimated_on=n, independent=part * distances.size)
+
+
+def _some(place: Place, region: Mask, most: int, rng: np.random.Generator) -> Array:
+    lines, samples = np.nonzero(region)
+    if lines.size > most:
+        chosen = np.sort(rng.choice(lines.size, most, replace=False))
+        lines, samples = lines[chosen], samples[chosen]
+    return place.cube.spectra((lines, samples))
+
+
+def _independence(
+    place: Place,
+    region: Mask,
+    n: int,
+    bands: npt.NDArray[np.intp],
+    mean: Array,
+    directions: Directions,
+    leading: int,
+    rng: np.random.Generator,
+) -> tuple[Array, tuple[float, float]]:
+    """Independent pixels behind the variance of each leading component, and the share of independent distances."""
+    count = min(COMPONENTS, directions.values.size)
+
+    def quantities() -> Iterator[tuple[Array, Mask]]:
+        for corner in _windows(region, rng):
+            rows, columns = (slice(a, a + WINDOW) for a in corner)
+            inside = region[rows, columns]
+            lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
+            at = lines.ravel(), samples.ravel()
+            values = place.cube.pixels(at)[:, bands].reshape(*inside.shape, -1)
+            inside = inside & place.cube.valid_pixels(at).reshape(inside.shape) & np.isfinite(values).all(axis=-1)
+            scores = (np.where(inside[..., None], values, mean) - mean) @ directions.vectors
+            scores /= np.sqrt(directions.values)
+            # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
+            far = [np.log(np.sum(scores[..., :p] ** 2, axis=-1) + 1e-12) for p in (scores.shape[-1], leading)]
+            far = [f - f[inside].mean() if inside.any() else f for f in far]
+            yield np.stack([*np.moveaxis(scores[..., :count], -1, 0), *far]), inside
+
+    found = lag_correlation(quantities(), REACH).significant()
+    shares = neighbour_shares(region, REACH, rng)
+    independent = np.array([independent_for_variance(n, rho, shares) for rho in found[:count]])
+    parts = [independent_for_mean(n, rho, shares) / n for rho in found[count:]]
+    return independent, (parts[0], parts[1])
+
+
+def _windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """Corners of windows about pixels of the region drawn at random; one where they hold the whole image."""
+    lines, samples = region.shape
+    if lines <= WINDOW and samples <= WINDOW:
+        return [(0, 0)]
+    at = np.flatnonzero(region)
+    chosen = rng.choice(at, min(WINDOWS, at.size), replace=False)
+    corners = []
+    for place in chosen.tolist():
+        line, sample = divmod(place, samples)
+        corners.append(
+            (
+                int(np.clip(line - WINDOW // 2, 0, max(lines - WINDOW, 0))),
+                int(np.clip(sample - WINDOW // 2, 0, max(samples - WINDOW, 0))),
+            )
+        )
+    return corners

@@ -1,0 +1,128 @@
+"""Predicted area of targets by unmixing: pixels drawn from the statistics, unmixed as those of the image are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.prediction.detection import fills_of_objects
+from hyperval.prediction.inputs import Sources, correlation, cut
+from hyperval.processing.filters import PositiveDefinite
+from hyperval.processing.gaussian_classifier import ClassLaw
+from hyperval.processing.unmixing import fully_constrained
+from hyperval.products import Abundance, Prediction
+from hyperval.scenario import Scenario, Target, TargetSubject
+from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
+
+_POOL = 4000  # background and target pixels drawn once and taken from at random
+_SMALLEST = 1e-10  # of the mean variance, added where a covariance has less than full rank
+
+
+class Subject(Protocol):
+    """See ``hyperval.observe.unmixing.UnmixedSubject``."""
+
+    subject: str
+    population: str
+    scenario_target: str
+    spectrum: Array
+    relative_uncertainty: float
+    correlation_nm: float | None
+    objects: int
+    nominal_m2: float
+    ring: int
+
+
+def predicted_areas(
+    scenario: Scenario,
+    prediction: Prediction,
+    subjects: Iterable[Subject],
+    bands: npt.NDArray[np.bool_],
+    covariances: Mapping[str, Array | None],
+    pixel_area_m2: float,
+    sources: Sources,
+    *,
+    draws: int = 400,
+    seed: int = 0,
+) -> dict[tuple[str, str], Abundance]:
+    """Mean and spread of the area that unmixing would find, by (subject, method).
+
+    A pixel is f t + (1 - f) b (3.10): fills of a whole object from the geometry, background pixels b from the host
+    class as predicted, target pixels t about the endmember, whose error is common to all pixels of an object. The
+    background endmember is the mean of as many pixels as lie around the object. Background pixels are drawn
+    independent of each other. Subjects that the scenario does not hold are left out; so are all where light is
+    computed (a scenario with an atmosphere), since noise would have to be drawn for each fill.
+
+    Parameters
+    ----------
+    covariances : method -> (F, F) weights of the fit, None for equal ones
+    """
+    if scenario.atmosphere is not None:
+        return {}
+    index = np.flatnonzero(bands)
+    noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
+    populations = {(t.name, p.name): (t, p) for t in scenario.scene.targets for p in t.populations}
+    out = {}
+    for number, item in enumerate(subjects):
+        found = populations.get((item.scenario_target, item.population))
+        if found is None:
+            continue
+        rng = np.random.default_rng([seed, number])
+        pixels, endmembers = _objects(*found, item, prediction, sources, index, draws, rng)
+        for method, factor in noise.items():
+            abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
+            area = abundance.sum(axis=1) * pixel_area_m2
+            spread = float(area.std(ddof=1)) / np.sqrt(item.objects)
+            out[item.subject, method] = Abundance(
+                float(area.mean()), float(spread), pixels.shape[1], item.nominal_m2
+            )
+    return out
+
+
+def _objects(
+    target: Target,
+    population: TargetSubject,
+    item: Subject,
+    prediction: Prediction,
+    sources: Sources,
+    index: npt.NDArray[np.intp],
+    draws: int,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Pixels (draws, n, F) of drawn objects and the endmembers (draws, 2, F) that each is unmixed with."""
+    host = prediction.reflectance[target.host]
+    known = prediction.distribution.get(target.host)
+    law = ClassLaw(
+        host.mean[index], _full_rank(cut(host.pixel_covariance, index)), np.inf if known is None else known.tail_dof
+    )
+    spectrum = item.spectrum[index]
+    spread = ClassLaw(np.zeros(index.size), _full_rank(cut(sources.surface(target).covariance, index)))
+    fills = fills_of_objects(population.fill)
+    f = fills[rng.integers(fills.shape[0], size=draws)][..., None]
+    shape = f.shape[:2]
+    background = law.draw(_POOL, rng)[rng.integers(_POOL, size=shape)]
+    material = spread.draw(_POOL, rng)[rng.integers(_POOL, size=shape)] + spectrum
+    if item.relative_uncertainty > 0:
+        material += _errors(item, sources.axis, index, draws, rng)[:, None]
+    around = law.mean + (law.draw(draws, rng) - law.mean) / np.sqrt(max(item.ring, 1))
+    endmembers = np.stack([np.broadcast_to(spectrum, around.shape), around], axis=1)
+    return f * material + (1.0 - f) * background, endmembers
+
+
+def _errors(
+    item: Subject, axis: SpectralAxis, index: npt.NDArray[np.intp], draws: int, rng: np.random.Generator
+) -> Array:
+    """(draws, F) error of the endmember as a picture of the target."""
+    sd = item.relative_uncertainty * item.spectrum[index]
+    shape = correlation(axis, item.correlation_nm)[np.ix_(index, index)]
+    return ClassLaw(np.zeros(index.size), _full_rank(np.outer(sd, sd) * shape)).draw(draws, rng)
+
+
+def _full_rank(covariance: Array) -> Array:
+    """With a spread in every direction, too small to be seen, so that it has a Cholesky factor."""
+    mean = float(np.trace(covariance)) / covariance.shape[0]
+    return covariance + max(_SMALLEST * mean, 1e-18) * np.eye(covariance.shape[0])
