@@ -13,9 +13,9 @@ from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
 from hyperval.predict import detection_bands, predict, without_calibration_error
 from hyperval.prediction import detection
+from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.prediction.terms import remembered
-from hyperval.prediction.uncertainty import spectrum_error_covariance
 from hyperval.processing.filters import LinearFilter, matched_filter_weights
 from hyperval.processing.roc_model import pd_at_pfa
 from hyperval.products import Prediction, background_of

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,8 @@ import numpy.typing as npt
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.errors import UsageError
+from hyperval.prediction.budget import inputs_of
+from hyperval.prediction.budget_input import Given
 from hyperval.prediction.departure import (
     Departure,
     departed_axis,
@@ -22,13 +25,14 @@ from hyperval.prediction.departure import (
     departed_terms,
 )
 from hyperval.prediction.detection import Background, Detection, Task, detect, seen_background
+from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, cut, filled
 from hyperval.prediction.notes import saturation_notes, sensor_notes
 from hyperval.prediction.object_scores import predicted_object_scores
 from hyperval.prediction.setup import Instrument, instrument, refuse_gaps, with_sensor_blur
 from hyperval.prediction.spectra import SpectralProducts, spectral_products, without_calibration_error
 from hyperval.prediction.terms import remembered
-from hyperval.prediction.uncertainty import Perturbation, perturbations, spectrum_error_covariance, with_bands
+from hyperval.prediction.uncertainty import Perturbation, perturbations, with_bands
 from hyperval.prediction.view import ClassLevels, View
 from hyperval.processing.roc_model import false_alarm_grid
 from hyperval.products import PixelDistribution, Prediction
@@ -113,12 +117,17 @@ def predict(
     view = _base_view(scenario, surfaces, terms_of, used.noise if scenario.atmosphere else None)
     if departure is not None and np.any(np.asarray(departure.surroundings) != 1.0):
         view = replace(view, average=view.average * departure.surroundings)
-    steps = perturbations(view, scenario, terms_of)
-    errors: dict[str, Array] = {}
+    inputs = inputs_of(Given(scenario, on, used.sensor, surfaces, lambda: cast(AtmosphericTerms, view.terms)))
+    steps = perturbations(view, scenario, terms_of, inputs)
+    # What replicate spectra say of their own mean, where the scenario does not say it of the subject.
+    stated = {item.subject for item in scenario.uncertainty.field_spectra}
+    errors: dict[str, Array] = {
+        name: s.mean_error for name, s in surfaces.items() if s.mean_error is not None and name not in stated
+    }
     for item in scenario.uncertainty.field_spectra:  # entries of one subject are independent
-        one = spectrum_error_covariance(item, surfaces[item.subject], on)
+        one = spectrum_error_covariance(item, surfaces[item.subject], on, used.sensor)
         errors[item.subject] = errors[item.subject] + one if item.subject in errors else one
-    spectra = spectral_products(scenario, on, surfaces, view, steps, errors)
+    spectra = spectral_products(scenario, on, surfaces, view, steps, errors, used.sensor)
     notes = [f"formulation: {scenario.formulation}"]
     detection = _detection(scenario, on, surfaces, looked_for, view, steps, errors, spectra, notes, objects)
     notes += detection.notes
@@ -134,6 +143,10 @@ def predict(
         detection.roc,
         object_scores=detection.object_scores,
         exceedance=detection.exceedance,
+        distribution={
+            c.name: PixelDistribution(c.tail_dof or surfaces[c.name].tail_dof or math.inf)
+            for c in scenario.scene.classes
+        },
         notes=tuple(notes),
         provenance=_provenance(scenario, used, view, surfaces),
         noise=spectra.noise,
@@ -143,10 +156,6 @@ def predict(
 
 def _provenance(
     scenario: Scenario, used: Instrument, view: View, surfaces: Mapping[str, SurfaceStatistics]
-        distribution={
-            c.name: PixelDistribution(c.tail_dof or surfaces[c.name].tail_dof or math.inf)
-            for c in scenario.scene.classes
-        },
 ) -> dict[str, object]:
     sensor = used.sensor
     found: dict[str, object] = {

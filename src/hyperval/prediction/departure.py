@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.prediction.detection import fill_distribution
@@ -27,7 +28,7 @@ Array = npt.NDArray[np.float64]
 Number = float | Array
 
 _FACTORS = ("ground", "path", "irradiance", "surroundings", "recorded_gain", "noise_factor", "signal_factor")
-_SUMS = ("recorded_offset", "wavelength_shift_nm")
+_SUMS = ("recorded_offset", "wavelength_shift_nm", "solar_zenith_deg", "solar_azimuth_deg")
 _OF_RADIANCE = ("ground", "path", "irradiance", "surroundings", "noise_factor", "signal_factor")
 
 
@@ -61,6 +62,8 @@ class Departure:
     spectra : surface -> added to its mean reflectance [1]; what the detectors look for stays
     statistics : surface -> change of its statistics; what the detectors look for stays
     fill : target or subject -> added to the mean fill of its pixels [1]
+    fractions : class -> added to its area fraction [1]; classes that are not named give way in proportion
+    solar_zenith_deg, solar_azimuth_deg : added to the angles of the sun [deg]
     ground, path, irradiance : factors on the radiance that was reflected by the ground, on the path
         radiance, and on both [1]
     surroundings : factor on the reflectance of the surroundings [1]
@@ -76,6 +79,7 @@ class Departure:
     spectra: Mapping[str, Number] = field(default_factory=dict)
     statistics: Mapping[str, StatisticsDeparture] = field(default_factory=dict)
     fill: Mapping[str, float] = field(default_factory=dict)
+    fractions: Mapping[str, float] = field(default_factory=dict)
     ground: Number = 1.0
     path: Number = 1.0
     irradiance: Number = 1.0
@@ -85,6 +89,8 @@ class Departure:
     wavelength_shift_nm: Number = 0.0
     noise_factor: Number = 1.0
     signal_factor: Number = 1.0
+    solar_zenith_deg: float = 0.0
+    solar_azimuth_deg: float = 0.0
 
 
 def combined(*departures: Departure) -> Departure:
@@ -98,6 +104,7 @@ def combined(*departures: Departure) -> Departure:
     statistics: dict[str, StatisticsDeparture] = {}
     spectra: dict[str, Number] = {}
     fill: dict[str, float] = {}
+    fractions: dict[str, float] = {}
     numbers: dict[str, Number] = {**dict.fromkeys(_FACTORS, 1.0), **dict.fromkeys(_SUMS, 0.0)}
     for d in departures:
         for path, value in d.settings.items():
@@ -108,13 +115,15 @@ def combined(*departures: Departure) -> Departure:
             spectra[name] = spectra[name] + added if name in spectra else added
         for name, offset in d.fill.items():
             fill[name] = fill.get(name, 0.0) + offset
+        for name, offset in d.fractions.items():
+            fractions[name] = fractions.get(name, 0.0) + offset
         for name, change in d.statistics.items():
             statistics[name] = _both(name, statistics[name], change) if name in statistics else change
         for name in _FACTORS:
             numbers[name] = numbers[name] * getattr(d, name)
         for name in _SUMS:
             numbers[name] = numbers[name] + getattr(d, name)
-    return Departure(settings, spectra, statistics, fill, **numbers)
+    return Departure(settings, spectra, statistics, fill, fractions, **numbers)  # type: ignore[arg-type]
 
 
 def _both(name: str, a: StatisticsDeparture, b: StatisticsDeparture) -> StatisticsDeparture:
@@ -139,7 +148,48 @@ def departed_scenario(scenario: Scenario, departure: Departure) -> Scenario:
         for name in _OF_RADIANCE:
             if np.any(np.asarray(getattr(departure, name)) != 1.0):
                 raise UsageError(f"departure in {name.replace('_', ' ')}: the scenario has no atmosphere")
-    return _with_fills(scenario, departure.fill) if departure.fill else scenario
+    if departure.fill:
+        scenario = _with_fills(scenario, departure.fill)
+    changes = _sun_settings(scenario, departure) | _fraction_settings(scenario, departure.fractions)
+    return with_settings(scenario, changes) if changes else scenario
+
+
+def _sun_settings(scenario: Scenario, departure: Departure) -> dict[str, Any]:
+    """Settings of a sun at other angles; one that follows from place and time is stated by its angles then."""
+    state = scenario.atmosphere
+    if not (departure.solar_zenith_deg or departure.solar_azimuth_deg):
+        return {}
+    if state is None:
+        raise UsageError("departure in solar angles: the scenario has no atmosphere")
+    zenith, azimuth = state.sun[0] + departure.solar_zenith_deg, state.sun[1] + departure.solar_azimuth_deg
+    if zenith < 0.0:  # over the zenith and down on the other side
+        zenith, azimuth = -zenith, azimuth + 180.0
+    changes: dict[str, Any] = {
+        "atmosphere.solar_zenith_deg": min(zenith, MAX_SOLAR_ZENITH_DEG - 0.1),
+        "atmosphere.solar_azimuth_deg": azimuth % 360.0,
+    }
+    if state.time_utc is not None:
+        changes["atmosphere.earth_sun_distance_au"] = state.distance_au
+        changes |= {f"atmosphere.{k}": None for k in ("latitude_deg", "longitude_deg", "time_utc")}
+    return changes
+
+
+def _fraction_settings(scenario: Scenario, offsets: Mapping[str, float]) -> dict[str, Any]:
+    """Settings of area fractions, which sum to 1 again."""
+    if not offsets:
+        return {}
+    stated = {c.name: c.fraction for c in scenario.scene.classes}
+    for name in offsets:
+        if name not in stated:
+            raise UsageError(f"departure in fractions: no class {name!r}", expected=", ".join(stated))
+    new = {n: float(np.clip(f + offsets.get(n, 0.0), 0.0, 1.0)) for n, f in stated.items()}
+    named, rest = sum(new[n] for n in offsets), sum(f for n, f in stated.items() if n not in offsets)
+    if rest > 0.0 and named < 1.0:
+        new = {n: f if n in offsets else f * (1.0 - named) / rest for n, f in new.items()}
+    total = sum(new.values())
+    if total <= 0.0:
+        raise UsageError("departure in fractions: no class is left with an area")
+    return {f"scene.classes.[{n}].fraction": f / total for n, f in new.items()}
 
 
 def _with_fills(scenario: Scenario, offsets: Mapping[str, float]) -> Scenario:
@@ -259,12 +309,12 @@ def departed_noise(noise: NoiseModel | None, departure: Departure) -> NoiseModel
     )
 
 
-def changes_terms(departure: Departure) -> bool:
-    """True where :func:`departed_terms` changes anything."""
-    names = ("ground", "path", "irradiance", "recorded_gain")
-    return any(np.any(np.asarray(getattr(departure, n)) != 1.0) for n in names) or bool(
-        np.any(np.asarray(departure.recorded_offset) != 0.0)
-    )
+def keeps_surfaces(departure: Departure) -> bool:
+    """True where light and sensor alone depart: surfaces, fills, fractions and bands are as stated."""
+    d = departure
+    if d.spectra or d.statistics or d.fill or d.fractions or np.any(np.asarray(d.wavelength_shift_nm) != 0.0):
+        return False
+    return all(path.startswith("atmosphere.") for path in d.settings)
 
 
 def departs(departure: Departure) -> bool:

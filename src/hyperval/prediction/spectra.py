@@ -16,6 +16,7 @@ from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflec
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance
+from hyperval.sensor.specification import Sensor
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -57,6 +58,7 @@ def spectral_products(
     view: View,
     steps: list[Perturbation],
     errors: Mapping[str, Array],
+    sensor: Sensor | None = None,
 ) -> SpectralProducts:
     """All spectra of a scenario with their errors.
 
@@ -71,21 +73,24 @@ def spectral_products(
         level = view.level(subject.rho)
         seen = view.seen(level, subject.under_sky, subject.covariance, subject.gain)
         if view.terms is not None:
-            changes = {s.source: 0.5 * (s.plus.level(subject.rho) - s.minus.level(subject.rho)) for s in steps}
-            shapes = spectral_errors(view, subject.rho, axis, scenario.uncertainty.engine, subject.error)
+            changes = [(s.source, 0.5 * (s.plus.level(subject.rho) - s.minus.level(subject.rho))) for s in steps]
+            shapes = spectral_errors(view, subject.rho, axis, scenario.uncertainty.engine, subject.error, sensor)
             total, budget = combined(changes, shapes, len(axis))
             out.radiance[subject.name] = SpectralEstimate(level, total, _known(seen), None, budget)
-            _add_noise(out, subject, level, view, steps)
+            _add_noise(out, subject, level, view, steps, shapes)
         if view.terms is None or view.elm is not None:
             line = view.line()
-            changes = {
-                s.source: 0.5
-                * (
-                    retrieved_reflectance(up, s.plus.level(subject.rho))
-                    - retrieved_reflectance(down, s.minus.level(subject.rho))
+            changes = [
+                (
+                    s.source,
+                    0.5
+                    * (
+                        retrieved_reflectance(up, s.plus.level(subject.rho))
+                        - retrieved_reflectance(down, s.minus.level(subject.rho))
+                    ),
                 )
                 for s, up, down in lines
-            }
+            ]
             shapes = spectral_errors(view, subject.rho, axis, None, subject.error)
             shapes = {source: retrieved_covariance(line, c) for source, c in shapes.items()}
             total, budget = combined(changes, shapes, len(axis))
@@ -96,8 +101,14 @@ def spectral_products(
 
 
 def _add_noise(
-    out: SpectralProducts, subject: _Subject, level: Array, view: View, steps: list[Perturbation]
+    out: SpectralProducts,
+    subject: _Subject,
+    level: Array,
+    view: View,
+    steps: list[Perturbation],
+    shapes: Mapping[str, Array],
 ) -> None:
+    """Noise by source, and the SNR with its errors; ``shapes`` are error covariances (B, B) of the level."""
     noise = view.noise
     if noise is None:
         return
@@ -105,18 +116,18 @@ def _add_noise(
         out.full_scale[subject.name] = noise.full_scale_fraction(level)
     if not subject.pure:
         return
+
+    def snr_of(seen: View, calibration: bool) -> Array:
+        return (seen.noise or noise).snr(seen.level(subject.rho), calibration=calibration)
+
     terms = noise.breakdown(level)
     out.noise[subject.name] = asdict(terms)
     for name, with_c in ((subject.name, True), (without_calibration_error(subject.name), False)):
-        moves = {
-            s.source: 0.5
-            * (
-                noise.snr(s.plus.level(subject.rho), calibration=with_c)
-                - noise.snr(s.minus.level(subject.rho), calibration=with_c)
-            )
-            for s in steps
-        }
-        total, budget = combined(moves, {}, level.size)
+        moves = [(s.source, 0.5 * (snr_of(s.plus, with_c) - snr_of(s.minus, with_c))) for s in steps]
+        # d SNR / d L, for errors of the level that have a shape over wavelength.
+        h = 1e-3 * np.abs(level) + 1e-12
+        slope = (noise.snr(level + h, calibration=with_c) - noise.snr(level - h, calibration=with_c)) / (2.0 * h)
+        total, budget = combined(moves, {k: c * np.outer(slope, slope) for k, c in shapes.items()}, level.size)
         out.snr[name] = SpectralEstimate(noise.snr(level, calibration=with_c), total, None, None, budget)
 
 
@@ -141,10 +152,13 @@ def _subjects(
                 fill.mean, fill.variance, lit.mean, lit.covariance, host.mean, host.covariance,
                 target_gain=t.gain, host_gain=gain, formulation=scenario.formulation,
             )  # fmt: skip
-            error = None
+            parts = []
             if t.name in errors:
                 shade = np.broadcast_to(lit.factor, own.mean.shape)
-                error = fill.mean**2 * errors[t.name] * np.outer(shade, shade)
+                parts.append(fill.mean**2 * errors[t.name] * np.outer(shade, shade))
+            if t.host in errors and fill.mean < 1.0:
+                parts.append((1.0 - fill.mean) ** 2 * errors[t.host])  # the rest of the pixel
+            error = np.sum(parts, axis=0) if parts else None
             rho = target_pixel_reflectance(fill.mean, lit.mean, host.mean)
             under_sky = target_pixel_reflectance(fill.mean, lit.under_sky, host.mean)
             found.append(_Subject(population.name, rho, under_sky, covariance, gain, error, False))

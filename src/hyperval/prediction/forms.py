@@ -1,0 +1,113 @@
+"""Errors over wavelength: independent directions of a correlation form, and draws of a distribution."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+from hyperval.prediction.inputs import correlation
+from hyperval.scenario_uncertainty import Distribution, SpectralForm, Spread
+from hyperval.sensor.specification import Sensor
+from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
+
+# Directions that hold less than this part of the variance, all together, are left out.
+_LEFT_OUT = 1e-6
+
+
+def directions(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None = None) -> Array:
+    """(K, B) independent directions of an error with standard deviation ``sd`` (B,), the greatest first.
+
+    The error is the sum of the rows, each with a factor of mean 0 and variance 1: its covariance is D^T D.
+    """
+    u = np.nan_to_num(np.asarray(sd, dtype=float))
+    if form.correlation_nm is not None:
+        return covariance_directions(np.outer(u, u) * correlation(axis, form.correlation_nm))
+    if form.correlation == "random":
+        return np.diag(u)[u > 0]
+    if form.correlation in ("groups", "arms"):
+        rows = np.array([np.where(group, u, 0.0) for group in _groups(form, axis, sensor)])
+        rows = rows[np.any(rows > 0, axis=1)]
+        return np.asarray(rows[np.argsort(-(rows**2).sum(axis=1), kind="stable")])
+    return u[None, :]
+
+
+def covariance_directions(covariance: Array) -> Array:
+    """(K, B) rows sqrt(lambda) v of a covariance (B, B), the greatest first, each with a positive sum."""
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    values, vectors = np.clip(values[::-1], 0.0, None), vectors[:, ::-1]
+    if values[0] <= 0.0:
+        return np.zeros((0, covariance.shape[0]))
+    rest = 1.0 - np.cumsum(values) / values.sum()
+    keep = int(np.searchsorted(-rest, -_LEFT_OUT)) + 1
+    rows = (np.sqrt(values[:keep]) * vectors[:, :keep]).T
+    return np.asarray(rows * np.where(rows.sum(axis=1) < 0, -1.0, 1.0)[:, None])
+
+
+def form_covariance(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None = None) -> Array:
+    """(B, B) covariance of an error with standard deviation ``sd`` (B,)."""
+    u = np.asarray(sd, dtype=float)
+    if form.correlation is None:
+        return np.asarray(np.outer(u, u) * correlation(axis, form.correlation_nm))
+    rows = directions(u, form, axis, sensor)
+    return rows.T @ rows
+
+
+def form_in_words(form: SpectralForm) -> str:
+    """The correlation form for people."""
+    if form.correlation_nm is not None:
+        return f"correlation length {form.correlation_nm:g} nm"
+    return {
+        None: "systematic: one error for all bands",
+        "systematic": "systematic: one error for all bands",
+        "random": "random by band",
+        "groups": f"one error for each of {len(form.groups_nm)} groups of bands",
+        "arms": "one error for each arm of the sensor",
+    }[form.correlation]
+
+
+def standardised(distribution: Distribution, rng: np.random.Generator, size: int) -> Array:
+    """(size,) draws of mean 0 and variance 1; those of the logarithm for log-normal (JCGM 101:2008, 6.4)."""
+    if distribution == "uniform":
+        return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), size)
+    if distribution == "triangular":
+        return rng.triangular(-np.sqrt(6.0), 0.0, np.sqrt(6.0), size)
+    return rng.standard_normal(size)
+
+
+def value_at(value: float, spread: Spread, z: float) -> float:
+    """A number ``z`` standard uncertainties from ``value``.
+
+    A log-normal one has its median there and the factor exp(s z) with s^2 = ln(1 + (u / value)^2), which gives it
+    the coefficient of variation u / value.
+    """
+    if getattr(spread, "distribution", "normal") != "log-normal":
+        return value + float(spread) * z
+    if value <= 0.0:
+        raise UsageError(f"a log-normal error of the value {value:g}", expected="a positive value")
+    return value * float(np.exp(np.sqrt(np.log1p((float(spread) / value) ** 2)) * z))
+
+
+def factor_at(rows: Array, distribution: Distribution, c: Array) -> Array:
+    """(B,) factor 1 + c D of a relative error with directions D (K, B), or exp(c D) where it is log-normal."""
+    change = c @ rows
+    return np.asarray(np.exp(change) if distribution == "log-normal" else 1.0 + change)
+
+
+def _groups(form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None) -> list[npt.NDArray[np.bool_]]:
+    w = axis.centre_nm
+    if form.correlation == "groups":
+        ranges = form.groups_nm
+    else:
+        arms = sensor.specification.arms if sensor is not None else ()
+        if not arms:
+            raise UsageError("uncertainty: correlation: arms needs a sensor with arms", mend="use groups")
+        ranges = [arm.range_nm for arm in arms]
+    found, taken = [], np.zeros(w.shape, bool)
+    for low, high in ranges:
+        here = (w >= low) & (w <= high) & ~taken
+        taken |= here
+        found.append(here)
+    return [*found, ~taken] if not taken.all() else found  # bands beside all groups share one error

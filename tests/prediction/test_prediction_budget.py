@@ -1,0 +1,181 @@
+"""Inputs of the budget: what they change, what they are called, and the moments of their draws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
+
+from hyperval.errors import UsageError
+from hyperval.prediction.budget import BudgetInput, budget_inputs, drawn_truth
+from hyperval.prediction.forms import (
+    covariance_directions,
+    directions,
+    form_covariance,
+    standardised,
+    value_at,
+)
+from hyperval.prediction.inputs import correlation
+from hyperval.scenario import Scenario
+from hyperval.scenario_uncertainty import SpectralForm, Spread, Uncertainty
+
+EVERYTHING = (
+    ATMOSPHERE
+    + """
+uncertainty:
+  aot550: {standard: 0.04, distribution: log-normal}
+  water_vapour_g_cm2: {half_width: 0.3, distribution: uniform}
+  ozone_atm_cm: 0.02
+  solar_zenith_deg: 0.5
+  solar_azimuth_deg: 1
+  view_zenith_deg: 1
+  sensor_altitude_km: 0.05
+  ground_altitude_km: 0.02
+  solar_irradiance_relative: 0.01
+  adjacency_reflectance_relative: {standard: 0.2, distribution: triangular}
+  engine: {relative: 0.01, per_optical_depth: 0.1, path_relative: 0.05, correlation_nm: 200}
+  field_spectra:
+    - {subject: plank, relative: 0.05, correlation_nm: 300}
+    - {subject: grass, absolute: 0.01, correlation: random}
+  sensor_gain: {relative: 0.02, correlation: groups, groups_nm: [[400, 1000], [1000, 2500]]}
+  sensor_offset: {absolute: 0.01}
+  noise: {relative: 0.1, correlation: arms}
+  electrons: {relative: 0.05}
+  wavelength_shift: {absolute: 0.5, correlation: arms}
+  fills: [{subject: tenth, absolute: 0.02}]
+  fractions: [{subject: grass, absolute: 0.05}, {subject: asphalt, absolute: 0.02}]
+  sampled_statistics: [{subject: asphalt, effective_n: 200}]
+"""
+)
+
+
+def inputs(s: Scenario) -> dict[str, BudgetInput]:
+    found = budget_inputs(s, axis=AXIS, engine=engine)
+    assert len({i.name for i in found}) == len(found)
+    return {i.name: i for i in found}
+
+
+def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with_the_others():
+    s = scenario(EVERYTHING)
+    found = inputs(s)
+    kinds = {i.kind for i in found.values()}
+    assert kinds == {"atmosphere", "surface", "sensor", "scene", "engine", "sampling"}
+    base = run(s.model_copy(update={"uncertainty": Uncertainty()}))
+    plain = s.model_copy(update={"uncertainty": Uncertainty()})
+    blind = {"solar azimuth", "view zenith angle", "sensor altitude", "ground height"}  # to the stand-in engine
+    for name, item in found.items():
+        off = run(plain, departure=item.moved(1.0))
+        moved = [
+            not np.allclose(off.radiance["tenth"].mean, base.radiance["tenth"].mean, rtol=1e-9),
+            not np.allclose(off.snr["panel"].mean, base.snr["panel"].mean, rtol=1e-9),
+            not np.allclose(off.roc["tenth", "cem", "pixel"].pd, base.roc["tenth", "cem", "pixel"].pd, rtol=1e-9),
+        ]
+        assert any(moved) != (name in blind), name
+        assert item.distribution
+        assert item.correlation
+    rng = np.random.default_rng(1)
+    draws = [run(plain, departure=drawn_truth(list(found.values()), rng)) for _ in range(3)]
+    assert len({float(d.radiance["grass"].mean[0]) for d in draws}) == 3
+
+
+def test_draws_are_the_same_for_the_same_seed():
+    found = list(inputs(scenario(EVERYTHING)).values())
+    a, b = (drawn_truth(found, np.random.default_rng(7)) for _ in range(2))
+    assert dict(a.settings) == dict(b.settings)
+    np.testing.assert_array_equal(a.spectra["plank"], b.spectra["plank"])
+
+
+@pytest.mark.parametrize("law", ["normal", "uniform", "triangular"])
+def test_distributions_have_mean_0_and_variance_1(law):
+    # 200,000 draws: mean and variance within 4.5 of their standard errors; false failure below 2e-5 each.
+    x = standardised(law, np.random.default_rng(3), 200_000)
+    assert abs(x.mean()) < 4.5 / np.sqrt(x.size)
+    fourth = {"normal": 3.0, "uniform": 1.8, "triangular": 2.4}[law]
+    assert abs(x.var() - 1.0) < 4.5 * np.sqrt((fourth - 1.0) / x.size)
+    assert np.abs(x).max() <= {"normal": np.inf, "uniform": 3**0.5, "triangular": 6**0.5}[law] + 1e-12
+
+
+def test_log_normal_has_the_coefficient_of_variation_that_is_stated():
+    z = np.random.default_rng(5).standard_normal(200_000)
+    x = np.array([value_at(0.2, Spread(0.1, "log-normal"), v) for v in z[:100_000]])
+    assert np.median(x) == pytest.approx(0.2, rel=0.01)
+    assert x.std() / x.mean() == pytest.approx(0.5, rel=0.03)  # 5 standard errors of a log-normal's sd
+    assert x.min() > 0.0
+
+
+def test_directions_give_back_the_covariance_of_each_form():
+    sd = np.linspace(0.01, 0.03, len(AXIS))
+    cases = {
+        "systematic": (SpectralForm(), np.outer(sd, sd)),
+        "random": (SpectralForm(correlation="random"), np.diag(sd**2)),
+        "length": (SpectralForm(correlation_nm=200), np.outer(sd, sd) * correlation(AXIS, 200.0)),
+    }
+    low = AXIS.centre_nm <= 1000
+    groups = SpectralForm.model_validate({"correlation": "groups", "groups_nm": [[300, 1000]]})
+    cases["groups"] = (groups, np.outer(sd, sd) * (np.outer(low, low) | np.outer(~low, ~low)))
+    for name, (form, expected) in cases.items():
+        rows = directions(sd, form, AXIS)
+        np.testing.assert_allclose(rows.T @ rows, expected, atol=1e-5 * expected.max(), err_msg=name)
+        np.testing.assert_allclose(form_covariance(sd, form, AXIS), expected, atol=1e-15, err_msg=name)
+        norms = (rows**2).sum(axis=1)
+        assert np.all(np.diff(norms) <= 1e-15) or name == "random"
+    assert covariance_directions(np.zeros((3, 3))).shape == (0, 3)
+    with pytest.raises(UsageError, match="needs a sensor with arms"):
+        directions(sd, SpectralForm(correlation="arms"), AXIS)
+
+
+def test_drawn_field_spectrum_has_the_covariance_that_is_stated():
+    item = inputs(scenario(EVERYTHING))["field spectrum of plank"]
+    rng = np.random.default_rng(11)
+    x = np.array([item.drawn(rng).spectra["plank"] for _ in range(4000)])
+    plain = scenario(EVERYTHING)
+    base = run(plain).reflectance["tenth"]  # the plank fills a tenth: its error times 0.1
+    stated = base.budget["field spectrum"]
+    # Standard deviation of 4,000 draws: standard error 1.1 %; the host (asphalt) states no error here.
+    np.testing.assert_allclose(0.1 * x.std(axis=0), stated, rtol=0.06)
+
+
+def test_plain_numbers_mean_what_they_meant():
+    old = scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, solar_irradiance_relative: 0.01}\n")
+    u = old.uncertainty
+    assert (float(u.aot550), u.aot550.distribution, float(u.solar_irradiance_relative)) == (0.05, "normal", 0.01)
+    again = Scenario.model_validate(old.model_dump(mode="json", by_alias=True))
+    assert again.uncertainty == u
+    budget = run(old).radiance["grass"].budget
+    assert set(budget) == {"aerosol optical depth", "solar irradiance"}
+    np.testing.assert_allclose(budget["solar irradiance"], 0.01 * run(old).radiance["grass"].mean, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("aot550: {standard: 0.1, distribution: cauchy}", "unknown distribution"),
+        ("aot550: {standard: 0.1, half_width: 0.2}", "standard or half_width"),
+        ("ozone_atm_cm: {half_width: 0.2}", "half_width belongs"),
+        ("aot550: -1", "positive number"),
+        ("{aot550: 0.1, meteorological_range_km: 3}", "one uncertainty"),
+        ("engine: {relative: 0.1, distribution: uniform, correlation_nm: 100}", "normal or log-normal"),
+        ("sensor_gain: {relative: 0.1, correlation: groups}", "groups_nm goes with"),
+        ("solar_irradiance_relative: 1.5", "below 1"),
+        ("fills: [{subject: tenth, absolute: 0.1}, {subject: tenth, absolute: 0.1}]", "stands twice"),
+    ],
+)
+def test_mistakes_are_refused_when_the_scenario_is_read(text, match):
+    inner = text if text.startswith("{") else "{" + text + "}"
+    with pytest.raises(UsageError, match=match):
+        scenario(ATMOSPHERE + f"uncertainty: {inner}\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("{fills: [{subject: nobody, absolute: 0.1}]}", "no target or subject"),
+        ("{fractions: [{subject: nobody, absolute: 0.1}]}", "no class"),
+        ("{sampled_statistics: [{subject: grass}]}", "does not say how many"),
+        ("{sampled_statistics: [{subject: nobody, effective_n: 50}]}", "no surface"),
+        ("{meteorological_range_km: 3}", "meteorological_range_km is given"),
+    ],
+)
+def test_what_the_scenario_does_not_have_is_refused(text, match):
+    with pytest.raises(UsageError, match=match):
+        inputs(scenario(ATMOSPHERE + f"uncertainty: {text}\n"))
