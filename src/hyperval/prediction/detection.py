@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from hyperval.prediction.inputs import SurfaceStatistics
+from hyperval.prediction.inputs import SurfaceStatistics, class_tail
 from hyperval.prediction.view import View
 from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance
 from hyperval.processing.features import (
@@ -115,8 +115,7 @@ class Background:
 
     def tail_of(self, c: BackgroundClass) -> float | None:
         """Degrees of freedom of a class; None = Gaussian."""
-        fitted = self.surfaces[c.name].tail_dof
-        return fitted if c.tail_dof == "measured" else c.tail_dof or fitted
+        return class_tail(c, self.surfaces[c.name])
 
 
 def seen_background(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.prediction.replicates import ReplicateStatistics, in_bands, replicate_statistics
-from hyperval.scenario import CovarianceSource, SpectrumSource, Surface
+from hyperval.scenario import BackgroundClass, CovarianceSource, SpectrumSource, Surface
 from hyperval.scenario_sources import Replicates
 from hyperval.scene.builtin import builtin_class
 from hyperval.scene.statistics import ClassStatistics
@@ -42,6 +42,18 @@ class SurfaceStatistics:
     standard_deviation: Array | None = None
     n: int | None = None
     mean_error: Array | None = None
+
+
+def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float | None:
+    """Degrees of freedom of a class; None = Gaussian.
+
+    A tail that was fitted to a region of the collection counts where the class says ``tail_dof: measured``.
+    """
+    if c.tail_dof == "measured":
+        return surface.tail_dof
+    if c.tail_dof is None and c.spectrum.measured is not None:
+        return None
+    return c.tail_dof or surface.tail_dof
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ def exceedance_curve(score_map: npt.ArrayLike, counted: npt.ArrayLike, side: int
     """P(score > threshold) of the pixels that count, at ten thresholds for each decade of it, down to 5 alarms.
 
     The interval is that of a ratio of block totals, sum k_i / sum n_i, with variance
-    m/(m - 1) sum (k_i - p n_i)^2 / n^2 over m square blocks, symmetric in log P with Student's t; only blocks with an
-    alarm count as its degrees of freedom.
+    m/(m - 1) sum (k_i - p n_i)^2 / n^2 over m square blocks, symmetric in log P with Student's t; only blocks with
+    an alarm count as its degrees of freedom.
     Source: Cochran, Sampling Techniques, 1977, section 6.4 (ratio estimate of clusters of unequal size).
 
     Parameters
