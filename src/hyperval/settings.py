@@ -28,7 +28,7 @@ def setting(model: BaseModel, path: str) -> Any:
     UsageError : no such entry; the message names those that there are.
     """
     at: Any = model.model_dump(mode="python", by_alias=True)
-    for i, part in enumerate(parts := _parts(path)):
+    for i, part in enumerate(parts := path_parts(path)):
         if at is None:
             raise UsageError(f"setting {path!r}: {'.'.join(parts[:i])} is not given")
         at = at[_key(at, part, path)]
@@ -47,7 +47,7 @@ def with_settings(model: M, changes: Mapping[str, Any]) -> M:
     """
     data = model.model_dump(mode="python", by_alias=True, exclude_unset=True)
     for path, value in changes.items():
-        _set(data, _parts(path), value, path)
+        _set(data, path_parts(path), value, path)
     changed = validate(type(model), data, {}, "settings " + ", ".join(changes))
     for name in model.__private_attributes__:
         setattr(changed, name, getattr(model, name))
@@ -78,7 +78,7 @@ def _set(data: dict[str, Any], parts: list[str], value: Any, path: str) -> None:
         raise UsageError(f"setting {path!r}: {'.'.join(parts[:-1])} has no parts")
 
 
-def _parts(path: str) -> list[str]:
+def path_parts(path: str) -> list[str]:
     """The path cut at its dots; a name that holds dots stands in square brackets: ``classes.[dark 0.5 m].gain``."""
     parts: list[str] = []
     rest = path

@@ -1,0 +1,1 @@
+"""Trade-off studies: many evaluations of the model over grids, lists and random designs."""
