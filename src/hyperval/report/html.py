@@ -136,6 +136,7 @@ def environment() -> jinja2.Environment:
         threshold=v.threshold_text,
         row_name=row_name,
         nm=_band_text,
+        breakable=_breakable,
     )
     return environment
 
@@ -175,6 +176,11 @@ def _undone(rows: Sequence[Result]) -> list[tuple[str, str, str, list[str]]]:
             key = (str(row.status), row.product, row.reason or "no reason given")
             groups.setdefault(key, []).append(row_name(row))
     return [(*key, names) for key, names in groups.items()]
+
+
+def _breakable(text: str) -> Markup:
+    """A dotted name with places where it may break."""
+    return Markup(".<wbr>").join(Markup("_<wbr>").join(part.split("_")) for part in text.split("."))
 
 
 def _metric_markup(row: Result) -> Markup:

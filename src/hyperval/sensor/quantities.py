@@ -80,6 +80,13 @@ class Bands(Model):
         return self
 
     @property
+    def fwhms(self) -> list[float]:
+        """Widths as the file lists them [nm]: of each band of a table, or one of each part."""
+        if self.table is not None:
+            return [fwhm for _, fwhm, _ in self.table]
+        return [p.fwhm_nm for p in self.parts or ([self.regular] if self.regular is not None else [])]
+
+    @property
     def axis(self) -> SpectralAxis:
         """The bands as an axis (for 3.13)."""
         if self.table is not None:

@@ -129,7 +129,7 @@ class Sensor:
                         f"sensor_operation.wavelength_shift_nm: sensor {self.name!r} has no arm {name!r}",
                         expected="one of " + (", ".join(names) or "none: give one number"),
                     )
-                shift[self._arm_index(nominal.centre_nm) == names.index(name)] += value
+                shift[self.arm_index(nominal.centre_nm) == names.index(name)] += value
         else:
             shift += op.wavelength_shift_nm
         if not np.any(shift):
@@ -169,7 +169,7 @@ class Sensor:
         spec, w = self.specification, on.centre_nm
         g, fixed, lsb, rate = np.full((4, w.size), np.nan)
         bits = np.zeros(w.size, dtype=int)
-        arms = self._arm_index(w)
+        arms = self.arm_index(w)
         # Arms that count errors by word are brought to errors by bit when others count by bit.
         same = len({arm.bit_error_per for arm in spec.arms}) == 1
         for k, arm in enumerate(spec.arms):
@@ -202,7 +202,8 @@ class Sensor:
             calibration, None, tuple(self._assumptions()), lsb * 2.0**bits / g,
         )  # fmt: skip
 
-    def _arm_index(self, wavelength_nm: Array) -> npt.NDArray[np.intp]:
+    def arm_index(self, wavelength_nm: Array) -> npt.NDArray[np.intp]:
+        """Number of the arm (B,) that sees each wavelength (B,); UsageError for one far outside all arms."""
         # An airborne cube's axis may reach a little beyond the nominal range: the nearest arm serves there.
         ranges = np.array([a.range_nm for a in self.specification.arms])
         gap = np.maximum(ranges[:, :1] - wavelength_nm, wavelength_nm - ranges[:, 1:]).clip(0.0)

@@ -1,0 +1,1 @@
+"""Acceptance of a sensor file: what `hyperval sensor check` and `hyperval sensor new` do."""

@@ -1,0 +1,136 @@
+"""Checks of the noise: its sum, rounding, saturation, and that it changes the right way with what makes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.sensor.changes import SensorChanges, changed_noise
+from hyperval.sensor.noise import NoiseModel
+from hyperval.sensor.specification import Sensor
+from hyperval.sensor_check.ledger import Ledger
+from hyperval.sensor_check.numbers import scaled
+from hyperval.sensor_check.reference import BRIGHT, DARK, LEVELS, MIDDLE, sunlit_radiance
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.windows import SPECTRAL_REGIONS_NM, in_window
+
+Array = npt.NDArray[np.float64]
+
+PRODUCT = "noise"
+STEP = 1.25  # by which time, aperture and C_R are raised
+
+
+def check_noise(sensor: Sensor, axis: SpectralAxis, ledger: Ledger) -> None:
+    """Sum of the terms, SNR at the reference radiances, quantisation, saturation, monotone behaviour."""
+    noise = sensor.noise()
+    middle = sunlit_radiance(axis, MIDDLE)
+    parts = noise.breakdown(middle)
+    off = float(np.max(np.abs(parts.total / noise.variance(middle) - 1.0)))
+    ledger.gate(PRODUCT, "sum_of_terms_error", off, off <= 1e-9, threshold=1e-9, reason="the terms do not add up")
+    _snr_rows(axis, noise, ledger)
+    _check_quantisation(axis, noise, ledger)
+    _check_saturation(axis, noise, ledger)
+    _check_monotone(sensor, axis, noise, ledger)
+
+
+def summary_regions(axis: SpectralAxis) -> dict[str, npt.NDArray[np.bool_]]:
+    """Masks (B,) of the good bands in the windows of each spectral region the sensor sees."""
+    keep = axis.good & in_window(axis.centre_nm)
+    masks = {
+        name: keep & (axis.centre_nm >= low) & (axis.centre_nm < high)
+        for name, (low, high) in SPECTRAL_REGIONS_NM.items()
+    }
+    return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+def _snr_rows(axis: SpectralAxis, noise: NoiseModel, ledger: Ledger) -> None:
+    for level in LEVELS:
+        snr = noise.snr(sunlit_radiance(axis, level), calibration=False)
+        for name, mask in summary_regions(axis).items():
+            ledger.info(
+                "snr", "median_snr", float(np.median(snr[mask])), subject=f"reflectance {level:g}, {name}",
+                reason="sun at 45 deg, no atmosphere, without C_R",
+            )  # fmt: skip
+    good = axis.good & in_window(axis.centre_nm) if np.any(axis.good & in_window(axis.centre_nm)) else axis.good
+    snr = np.where(good, noise.snr(sunlit_radiance(axis, MIDDLE)), np.inf)
+    at = int(np.argmin(snr))
+    ledger.gate(
+        "snr", "lowest_snr", float(snr[at]), bool(snr[at] > 1.0), threshold=1.0, subject=f"reflectance {MIDDLE:g}",
+        reason=f"noise passes the signal at {axis.centre_nm[at]:g} nm",
+    )  # fmt: skip
+
+
+def _check_quantisation(axis: SpectralAxis, noise: NoiseModel, ledger: Ledger) -> None:
+    metric = "quantisation_over_other_noise"
+    if noise.measured is not None:
+        ledger.info(PRODUCT, metric, reason="the measured noise holds the quantisation: it is not stated apart")
+        return
+    parts = noise.breakdown(sunlit_radiance(axis, DARK))
+    ratio = np.where(axis.good, np.sqrt(parts.quantisation / (parts.shot + parts.fixed)), 0.0)
+    at = int(np.argmax(ratio))
+    ledger.gate(
+        PRODUCT, metric, float(ratio[at]), bool(ratio[at] < 1.0), threshold=1.0, subject=f"reflectance {DARK:g}",
+        reason=f"the step of the digital word passes the noise at {axis.centre_nm[at]:g} nm: too few bits",
+    )  # fmt: skip
+
+
+def _check_saturation(axis: SpectralAxis, noise: NoiseModel, ledger: Ledger) -> None:
+    metric = "highest_part_of_full_scale"
+    if noise.full_scale is None:
+        ledger.info("saturation", metric, reason="the file does not say where full scale is")
+        return
+    for level, gates in ((BRIGHT, True), (1.0, False)):
+        part = np.where(axis.good, noise.full_scale_fraction(sunlit_radiance(axis, level)), 0.0)
+        at, subject = int(np.argmax(part)), f"reflectance {level:g}"
+        words = f"{int(np.count_nonzero(part >= 1))} bands saturate, most at {axis.centre_nm[at]:g} nm"
+        if gates:
+            ledger.gate(
+                "saturation", metric, float(part[at]), bool(part[at] < 1.0), threshold=1.0, subject=subject,
+                reason=words,
+            )  # fmt: skip
+        else:
+            ledger.info("saturation", metric, float(part[at]), subject=subject, reason=words)
+
+
+def _check_monotone(sensor: Sensor, axis: SpectralAxis, noise: NoiseModel, ledger: Ledger) -> None:
+    level = sunlit_radiance(axis, MIDDLE)
+
+    def snr_of(factors: dict[str, float], changes: SensorChanges) -> Array:
+        if sensor.specification.measured_noise is not None:
+            return changed_noise(noise, changes).snr(level)
+        return Sensor(scaled(sensor.specification, factors)).noise().snr(level)
+
+    base = noise.snr(level)
+    arms = [arm.name for arm in sensor.specification.arms]
+    more_light = SensorChanges.model_validate({"signal_factor": STEP})
+    times = snr_of({f"{name}.integration_time_s": STEP for name in arms}, more_light)
+    apertures = snr_of({f"{name}.throughput": STEP for name in arms}, more_light)
+    worse = changed_noise(
+        noise,
+        SensorChanges.model_validate(
+            {"calibration_error_percent": max(STEP * float(noise.calibration_percent.max()), 0.1)}
+        ),
+    ).snr(level)
+    rises: dict[str, Callable[[], Array]] = {
+        "radiance": lambda: _growth_with_radiance(noise, level),
+        "integration time": lambda: times / base - 1.0,
+        "aperture": lambda: apertures / base - 1.0,
+        "less C_R": lambda: base / worse - 1.0,
+    }
+    for name, growth in rises.items():
+        values = np.where(axis.good, growth(), np.inf)
+        at = int(np.argmin(values))
+        ledger.gate(
+            "monotone", "lowest_relative_growth_of_snr", float(values[at]), bool(values[at] > 0.0), threshold=0.0,
+            subject=name, reason=f"the SNR does not rise with {name} at {axis.centre_nm[at]:g} nm",
+        )  # fmt: skip
+
+
+def _growth_with_radiance(noise: NoiseModel, level: Array) -> Array:
+    """Smallest relative step (B,) of the SNR between radiances from 1/1000 of the level to four times of it."""
+    factors = np.geomspace(1e-3, 4.0, 25)
+    with np.errstate(all="ignore"):
+        snr = np.stack([noise.snr(f * level, calibration=False) for f in factors])
+        return np.asarray(np.min(np.diff(snr, axis=0) / snr[:-1], axis=0))
