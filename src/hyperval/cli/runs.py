@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,13 @@ import typer
 
 from hyperval.cli.shared import Output, app, finished, note, print_table, settings
 from hyperval.errors import UsageError
+
+
+class CubeForm(StrEnum):
+    """File formats of an image cube."""
+
+    envi = "envi"
+    cog = "cog"
 
 
 @app.command()
@@ -23,11 +31,19 @@ def predict(
 
 
 @app.command()
-def observe(campaign: Annotated[Path, typer.Argument(help="A campaign file.")], output: Output) -> int:
+def observe(
+    campaign: Annotated[Path, typer.Argument(help="A campaign file.")],
+    output: Output,
+    write_reflectance: Annotated[
+        CubeForm | None,
+        typer.Option(help="Write the cube after the empirical line too: ENVI, or a cloud-optimised GeoTIFF."),
+    ] = None,
+) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
     from hyperval.campaign.run import observe as run
 
-    return finished(run(campaign, output, show_progress=settings.show_progress), output)
+    form = write_reflectance.value if write_reflectance else None
+    return finished(run(campaign, output, write_reflectance=form, show_progress=settings.show_progress), output)
 
 
 @app.command()
@@ -39,6 +55,7 @@ def validate(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Run nothing: list files, values to fill in, comparisons.")
     ] = False,
+    junit: Annotated[Path | None, typer.Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
 ) -> int:
     """Predict, observe, compare: the main job."""
     if dry_run:
@@ -46,8 +63,12 @@ def validate(
     if output is None:
         raise UsageError("no folder for the results", mend="name one with --output (-o)")
     from hyperval.campaign.run import validate as run
+    from hyperval.files import write_text
 
-    return finished(run(campaigns, output, show_progress=settings.show_progress), output)
+    code = run(campaigns, output, show_progress=settings.show_progress)
+    if junit is not None:
+        write_text(junit, (output / "junit.xml").read_text("utf-8"))
+    return finished(code, output)
 
 
 @app.command()

@@ -1,0 +1,159 @@
+"""Run, compare with what was accepted, write what moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hyperval.baseline.differences import Difference, compare
+from hyperval.baseline.runs import Run, all_runs
+from hyperval.baseline.store import accepted_of, baseline_path, candidate_path, stored, write_baseline
+from hyperval.campaign.provenance import command_without_output
+from hyperval.files import sha256_of, whole_folder, write_text
+from hyperval.report import RunReport, write_index, write_outputs
+from hyperval.report.outputs import campaign_folders
+from hyperval.report.tables import junit_xml
+from hyperval.results import Result, ResultTable, Status
+from hyperval.sensor_check.reference import Engine
+
+RUNS = "runs"
+
+
+@dataclass(frozen=True)
+class Checked:
+    """One campaign or sensor against its baseline.
+
+    Attributes
+    ----------
+    run : its numbers
+    differences : one for each number of either side; empty without a baseline or without a run
+    rows : the same as rows of results, or one row that says why there are none
+    baseline, candidate : the file it was compared with, and the one that was left where there is none
+    """
+
+    run: Run
+    differences: list[Difference]
+    rows: ResultTable
+    baseline: Path
+    candidate: Path | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a check found."""
+
+    checked: list[Checked] = field(default_factory=list)
+
+    @property
+    def table(self) -> ResultTable:
+        """All rows."""
+        return ResultTable(row for item in self.checked for row in item.rows)
+
+    @property
+    def exit_code(self) -> int:
+        """1 when a number moved, is missing, new, or was never accepted; 5 when nothing was checked."""
+        return self.table.exit_code()
+
+
+def check(
+    campaigns: Sequence[Path],
+    sensors: Sequence[str] = (),
+    *,
+    baselines: Path,
+    source: Path | None = None,
+    output: Path | None = None,
+    junit: Path | None = None,
+    engine: Engine | None = None,
+    show_progress: bool | None = None,
+) -> Outcome:
+    """Compare campaigns and sensors with what was accepted.
+
+    Parameters
+    ----------
+    campaigns : campaign files; one whose data are lacking is SKIPPED
+    sensors : names of the library, sensor files, or "all"
+    baselines : folder of the accepted numbers
+    source : folder of a finished ``validate`` of these campaigns, read instead of running them
+    output : folder for the differences as a results table and pages; the campaigns' own results in ``runs/``
+    junit : file for the verdicts
+    engine : stands in for the atmosphere engine of the sensors' scenarios
+
+    Raises
+    ------
+    UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
+    """
+    if output is None:
+        outcome = _checked(campaigns, sensors, baselines, source, None, engine, show_progress)
+    else:
+        with whole_folder(output, ours="results.json") as folder:
+            outcome = _checked(campaigns, sensors, baselines, source, folder / RUNS, engine, show_progress)
+            _write(outcome, folder)
+    if junit is not None:
+        write_text(junit, junit_xml(outcome.table))
+    return outcome
+
+
+def _checked(
+    campaigns: Sequence[Path],
+    sensors: Sequence[str],
+    baselines: Path,
+    source: Path | None,
+    keep: Path | None,
+    engine: Engine | None,
+    show_progress: bool | None,
+) -> Outcome:
+    runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine, show_progress=show_progress)
+    return Outcome([_against(run, baselines) for run in runs])
+
+
+def _against(run: Run, folder: Path) -> Checked:
+    path = baseline_path(folder, run.kind, run.name)
+    if run.skipped is not None:
+        return Checked(run, [], ResultTable([_one(run, Status.SKIPPED, run.skipped)]), path)
+    baseline = stored(folder, run.kind, run.name)
+    if baseline is not None:
+        found = compare(run.owner, baseline.metrics, run.metrics)
+        return Checked(run, found, ResultTable(d.row() for d in found), path)
+    if run.broken:
+        words = f"no baseline ({path}), and the run is none: {run.broken[0]}"
+        return Checked(run, [], ResultTable([_one(run, Status.FAIL, words)]), path)
+    candidate = candidate_path(folder, run.kind, run.name)
+    write_baseline(candidate, run.kind, run.name, "", run.versions, accepted_of(run.metrics, {}), candidate=True)
+    words = f"no baseline ({path}); the numbers of this run are in {candidate}"
+    return Checked(run, [], ResultTable([_one(run, Status.FAIL, words)]), path, candidate)
+
+
+def _one(run: Run, status: Status, reason: str) -> Result:
+    return Result(run.owner, "baseline", run.name, run.kind, "baseline", status=status, reason=reason)
+
+
+def _write(outcome: Outcome, folder: Path) -> None:
+    """A folder of results: one page for each campaign and sensor, and one that joins them."""
+    reports = [
+        RunReport(
+            campaign=item.run.owner,
+            title=f"{item.run.title}: against the accepted numbers",
+            description="Each number of this run beside the one that was accepted; it fails beyond its tolerance.",
+            simulated=item.run.simulated,
+            table=item.rows,
+            provenance={
+                "command": command_without_output(),
+                "versions": dict(item.run.versions),
+                "inputs": _inputs(item.baseline),
+            },
+        )
+        for item in outcome.checked
+    ]
+    folders = campaign_folders(reports)
+    for report in reports:
+        inner = folder / folders[report.campaign]
+        inner.mkdir(exist_ok=True)
+        write_outputs(report, inner)
+    write_index(reports, folder)
+
+
+def _inputs(path: Path) -> list[dict[str, str | None]]:
+    if not path.is_file():
+        return []
+    return [{"reference": path.name, "sha256": sha256_of(path), "licence": None, "citation": None}]

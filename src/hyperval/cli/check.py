@@ -1,0 +1,97 @@
+"""Command that compares with accepted numbers."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hyperval.cli.shared import app, note, print_table, settings
+
+if TYPE_CHECKING:
+    from hyperval.baseline.check import Checked
+    from hyperval.baseline.differences import Difference
+
+Campaigns = Annotated[list[Path] | None, typer.Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
+Sensors = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--sensors", metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."
+    ),
+]
+Baselines = Annotated[Path | None, typer.Option(help="Folder of accepted numbers [validation/baselines].")]
+Finished = Annotated[
+    Path | None,
+    typer.Option("--from", help="Folder of a finished validate of these campaigns, read instead of run."),
+]
+
+
+@app.command()
+def check(
+    campaigns: Campaigns = None,
+    sensors: Sensors = None,
+    junit: Annotated[Path | None, typer.Option(help="File for the verdicts as JUnit XML.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")
+    ] = None,
+    baselines: Baselines = None,
+    source: Finished = None,
+    everything: Annotated[bool, typer.Option("--all", help="Print the numbers that did not move, too.")] = False,
+) -> int:
+    """Run campaigns and sensors, and compare with what was accepted."""
+    from hyperval.baseline import check as run
+    from hyperval.baseline.store import DEFAULT_FOLDER
+
+    outcome = run(
+        campaigns or [],
+        sensors or [],
+        baselines=baselines or DEFAULT_FOLDER,
+        source=source,
+        output=output,
+        junit=junit,
+        show_progress=settings.show_progress,
+    )
+    header = ("where", "metric", "accepted", "now", "difference", "tolerance", "status")
+    shown = [d for item in outcome.checked for d in item.differences if everything or d.words or d.moved]
+    lonely = [
+        (r.campaign, r.metric, "", "", "", "", str(r.status))
+        for c in outcome.checked
+        if not c.differences
+        for r in c.rows
+    ]
+    print_table(header, [*map(_cells, shown), *lonely])
+    for item in outcome.checked:
+        _tell(item)
+    if output is not None:
+        note(f"results in {output}")
+    return outcome.exit_code
+
+
+def _cells(d: Difference) -> tuple[str, ...]:
+    known = d.accepted is not None and d.accepted.accepted is not None
+    return (
+        d.owner,
+        d.key,
+        f"{d.accepted.accepted:.6g}" if d.accepted and d.accepted.accepted is not None else "-",
+        f"{d.now.value:.6g}" if d.now and d.now.value == d.now.value else "-",
+        f"{d.change:+.3g}" if d.change == d.change else "-",
+        f"{d.accepted.width:.3g}" if d.accepted and known else "-",
+        str(d.status),
+    )
+
+
+def _tell(item: Checked) -> None:
+    """One line of summary, and each number that is not as accepted in words."""
+    from hyperval.results import Status
+
+    wrong = [row for row in item.rows if row.status is Status.FAIL]
+    for row in wrong:
+        print(f"{row.campaign}: {row.product} {row.subject} {row.method}: {row.reason}", file=sys.stderr)
+    if item.run.skipped is not None:
+        note(f"{item.run.owner}: skipped: {item.run.skipped}")
+    elif item.differences and not wrong:
+        note(f"{item.run.owner}: {len(item.differences)} numbers as accepted")
+    elif item.differences:
+        note(f"{item.run.owner}: {len(wrong)} of {len(item.differences)} numbers are not as accepted")
