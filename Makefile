@@ -13,7 +13,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate test lint check-style format types lock clean
+.PHONY: help setup validate check test lint check-style format types lock clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -26,6 +26,10 @@ $(READY): requirements.lock pyproject.toml
 
 validate: $(READY)  ## run every campaign; the report is in reports/validate
 	$(BIN)/hyperval validate campaigns/*/campaign*.yaml -o $(REPORT)
+
+# CHECK_FROM=$(REPORT) takes the campaigns' numbers from a finished `make validate`.
+check: $(READY)  ## compare every campaign and sensor with the accepted numbers
+	$(BIN)/hyperval check campaigns/*/campaign*.yaml --sensors all --junit reports/check.xml $(if $(CHECK_FROM),--from $(CHECK_FROM))
 
 test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest
