@@ -22,6 +22,9 @@ class CubeSource(Model):
         None, gt=0, description="stored value times this is the quantity; None: the header's"
     )
     wavelength_unit: str | None = Field(None, description="stated when the header does not say nm or um")
+    glt: str | None = Field(
+        None, description="geographic lookup table of a cube in scanner geometry: places regions and targets"
+    )
 
 
 class SpectrumCollection(Model):

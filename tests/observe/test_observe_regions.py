@@ -216,3 +216,37 @@ def test_a_pixel_size_beside_a_map_is_refused(world):
     world.collection["targets"]["pixel_size_m"] = 2.0
     with pytest.raises(UsageError, match="has a map position"):
         opened(world)
+
+
+def test_a_lookup_table_places_regions_and_targets_of_a_raw_line(world):
+    """A line flown southwards: its first line lies in the south, so the table turns the lines round."""
+    from affine import Affine
+    from rasterio.crs import CRS
+
+    from hyperval.imagery.envi_write import write_cube
+
+    line, sample = np.indices((LINES, SAMPLES))
+    table = np.stack([sample + 1, LINES - line], axis=-1)
+    grid = Affine(2.0, 0, 500000.0, 0, -2.0, 4700000.0)
+    write_cube(world.folder / "glt.dat", table, data_type=3, transform=grid, crs=CRS.from_epsg(32618))
+    ring = [[500010, 4699940], [500050, 4699940], [500050, 4699920], [500010, 4699920], [500010, 4699940]]
+    world.text("rois.geojson", f'{{"type":"Polygon","coordinates":[{ring}]}}')
+    world.text("targets.csv", "material,easting,northing,side_m\npaint,500021,4699979,0.5\n")
+    world.collection |= {
+        "cube": {"path": "cube.img", "quantity": "reflectance", "glt": "glt.dat"},
+        "regions": [{"name": "court", "file": "rois.geojson", "coordinates": "map"}],
+    }
+    with pytest.raises(UsageError, match=r"has a map position, and 'cube\.glt' is stated"):
+        opened(world)
+    world.write(transform=None, crs=None)
+    place = opened(world)
+    expected = np.zeros((LINES, SAMPLES), bool)
+    expected[30:40, 5:25] = True  # on the grid, counted from the north
+    assert np.array_equal(place.region("court"), expected[::-1])
+    assert place.targets[0].centre_pixel == (LINES - 1 - 10, 10)
+    assert place.pixel_area_m2 == pytest.approx(4.0)
+    assert "places on the map are found by the lookup table glt.dat, pixels of 4 m2" in place.notes
+    assert {p.name for p in place.source_files} == {"cube.img", "cube.hdr", "glt.dat", "glt.hdr"}
+    world.collection["targets"]["pixel_size_m"] = 2.0
+    with pytest.raises(UsageError, match="has a map position"):
+        opened(world)

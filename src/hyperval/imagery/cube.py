@@ -312,8 +312,12 @@ def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_ban
         return band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
     if isinstance(raster, TiffRaster) and raster.wavelength_um:
         centre = wavelengths_in_nm(np.array(raster.wavelength_um), "um", where)
+        good = ~np.isin(np.arange(raster.bands), raster.bad_bands)
+        if raster.fwhm_um:
+            width = wavelengths_in_nm(np.array(raster.fwhm_um), "um", where)
+            return BandTable(SpectralAxis(centre, width, good), np.arange(raster.bands), ())
         note = "the file lists no fwhm: band widths are taken as the band spacing"
-        return BandTable(SpectralAxis(centre, fwhm_from_spacing(centre)), np.arange(raster.bands), (note,))
+        return BandTable(SpectralAxis(centre, fwhm_from_spacing(centre), good), np.arange(raster.bands), (note,))
     raise InputError(
         "the file lists no wavelengths",
         where=where,

@@ -143,6 +143,8 @@ class TiffRaster:
     gains: tuple[float, ...] = ()
     offsets: tuple[float, ...] = ()
     wavelength_um: tuple[float, ...] = ()
+    fwhm_um: tuple[float, ...] = ()
+    bad_bands: tuple[int, ...] = ()  # from 0, as we mark them ourselves
     header: EnviHeader | None = None
 
     @property
@@ -265,7 +267,9 @@ def _open_tiff(path: Path, header: Path | str | None, root: Path | None) -> Tiff
                 f"one block of the file needs more than {MAX_TILE_BYTES >> 20} MiB", where=str(path),
                 mend="rewrite it with smaller strips or tiles",
             )  # fmt: skip
-        waves = [dataset.tags(i, ns="IMAGERY").get("CENTRAL_WAVELENGTH_UM") for i in dataset.indexes]
+        imagery = [dataset.tags(i, ns="IMAGERY") for i in dataset.indexes]
+        waves = [tags.get("CENTRAL_WAVELENGTH_UM") for tags in imagery]
+        widths = [tags.get("FWHM_UM") for tags in imagery]
         raster = TiffRaster(
             path=path,
             lines=dataset.height,
@@ -278,6 +282,8 @@ def _open_tiff(path: Path, header: Path | str | None, root: Path | None) -> Tiff
             gains=tuple(dataset.scales),
             offsets=tuple(dataset.offsets),
             wavelength_um=tuple(float(w) for w in waves) if all(waves) else (),
+            fwhm_um=tuple(float(w) for w in widths) if all(widths) else (),
+            bad_bands=tuple(i - 1 for i in dataset.indexes if dataset.tags(i).get("GOOD_BAND") == "0"),
         )
     found = Path(header) if header is not None else header_beside(path)
     if found is None:

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from affine import Affine
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.polygons import map_to_pixel, polygon_mask
+from hyperval.imagery.lookup_table import LookupTable
+from hyperval.imagery.polygons import Position, map_to_pixel, polygon_mask
 from hyperval.imagery.regions import guard
 from hyperval.imagery.regions_files import read_table
 from hyperval.paths import checked_file
@@ -109,7 +110,7 @@ def read_targets(
     path: Path | str,
     shape: tuple[int, int],
     *,
-    transform: Affine | None = None,
+    transform: Position = None,
     pixel_size_m: float | None = None,
     root: Path | None = None,
 ) -> list[TargetObject]:
@@ -117,9 +118,11 @@ def read_targets(
 
     Columns: ``material``; ``name`` (default: material and line); the place of the centre as ``row0,col0``
     or ``row1,col1`` (whole or fractional pixel numbers, an integer meaning the pixel centre), ``line,sample``
-    (continuous, (0.5, 0.5) the centre of the first pixel) or ``easting,northing`` (the cube's map system);
-    ``side_m`` or ``width_m`` with ``length_m``; optionally ``area_m2``, ``heading_deg`` (of the length,
-    clockwise from the direction of decreasing line) and ``position_uncertainty_m``, which widens the mask.
+    (continuous, (0.5, 0.5) the centre of the first pixel) or ``easting,northing`` (the cube's map system, or that
+    of its lookup table);
+    ``side_m`` or ``width_m`` with ``length_m``; optionally ``area_m2``, ``heading_deg`` (of the length, clockwise
+    from the direction of decreasing line; from grid north for ``easting,northing`` with a lookup table) and
+    ``position_uncertainty_m``, which widens the mask.
     The mask holds every pixel that the target's rectangle touches.
 
     Parameters
@@ -139,8 +142,10 @@ def read_targets(
             where=f"{path}:1",
             expected="material and one of " + "; ".join(",".join(p) for p in _PLACES),
         )
-    if transform is not None:
+    if isinstance(transform, Affine):
         pixel_size_m = math.sqrt(abs(transform.determinant))
+    elif isinstance(transform, LookupTable) and transform.pixel_area_m2 is not None:
+        pixel_size_m = math.sqrt(transform.pixel_area_m2)
     if pixel_size_m is None or not pixel_size_m > 0:
         raise UsageError(
             "the ground size of a pixel is not known", where=str(path), mend="state targets.pixel_size_m"
@@ -170,9 +175,14 @@ def read_targets(
         else:
             x, y = second + shift, first + shift
         heading = number.get("heading_deg", 0.0)
-        corners = _rectangle(
-            x, y, width / pixel_size_m, length / pixel_size_m, 0.0 if math.isnan(heading) else heading
-        )
+        heading = 0.0 if math.isnan(heading) else heading
+        if shift is None and isinstance(transform, LookupTable):
+            unit = transform.metres_per_unit
+            around = _rectangle(0.0, 0.0, width / unit, length / unit, heading)
+            on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
+            corners = map_to_pixel(on_map, transform, where=where)
+        else:
+            corners = _rectangle(x, y, width / pixel_size_m, length / pixel_size_m, heading)
         placed = cut_out(polygon_mask(corners, shape, where=where, touched=True))
         doubt = number.get("position_uncertainty_m", math.nan)
         if doubt > 0:

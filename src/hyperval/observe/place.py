@@ -13,6 +13,7 @@ from hyperval.collection import Collection, CubeSource, NormalizedDifference, Re
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.acquisition import acquisition_notes
 from hyperval.imagery.cube import Cube, open_cube
+from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.regions import Region, guard, holes, overlaps, read_regions, rectangle_region
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets
 from hyperval.progress import track
@@ -38,6 +39,7 @@ class Place:
     by_rule : names of the regions that a rule on the spectra found
     target_pixels : which pixels of an object are scored: "touched" or "centre"
     notes : what was assumed or found on opening
+    table : geographic lookup table of a cube in scanner geometry, None without
     """
 
     cube: Cube
@@ -49,6 +51,12 @@ class Place:
     target_pixels: str = "touched"
     by_rule: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
+    table: LookupTable | None = None
+
+    @property
+    def source_files(self) -> tuple[Path, ...]:
+        """The files of the cube and of its lookup table."""
+        return self.cube.source_files + (self.table.raster.source_files if self.table is not None else ())
 
     def background(self, names: Sequence[str]) -> Mask:
         """Pixels of the union of regions, or of the whole scene, that are not left out.
@@ -84,8 +92,9 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     if collection.cube is None:
         raise UsageError("the collection has no cube")
     cube = open_source(collection.cube, resolve)
-    regions = _regions(cube, collection.regions, resolve, show_progress)
-    targets = _targets(cube, collection.targets, resolve) if collection.targets else []
+    table = _lookup_table(cube, collection.cube, resolve)
+    regions = _regions(cube, table, collection.regions, resolve, show_progress)
+    targets = _targets(cube, table, collection.targets, resolve) if collection.targets else []
     near = all_pixels(targets, cube.shape)
     if targets and collection.targets and collection.targets.guard_pixels:
         near = guard(near, collection.targets.guard_pixels)
@@ -95,6 +104,9 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
         left_out |= regions[name].mask
     notes = [*cube.notes, *acquisition_notes(cube.extras, cube.axis, cube.samples, cube.raster.bands)]
+    if table is not None:
+        size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
+        notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
     by_rule = frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None)
     notes += region_notes(regions.values(), by_rule)
     notes += target_overlaps(regions.values(), targets, near)
@@ -104,15 +116,30 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         targets,
         near,
         left_out,
-        _pixel_area_m2(cube, collection.targets),
+        _pixel_area_m2(cube, table, collection.targets),
         collection.targets.pixels if collection.targets else "touched",
         by_rule,
         tuple(notes),
+        table,
     )
 
 
-def _pixel_area_m2(cube: Cube, truth: TargetTruth | None) -> float | None:
-    """Ground area of a pixel [m2]: of the map grid, else as the campaign states its size."""
+def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> LookupTable | None:
+    if source.glt is None:
+        return None
+    if cube.transform is not None:
+        raise UsageError(
+            "the cube has a map position, and 'cube.glt' is stated",
+            where=source.path,
+            mend="take glt out, or name the cube in scanner geometry",
+        )
+    return open_lookup_table(resolve(source.glt), cube.shape)
+
+
+def _pixel_area_m2(cube: Cube, table: LookupTable | None, truth: TargetTruth | None) -> float | None:
+    """Ground area of a pixel [m2]: of the map grid or lookup table, else as the campaign states its size."""
+    if table is not None:
+        return table.pixel_area_m2
     if cube.transform is None and truth is not None and truth.pixel_size_m is not None:
         return truth.pixel_size_m**2
     return cube.pixel_area_m2
@@ -194,7 +221,9 @@ def normalized_difference(cube: Cube, rule: NormalizedDifference, *, show: bool 
     return out
 
 
-def _regions(cube: Cube, sources: Sequence[RegionSource], resolve: Resolve, show: bool | None) -> dict[str, Region]:
+def _regions(
+    cube: Cube, table: LookupTable | None, sources: Sequence[RegionSource], resolve: Resolve, show: bool | None
+) -> dict[str, Region]:
     found: dict[str, Region] = {}
     for source in sources:
         new: dict[str, Region]
@@ -203,8 +232,8 @@ def _regions(cube: Cube, sources: Sequence[RegionSource], resolve: Resolve, show
             new = read_regions(
                 path,
                 cube.shape,
-                transform=cube.transform,
-                crs=cube.crs,
+                transform=table or cube.transform,
+                crs=table.crs if table else cube.crs,
                 coordinates=source.coordinates,
                 names=None,
             )
@@ -233,14 +262,14 @@ def _regions(cube: Cube, sources: Sequence[RegionSource], resolve: Resolve, show
     return found
 
 
-def _targets(cube: Cube, truth: TargetTruth, resolve: Resolve) -> list[TargetObject]:
+def _targets(cube: Cube, table: LookupTable | None, truth: TargetTruth, resolve: Resolve) -> list[TargetObject]:
     if truth.csv is not None:
-        if truth.pixel_size_m is not None and cube.transform is not None:
+        if truth.pixel_size_m is not None and (cube.transform is not None or table is not None):
             raise UsageError(
                 "the cube has a map position, and 'targets.pixel_size_m' is stated", mend="take it out"
             )
         return read_targets(
-            resolve(truth.csv), cube.shape, transform=cube.transform, pixel_size_m=truth.pixel_size_m
+            resolve(truth.csv), cube.shape, transform=table or cube.transform, pixel_size_m=truth.pixel_size_m
         )
     rasters = truth.rasters
     assert rasters is not None  # noqa: S101 - one of the two is given

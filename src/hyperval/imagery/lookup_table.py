@@ -1,0 +1,210 @@
+"""Geographic lookup tables (ENVI GLT): from map coordinates to the pixels of an image in scanner geometry.
+
+A GLT is an image on a map grid whose two bands name, from 1, the sample and the line of the raw image that belongs
+there.  Both are negative where the grid's cell was filled with its nearest neighbour, and 0 outside the line.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from affine import Affine
+from rasterio.crs import CRS
+
+from hyperval.errors import InputError
+from hyperval.imagery.georeference import pixel_area_m2
+from hyperval.imagery.rasters import Raster, open_raster
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+# Cells around a place whose raw pixels are fitted: 7 x 7 average out the rounding to whole pixels.
+RADIUS = 3
+_FEWEST = 6  # cells for the three unknowns of a coordinate
+_BLOCK = 256  # lines of the table held at once
+_SIDE_CELLS = 4.0  # a polygon's sides are divided, as a straight one is bent in the raw image
+MAX_VERTICES = 1_000_000
+_AREA_PLACES = 400
+
+
+@dataclass(frozen=True, eq=False)
+class LookupTable:
+    """A GLT for a raw image; it takes the place of an affine transform.
+
+    Attributes
+    ----------
+    raster : the table
+    transform : continuous (sample, line) of the table to map coordinates
+    crs : its coordinate system, None when unknown
+    shape : (lines, samples) of the raw image
+    swapped : the first band holds the lines
+    """
+
+    raster: Raster
+    transform: Affine
+    crs: CRS | None
+    shape: tuple[int, int]
+    swapped: bool = False
+
+    def to_pixel(self, points: Array, *, where: str, ring: bool = False) -> Array:
+        """(n, 2) continuous raw coordinates (sample, line) of map coordinates (x, y).
+
+        A plane is fitted to the raw pixels of the 7 x 7 cells around each point; cells filled from their neighbours
+        count only where the others are too few.
+
+        Raises
+        ------
+        InputError : a point with no raw pixel near it.
+        """
+        cells = self._cells(np.asarray(points, dtype=float).reshape(-1, 2))
+        if ring:
+            cells = divided(cells, where)
+        if not np.all(np.isfinite(cells)):
+            raise InputError("coordinates that are not finite", where=where)
+        out = np.empty_like(cells)
+        blocks = np.clip(np.floor(cells[:, 1] / _BLOCK), -1, self.raster.lines // _BLOCK + 1).astype(int)
+        for block in np.unique(blocks):
+            here = np.flatnonzero(blocks == block)
+            first = max(0, int(block) * _BLOCK - RADIUS)
+            last = min(self.raster.lines, (int(block) + 1) * _BLOCK + RADIUS)
+            sample, line = self._read(first, last - first) if last > first else (np.zeros((0, 0), int),) * 2
+            for i in here:
+                found = _fitted(cells[i], sample, line, first)
+                if found is None:
+                    t, (u, v) = self.transform, cells[i]
+                    x, y = t.a * u + t.b * v + t.c, t.d * u + t.e * v + t.f
+                    raise InputError(
+                        f"the place ({x:.2f}, {y:.2f}) has no pixel in the lookup table",
+                        where=where,
+                        expected="places that the flight line covers",
+                        mend="check the coordinate system, and that table and cube belong to one line",
+                    )
+                out[i] = found[0]
+        return out
+
+    @cached_property
+    def pixel_area_m2(self) -> float | None:
+        """Median ground area of a raw pixel [m2]: a cell's over the determinant of the fit; None when unknown."""
+        cell = self._cell_area_m2
+        if cell is None:
+            return None
+        rng = np.random.default_rng(0)  # places along the whole line, the same every time
+        areas = []
+        for top in np.unique(np.linspace(0, max(0, self.raster.lines - _BLOCK), 4).astype(int)):
+            sample, line = self._read(int(top), min(_BLOCK, self.raster.lines - int(top)))
+            rows, cols = np.nonzero(sample)
+            for k in rng.permutation(rows.size)[: _AREA_PLACES // 4]:
+                found = _fitted(np.array([cols[k] + 0.5, top + rows[k] + 0.5]), sample, line, int(top))
+                if found is not None and found[1] > 0:
+                    areas.append(cell / found[1])
+        return float(np.median(areas)) if areas else None
+
+    @property
+    def metres_per_unit(self) -> float:
+        """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
+        cell = self._cell_area_m2
+        if cell is None:
+            raise InputError(
+                "the map of the lookup table is not in a known unit of length", where=str(self.raster.path)
+            )
+        return math.sqrt(cell / abs(self.transform.determinant))
+
+    @property
+    def _cell_area_m2(self) -> float | None:
+        return pixel_area_m2(self.transform, self.crs, self.raster.header)
+
+    def _cells(self, points: Array) -> Array:
+        inverse = ~self.transform
+        x, y = points.T
+        return np.column_stack(
+            [inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f]
+        )
+
+    def _read(self, first: int, count: int) -> tuple[Index, Index]:
+        """Stored sample and line (count, samples) of some lines of the table."""
+        stored = self.raster.read_bands(first, count).astype(np.int64)
+        return (stored[1], stored[0]) if self.swapped else (stored[0], stored[1])
+
+
+def open_lookup_table(path: Path | str, shape: tuple[int, int]) -> LookupTable:
+    """Open the GLT of a raw image of ``shape`` (lines, samples); all of it is read once and checked.
+
+    Raises
+    ------
+    InputError : not two bands of whole numbers on a map grid, or pixels that the image does not have.
+    """
+    raster = open_raster(path)
+    where = str(raster.path)
+    if raster.bands != 2 or raster.dtype.kind not in "iu":
+        raise InputError(
+            f"{raster.bands} bands of {raster.dtype}", where=where, expected="a lookup table: two bands of integers"
+        )
+    if raster.transform is None:
+        raise InputError("the lookup table has no 'map info'", where=where)
+    names = (raster.header.strings("band names") if raster.header is not None else None) or ()
+    swapped = len(names) == 2 and "line" in names[0].lower() and "sample" in names[1].lower()
+    table = LookupTable(raster, raster.transform, raster.crs, shape, swapped)
+    filled = greatest_sample = greatest_line = 0
+    for first in range(0, raster.lines, _BLOCK):
+        sample, line = table._read(first, min(_BLOCK, raster.lines - first))
+        if np.any((sample == 0) != (line == 0)) or np.any((sample < 0) != (line < 0)):
+            raise InputError(
+                f"cells where one of sample and line is 0 or negative (in lines {first}-{first + len(sample) - 1})",
+                where=where,
+                expected="both 0 outside the flight line, both negative where filled",
+            )
+        filled += int(np.count_nonzero(sample))
+        greatest_sample = max(greatest_sample, int(np.abs(sample).max()))
+        greatest_line = max(greatest_line, int(np.abs(line).max()))
+    if not filled:
+        raise InputError("the lookup table names no pixel", where=where)
+    if greatest_sample > shape[1] or greatest_line > shape[0]:
+        raise InputError(
+            f"the lookup table goes to line {greatest_line}, sample {greatest_sample} (from 1)",
+            where=where,
+            expected=f"{shape[0]} lines and {shape[1]} samples, as the cube",
+            mend="give the lookup table of this flight line",
+        )
+    return table
+
+
+def divided(ring: Array, where: str) -> Array:
+    """A ring (n, 2) in cells of the table with vertices at most 4 cells apart on every side."""
+    if len(ring) > 1 and np.array_equal(ring[0], ring[-1]):
+        ring = ring[:-1]
+    ahead = np.roll(ring, -1, axis=0)
+    length = np.hypot(*(ahead - ring).T)
+    if not np.all(np.isfinite(length)) or length.sum() / _SIDE_CELLS > MAX_VERTICES:
+        raise InputError("a polygon far larger than any lookup table", where=where)
+    parts = np.maximum(1, np.ceil(length / _SIDE_CELLS)).astype(int)
+    start = np.repeat(ring, parts, axis=0)
+    step = np.repeat(ahead - ring, parts, axis=0)
+    share = np.concatenate([np.arange(p) / p for p in parts])
+    return np.asarray(start + share[:, None] * step)
+
+
+def _fitted(cell: Array, sample: Index, line: Index, first: int) -> tuple[Array, float] | None:
+    """Raw coordinates (sample, line) at a place of the table, and raw pixels per cell; None without cells near."""
+    column, row = int(np.floor(cell[0])), int(np.floor(cell[1])) - first
+    if not (-RADIUS <= column < sample.shape[1] + RADIUS and -RADIUS <= row < sample.shape[0] + RADIUS):
+        return None
+    rows = slice(max(0, row - RADIUS), row + RADIUS + 1)
+    cols = slice(max(0, column - RADIUS), column + RADIUS + 1)
+    s, ln = sample[rows, cols], line[rows, cols]
+    for used in (s > 0, s != 0):
+        at_row, at_col = np.nonzero(used)
+        if at_row.size >= _FEWEST and np.ptp(at_row) > 0 and np.ptp(at_col) > 0:
+            break
+    else:
+        return None
+    x = at_col + cols.start + 0.5 - cell[0]
+    y = at_row + rows.start + first + 0.5 - cell[1]
+    design = np.column_stack([np.ones(x.size), x, y])
+    raw = np.column_stack([np.abs(s[used]), np.abs(ln[used])]) - 0.5  # the centre of pixel 1 is at 0.5
+    plane = np.linalg.lstsq(design, raw, rcond=None)[0]
+    return plane[0], abs(float(np.linalg.det(plane[1:])))
