@@ -11,12 +11,7 @@ from hyperval.compare.products import compare_products
 from hyperval.compare.roc import compare_roc, equivalent, value_at
 from hyperval.compare.roc_areas import curve_area
 from hyperval.compare.rows import scientific
-from hyperval.compare.scores import (
-    compare_object_scores,
-    compare_scores,
-    probability_integral_transform,
-    uniformity_p_value,
-)
+from hyperval.compare.scores import compare_scores
 from hyperval.errors import UsageError
 from hyperval.processing.auc import auc_with_interval
 from hyperval.processing.roc import empirical_roc, with_summary
@@ -29,7 +24,7 @@ from hyperval.products import (
     ScoreDistribution,
     SpectralEstimate,
 )
-from hyperval.results import ResultTable, Status
+from hyperval.results import Status
 from hyperval.spectra.axis import SpectralAxis
 
 NAMES = {"campaign": "c", "subject": "planks", "method": "cem/object"}
@@ -232,48 +227,6 @@ def test_sd_ratio_interval_covers():
         row = by_metric(compare_scores(ScoreDistribution(0.0, 0.2), observed, **NAMES))["score_sd_ratio"]
         hits += row.lower <= 2.0 <= row.upper
     assert 0.92 < hits / 1000 < 0.98
-
-
-def test_objects_of_different_kinds_are_judged_together():
-    rng = np.random.default_rng(5)
-    predicted = {f"t{i:02d}": ScoreDistribution(m, s) for i, (m, s) in enumerate(rng.uniform(0.1, 1, (25, 2)))}
-    measured = {k: rng.normal(d.mean, d.sd) for k, d in predicted.items()}
-    rows = compare_object_scores(predicted, measured, campaign="c", method="cem")
-    table = ResultTable(rows)
-    assert len(table.where(metric="object_score_inside_95")) == 25
-    summary = by_metric([r for r in rows if r.subject == "all objects"])
-    inside = [r.value for r in table.where(metric="object_score_inside_95")]
-    assert summary["objects_inside_95"].value == np.mean(inside)
-    assert summary["pit_uniformity_p_value"].value > 1e-3  # fixed seed; 0.1 % of seeds would fail
-    shifted = {k: v + 3 * predicted[k].sd for k, v in measured.items()}
-    off = by_metric(r for r in compare_object_scores(predicted, shifted, campaign="c", method="cem"))
-    assert off["objects_inside_95"].value < 0.5
-    assert off["pit_uniformity_p_value"].value < 1e-6
-
-
-def test_an_object_without_a_side_is_named():
-    rows = compare_object_scores(
-        {"a": ScoreDistribution(0, 1), "b": ScoreDistribution(0, 1)},
-        {"a": 0.1, "b": np.nan, "c": 1.0},
-        campaign="c",
-        method="cem",
-    )
-    skipped = {(r.subject, r.reason) for r in rows if r.status is Status.SKIPPED}
-    assert skipped == {("b", "no measured score"), ("c", "no predicted distribution")}
-    assert by_metric(rows)["objects_inside_95"].reason == "without b, c"
-    none = compare_object_scores({}, {"c": 1.0}, campaign="c", method="cem")
-    assert {r.status for r in none} == {Status.SKIPPED}
-
-
-def test_transform_values():
-    assert probability_integral_transform(0.3, ScoreDistribution(0.3, 0.1)) == pytest.approx(0.5)
-    assert probability_integral_transform(0.3 + 0.196, ScoreDistribution(0.3, 0.1)) == pytest.approx(
-        0.975, abs=1e-4
-    )
-    assert np.isnan(probability_integral_transform(0.3, ScoreDistribution(0.3, 0.0)))
-    assert uniformity_p_value(np.linspace(0.01, 0.99, 50)) > 0.99
-    with pytest.raises(UsageError, match="between 0 and 1"):
-        uniformity_p_value([0.5, np.nan])
 
 
 def test_areas():

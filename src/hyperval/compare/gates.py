@@ -17,13 +17,15 @@ from hyperval.results import Result, Status
 
 # Metrics that cannot leave a range: a limit on or beyond its end can never fail.
 _UNIT_RANGE = (
-    "p_value", "pd_", "fraction_inside_95", "objects_inside_95", "object_score_", "pit_uniformity", "area_inside",
+    "p_value", "pd_", "fraction_inside_95", "objects_inside_95", "object_score_pit", "object_score_inside",
+    "pit_uniformity", "area_inside",
     "area_in_predicted", "eigenvalues_inside", "subspace_inside", "normality_p_value", "error_predicted",
     "error_observed", "error_inside", "error_approximation", "error_bounds", "auc_", "partial_auc_", "log_auc_",
     "joint_",
 )  # fmt: skip
 _SIGNED_UNIT_RANGE = (
     "pd_difference",
+    "pd_equivalence",
     "auc_difference",
     "partial_auc_difference",
     "log_auc_difference",

@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 from hyperval.compare.abundance import compare_abundance, compare_area_errors
 from hyperval.compare.classification import compare_classification
 from hyperval.compare.covariance import compare_covariance, compare_distribution
+from hyperval.compare.exceedance import compare_exceedance
+from hyperval.compare.objects import compare_object_scores
 from hyperval.compare.radiance import compare_radiance
 from hyperval.compare.reflectance import compare_reflectance
 from hyperval.compare.roc import compare_roc
@@ -77,11 +79,21 @@ def compare_products(
         rows += compare_scores(
             predicted.scores.get(key), observed.scores.get(key), campaign=campaign, subject=subject, method=detector
         )
+    for detector in dict.fromkeys(detector for _, detector in predicted.object_scores):
+        rows += compare_object_scores(
+            {s: held for (s, d), held in predicted.object_scores.items() if d == detector},
+            {s: held for (s, d), held in observed.object_scores.items() if d == detector},
+            campaign=campaign,
+            method=detector,
+        )
+    for (subject, detector), curve in predicted.exceedance.items():
+        measured = observed.exceedance.get((subject, detector))
+        rows += compare_exceedance(curve, measured, campaign=campaign, subject=subject, method=detector)
     for subject, detector, unit in _keys(predicted.roc, observed.roc):
-        curve = (subject, detector, unit)
+        key_of_curve = (subject, detector, unit)
         rows += compare_roc(
-            predicted.roc.get(curve),
-            observed.roc.get(curve),
+            predicted.roc.get(key_of_curve),
+            observed.roc.get(key_of_curve),
             campaign=campaign,
             subject=subject,
             method=f"{detector}/{unit}",

@@ -28,6 +28,9 @@ WIDEST_INTERVAL = 0.9
 METRICS = (
     "pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval", "pd_inside_measured_interval",
 )  # fmt: skip
+VERDICTS = ("pd_equivalent", "pd_equivalence")
+# The two readings of (3.30-3.33) are told apart where their P_D differ by more than this.
+SAME_READING = 1e-3
 
 
 def value_at(curve: RocCurve, values: Array, pfa: float) -> float:
@@ -53,6 +56,18 @@ def equivalent(interval: tuple[float, float], margin: float) -> bool:
     return -margin < interval[0] and interval[1] < margin
 
 
+def equivalence(interval: tuple[float, float], margin: float) -> tuple[float, str]:
+    """The three outcomes of a comparison with a margin: 1 equivalent, -1 different, 0 undecided, and the word.
+
+    Different is a 95 % interval of the difference that lies wholly beyond 0: with many targets a difference may be
+    certain and yet within the margin, which is then equivalent for the purpose, and the word says both.
+    """
+    apart = interval[0] > 0.0 or interval[1] < 0.0
+    if equivalent(interval, margin):
+        return 1.0, "equivalent, though not the same" if apart else "equivalent"
+    return (-1.0, "different") if apart else (0.0, "undecided")
+
+
 def compare_roc(
     predicted: RocCurve | None,
     observed: RocCurve | None,
@@ -72,7 +87,11 @@ def compare_roc(
       measured interval widened by the predicted half-width *in quadrature*.  That the two intervals
       overlap (widths added) is not enough.  Where the predicted curve has no width it is the next rule;
     - ``pd_inside_measured_interval``: the predicted P_D lies in the measured interval as it stands;
-    - ``pd_equivalent`` (with ``equivalence_margin``): two one-sided tests, :func:`equivalent`.
+    - ``pd_equivalent`` (with ``equivalence_margin``): two one-sided tests, :func:`equivalent`; and
+      ``pd_equivalence``: 1 equivalent, -1 different, 0 undecided, :func:`equivalence`.
+
+    ``pd_predicted_preset`` and ``pd_inside_interval_preset`` read the predicted curve at the preset P_FA of (3.30),
+    that of the worst class alone, where that differs from the P_FA of the whole background (3.33).
 
     Default probabilities: 1e-1, 1e-2, 1e-3 always, and 1e-4 to 1e-6 where the background is large enough to
     expect 10 alarms.  A probability that the background or a curve does not reach gives SKIPPED rows.
@@ -110,7 +129,7 @@ def compare_roc(
 
 def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> list[Result]:
     label = scientific(pfa)
-    names = [f"{m}@{label}" for m in (*METRICS, *(("pd_equivalent",) if margin is not None else ()))]
+    names = [f"{m}@{label}" for m in (*METRICS, *(VERDICTS if margin is not None else ()))]
     n, background = observed.n_target, observed.n_background
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
         reason = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
@@ -143,9 +162,51 @@ def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, mar
         make.row(names[4], inside_measured, n=n),
     ]
     if margin is not None:
-        verdict = float(equivalent((low, high), margin)) if known else math.nan
-        out.append(make.row(names[5], verdict, n=n, reason=f"margin {margin:g}"))
-    return out
+        yes, (code, word) = equivalent((low, high), margin), equivalence((low, high), margin)
+        told = f"margin {margin:g}"
+        out.append(make.row(names[5], float(yes) if known else math.nan, n=n, reason=told))
+        out.append(make.row(names[6], code if known else math.nan, n=n, reason=f"{word} by a {told}"))
+    return [*out, *_preset_rows(make, predicted, pfa, (p, p_interval), (o, o_interval), n)]
+
+
+def _preset_rows(
+    make: RowMaker,
+    predicted: RocCurve,
+    pfa: float,
+    swept: tuple[float, tuple[float, float]],
+    measured: tuple[float, tuple[float, float]],
+    n: int | None,
+) -> list[Result]:
+    """P_D of (3.32) at the preset of (3.30) without (3.33), where that is another P_D.
+
+    A class that gives ``pfa`` alone, at its part of the scene, gives less in all: the preset lies at a higher
+    threshold and the P_D is lower.
+    """
+    if predicted.preset_pfa is None:
+        return []
+    order = np.argsort(predicted.preset_pfa, kind="stable")
+    axis = np.maximum(predicted.preset_pfa[order], 1e-300)
+    if not axis[0] <= pfa <= axis[-1]:
+        return []
+    value, low, high = (
+        float(np.interp(np.log(pfa), np.log(axis), y[order]))
+        for y in (predicted.pd, predicted.pd_lower, predicted.pd_upper)
+    )
+    if abs(value - swept[0]) < SAME_READING:
+        return []
+    ends = difference_interval(value, (low, high), *measured)
+    label = scientific(pfa)
+    known = not any(math.isnan(x) for x in measured[1])
+    told = f"(3.32) at the preset, without (3.33): {swept[0]:.3g} with it, measured {measured[0]:.3g}"
+    return [
+        make.row(f"pd_predicted_preset@{label}", value, interval=(low, high), reason=told),
+        make.row(
+            f"pd_inside_interval_preset@{label}",
+            float(ends[0] <= 0.0 <= ends[1]) if known else math.nan,
+            n=n,
+            reason=told,
+        ),
+    ]
 
 
 def _bare(make: RowMaker, predicted: RocCurve, observed: RocCurve) -> Result:

@@ -43,7 +43,7 @@ def compare_spectra(
     Per good band: ``difference_ratio`` with its 95 % interval, and ``z``.  Per region R of windows, vnir, swir1,
     swir2, absorption: ``median_difference_ratio_R`` (with interval), ``median_abs_difference_ratio_R`` and
     ``max_abs_difference_ratio_R``.  Over the windows: ``chi2_reduced_diagonal``, ``p_value_diagonal``,
-    ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (mean difference ratio, with interval), ``chi2_reduced_shape``,
+    ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (mean difference ratio), ``chi2_reduced_shape``,
     ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``.  A region
     without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.
     """

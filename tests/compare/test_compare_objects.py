@@ -1,0 +1,156 @@
+"""Objects of many kinds judged together, and the background's tail."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hyperval.compare.exceedance import compare_exceedance
+from hyperval.compare.gates import Gate, apply_gates
+from hyperval.compare.objects import (
+    compare_object_scores,
+    distance_from_uniform,
+    judged_together,
+    probability_integral_transform,
+)
+from hyperval.errors import UsageError
+from hyperval.products import ExceedanceCurve, ObjectScores
+from hyperval.results import ResultTable, Status
+
+ROWS, COLUMNS = 200, 40
+
+
+def drawn(common, own, rng, subjects=25):
+    """Predictions of normal scores with an error that all subjects share, and one set of true scores."""
+    shared = np.concatenate([rng.standard_normal(ROWS // 2), [0.0]])[: ROWS // 2]
+    shared = np.concatenate([shared, -shared])[:, None]
+    means = np.linspace(0.1, 1.0, subjects)
+    predicted = {
+        f"t{i:02d}": ObjectScores(m + common * shared + own * rng.standard_normal((ROWS, COLUMNS)))
+        for i, m in enumerate(means)
+    }
+    error = common * rng.standard_normal()
+    truth = {name: m + error + own * rng.standard_normal(1) for name, m in zip(predicted, means, strict=True)}
+    return predicted, truth
+
+
+def rows_of(predicted, truth):
+    measured = {name: ObjectScores(values, (name,)) for name, values in truth.items()}
+    return compare_object_scores(predicted, measured, campaign="c", method="cem")
+
+
+def of(rows, metric, subject="all objects"):
+    return next(r for r in rows if (r.metric, r.subject) == (metric, subject))
+
+
+def test_transform_is_the_predicted_distribution_function():
+    # 40,000 draws: the sd of a share is at most 0.0025, four of them 0.01.
+    draws = np.random.default_rng(1).normal(0.3, 0.1, (400, 100))
+    at = np.array([0.1, 0.25, 0.3, 0.45])
+    assert probability_integral_transform(at, draws) == pytest.approx(stats.norm.cdf(at, 0.3, 0.1), abs=0.01)
+    assert probability_integral_transform([5.0], draws)[0] == pytest.approx(1.0, abs=1e-4)
+    assert probability_integral_transform([1.0, 2.0], [1.0, 1.0, 3.0, 3.0]).tolist() == [0.3, 0.5]
+
+
+def test_distance_is_that_of_another_package():
+    u = np.random.default_rng(2).uniform(size=(3, 30))
+    assert distance_from_uniform(u) == pytest.approx([stats.kstest(x, "uniform").statistic for x in u])
+    with pytest.raises(UsageError, match="between 0 and 1"):
+        distance_from_uniform([0.5, np.nan])
+
+
+def test_independent_objects_give_the_exact_tests():
+    predicted, truth = drawn(0.0, 0.1, np.random.default_rng(3))
+    found = judged_together(predicted, truth)
+    u = [float(probability_integral_transform(truth[k], predicted[k].values)[0]) for k in predicted]
+    # 4,000 reference sets: sd of a p-value at most 0.008, four of them 0.032.
+    assert found.uniformity_p_value == pytest.approx(stats.kstest(u, "uniform").pvalue, abs=0.04)
+    inside = round(found.inside * 25)
+    assert found.inside_p_value == pytest.approx(stats.binom.cdf(inside, 25, 0.95), abs=0.04)
+
+
+def test_right_predictions_with_common_errors_pass_at_the_stated_rate():
+    # 100 worlds whose common error is as large as the rest: a 5 % test rejects 5 of them (sd 2.2); limit at 4 sd.
+    # The customary test, which takes objects for independent, rejects most.
+    rng = np.random.default_rng(4)
+    ours, customary = 0, 0
+    for _ in range(100):
+        predicted, truth = drawn(0.1, 0.1, rng)
+        found = judged_together(predicted, truth)
+        u = [float(probability_integral_transform(truth[k], predicted[k].values)[0]) for k in predicted]
+        ours += found.uniformity_p_value < 0.05
+        customary += stats.kstest(u, "uniform").pvalue < 0.05
+    assert ours <= 14
+    assert customary > 30
+
+
+def test_falsified_scores_turn_the_verdict():
+    predicted, truth = drawn(0.02, 0.1, np.random.default_rng(6))
+    gates = [
+        Gate(
+            product="scores",
+            metric="objects_inside_95_p_value",
+            subjects=("all objects",),
+            at_least=0.01,
+            reason="r",
+        ),
+        Gate(
+            product="scores", metric="pit_uniformity_p_value", subjects=("all objects",), at_least=0.01, reason="r"
+        ),
+    ]
+
+    def verdicts(rows):
+        return {r.metric: r.status for r in ResultTable(apply_gates(rows, gates, "c")).gates()}
+
+    right = verdicts(rows_of(predicted, truth))
+    assert set(right.values()) == {Status.PASS}
+    for falsify in (lambda x: x + 0.3, lambda x: 0.5 * x, lambda x: x + 0.4 * np.sign(x - 0.5)):
+        wrong = verdicts(rows_of(predicted, {k: falsify(v) for k, v in truth.items()}))
+        assert wrong["pit_uniformity_p_value"] is Status.FAIL
+        assert wrong["objects_inside_95_p_value"] is Status.FAIL
+    # A prediction that is much too unsure holds every object and is found out by the transform values.
+    unsure = {k: ObjectScores(p.values.mean() + 10.0 * (p.values - p.values.mean())) for k, p in predicted.items()}
+    timid = verdicts(rows_of(unsure, truth))
+    assert timid == {"objects_inside_95_p_value": Status.PASS, "pit_uniformity_p_value": Status.FAIL}
+
+
+def test_rows_of_single_objects_and_of_groups():
+    rng = np.random.default_rng(7)
+    draws = rng.normal(0.5, 0.1, (1, 8000))
+    predicted = {"one": ObjectScores(draws), "many": ObjectScores(draws), "lost": ObjectScores(draws)}
+    measured = {
+        "one": ObjectScores(np.array([0.9]), ("o",)),
+        "many": ObjectScores(rng.normal(0.5, 0.1, 60), tuple(map(str, range(60)))),
+        "lost": ObjectScores(np.array([np.nan]), ("x",)),
+        "not predicted": ObjectScores(np.array([1.0]), ("y",)),
+    }
+    rows = compare_object_scores(predicted, measured, campaign="c", method="cem")
+    assert of(rows, "object_score_inside_95", "one").value == 0.0
+    assert of(rows, "object_score_measured", "one").value == 0.9
+    interval = of(rows, "object_score_predicted", "one")
+    # Of 8,000 draws the ends have a standard error of 0.003.
+    assert (interval.lower, interval.upper) == pytest.approx((0.304, 0.696), abs=0.012)
+    assert of(rows, "objects_inside_95", "many").n == 60
+    assert of(rows, "object_score_pit", "lost").status is Status.SKIPPED
+    assert of(rows, "objects_inside_95").n == 61
+    assert "without lost" in of(rows, "objects_inside_95").reason
+    assert not [r for r in rows if r.subject == "not predicted"]
+    none = compare_object_scores(predicted, {}, campaign="c", method="cem")
+    assert {r.status for r in none} == {Status.SKIPPED}
+
+
+def test_ratio_of_false_alarms():
+    x = np.linspace(0.0, 5.0, 200)
+    model = ExceedanceCurve(x, stats.norm.sf(x), stats.norm.sf(x), stats.norm.sf(x))
+    true = 2.0 * stats.norm.sf(x).clip(0, 0.5)
+    measured = ExceedanceCurve(x, true, true / 1.5, true * 1.5, 20_000)
+    rows = compare_exceedance(model, measured, campaign="c", subject="t", method="cem")
+    assert {r.metric for r in rows} == {"pfa_ratio@1e-1", "pfa_ratio@1e-2", "pfa_ratio@1e-3"}
+    for row in rows:
+        assert row.subject == "t background"
+        assert row.value == pytest.approx(0.5, rel=1e-6)
+        assert (row.lower, row.upper) == pytest.approx((0.5 / 1.5, 0.75))
+    few = compare_exceedance(
+        model, ExceedanceCurve(x, true, true, true, 500), campaign="c", subject="t", method="cem"
+    )
+    assert [r.status for r in few] == [Status.INFO, Status.SKIPPED, Status.SKIPPED]
+    assert compare_exceedance(model, None, campaign="c", subject="t", method="cem")[0].status is Status.SKIPPED
