@@ -16,8 +16,10 @@ from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_
 from hyperval.errors import UsageError
 from hyperval.prediction.budget import inputs_of
 from hyperval.prediction.budget_input import Given
+from hyperval.prediction.budget_scene import spectrum_inputs
 from hyperval.prediction.departure import (
     Departure,
+    combined,
     departed_axis,
     departed_noise,
     departed_scenario,
@@ -26,17 +28,24 @@ from hyperval.prediction.departure import (
 )
 from hyperval.prediction.detection import Background, Detection, Task, detect, seen_background
 from hyperval.prediction.field_spectra import spectrum_error_covariance
-from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, cut, filled
+from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, class_tail, cut, filled
 from hyperval.prediction.notes import saturation_notes, sensor_notes
 from hyperval.prediction.object_scores import predicted_object_scores
 from hyperval.prediction.setup import Instrument, instrument, refuse_gaps, with_sensor_blur
 from hyperval.prediction.spectra import SpectralProducts, spectral_products, without_calibration_error
 from hyperval.prediction.terms import remembered
-from hyperval.prediction.uncertainty import Perturbation, perturbations, with_bands
+from hyperval.prediction.uncertainty import (
+    Perturbation,
+    moved_predictions,
+    perturbations,
+    with_bands,
+    with_moves,
+)
 from hyperval.prediction.view import ClassLevels, View
 from hyperval.processing.roc_model import false_alarm_grid
 from hyperval.products import PixelDistribution, Prediction
 from hyperval.scenario import DarkestPixel, Scenario
+from hyperval.scenario_uncertainty import Uncertainty
 from hyperval.scene.mixture import average_reflectance, mixture_covariance
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.noise import NoiseModel
@@ -93,7 +102,7 @@ def predict(
     """
     find = resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
     given = measured or {}
-    truth = departure or Departure()
+    truth, asked = departure or Departure(), scenario
     scenario = departed_scenario(scenario, truth)
     used = instrument(scenario, axis, next((s.axis for s in given.values()), None), find, sensor)
     scenario = with_sensor_blur(scenario, used.sensor)
@@ -117,7 +126,8 @@ def predict(
     view = _base_view(scenario, surfaces, terms_of, used.noise if scenario.atmosphere else None)
     if departure is not None and np.any(np.asarray(departure.surroundings) != 1.0):
         view = replace(view, average=view.average * departure.surroundings)
-    inputs = inputs_of(Given(scenario, on, used.sensor, surfaces, lambda: cast(AtmosphericTerms, view.terms)))
+    given_here = Given(scenario, on, used.sensor, surfaces, lambda: cast(AtmosphericTerms, view.terms))
+    inputs = inputs_of(given_here, shapes=False)
     steps = perturbations(view, scenario, terms_of, inputs)
     # What replicate spectra say of their own mean, where the scenario does not say it of the subject.
     stated = {item.subject for item in scenario.uncertainty.field_spectra}
@@ -128,8 +138,26 @@ def predict(
         one = spectrum_error_covariance(item, surfaces[item.subject], on, used.sensor)
         errors[item.subject] = errors[item.subject] + one if item.subject in errors else one
     spectra = spectral_products(scenario, on, surfaces, view, steps, errors, used.sensor)
+
+    def again(d: Departure) -> Prediction:
+        return predict(
+            asked.model_copy(update={"uncertainty": Uncertainty()}), axis=axis, measured=measured, resolve=find,
+            cache_dir=cache_dir, show_progress=show_progress, engine=engine, sensor=sensor,
+            departure=combined(truth, d),
+        )  # fmt: skip
+
+    moves = moved_predictions(inputs, again)
     notes = [f"formulation: {scenario.formulation}"]
     detection = _detection(scenario, on, surfaces, looked_for, view, steps, errors, spectra, notes, objects)
+    pairs: list[tuple[Detection | Prediction, Detection | Prediction]] = [*detection.pairs]
+    pairs += [(m.plus, m.minus) for m in moves]
+    if detection.roc:  # spectra of classes move the background; those of targets are in the pairs already
+        classes = {c.name for c in scenario.scene.classes}
+        of_classes = [i for i in spectrum_inputs(given_here) if i.subject in classes]
+        pairs += [(m.plus, m.minus) for m in moved_predictions(of_classes, again, most=8)]
+    detection = replace(detection, roc=with_bands(detection.roc, pairs))
+    for product in ("radiance", "snr", "reflectance"):
+        with_moves(getattr(spectra, product), product, moves)
     notes += detection.notes
     if view.noise is not None:
         notes += sensor_notes(used)
@@ -144,7 +172,7 @@ def predict(
         object_scores=detection.object_scores,
         exceedance=detection.exceedance,
         distribution={
-            c.name: PixelDistribution(c.tail_dof or surfaces[c.name].tail_dof or math.inf)
+            c.name: PixelDistribution(class_tail(c, surfaces[c.name]) or math.inf)
             for c in scenario.scene.classes
         },
         notes=tuple(notes),
@@ -298,4 +326,4 @@ def _detection(
     pairs = [(run(s.plus), run(s.minus)) for s in steps]
     if task.spectrum_error:
         pairs.append((run(view, 1.0), run(view, -1.0)))
-    return replace(base, roc=with_bands(base.roc, pairs))
+    return replace(base, pairs=tuple(pairs))

@@ -28,7 +28,7 @@ class Spread(float):
         made.distribution = distribution
         return made
 
-    def __getnewargs__(self) -> tuple[float, Distribution]:
+    def __getnewargs__(self) -> tuple[float, Distribution]:  # type: ignore[override]
         return float(self), self.distribution
 
     @classmethod

@@ -1,7 +1,7 @@
 """The uncertain inputs of a prediction.
 
-An input has K independent directions with factors of mean 0 and variance 1; a departure of the truth follows from any
-set of factors.  Monte Carlo, linearisation, sensitivities and what-ifs all go through it.
+An input has K independent directions with factors of mean 0 and variance 1; a departure of the truth follows from
+any set of factors.  Monte Carlo, linearisation, sensitivities and what-ifs all go through it.
 """
 
 from __future__ import annotations
@@ -29,14 +29,17 @@ from hyperval.spectra.axis import SpectralAxis
 __all__ = ["BudgetInput", "Given", "budget_inputs", "drawn_truth", "inputs_of"]
 
 
-def inputs_of(given: Given) -> list[BudgetInput]:
+def inputs_of(given: Given, *, shapes: bool = True) -> list[BudgetInput]:
     """The uncertain inputs in the order in which budgets list them: light, surfaces, sensor.
+
+    ``shapes=False`` leaves out the errors of engine and field spectra, whose covariances a prediction uses as they
+    stand.
 
     Raises
     ------
     UsageError : an uncertainty of what the scenario does not have.
     """
-    return [*atmosphere_inputs(given), *scene_inputs(given), *sensor_inputs(given)]
+    return [*atmosphere_inputs(given, shapes), *scene_inputs(given, shapes), *sensor_inputs(given)]
 
 
 def budget_inputs(

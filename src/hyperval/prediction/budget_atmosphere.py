@@ -40,7 +40,7 @@ _FIELDS: dict[str, tuple[str, float, float]] = {
 }
 
 
-def atmosphere_inputs(given: Given) -> list[BudgetInput]:
+def atmosphere_inputs(given: Given, shapes: bool = True) -> list[BudgetInput]:
     """The inputs of the light, in the order in which budgets list them.
 
     Raises
@@ -62,7 +62,7 @@ def atmosphere_inputs(given: Given) -> list[BudgetInput]:
         if spread is not None:
             found.append(scalar_input(title, "atmosphere" if key == "irradiance" else "scene", spread,
                                       _factor(key, spread)))  # fmt: skip
-    if u.engine is not None:
+    if u.engine is not None and shapes:
         found += _engine_inputs(u.engine, given)
     return found
 
@@ -120,7 +120,7 @@ def _factor(key: str, spread: Spread) -> Callable[[float], Departure]:
 
 
 def _engine_inputs(engine: EngineUncertainty, given: Given) -> list[BudgetInput]:
-    """The engine's errors: on the ground-reflected radiance, greater where gases absorb, and on the path radiance."""
+    """The engine's errors: on the ground-reflected radiance, greater where gases absorb, and on the path."""
     found = []
     if engine.relative > 0 or engine.per_optical_depth > 0:
         sd = np.full(len(given.axis), engine.relative)

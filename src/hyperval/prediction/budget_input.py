@@ -35,6 +35,7 @@ class BudgetInput:
     distribution, correlation : in words
     size : number of directions, the leading one first
     settings : dotted paths of the scenario that it changes, where a path says it all
+    subject : the surface whose field spectrum it is; empty for anything else
     """
 
     name: str
@@ -45,6 +46,7 @@ class BudgetInput:
     correlation: str
     size: int = 1
     settings: tuple[str, ...] = field(default=())
+    subject: str = ""
 
     def moved(self, z: float) -> Departure:
         """The truth ``z`` standard uncertainties along the leading direction, the rest as stated."""

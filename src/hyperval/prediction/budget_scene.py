@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -21,21 +23,27 @@ def field_spectrum_of(subject: str) -> str:
     return f"field spectrum of {subject}"
 
 
-def scene_inputs(given: Given) -> list[BudgetInput]:
+def scene_inputs(given: Given, shapes: bool = True) -> list[BudgetInput]:
     """Surfaces, then fills and fractions, then what sampling leaves open."""
     u = given.scenario.uncertainty
-    found: list[BudgetInput] = []
-    seen: dict[str, int] = {}
-    for item in u.field_spectra:
-        seen[item.subject] = seen.get(item.subject, 0) + 1
-        found.append(_field_spectrum(item, seen[item.subject], given))
-    for name, surface in given.surfaces.items():  # what replicate spectra say of their own mean
-        if name not in seen and surface.mean_error is not None:
-            found.append(_replicates(name, surface.mean_error))
+    found = spectrum_inputs(given) if shapes else []
     found += [_fill(item, given) for item in u.fills]
     found += [_fraction(item, given) for item in u.fractions]
     for sampled in u.sampled_statistics:
         found += _sampled(sampled, given)
+    return found
+
+
+def spectrum_inputs(given: Given) -> list[BudgetInput]:
+    """Errors of field spectra, as stated or as replicate spectra say of their own mean."""
+    found: list[BudgetInput] = []
+    seen: dict[str, int] = {}
+    for item in given.scenario.uncertainty.field_spectra:
+        seen[item.subject] = seen.get(item.subject, 0) + 1
+        found.append(_field_spectrum(item, seen[item.subject], given))
+    for name, surface in given.surfaces.items():
+        if name not in seen and surface.mean_error is not None:
+            found.append(_replicates(name, surface.mean_error))
     return found
 
 
@@ -50,7 +58,7 @@ def _field_spectrum(item: SpectrumUncertainty, number: int, given: Given) -> Bud
         return Departure(spectra={item.subject: np.maximum(change, -mean)})  # no reflectance below 0
 
     name = field_spectrum_of(item.subject) + ("" if number == 1 else f" ({number})")
-    return spectral_input(name, "surface", rows, item, at)
+    return replace(spectral_input(name, "surface", rows, item, at), subject=item.subject)
 
 
 def _replicates(name: str, covariance: Array) -> BudgetInput:
@@ -60,10 +68,11 @@ def _replicates(name: str, covariance: Array) -> BudgetInput:
         return Departure(spectra={name: c @ rows})
 
     def draw(rng: np.random.Generator) -> Departure:
-        return at(rng.standard_normal(rows.shape[0]))
+        return at(rng.standard_normal((rows.shape[0],)))
 
     words = "as between replicate spectra"
-    return BudgetInput(field_spectrum_of(name), "surface", at, draw, "normal", words, rows.shape[0])
+    title, k = field_spectrum_of(name), rows.shape[0]
+    return BudgetInput(title, "surface", at, draw, "normal", words, k, subject=name)
 
 
 def _fill(item: NamedSpread, given: Given) -> BudgetInput:
@@ -125,7 +134,7 @@ def _sampled(item: SampledStatistics, given: Given) -> list[BudgetInput]:
             return Departure(statistics={item.subject: StatisticsDeparture(c @ rows)})
 
         def mean_draw(rng: np.random.Generator) -> Departure:
-            return mean_at(rng.standard_normal(rows.shape[0]))
+            return mean_at(rng.standard_normal((rows.shape[0],)))
 
         name = f"sampled mean of {item.subject}"
         if rows.shape[0]:

@@ -283,13 +283,17 @@ def seen_population(background: Background, target: Target, fill: FillDistributi
 
 @dataclass(frozen=True)
 class Detection:
-    """Scores and ROC curves of one evaluation, and what is to be said of them."""
+    """Scores and ROC curves of one evaluation, and what is to be said of them.
+
+    ``pairs`` are evaluations with one input a standard uncertainty up and down, where that was asked for.
+    """
 
     scores: dict[tuple[str, str], ScoreDistribution]
     roc: dict[RocKey, RocCurve]
     exceedance: dict[tuple[str, str], ExceedanceCurve] = field(default_factory=dict)
     object_scores: dict[tuple[str, str], ObjectScores] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    pairs: tuple[tuple[Detection, Detection], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from hyperval.prediction.departure import (
 from hyperval.prediction.detection import Detection, RocKey
 from hyperval.prediction.forms import form_covariance
 from hyperval.prediction.view import View
-from hyperval.products import RocCurve
+from hyperval.products import Prediction, RocCurve, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import EngineUncertainty
 from hyperval.sensor.specification import Sensor
@@ -53,8 +53,8 @@ def perturbations(
     """Views of the scene for every input of light and sensor, one standard uncertainty up and down (3.7).
 
     ``terms_of`` gives the terms of a state on the bands.  An input that would leave its range is stopped at the end
-    of it.  Inputs over wavelength have one pair for each direction, at most 24; the engine's errors are no part of it
-    (:func:`spectral_errors`), and what changes surfaces, fills or bands needs another prediction.
+    of it.  Inputs over wavelength have one pair for each direction, at most 24.  What changes surfaces, fills or
+    bands is no part of it: that needs another prediction (:func:`moved_predictions`).
     """
     found: list[Perturbation] = []
     if view.terms is None:
@@ -74,12 +74,47 @@ def perturbations(
         )
 
     for item in inputs:
-        if item.kind == "engine" or not keeps_surfaces(item.moved(1.0)):
+        if not keeps_surfaces(item.moved(1.0)):
             continue
         for k in range(min(item.size, MOST_DIRECTIONS)):
             pair = moved(item.direction(k, 1.0)), moved(item.direction(k, -1.0))
             found.append(Perturbation(item.name, *pair))
     return found
+
+
+@dataclass(frozen=True)
+class Moved:
+    """Two predictions with one direction of an input one standard uncertainty up and down."""
+
+    source: str
+    plus: Prediction
+    minus: Prediction
+
+
+def moved_predictions(
+    inputs: Sequence[BudgetInput], again: Callable[[Departure], Prediction], most: int = MOST_DIRECTIONS
+) -> list[Moved]:
+    """Predictions for every input that changes surfaces, fills or bands; ``again`` predicts a departed truth."""
+    found = []
+    for item in inputs:
+        if not keeps_surfaces(item.moved(1.0)):
+            for k in range(min(item.size, most)):
+                pair = again(item.direction(k, 1.0)), again(item.direction(k, -1.0))
+                found.append(Moved(item.name, *pair))
+    return found
+
+
+def with_moves(estimates: dict[str, SpectralEstimate], product: str, moves: Sequence[Moved]) -> None:
+    """Add what the moves say to the errors and budgets of one spectral product, in place."""
+    for name, estimate in estimates.items() if moves else ():
+        changes = [
+            (m.source, 0.5 * (getattr(m.plus, product)[name].mean - getattr(m.minus, product)[name].mean))
+            for m in moves
+        ]
+        total, budget = combined(changes, {}, estimate.mean.size)
+        estimates[name] = replace(
+            estimate, error_covariance=estimate.error_covariance + total, budget={**estimate.budget, **budget}
+        )
 
 
 def spectral_errors(
@@ -144,7 +179,7 @@ def _nothing(bands: int) -> Array:
 
 
 def with_bands(
-    roc: Mapping[RocKey, RocCurve], pairs: Sequence[tuple[Detection, Detection]]
+    roc: Mapping[RocKey, RocCurve], pairs: Sequence[tuple[Detection | Prediction, Detection | Prediction]]
 ) -> dict[RocKey, RocCurve]:
     """The curves with 95 % intervals of P_D from pairs of perturbed evaluations, combined in probit."""
     result = dict(roc)
