@@ -58,9 +58,11 @@ def response_figure(check: SensorCheck) -> Drawing:
     left.plot(axis.centre_nm, axis.fwhm_nm, color=style.SOURCE_COLOURS[0], marker=".", markersize=3, linewidth=0.8)
     if len(axis) > 1:
         middle = 0.5 * (axis.centre_nm[:-1] + axis.centre_nm[1:])
-        left.plot(middle, np.diff(axis.centre_nm), color=style.SOURCE_COLOURS[5], linewidth=0.9, linestyle="--")
-        if check.sensor.specification.bands.spacing == "separate" or np.ptp(np.diff(axis.centre_nm)) > 80:
-            left.set_yscale("log")
+        spacing = np.diff(axis.centre_nm)
+        together = check.sensor.specification.bands.spacing == "contiguous"
+        if together:  # what is left out between spectrometers is no spacing
+            spacing = np.where(spacing > 3.0 * np.median(spacing), np.nan, spacing)
+        left.plot(middle, spacing, color=style.SOURCE_COLOURS[5], linewidth=0.9, linestyle="--")
     left.set_xlabel(style.WAVELENGTH_LABEL)
     left.set_ylabel("width, spacing [nm]")
     left.set_title("Full width at half maximum, and spacing", loc="left")
@@ -99,7 +101,7 @@ def snr_figure(check: SensorCheck) -> Drawing:
         free, held = noise.snr(radiance, calibration=False), noise.snr(radiance)
         _curve(axes, axis, free, colour, "-")
         _curve(axes, axis, held, colour, "--")
-        highest.append(free[_shown(axis)])
+        highest.append(free[_shown(axis) if len(axis) >= 30 else axis.good])
         entries.append((Line2D([], [], color=colour, marker=_marker(axis)), f"reflectance {level:g}"))
     entries.append((Line2D([], [], color="#444444"), "without C_R"))
     entries.append((Line2D([], [], color="#444444", linestyle="--"), "with C_R"))

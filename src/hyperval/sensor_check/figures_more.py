@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from hyperval.products import Prediction
 from hyperval.report import style
@@ -84,6 +85,7 @@ def detection_figure(predictions: Mapping[str, Prediction]) -> Drawing | None:
         axes.legend(
             [Line2D([], [], color=style.SOURCE_COLOURS[i % 8]) for i in range(len(subjects))],
             [style.plain(style.shortened(s, 24)) for s in subjects], loc="upper left", fontsize=8,
+            ncols=2,
         )  # fmt: skip
     panels[0].set_ylabel("P_D [1]")
     style.add_legend(figure, [(Line2D([], [], color="#444444", linestyle=lines[d]), d) for d in lines])
@@ -110,6 +112,7 @@ def sensitivity_figure(swings: Sequence[Swing], probe: Probe | None, vary: float
     left.set_yticks(rows, [style.plain(s.number.name) for s in kept])
     left.tick_params(axis="y", labelsize=8)
     left.set_xlabel("change of the SNR at reflectance 0.25 [%]")
+    right.xaxis.set_major_locator(MaxNLocator(5))
     what = f"change of P_D: {probe.key[0]}, {probe.key[1]}" if probe else "change of P_D [1]"
     right.set_xlabel(style.plain(f"{what} [1]" if probe else what))
     entries: list[tuple[Any, str]] = [
@@ -131,6 +134,7 @@ def _detection_axes(axes: Axes, name: str) -> None:
     axes.set_xscale("log")
     axes.set_xlim(_LOWEST_PFA, 1.0)
     style.log_ticks(axes.xaxis)
-    axes.set_ylim(0.0, 1.02)
+    axes.set_ylim(0.0, 1.32)  # room for the legend above the curves
+    axes.set_yticks(np.linspace(0.0, 1.0, 6))
     axes.set_xlabel("P_FA [1]")
     axes.set_title(style.plain(name), loc="left")

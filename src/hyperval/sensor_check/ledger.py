@@ -31,10 +31,14 @@ class Ledger:
         band_nm: float = math.nan,
         n: int | None = None,
         reason: str = "",
+        remark: str = "",
     ) -> bool:
-        """One check; returns whether it passed.  ``reason`` says what is wrong and is kept when it fails."""
+        """One check; returns whether it passed.
+
+        ``reason`` says what is wrong and is kept when it fails; ``remark`` stands in its place when it passes.
+        """
         status = Status.PASS if passes else Status.FAIL
-        text = "" if passes else reason
+        text = remark if passes else reason
         known = next(
             (k for k in (f"{product}/{metric}/{subject}", f"{product}/{metric}") if k in self._known), None
         )

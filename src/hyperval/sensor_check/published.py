@@ -69,4 +69,4 @@ def _row(point: SnrPoint, ledger: Ledger) -> None:
         return
     passes = ratio >= 1.0 if bound else abs(ratio - 1.0) <= TOLERANCE
     limit = 1.0 if bound else 1.0 + (TOLERANCE if ratio > 1 else -TOLERANCE)
-    ledger.gate(PRODUCT, metric, ratio, passes, threshold=limit, subject=subject, reason=words)
+    ledger.gate(PRODUCT, metric, ratio, passes, threshold=limit, subject=subject, reason=words, remark=words)
