@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hyperval.campaign.derived import predicted_unmixing, with_errors_of_classes
 from hyperval.campaign.draft import Waiting, read_texts
+from hyperval.campaign.merge import merged, with_pools, without_circles
 from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import command_without_output, provenance
+from hyperval.campaign.reasons import reasons
 from hyperval.campaign.references import check_names, missing_sets
 from hyperval.campaign.schema import Campaign
 from hyperval.campaign.template import filled
-from hyperval.collection import Detection
 from hyperval.compare import apply_gates, compare_products
 from hyperval.config import load_yaml, validate
 from hyperval.datasets import InputLog
@@ -25,8 +26,7 @@ from hyperval.errors import MissingDataError, UsageError
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.predict import predict
-from hyperval.processing.roc import average_roc
-from hyperval.products import Abundance, Observation, Prediction, Products, RocCurve
+from hyperval.products import Abundance, Prediction, Products
 from hyperval.report import RunReport
 from hyperval.results import Result, ResultTable, Status
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
@@ -100,8 +100,16 @@ class Inputs:
             self.log.add(path, f"{SIMULATED}{path.name}" if simulated else None)
 
 
-def run_campaign(job: Job | Waiting, *, predicts: bool = True, show_progress: bool | None = None) -> RunReport:
+def run_campaign(
+    job: Job | Waiting,
+    *,
+    predicts: bool = True,
+    show_progress: bool | None = None,
+    with_observed: Callable[[Observed], None] | None = None,
+) -> RunReport:
     """Run one campaign; files it cannot find in a registered data set make it SKIPPED.
+
+    ``with_observed`` is called while the files of the collection, simulated ones too, are still there.
 
     Raises
     ------
@@ -126,7 +134,9 @@ def run_campaign(job: Job | Waiting, *, predicts: bool = True, show_progress: bo
             show_progress=show_progress,
         )
         if observed.place is not None:
-            inputs.record_beside(observed.place.cube.source_files)
+            inputs.record_beside(observed.place.source_files)
+        if with_observed is not None:
+            with_observed(observed)
         predictions = []
         if predicts:
             predictions = [
@@ -136,10 +146,11 @@ def run_campaign(job: Job | Waiting, *, predicts: bool = True, show_progress: bo
                     measured=observed.statistics,
                     resolve=_resolver(scenario, inputs),
                     show_progress=show_progress,
+                    objects=True,
                 )
                 for scenario in scenarios
             ]
-        return _report(job, inputs, observed, scenarios, predictions, seed)
+        return _report(job, inputs, observed, scenarios, predictions, seed, show_progress)
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
@@ -158,29 +169,6 @@ def _with_every_set(job: Job, error: MissingDataError) -> str:
     return f"{error.where}: {error.what}\n  to mend it: hyperval data fetch {' '.join(sets)}"
 
 
-def merged(predictions: Sequence[Prediction]) -> Prediction:
-    """One prediction out of several scenarios on the same axis; no subject may stand in two of them."""
-    first, *rest = predictions
-    if not rest:
-        return first
-    parts: dict[str, Any] = {}
-    for field in fields(Products):
-        values = [getattr(p, field.name) for p in predictions]
-        if not isinstance(values[0], Mapping) or field.name == "provenance":
-            continue
-        joined: dict[Any, Any] = {}
-        for value in values:
-            twice = sorted(str(k) for k in set(joined) & set(value))
-            if twice:
-                raise UsageError(f"two scenarios predict the {field.name} of {twice[0]}")
-            joined.update(value)
-        parts[field.name] = joined
-    notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
-    return Prediction(
-        axis=first.axis, **parts, notes=notes, provenance={"scenarios": [dict(p.provenance) for p in predictions]}
-    )
-
-
 def _report(
     job: Job,
     inputs: Inputs,
@@ -188,6 +176,7 @@ def _report(
     scenarios: Sequence[Scenario],
     predictions: Sequence[Prediction],
     seed: int | None,
+    show_progress: bool | None,
 ) -> RunReport:
     campaign = job.campaign
     prediction = None
@@ -204,9 +193,25 @@ def _report(
                 prediction, roc=with_pools(prediction.roc, observed.observation, campaign.detection)
             )
         engine = "+".join(sorted({s.atmosphere.engine for s in scenarios if s.atmosphere})) or "statistics"
-        rows = compare_products(prediction, observed.observation, campaign=campaign.name, method=engine)
+        rows = compare_products(
+            prediction,
+            observed.observation,
+            campaign=campaign.name,
+            method=engine,
+            equivalence_margin=campaign.equivalence_margin,
+        )
         rows = [_unplanned_informs(row, campaign) for row in rows]
-        table = ResultTable(apply_gates(rows, campaign.comparisons, campaign.name))
+        rows = apply_gates(rows, campaign.comparisons, campaign.name)
+        rows += reasons(
+            campaign,
+            scenarios,
+            observed,
+            prediction,
+            inputs.resolve,
+            lambda scenario: _resolver(scenario, inputs),
+            show_progress=show_progress,
+        )
+        table = ResultTable(rows)
     else:
         table = ResultTable(product_rows(campaign.name, observed.observation, "observed"))
     notes = [*campaign.assumptions, *observed.observation.notes]
@@ -232,36 +237,6 @@ def _report(
         notes=list(dict.fromkeys(notes)),
         references=campaign.references,
     )
-
-
-def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Prediction:
-    """The prediction without the spectra that were taken from the collection: they agree whatever is wrong."""
-    surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
-    taken = {s.name for s in surfaces if s.spectrum.measured is not None}
-    spread = {s.name for s in surfaces if s.covariance is not None and s.covariance.measured is not None}
-    radiance, reflectance = (
-        {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in held.items() if k not in taken}
-        for held in (prediction.radiance, prediction.reflectance)
-    )
-    if not taken:
-        return replace(prediction, radiance=radiance, reflectance=reflectance)
-    note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
-    return replace(prediction, radiance=radiance, reflectance=reflectance, notes=(*prediction.notes, note))
-
-
-def with_pools(
-    predicted: Mapping[tuple[str, str, str], RocCurve], observation: Observation, detection: Detection
-) -> dict[tuple[str, str, str], RocCurve]:
-    """The predicted curves with those of the campaign's pools, averaged as the collection counts its targets."""
-    out = dict(predicted)
-    for pool in detection.pools:
-        for name, detector, unit in observation.roc:
-            keys = [(subject, detector, unit) for subject in pool.subjects]
-            if name != pool.name or not all(key in predicted for key in keys):
-                continue
-            counts = [observation.roc[key].n_target or 0 for key in keys]
-            out[name, detector, unit] = average_roc([predicted[key] for key in keys], counts)
-    return out
 
 
 def _unplanned_informs(row: Result, campaign: Campaign) -> Result:

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from hyperval.cli.shared import Output, app, finished, note, print_table, settings
 from hyperval.errors import UsageError
-
-
-class CubeForm(StrEnum):
-    """File formats of an image cube."""
-
-    envi = "envi"
-    cog = "cog"
 
 
 @app.command()
@@ -35,15 +27,15 @@ def observe(
     campaign: Annotated[Path, typer.Argument(help="A campaign file.")],
     output: Output,
     write_reflectance: Annotated[
-        CubeForm | None,
+        Literal["envi", "cog"] | None,
         typer.Option(help="Write the cube after the empirical line too: ENVI, or a cloud-optimised GeoTIFF."),
     ] = None,
 ) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
     from hyperval.campaign.run import observe as run
 
-    form = write_reflectance.value if write_reflectance else None
-    return finished(run(campaign, output, write_reflectance=form, show_progress=settings.show_progress), output)
+    code = run(campaign, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
+    return finished(code, output)
 
 
 @app.command()

@@ -314,7 +314,7 @@ def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_ban
         centre = wavelengths_in_nm(np.array(raster.wavelength_um), "um", where)
         good = ~np.isin(np.arange(raster.bands), raster.bad_bands)
         if raster.fwhm_um:
-            width = wavelengths_in_nm(np.array(raster.fwhm_um), "um", where)
+            width = 1e3 * np.array(raster.fwhm_um)
             return BandTable(SpectralAxis(centre, width, good), np.arange(raster.bands), ())
         note = "the file lists no fwhm: band widths are taken as the band spacing"
         return BandTable(SpectralAxis(centre, fwhm_from_spacing(centre), good), np.arange(raster.bands), (note,))

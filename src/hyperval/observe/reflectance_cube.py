@@ -1,0 +1,184 @@
+"""The reflectance after the empirical line as an image cube, ENVI or cloud-optimised GeoTIFF."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import rasterio
+import rasterio.shutil
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.windows import Window
+
+from hyperval.errors import UsageError
+from hyperval.files import whole_file
+from hyperval.imagery.cube import Cube
+from hyperval.imagery.envi_write import envi_writer
+from hyperval.imagery.rasters import EnviRaster
+from hyperval.processing.elm import EmpiricalLine
+from hyperval.progress import watch_lines
+from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
+Stored = npt.NDArray[np.int16]
+Form = Literal["envi", "cog"]
+
+# Stored value of a reflectance of 1; a step is 1e-4, far below the noise of any imager.
+SCALE = 10_000
+NO_DATA = -32768
+_INT16 = 2
+_BLOCK_VALUES = 1_000_000
+_TILE = 128
+_CACHE_MB = 64
+
+
+class _Writer(Protocol):
+    """Takes blocks of lines in order."""
+
+    def write(self, block: Stored) -> None:
+        """Append (lines, samples, B)."""
+
+
+def write_reflectance(
+    folder: Path,
+    name: str,
+    cube: Cube,
+    elm: EmpiricalLine | None,
+    form: Form,
+    *,
+    show_progress: bool | None = None,
+) -> tuple[Path, str]:
+    """Write (L - b)/k of every pixel as 16-bit integers of 1e-4; line by line, whole or not at all.
+
+    No data stands where the pixel has none, in bands in which the line has no gain (marked bad), and where the
+    value does not fit (beyond -3.2767 to 3.2767).
+
+    Parameters
+    ----------
+    folder, name : the file is ``folder/name.img`` with its header, or ``folder/name.tif``
+
+    Returns
+    -------
+    The file, and a note that says what it holds.
+
+    Raises
+    ------
+    UsageError : no empirical line, or a cube that is no radiance.
+    """
+    if elm is None or cube.quantity != "radiance":
+        raise UsageError(
+            "a reflectance cube needs radiance and an empirical line",
+            mend="add collection.empirical_line with two panels",
+        )
+    axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & elm.usable)
+    what = (
+        f"reflectance by the empirical line through {', '.join(elm.panels)}; stored value = {SCALE} x reflectance"
+    )
+    path = folder / f"{name}.{'img' if form == 'envi' else 'tif'}"
+    watch = watch_lines("reflectance", cube.bytes_per_line, cube.lines, show=show_progress)
+    outside = 0
+    with _envi(path, cube, axis, what) if form == "envi" else _cog(path, cube, axis, what) as writer:
+        for _, (block, misfits) in watch(_blocks(cube, elm, axis.good)):
+            writer.write(block)
+            outside += misfits
+    note = f"{path.name}: {what}; no data is {NO_DATA}; {int((~elm.usable).sum())} bands without a gain"
+    if outside:
+        note += f"; {outside} values of good bands beyond {32767 / SCALE:g} are no data"
+    return path, note
+
+
+def quantised(reflectance: npt.ArrayLike) -> Stored:
+    """Stored numbers of reflectances; :data:`NO_DATA` where they are not finite or do not fit."""
+    scaled = np.rint(np.asarray(reflectance, dtype=float) * SCALE)
+    fits = np.abs(scaled) <= 32767  # False for NaN
+    return np.where(fits, scaled, NO_DATA).astype(np.int16)
+
+
+def _blocks(
+    cube: Cube, elm: EmpiricalLine, good: npt.NDArray[np.bool_]
+) -> Iterator[tuple[range, tuple[Stored, int]]]:
+    """Stored numbers (lines, samples, B) of the blocks in order, and how many good values did not fit."""
+    step = max(1, _BLOCK_VALUES // (cube.samples * cube.bands))
+    for first in range(0, cube.lines, step):
+        block = cube.read(first, min(step, cube.lines - first))
+        with np.errstate(invalid="ignore", over="ignore"):
+            block.values[~block.valid] = np.nan
+            found = quantised(elm.reflectance(block.values))
+        misfits = int(np.count_nonzero(found[block.valid][:, good] == NO_DATA))
+        yield range(first, first + found.shape[0]), (found, misfits)
+
+
+@contextmanager
+def _envi(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[_Writer]:
+    # The scale is written, not applied: blocks come as stored numbers.
+    extra = {"reflectance scale factor": repr(float(SCALE)), "z plot titles": "{Wavelength [nm], Reflectance [1]}"}
+    place: dict[str, Any] = {"transform": cube.transform, "crs": cube.crs}
+    header = cube.raster.header
+    if isinstance(cube.raster, EnviRaster) and header is not None and header.text("map info") is not None:
+        # As it stands: a rotated grid, a datum or a unit that we would have to put in our own words.
+        place = {}
+        for key in ("map info", "coordinate system string"):
+            if (text := header.text(key)) is not None:
+                extra[key] = text if text.startswith("{") else "{" + text + "}"
+    with envi_writer(
+        path, lines=cube.lines, samples=cube.samples, bands=cube.bands, data_type=_INT16, interleave="bil",
+        axis=axis, description=what, ignore_value=NO_DATA, extra=extra, **place,
+    ) as writer:  # fmt: skip
+        yield writer
+
+
+class _Strips:
+    """Lines of an open GeoTIFF."""
+
+    def __init__(self, dataset: Any):
+        self._dataset, self._line = dataset, 0
+
+    def write(self, block: Stored) -> None:
+        """Append (lines, samples, B)."""
+        lines, samples = block.shape[:2]
+        by_band = np.ascontiguousarray(block.transpose(2, 0, 1))
+        self._dataset.write(by_band, window=Window(0, self._line, samples, lines))
+        self._line += lines
+
+
+@contextmanager
+def _cog(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[_Writer]:
+    """Strips into a plain GeoTIFF, which is then copied tile by tile: the format wants its index first."""
+    profile = {
+        "driver": "GTiff", "height": cube.lines, "width": cube.samples, "count": cube.bands, "dtype": "int16",
+        "nodata": NO_DATA, "interleave": "pixel", "bigtiff": "if_safer", "tiled": False, "blockysize": 1,
+    }  # fmt: skip
+    if cube.transform is not None:
+        profile["transform"] = cube.transform
+    if cube.crs is not None:
+        profile["crs"] = cube.crs
+    with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE_MB, GDAL_PAM_ENABLED="NO"):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with whole_file(path) as temporary:
+            strips = temporary.with_name(f"{temporary.stem}-strips.tif")
+            try:
+                with rasterio.open(strips, "w", **profile) as dataset:
+                    dataset.update_tags(TIFFTAG_IMAGEDESCRIPTION=what)
+                    dataset.scales = [1.0 / SCALE] * cube.bands
+                    dataset.offsets = [0.0] * cube.bands
+                    dataset.units = ["1"] * cube.bands
+                    for i in range(cube.bands):
+                        centre, width = float(axis.centre_nm[i]), float(axis.fwhm_nm[i])
+                        mark = "" if axis.good[i] else " (bad band)"
+                        dataset.set_band_description(i + 1, f"{centre:.10g} nm{mark}")
+                        dataset.update_tags(
+                            i + 1, ns="IMAGERY", CENTRAL_WAVELENGTH_UM=repr(centre / 1e3), FWHM_UM=repr(width / 1e3)
+                        )
+                        dataset.update_tags(i + 1, GOOD_BAND=str(int(axis.good[i])))
+                    yield _Strips(dataset)
+                rasterio.shutil.copy(
+                    strips, temporary, driver="COG", compress="DEFLATE", predictor="YES", blocksize=_TILE,
+                    bigtiff="IF_SAFER", overviews="NONE",
+                )  # fmt: skip
+            finally:
+                strips.unlink(missing_ok=True)
