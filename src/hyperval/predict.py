@@ -15,7 +15,7 @@ from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.errors import UsageError
 from hyperval.prediction.budget import inputs_of
-from hyperval.prediction.budget_input import Given
+from hyperval.prediction.budget_input import BudgetInput, Given
 from hyperval.prediction.budget_scene import spectrum_inputs
 from hyperval.prediction.departure import (
     Departure,
@@ -139,10 +139,10 @@ def predict(
         errors[item.subject] = errors[item.subject] + one if item.subject in errors else one
     spectra = spectral_products(scenario, on, surfaces, view, steps, errors, used.sensor)
 
-    def again(d: Departure) -> Prediction:
+    def again(d: Departure, stand_in: Engine | None = None) -> Prediction:
         return predict(
             asked.model_copy(update={"uncertainty": Uncertainty()}), axis=axis, measured=measured, resolve=find,
-            cache_dir=cache_dir, show_progress=show_progress, engine=engine, sensor=sensor,
+            cache_dir=cache_dir, show_progress=show_progress, engine=stand_in or engine, sensor=sensor,
             departure=combined(truth, d),
         )  # fmt: skip
 
@@ -162,7 +162,7 @@ def predict(
     if view.noise is not None:
         notes += sensor_notes(used)
         notes += saturation_notes(spectra.full_scale, on)
-    return Prediction(
+    found = Prediction(
         on,
         spectra.radiance,
         spectra.snr,
@@ -172,14 +172,48 @@ def predict(
         object_scores=detection.object_scores,
         exceedance=detection.exceedance,
         distribution={
-            c.name: PixelDistribution(class_tail(c, surfaces[c.name]) or math.inf)
-            for c in scenario.scene.classes
+            c.name: PixelDistribution(class_tail(c, surfaces[c.name]) or math.inf) for c in scenario.scene.classes
         },
         notes=tuple(notes),
         provenance=_provenance(scenario, used, view, surfaces),
         noise=spectra.noise,
         full_scale=spectra.full_scale,
     )
+
+    if scenario.uncertainty.method == "linear" or departure is not None:
+        return found
+
+    def whole(state: AtmosphericState) -> AtmosphericTerms:
+        if engine is not None:
+            return engine(state)
+        if state.engine == "table":
+            return atmospheric_terms(state, resolve=find)
+        return atmospheric_terms(state, cache_dir=cache_dir, show_progress=show_progress)
+
+    return _propagated(scenario, found, inputs_of(given_here), again, whole, true, show_progress)
+
+
+def _propagated(
+    scenario: Scenario,
+    stated: Prediction,
+    inputs: list[BudgetInput],
+    again: Callable[[Departure, Engine | None], Prediction],
+    engine: Engine,
+    axis: SpectralAxis,
+    show_progress: bool | None,
+) -> Prediction:
+    """The prediction with its budget drawn; unchanged where nothing is uncertain."""
+    from hyperval.prediction.monte_carlo import propagate, with_intervals
+
+    if not inputs:
+        return stated
+    shifts = any(np.any(np.asarray(i.moved(1.0).wavelength_shift_nm) != 0.0) for i in inputs)
+    u = scenario.uncertainty
+    found = propagate(
+        scenario, stated, inputs, again, samples=u.samples, seed=u.seed, engine=engine,
+        axis=None if shifts else axis, show_progress=show_progress,
+    )  # fmt: skip
+    return with_intervals(stated, found, u.method)
 
 
 def _provenance(

@@ -175,6 +175,13 @@ class SampledStatistics(Model):
 class Uncertainty(Model):
     """Standard uncertainties of the inputs; each is a source of the budget."""
 
+    method: Literal["linear", "monte-carlo", "both"] = Field(
+        "linear",
+        description="propagation: linearised; by draws; or both, compared, where the draws give the interval of "
+        "P_D wherever the two differ",
+    )
+    samples: int = Field(400, ge=40, le=100_000, description="draws of the budget")
+    seed: int = Field(0, ge=0, description="of the draws")
     psf_fwhm_pixels: Spread | None = Field(
         None, description="of the blur of targets with geometry, common to all [pixels]"
     )

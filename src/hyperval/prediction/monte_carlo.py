@@ -1,0 +1,169 @@
+"""Propagation of the budget by seeded Monte Carlo, beside the linearisation and compared with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
+from hyperval.errors import UsageError
+from hyperval.prediction.budget import drawn_truth
+from hyperval.prediction.budget_input import BudgetInput
+from hyperval.prediction.departure import Departure
+from hyperval.prediction.emulator import Emulator, emulator
+from hyperval.prediction.propagation import Agreement, Draws, Linear, agreement, draw_products, linearise
+from hyperval.products import Prediction, RocCurve, SpectralEstimate
+from hyperval.progress import track
+from hyperval.scenario import Scenario
+from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
+Engine = Callable[[AtmosphericState], AtmosphericTerms]
+Again = Callable[[Departure, Engine | None], Prediction]
+
+FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
+
+
+@dataclass(frozen=True)
+class Propagated:
+    """Both ways of propagation.
+
+    Attributes
+    ----------
+    linear, draws : the products each way
+    agreements : for every product and subject; P_D at 1e-2 and 1e-3
+    emulator : what stood for the engine; None without an atmosphere
+    """
+
+    linear: Linear
+    draws: Draws
+    agreements: tuple[Agreement, ...]
+    emulator: Emulator | None
+
+
+def propagate(
+    scenario: Scenario,
+    stated: Prediction,
+    inputs: Sequence[BudgetInput],
+    again: Again,
+    *,
+    samples: int,
+    seed: int,
+    engine: Engine | None = None,
+    axis: SpectralAxis | None = None,
+    show_progress: bool | None = None,
+) -> Propagated:
+    """Draw ``samples`` truths from the budget, linearise, and compare.
+
+    Parameters
+    ----------
+    stated : the prediction without a departure
+    again : the prediction, without a budget, of a departed truth under an engine
+    engine, axis : of the atmosphere; bands on which its terms are interpolated, None for the engine's own sampling
+
+    Raises
+    ------
+    UsageError : fewer than 40 draws, which have no 95 % interval.
+    """
+    if samples < 40:
+        raise UsageError(f"{samples} draws have no 95 % interval", expected="40 or more")
+    stand_in = emulator(scenario, inputs, engine, axis) if engine is not None and scenario.atmosphere else None
+
+    def predicted(d: Departure) -> Prediction:
+        return again(d, stand_in)
+
+    rng = np.random.default_rng(seed)
+    truths = [drawn_truth(list(inputs), rng) for _ in range(samples)]
+
+    def drawn() -> Iterator[Prediction]:
+        for d in track(truths, "draws of the budget", show=show_progress):
+            yield predicted(d)
+
+    draws = draw_products(drawn(), seed)
+    linear = linearise(predicted(Departure()), inputs, predicted)
+    found = []
+    for key in linear.stated:
+        if key[0] != "P_D":
+            found.append(agreement(key, linear, draws))
+            continue
+        curve = stated.roc[key[1], key[2], key[3]]
+        for pfa in FALSE_ALARMS:
+            index = int(np.argmin(np.abs(np.log(curve.pfa) - np.log(pfa))))
+            found.append(agreement(key, linear, draws, index, pfa))
+    return Propagated(linear, draws, tuple(found), stand_in)
+
+
+def with_intervals(stated: Prediction, found: Propagated, method: str) -> Prediction:
+    """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
+
+    With ``method`` "monte-carlo" all curves take the limits of the draws, and spectra their standard uncertainties
+    with the linearised correlation between bands: the correlation of a few hundred draws is too noisy to invert.
+    With "both" a curve takes the limits of the draws where P_D at 1e-2 or 1e-3 disagrees.
+    """
+    differs = {a.key for a in found.agreements if a.key[0] == "P_D" and not a.agrees}
+    roc = dict(stated.roc)
+    for key, curve in stated.roc.items():
+        name = ("P_D", *key)
+        if method == "monte-carlo" or name in differs:
+            roc[key] = _drawn_curve(curve, found.draws.interval(name))
+    notes = [_words(found)]
+    if method == "both" and differs:
+        which = ", ".join(sorted({" ".join(k[1:]) for k in differs}))
+        notes.append(
+            f"P_D intervals from the draws, where linearisation differs by more than the tolerance: {which}"
+        )
+    spectra = {}
+    for product in ("radiance", "reflectance", "snr"):
+        held = getattr(stated, product)
+        if method == "monte-carlo":
+            held = {s: _drawn_estimate(e, found.draws.sd((product, s))) for s, e in held.items()}
+        spectra[product] = held
+    table = [{**asdict(a), "agrees": a.agrees} for a in found.agreements]
+    record = {"method": method, "samples": found.draws.samples, "seed": found.draws.seed, "agreements": table}
+    return replace(
+        stated,
+        roc=roc,
+        **spectra,
+        notes=(*stated.notes, *notes),
+        provenance={**stated.provenance, "propagation": record},
+    )
+
+
+def _drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
+    low, high = interval
+    return replace(curve, pd_lower=np.minimum(low, curve.pd), pd_upper=np.maximum(high, curve.pd))
+
+
+def _drawn_estimate(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
+    linear = estimate.standard_uncertainty
+    factor = np.divide(np.nan_to_num(sd), linear, out=np.ones_like(linear), where=linear > 0)
+    covariance = estimate.error_covariance * np.outer(factor, factor)
+    return replace(
+        estimate, error_covariance=covariance, budget={k: v * factor for k, v in estimate.budget.items()}
+    )
+
+
+def ratios(agreements: Sequence[Agreement]) -> Mapping[str, tuple[float, float, float]]:
+    """Product -> (least, median, greatest) ratio of drawn to linearised standard uncertainty over its subjects."""
+    out: dict[str, list[float]] = {}
+    for a in agreements:
+        label = a.key[0] if np.isnan(a.at) else f"{a.key[0]} at {a.at:.0e}"
+        if np.isfinite(a.sd_ratio):
+            out.setdefault(label, []).append(a.sd_ratio)
+    return {k: (min(v), float(np.median(v)), max(v)) for k, v in out.items()}
+
+
+def _words(found: Propagated) -> str:
+    parts = [f"{k} {low:.2f}-{high:.2f}" for k, (low, _, high) in ratios(found.agreements).items()]
+    text = f"{found.draws.samples} draws of the budget (seed {found.draws.seed}): "
+    text += "standard uncertainty over the linearised one: " + ", ".join(parts)
+    e = found.emulator
+    if e is not None and e.axes:
+        text += (
+            f"; atmosphere interpolated between {e.runs} engine runs, radiance within {100 * e.error[0]:.2g} % "
+            f"(median {100 * e.error[1]:.2g} %) with every input of it one standard uncertainty off"
+        )
+    return text
