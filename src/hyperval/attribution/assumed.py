@@ -35,12 +35,14 @@ class AssumedInput:
     name, kind : for people; the kind as in the budget (atmosphere, sensor, surface, scene)
     step : what one unit is, in words
     moved : z units -> departure
+    most : units that it may be off at most
     """
 
     name: str
     kind: str
     step: str
     moved: Callable[[float], Departure]
+    most: float = 30.0
 
 
 def assumed_inputs(scenario: Scenario) -> list[AssumedInput]:
@@ -112,7 +114,8 @@ def _scene(scenario: Scenario) -> list[AssumedInput]:
     classes = scenario.scene.classes
     for c in classes:
         if len(classes) > 1 and 0 < c.fraction < 1:
-            out.append(_input(f"fraction of {c.name}", "scene", FRACTION, _fraction(scenario, c.name, c.fraction)))
+            moved = _fraction(scenario, c.name, c.fraction)
+            out.append(_input(f"fraction of {c.name}", "scene", FRACTION, moved, most=1.0 / FRACTION))
             if len(classes) == 2:
                 break  # the other one's is the same input
     return out
@@ -145,5 +148,7 @@ def _factor(part: float, z: float) -> float:
     return float(1.0 + part * z if part * z > -0.9 else 0.1 * np.exp((part * z + 0.9) / 0.1))
 
 
-def _input(name: str, kind: str, part: float, moved: Callable[[float], Departure]) -> AssumedInput:
-    return AssumedInput(name, kind, f"{100 * part:g} %", moved)
+def _input(
+    name: str, kind: str, part: float, moved: Callable[[float], Departure], most: float = 30.0
+) -> AssumedInput:
+    return AssumedInput(name, kind, f"{100 * part:g} %", moved, most)

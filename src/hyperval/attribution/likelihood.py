@@ -89,13 +89,14 @@ class Whitened:
         return float(stats.chi2.sf(self.chi_square, self.dof))
 
 
-def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool) -> Explanation:
+def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool, most: float = np.inf) -> Explanation:
     """Free one input and see what it gains.
 
     Parameters
     ----------
     columns : (n,) or (n, k) change of the compared quantities (prediction) per standard uncertainty
     budgeted : whether C holds these columns already; then tau comes on top of 1
+    most : greatest tau; an input that would have to move farther than it can is no reason
     """
     w = data.whiten(columns)
     w = w[:, None] if w.ndim == 1 else w
@@ -105,7 +106,7 @@ def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool) -> Ex
         return Explanation(0.0, 0.0, np.zeros(w.shape[1]), data.chi_square, data.dof)
     u, s, vt = u[:, keep], s[keep], vt[keep]
     q = u.T @ data.residual
-    t2 = _best_tau_squared(s, q)
+    t2 = _best_tau_squared(s, q, most**2)
     gain = float(_gain(t2, s, q))
     shrink = 1.0 / (1.0 + t2 * s**2)
     z = (t2 + float(budgeted)) * (vt.T @ (s * shrink * q))  # best linear unbiased prediction of z
@@ -119,15 +120,17 @@ def _gain(t2: float, s: Array, q: Array) -> float:
     return float(np.sum(x / (1.0 + x) * q**2 - np.log1p(x)))
 
 
-def _best_tau_squared(s: Array, q: Array) -> float:
+def _best_tau_squared(s: Array, q: Array, most: float) -> float:
     if s.size == 1:  # d/dt2 = 0 at 1 + t2 s^2 = q^2
-        return max(float(q[0] ** 2) - 1.0, 0.0) / float(s[0] ** 2)
-    grid = _GRID / float(s[0] ** 2)
+        return min(max(float(q[0] ** 2) - 1.0, 0.0) / float(s[0] ** 2), most)
+    grid = np.minimum(_GRID / float(s[0] ** 2), most)
     values = np.array([_gain(t, s, q) for t in grid])
     best = int(np.argmax(values))
     if values[best] <= 0.0:
         return 0.0
     low, high = np.log(grid[max(best - 1, 0)]), np.log(grid[min(best + 1, grid.size - 1)])
+    if not high > low:
+        return float(grid[best])
     found = optimize.minimize_scalar(lambda t: -_gain(np.exp(t), s, q), bounds=(low, high), method="bounded")
     return float(np.exp(found.x))
 

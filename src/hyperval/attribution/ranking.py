@@ -15,6 +15,8 @@ Array = npt.NDArray[np.float64]
 
 ENOUGH = 0.05  # p-value from which residuals count as explained
 MOST_STEPS = 3
+# Candidates whose gains differ by less cannot be told apart: the likelihoods differ by a factor of less than e.
+ALIKE = 2.0
 
 
 @dataclass(frozen=True)
@@ -26,12 +28,14 @@ class Candidate:
     name, kind : for people
     step : one unit in words
     budgeted : its uncertainty is stated, and is in the covariance already
+    most : units that it may move at most; beyond that it is no reason
     """
 
     name: str
     kind: str
     step: str
     budgeted: bool
+    most: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,10 @@ class Ranking:
         if not self.together:
             return f"no input explains anything: {before} (p = {self.p_value:.2g})"
         best, last = self.together[0], self.together[-1]
+        alike = [r.candidate.name for r in self.ranked[1:] if r.gain > best.gain - ALIKE]
         first = f"{best.candidate.name} ({told(best)}) explains most"
+        if alike:
+            first += f" (not told apart from {' and '.join(alike[:3])})"
         if best.p_value >= ENOUGH:
             return f"{first}, and is enough: {before}, {best.chi_square / self.dof:.3g} after"
         names = " and ".join(r.candidate.name for r in self.together)
@@ -96,8 +103,9 @@ class Ranking:
 def told(item: Ranked) -> str:
     """How far an input would have to move, in words."""
     what = "stated uncertainty" if item.candidate.budgeted else f"step of {item.candidate.step}"
-    size = f"{item.units:+.2g}" if len(item.amplitudes) == 1 else f"{item.units:.2g}"
-    return f"{size} times its {what}"
+    if len(item.amplitudes) == 1:
+        return f"{item.units:+.2g} times its {what}"
+    return f"{item.needed:.2g} times its {what}"
 
 
 def ranking(
@@ -131,7 +139,7 @@ def ranking(
 
 
 def _all(data: Whitened, columns: Mapping[Candidate, Array]) -> list[Ranked]:
-    found = [_ranked(c, explanation(data, g, budgeted=c.budgeted)) for c, g in columns.items()]
+    found = [_ranked(c, explanation(data, g, budgeted=c.budgeted, most=c.most)) for c, g in columns.items()]
     return sorted(found, key=lambda r: (-r.gain, r.candidate.name))
 
 

@@ -1,7 +1,7 @@
 """All that a run compares as one vector: observed minus predicted, and how well the data know each entry.
 
-Radiance of every subject (reflectance where there is none), SNR, moments of the scores, and the false-alarm rate at
-measured thresholds.  P_D is left out: it follows from the scores, and would count them twice.
+Radiance of every subject in the windows of the atmosphere (reflectance where there is none), SNR, moments of the
+scores, and the false-alarm rate at measured thresholds.  P_D is left out: it follows from the scores, and would count them twice.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from scipy import linalg
 
 from hyperval.products import Products, RocCurve, ScoreDistribution, SpectralEstimate, background_of
+from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
 
@@ -38,6 +39,7 @@ class Block:
     covariance : (n, n) of the error of ``observed``, the numerical floor of the model included
     read : the same (n,) from a prediction
     read_variance : (n,) variances that a prediction states for it, None where it states none
+    bands : (n,) index of the band of each entry, None for what is no spectrum
     """
 
     product: str
@@ -47,6 +49,7 @@ class Block:
     covariance: Array
     read: Callable[[Products], Array]
     read_variance: Callable[[Products], Array] | None = None
+    bands: npt.NDArray[np.intp] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +80,19 @@ class Stack:
         ]
         return np.concatenate(parts)
 
+    def single_bands(self) -> Array:
+        """(n, K) the spectra band by band: column k holds what all subjects show in one band, 0 elsewhere."""
+        of_spectra = [b for b in self.blocks if b.bands is not None and b.product in ("radiance", "reflectance")]
+        if not of_spectra:
+            return np.zeros((self.observed.size, 0))
+        used = np.unique(np.concatenate([b.bands for b in of_spectra if b.bands is not None]))
+        out = np.zeros((self.observed.size, used.size))
+        for block, place in zip(self.blocks, self.slices(), strict=True):
+            if block.bands is not None:
+                rows = np.arange(place.start, place.stop)
+                out[rows, np.searchsorted(used, block.bands)] = block.observed
+        return out
+
     def slices(self) -> list[slice]:
         """Where each block stands."""
         ends = np.cumsum([b.observed.size for b in self.blocks])
@@ -101,7 +117,8 @@ def _spectrum(product: str, subject: str, predicted: Products, estimate: Spectra
     if there is None:
         return []
     mean = there.mean
-    use = predicted.axis.good & np.isfinite(mean) & np.isfinite(estimate.mean)
+    use = predicted.axis.good & in_window(predicted.axis.centre_nm)
+    use &= np.isfinite(mean) & np.isfinite(estimate.mean)
     use &= mean > 0.01 * np.nanmax(mean, initial=0.0)  # bands without light say nothing
     if not use.any():
         return []
@@ -114,7 +131,7 @@ def _spectrum(product: str, subject: str, predicted: Products, estimate: Spectra
     def variance(p: Products) -> Array:
         return np.nan_to_num(np.diag(getattr(p, product)[subject].error_covariance)[use])
 
-    return [Block(product, subject, "", estimate.mean[use], covariance, read, variance)]
+    return [Block(product, subject, "", estimate.mean[use], covariance, read, variance, np.flatnonzero(use))]
 
 
 def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> list[Block]:

@@ -27,6 +27,8 @@ Move = Callable[[float], Departure]
 ALL = "all"
 ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
 _CHECKS = 4
+# Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
+SINGLE_BANDS = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +40,14 @@ class Input:
     name, kind : for people
     step : one unit in words
     directions : how units of its uncertainty along each of its independent directions move the truth
+    most : units that it may move at most
     """
 
     name: str
     kind: str
     step: str
     directions: tuple[Move, ...]
+    most: float = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +129,8 @@ def attribute(
                 changes[:, i] = 0.5 * (up_q - down_q)
                 single[reason.candidate, 1], single[reason.candidate, -1] = up_q, down_q
         columns[reason.candidate] = np.stack(moved, axis=1)
+    if options.unbudgeted and (bands := SINGLE_BANDS * stack.single_bands()).size:
+        columns[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False, 30.0)] = bands
     predicted, values = stack.predicted(base), np.array([q.read(base) for q in asked])
     budget = budget_covariance(columns, predicted.size)
     covariance = stack.covariance + budget
@@ -179,7 +185,7 @@ def _reasons(stated: Sequence[Sequence[Input]], assumed: Sequence[Sequence[Input
                 tuple(m.directions[d] if m is not None and d < len(m.directions) else None for m in members)
                 for d in range(depth)
             )
-            out.append(_Reason(Candidate(name, first.kind, first.step, budgeted), directions))
+            out.append(_Reason(Candidate(name, first.kind, first.step, budgeted, first.most), directions))
     return out
 
 

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from hyperval.attribution.schema import AttributionOptions
 from hyperval.campaign.template import campaign_runs
 from hyperval.collection import Classification, Collection, Detection
 from hyperval.compare.gates import Gate
@@ -35,9 +36,17 @@ class Campaign(Outline):
     collection: Collection
     detection: Detection | None = None
     classification: Classification | None = None
+    equivalence_margin: float | None = Field(
+        None,
+        gt=0,
+        lt=1,
+        description="difference of P_D that is no difference for the purpose; adds pd_equivalence rows",
+    )
     scenarios: list[Scenario | str] = Field(
         min_length=1, description="scenario files, built-in names or scenarios written out"
     )
+
+    attribution: AttributionOptions | None = Field(None, description="look for the reasons where the sides differ")
 
     _run: Mapping[str, str] = PrivateAttr(default_factory=dict)
 

@@ -1,0 +1,66 @@
+"""Predictions of a campaign's scenarios as one side of its comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+from hyperval.collection import Detection
+from hyperval.errors import UsageError
+from hyperval.processing.roc import average_roc
+from hyperval.products import Observation, Prediction, Products, RocCurve
+from hyperval.scenario import Scenario
+
+
+def merged(predictions: Sequence[Prediction]) -> Prediction:
+    """One prediction out of several scenarios on the same axis; no subject may stand in two of them."""
+    first, *rest = predictions
+    if not rest:
+        return first
+    parts: dict[str, Any] = {}
+    for field in fields(Products):
+        values = [getattr(p, field.name) for p in predictions]
+        if not isinstance(values[0], Mapping) or field.name == "provenance":
+            continue
+        joined: dict[Any, Any] = {}
+        for value in values:
+            twice = sorted(str(k) for k in set(joined) & set(value))
+            if twice:
+                raise UsageError(f"two scenarios predict the {field.name} of {twice[0]}")
+            joined.update(value)
+        parts[field.name] = joined
+    notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
+    return Prediction(
+        axis=first.axis, **parts, notes=notes, provenance={"scenarios": [dict(p.provenance) for p in predictions]}
+    )
+
+
+def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Prediction:
+    """The prediction without the spectra that were taken from the collection: they agree whatever is wrong."""
+    surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
+    taken = {s.name for s in surfaces if s.spectrum.measured is not None}
+    spread = {s.name for s in surfaces if s.covariance is not None and s.covariance.measured is not None}
+    radiance, reflectance = (
+        {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in held.items() if k not in taken}
+        for held in (prediction.radiance, prediction.reflectance)
+    )
+    if not taken:
+        return replace(prediction, radiance=radiance, reflectance=reflectance)
+    note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
+    return replace(prediction, radiance=radiance, reflectance=reflectance, notes=(*prediction.notes, note))
+
+
+def with_pools(
+    predicted: Mapping[tuple[str, str, str], RocCurve], observation: Observation, detection: Detection
+) -> dict[tuple[str, str, str], RocCurve]:
+    """The predicted curves with those of the campaign's pools, averaged as the collection counts its targets."""
+    out = dict(predicted)
+    for pool in detection.pools:
+        for name, detector, unit in observation.roc:
+            keys = [(subject, detector, unit) for subject in pool.subjects]
+            if name != pool.name or not all(key in predicted for key in keys):
+                continue
+            counts = [observation.roc[key].n_target or 0 for key in keys]
+            out[name, detector, unit] = average_roc([predicted[key] for key in keys], counts)
+    return out

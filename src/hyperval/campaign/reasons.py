@@ -1,0 +1,107 @@
+"""Why a campaign's two sides differ: its model asked again with inputs moved and what-ifs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from hyperval.attribution.assumed import assumed_inputs
+from hyperval.attribution.model import Model
+from hyperval.attribution.rows import attribution_rows
+from hyperval.attribution.run import Input, Move, attribute
+from hyperval.campaign.merge import merged, with_pools, without_circles
+from hyperval.campaign.schema import Campaign
+from hyperval.observe import Observed
+from hyperval.observe import observe as observe_collection
+from hyperval.predict import predict
+from hyperval.prediction.budget import budget_inputs
+from hyperval.prediction.budget_input import BudgetInput
+from hyperval.prediction.departure import Departure
+from hyperval.prediction.inputs import Resolve
+from hyperval.products import Prediction, Products
+from hyperval.results import Result
+from hyperval.scenario import Scenario
+from hyperval.scenario_uncertainty import Uncertainty
+from hyperval.settings import with_settings
+
+# Directions of an input with a correlation length that are looked at: they hold nearly all of its variance.
+MOST_DIRECTIONS = 8
+
+
+def reasons(
+    campaign: Campaign,
+    scenarios: Sequence[Scenario],
+    observed: Observed,
+    prediction: Prediction,
+    resolve: Resolve,
+    resolver_of: Callable[[Scenario], Resolve],
+    *,
+    show_progress: bool | None = None,
+) -> list[Result]:
+    """Rows of the reasons, none where the campaign does not ask for them.
+
+    Parameters
+    ----------
+    prediction : as it was compared
+    resolve, resolver_of : of the collection's references, and of those of each scenario
+    """
+    if campaign.attribution is None:
+        return []
+    observation = observed.observation
+
+    def predicted(asked: Sequence[Scenario], departures: Sequence[Departure]) -> Products:
+        parts = [
+            predict(
+                scenario.model_copy(update={"uncertainty": Uncertainty()}),  # bands of its own are not needed
+                axis=observation.axis,
+                measured=observed.statistics,
+                resolve=resolver_of(scenario),
+                departure=departure,
+                show_progress=show_progress,
+            )
+            for scenario, departure in zip(asked, departures, strict=True)
+        ]
+        joined = without_circles(merged(parts), asked)
+        if campaign.detection is not None:
+            joined = replace(joined, roc=with_pools(joined.roc, observation, campaign.detection))
+        return joined
+
+    def measured_again(changes: Mapping[str, Any]) -> Products:
+        changed = with_settings(campaign, changes)
+        return observe_collection(
+            changed.collection, changed.detection, resolve, show_progress=show_progress
+        ).observation
+
+    stated = [_stated(s, observed, resolver_of(s), show_progress) for s in scenarios]
+    assumed = [
+        [Input(i.name, i.kind, i.step, (i.moved,), i.most) for i in assumed_inputs(scenario)]
+        for scenario in scenarios
+    ]
+    found = attribute(
+        Model(scenarios, predicted, measured_again),
+        observation,
+        stated,
+        assumed,
+        campaign.attribution,
+        budgeted=prediction,
+        show_progress=show_progress,
+    )
+    return attribution_rows(found, campaign.name)
+
+
+def _stated(scenario: Scenario, observed: Observed, resolve: Resolve, show_progress: bool | None) -> list[Input]:
+    """The inputs of a scenario's budget, each with its leading directions."""
+    found = budget_inputs(
+        scenario,
+        axis=observed.observation.axis,
+        measured=observed.statistics,
+        resolve=resolve,
+        show_progress=show_progress,
+    )
+
+    def moves(item: BudgetInput) -> tuple[Move, ...]:
+        return tuple(partial(item.direction, k) for k in range(min(item.size, MOST_DIRECTIONS)))
+
+    return [Input(item.name, item.kind, item.correlation, moves(item)) for item in found]
