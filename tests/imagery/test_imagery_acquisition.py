@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hyperval.envi_header import parse_header
-from hyperval.imagery.acquisition import acquisition_notes
+from hyperval.imagery.acquisition import acquisition_notes, time_notes
 from hyperval.imagery.cube import open_cube
 from hyperval.spectra.axis import SpectralAxis
 
@@ -32,7 +33,8 @@ LINE = {
 
 
 def test_every_entry_is_reported_once():
-    shift, calibration, times, settings, windows = acquisition_notes(LINE, AXIS, 320, 360)
+    sensor, shift, calibration, times, settings, windows = acquisition_notes(LINE, AXIS, 320, 360)
+    assert sensor == "header: sensor type AISA"
     assert shift.startswith("warning: header: CO2 shift 3.65 nm found ('calculated co2 shift'")
     assert "0.46 of a band width at 2007 nm" in shift  # 3.65 / 8
     assert "wavelength_shift_nm" in shift
@@ -43,7 +45,7 @@ def test_every_entry_is_reported_once():
 
 
 def test_a_header_without_them_gives_no_note():
-    assert acquisition_notes({"sensor type": "x", "band names": "a, b", "data gain values": "1"}, AXIS, 1, 4) == ()
+    assert acquisition_notes({"band names": "a, b", "data gain values": "1", "file type": "ENVI"}, AXIS, 1, 4) == ()
 
 
 def test_windows_that_are_not_those_of_the_cube():
@@ -81,6 +83,84 @@ def test_a_hand_built_header_is_read_through_the_parser():
         "header: binning 4, 2 (integration times without a unit; milliseconds are usual)",
         "header: 2 detectors, bands 1-2 and 3-4 (from 1)",
     ]
+
+
+@pytest.mark.parametrize(
+    ("entries", "begin"),
+    [
+        ({"sensor name": "VS", "instrument id": "sn 7"}, "header: sensor name VS, instrument id sn 7"),
+        ({"dark file name": "d", "gain file": "g.cal"}, "header: calibration from dark file name d, gain file g"),
+        ({"processing level": "1B"}, "header: processing level 1B"),
+        ({"wavelength shift": "-0.8 nm"}, "warning: header: wavelength shift -0.8 nm found ('wavelength shift'"),
+    ],
+)  # fmt: skip
+def test_single_entries(entries, begin):
+    (note,) = acquisition_notes(entries, AXIS, 1, 4, lines=10, quantity="radiance")
+    assert note.startswith(begin)
+
+
+@pytest.mark.parametrize(
+    ("entries", "quantity", "warned"),
+    [
+        ({"data units": "Reflectance x 10000"}, "radiance", True),
+        ({"data units": "Reflectance x 10000"}, "reflectance", False),
+        ({"processing level": "at-sensor radiance"}, "reflectance", True),
+        ({"z plot titles": "Wavelength (nm), Radiance"}, "radiance", False),
+        ({"data units": "irradiance"}, "reflectance", False),
+        ({"data units": "Reflectance"}, None, False),
+    ],
+)
+def test_a_level_of_another_quantity(entries, quantity, warned):
+    notes = acquisition_notes(entries, AXIS, 1, 4, quantity=quantity)
+    assert sum(n.startswith("warning") for n in notes) == int(warned)
+    assert notes[0].startswith("header: ")
+
+
+def test_integration_times_and_the_frame_rate():
+    notes = acquisition_notes({"fps": "67.00", "tint1": "3.0", "tint2": "20.0"}, AXIS, 1, 4)
+    (warning,) = [n for n in notes if n.startswith("warning")]
+    assert "tint2 20 is longer than a frame at 67 frames per second (14.93 ms)" in warning
+
+
+@pytest.mark.parametrize(("lines", "said"), [(10_500, False), (11_300, False), (4000, True), (None, False)])
+def test_lines_by_the_frame_rate_and_by_the_clock(lines, said):
+    # 16:31:02.5 to 16:33:40.0 are 157.5 s, or 10,552 lines at 67 a second.
+    notes = acquisition_notes(LINE, AXIS, 320, 360, lines=lines)
+    assert any("take 59.7 s, the GPS times are 157.5 s apart" in n for n in notes) == said
+
+
+SCENARIO = datetime(2012, 9, 20, 16, 31, tzinfo=UTC)
+
+
+@pytest.mark.parametrize(
+    ("entries", "said"),
+    [
+        ({"gps start time": "16:31:02.5", "gps stop time": "16:33:40.0"}, []),
+        ({"acquisition time": "2012-09-20T16:31:00Z"}, []),
+        (
+            {"gps start time": "12:31:02"},
+            ["240 minutes before the time of scenario 'line', 16:31:00 UTC"],
+        ),
+        ({"gps start time": "16:42:00"}, ["11 minutes after"]),
+        ({"acquisition date": "2012/09/21"}, ["is not the day of scenario 'line', 2012-09-20"]),
+        ({"acquisition date": "20/09/2012", "gps start time": "unknown", "start time": "99:99"}, []),
+        ({"acquisition date": "2012-13-41"}, []),
+        ({"sensor type": "16:00"}, []),
+    ],
+)
+def test_times_that_are_not_those_of_the_scenario(entries, said):
+    notes = time_notes(entries, SCENARIO, "line")
+    assert len(notes) == len(said)
+    assert all(
+        note.startswith("warning: header: ") and part in note for note, part in zip(notes, said, strict=True)
+    )
+
+
+def test_times_around_midnight_and_with_an_offset():
+    late = datetime(2012, 9, 20, 23, 58, tzinfo=UTC)
+    assert time_notes({"gps start time": "00:03:00"}, late, "line") == ()
+    local = datetime(2012, 9, 20, 12, 31, tzinfo=timezone(timedelta(hours=-4)))
+    assert time_notes({"acquisition time": "2012-09-20T16:31:00"}, local, "line") == ()
 
 
 @pytest.mark.data

@@ -9,8 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from hyperval.campaign.curves import eigenvalue_spectra, tail_curves
 from hyperval.campaign.derived import predicted_unmixing, with_errors_of_classes
 from hyperval.campaign.draft import Waiting, read_texts
+from hyperval.campaign.header_check import scenario_notes
 from hyperval.campaign.merge import merged, with_pools, without_circles
 from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.pictures import quicklook, score_maps
@@ -214,7 +216,7 @@ def _report(
         table = ResultTable(rows)
     else:
         table = ResultTable(product_rows(campaign.name, observed.observation, "observed"))
-    notes = [*campaign.assumptions, *observed.observation.notes]
+    notes = [*campaign.assumptions, *observed.observation.notes, *scenario_notes(observed.place, scenarios)]
     if prediction is not None:
         notes += prediction.notes
     return RunReport(
@@ -236,6 +238,8 @@ def _report(
         ),
         notes=list(dict.fromkeys(notes)),
         references=campaign.references,
+        eigenvalues=eigenvalue_spectra(prediction, observed.observation) if prediction else {},
+        tails=tail_curves(prediction, observed.observation) if prediction else {},
     )
 
 

@@ -7,17 +7,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from datetime import UTC, date, datetime
 
 import numpy as np
 
 from hyperval.spectra.axis import SpectralAxis
 
 _CO2_NM = 2010.0  # the carbon dioxide bands that a shift is fitted to lie at about 2000-2070 nm
+MINUTES_APART = 10.0  # the sun moves 2.5 degrees in ten minutes
+_TIMES = r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$"
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
 def acquisition_notes(
-    entries: Mapping[str, str], axis: SpectralAxis, samples: int, stored_bands: int
+    entries: Mapping[str, str],
+    axis: SpectralAxis,
+    samples: int,
+    stored_bands: int,
+    lines: int | None = None,
+    quantity: str | None = None,
 ) -> tuple[str, ...]:
     """Sentences about the acquisition, one for each thing that the header tells; none when it tells nothing.
 
@@ -25,26 +33,122 @@ def acquisition_notes(
     ----------
     entries : header entries in lower case, braces taken off (``Cube.extras``)
     axis : the bands, for the size of a spectral shift
-    samples, stored_bands : size of the image, against which the detector windows are held
+    samples, stored_bands, lines : size of the image, against which detector windows, times and frame rate are held
+    quantity : what the campaign takes the cube for, against which the processing level is held
     """
     notes: list[str] = []
+    sensor = _listed(
+        entries, r"^(sensor|instrument)( (type|name|id|model|serial number))?$|^(sensor|instrument)id$"
+    )
+    if sensor:
+        notes.append(f"header: {sensor}")
+    notes += _level(entries, quantity)
     notes += _spectral_shift(entries, axis)
-    files = _listed(entries, r"(gain|calibration|\bcal\b|dark).*\bfiles?\b|\bcal(ibration)? file")
+    files = _listed(entries, r"(gain|calibration|\bcal\b|dark|flat).*\bfiles?\b|\bcal(ibration)? file")
     if files:
         notes.append(f"header: calibration from {files}")
-    times = _listed(entries, r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$")
+    times = _listed(entries, _TIMES)
     if times:
         notes.append(f"header: acquired {times}; the times of the scenario should agree")
     settings = _listed(entries, r"^fps$|^frame ?rate$|^tint[0-9]*$|^binning[0-9]*$")
     if settings:
         notes.append(f"header: {settings} (integration times without a unit; milliseconds are usual)")
+    notes += _frames(entries, lines)
     notes += _windows(entries, samples, stored_bands)
     return tuple(notes)
 
 
+def _level(entries: Mapping[str, str], quantity: str | None) -> list[str]:
+    """Processing level and data units, and whether they are those of another quantity than the campaign's."""
+    listed = _matching(entries, r"^(processing|product) ?level$|^level$|^data ?(units?|type name)$|^z plot titles$")
+    notes = [f"header: {key} {_short(text)}" for key, text in listed if text]
+    for key, text in listed:
+        named = {q for q in ("radiance", "reflectance") if re.search(rf"(?<![a-z]){q}", text.lower())}
+        if quantity in ("radiance", "reflectance") and named and quantity not in named:
+            notes.append(
+                f"warning: header: '{key} = {_short(text)}' speaks of {' and '.join(sorted(named))}, the campaign "
+                f"takes the cube for {quantity}"
+            )
+    return notes
+
+
+def _frames(entries: Mapping[str, str], lines: int | None) -> list[str]:
+    """Frame rate against integration times, and against the times of start and stop."""
+    rate = next((v for _, t in _matching(entries, r"^fps$|^frame ?rate$") if (v := _first(t)) is not None), None)
+    if rate is None or rate <= 0:
+        return []
+    notes = []
+    frame_ms = 1000.0 / rate
+    for key, text in _matching(entries, r"^tint[0-9]*$"):
+        value = _first(text)
+        if value is not None and value > 1.01 * frame_ms:
+            notes.append(
+                f"warning: header: {key} {value:g} is longer than a frame at {rate:g} frames per second "
+                f"({frame_ms:.4g} ms): it is not in ms, or one of them is wrong"
+            )
+    clock = [_clock(t) for end in ("start", "stop|end") for _, t in _matching(entries, rf"^gps ({end}) time$")[:1]]
+    if len(clock) == 2 and None not in clock and lines is not None:
+        seconds = (clock[1] - clock[0]) % 86400.0  # type: ignore[operator]
+        if seconds > 0 and abs(lines / rate / seconds - 1.0) > 0.1:
+            notes.append(
+                f"header: {lines} lines at {rate:g} frames per second take {lines / rate:.4g} s, the GPS times are "
+                f"{seconds:.4g} s apart: a part of the line, binned or resampled lines, or a wrong rate"
+            )
+    return notes
+
+
+def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[str, ...]:
+    """Warnings where a time of the header is not that of a scenario: another day, or more than ten minutes apart.
+
+    Parameters
+    ----------
+    when : time of the scenario, with its offset from UTC
+    name : of the scenario
+
+    GPS time runs ahead of UTC by less than 20 s, which is left aside; a header in local time is found too.
+    """
+    utc = when.astimezone(UTC)
+    notes = []
+    for key, text in _matching(entries, _TIMES):
+        day, seconds = _day(text), _clock(text)
+        if day is not None and day != utc.date():
+            notes.append(
+                f"warning: header: '{key} = {_short(text)}' is not the day of scenario {name!r}, {utc:%Y-%m-%d}"
+            )
+        elif seconds is not None:
+            of_day = utc.hour * 3600.0 + utc.minute * 60.0 + utc.second
+            apart = (seconds - of_day + 43200.0) % 86400.0 - 43200.0
+            if abs(apart) > 60.0 * MINUTES_APART:
+                notes.append(
+                    f"warning: header: '{key} = {_short(text)}' is {abs(apart) / 60:.0f} minutes "
+                    f"{'after' if apart > 0 else 'before'} the time of scenario {name!r}, {utc:%H:%M:%S} UTC: "
+                    "local time, or the sun stands elsewhere"
+                )
+    return tuple(notes)
+
+
+def _clock(text: str) -> float | None:
+    """Seconds since midnight of the first hh:mm or hh:mm:ss in a text."""
+    found = re.search(r"(?<![0-9:])([0-9]{1,2}):([0-9]{2})(?::([0-9]{2}(?:\.[0-9]+)?))?", text)
+    if found is None:
+        return None
+    hour, minute, second = int(found.group(1)), int(found.group(2)), float(found.group(3) or 0.0)
+    return hour * 3600.0 + minute * 60.0 + second if hour < 24 and minute < 60 and second < 61 else None
+
+
+def _day(text: str) -> date | None:
+    """The first date in the form 2012-09-20 or 2012/09/20; other orders are not clear."""
+    found = re.search(r"(?<![0-9])([0-9]{4})[-/]([0-9]{1,2})[-/]([0-9]{1,2})(?![0-9])", text)
+    try:
+        return date(*(int(g) for g in found.groups())) if found is not None else None
+    except ValueError:
+        return None
+
+
 def _spectral_shift(entries: Mapping[str, str], axis: SpectralAxis) -> list[str]:
     notes = []
-    for key, text in _matching(entries, r"co2.*shift|shift.*co2"):
+    for key, text in _matching(entries, r"(co2|wavelength|spectral).*shift|shift.*(co2|wavelength|spectral)"):
+        kind = "CO2 shift" if "co2" in key else "wavelength shift"
         value = _first(text)
         if value is None:
             notes.append(f"warning: header: '{key} = {_short(text)}' is not understood")
@@ -57,7 +161,7 @@ def _spectral_shift(entries: Mapping[str, str], axis: SpectralAxis) -> list[str]
         if abs(axis.centre_nm[near] - _CO2_NM) < 100.0:
             size = f", {abs(value) / axis.fwhm_nm[near]:.2f} of a band width at {axis.centre_nm[near]:.0f} nm"
         notes.append(
-            f"warning: header: CO2 shift {value:g} nm found ('{key}', unit taken as nm{size}): the band centres "
+            f"warning: header: {kind} {value:g} nm found ('{key}', unit taken as nm{size}): the band centres "
             "may be off by as much where the producer did not correct them; "
             "sensor_operation.wavelength_shift_nm of the scenario can tell what that would do"
         )

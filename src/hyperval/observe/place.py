@@ -103,7 +103,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         if name not in regions:
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
         left_out |= regions[name].mask
-    notes = [*cube.notes, *acquisition_notes(cube.extras, cube.axis, cube.samples, cube.raster.bands)]
+    notes = [*cube.notes, *header_notes(cube)]
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
         notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
@@ -143,6 +143,13 @@ def _pixel_area_m2(cube: Cube, table: LookupTable | None, truth: TargetTruth | N
     if cube.transform is None and truth is not None and truth.pixel_size_m is not None:
         return truth.pixel_size_m**2
     return cube.pixel_area_m2
+
+
+def header_notes(cube: Cube) -> tuple[str, ...]:
+    """What the header of a cube says of its acquisition."""
+    return acquisition_notes(
+        cube.extras, cube.axis, cube.samples, cube.raster.bands, lines=cube.lines, quantity=cube.quantity
+    )
 
 
 def region_notes(regions: Iterable[Region], by_rule: frozenset[str] = frozenset()) -> list[str]:

@@ -1,0 +1,76 @@
+"""What the header of a cube says of time and place against the scenarios of its campaign."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from affine import Affine
+from rasterio.crs import CRS
+
+from hyperval.campaign.header_check import centre_of, distance_km, scenario_notes
+from hyperval.campaign.one import jobs_of, run_campaign
+from hyperval.observe.place import Place
+
+UTM18 = CRS.from_epsg(32618)
+
+
+GRID = Affine(1, 0, 275400.0, 0, -1, 4753700.0)
+
+
+def place(transform: Affine | None = GRID, extras: Any = None, table: Any = None):
+    raster = SimpleNamespace(transform=transform, crs=UTM18 if transform else None, samples=200, lines=100)
+    cube = SimpleNamespace(extras=extras or {}, raster=raster)
+    return cast(Place, SimpleNamespace(cube=cube, table=table))
+
+
+def scenario(**state: Any) -> Any:
+    given = {"time_utc": "2012-09-20T16:31:00Z", "latitude_deg": 42.9, "longitude_deg": -77.75} | state
+    return SimpleNamespace(name="line", atmosphere=SimpleNamespace(**given))
+
+
+def test_a_cube_at_its_place_and_time_says_nothing():
+    assert scenario_notes(place(extras={"gps start time": "16:31:02"}), [scenario()]) == []
+    assert scenario_notes(None, [scenario()]) == []
+    assert scenario_notes(place(), [SimpleNamespace(name="r", atmosphere=None)]) == []
+
+
+def test_another_place_or_time_is_a_warning_once():
+    notes = scenario_notes(
+        place(extras={"gps start time": "12:31:02"}), [scenario(latitude_deg=43.9), scenario(latitude_deg=43.9)]
+    )
+    assert [n.split(",")[0] for n in notes] == [
+        "warning: header: 'gps start time = 12:31:02' is 240 minutes before the time of scenario 'line'",
+        "warning: the cube lies at latitude 42.902",
+    ]
+    assert "111 km from the place of scenario 'line' (43.9, -77.75)" in notes[1]
+
+
+def test_the_lookup_table_places_a_raw_cube():
+    table = SimpleNamespace(raster=place().cube.raster)
+    assert centre_of(place(None)) is None
+    assert scenario_notes(place(None), [scenario(latitude_deg=0.0)]) == []
+    found = centre_of(place(None, table=table))
+    assert found == centre_of(place())
+    assert len(scenario_notes(place(None, table=table), [scenario(latitude_deg=0.0)])) == 1
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "km"),
+    [((0.0, 0.0), (1.0, 0.0), 111.2), ((60.0, 10.0), (60.0, 11.0), 55.6), ((0.0, 179.5), (0.0, -179.5), 111.2)],
+)
+def test_distances(a, b, km):
+    assert distance_km(a, b) == pytest.approx(km, rel=2e-3)
+
+
+def test_the_report_of_a_campaign_holds_the_warning(small, no_figures):
+    small.edit("small_rad.hdr", lambda text: text + "acquisition time = 2011-01-01T03:00:00Z\n")
+    given = small.scenario["atmosphere"]
+    for key in ("solar_zenith_deg", "solar_azimuth_deg", "day_of_year"):
+        given.pop(key)
+    given |= {"latitude_deg": 42.9, "longitude_deg": -77.75, "time_utc": "2012-07-18T17:00:00Z"}
+    (job,) = jobs_of(small.write())
+    notes = run_campaign(job).notes
+    assert any("2011-01-01T03:00:00Z' is not the day of scenario 'small', 2012-07-18" in n for n in notes)
+    assert not any("the cube lies" in n for n in notes)
