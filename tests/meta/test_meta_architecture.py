@@ -36,6 +36,18 @@ ROOMS: dict[str, set[str]] = {
     "results": set(),
     "compare": {"products", "results", "spectra", "processing"},
     "report": {"products", "results", "spectra"},
+    "sensor_check": {
+        "sensor",
+        "scenario",
+        "predict",
+        "products",
+        "results",
+        "scene.builtin",
+        "atmosphere",
+        "spectra",
+        "report",
+        "campaign.provenance",
+    },
     "datasets": {"download"},
     "download": set(),
 }

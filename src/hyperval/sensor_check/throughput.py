@@ -32,14 +32,16 @@ def check_throughput(sensor: Sensor, axis: SpectralAxis, ledger: Ledger) -> bool
     spec = sensor.specification
     sound = True
     if spec.arms:
-        index = sensor.arm_index(axis.centre_nm)
-        for k, arm in enumerate(spec.arms):
-            sound &= _check_arm(arm, axis.select(index == k), ledger)
         outside = _outside_arms(sensor, axis)
-        ledger.gate(
+        inside = ledger.gate(
             PRODUCT, "bands_outside_arms", outside.size, outside.size == 0, threshold=0.0,
             reason="bands beyond the range_nm of every arm: " + ", ".join(f"{w:g} nm" for w in outside[:5]),
         )  # fmt: skip
+        if not inside:
+            return False
+        index = sensor.arm_index(axis.centre_nm)
+        for k, arm in enumerate(spec.arms):
+            sound &= _check_arm(arm, axis.select(index == k), ledger) if np.any(index == k) else _empty(arm, ledger)
     if not sound:
         return False
     with np.errstate(all="ignore"):
@@ -76,12 +78,12 @@ def electrons_from_noise(noise: NoiseModel, level: Array, other: Array) -> Array
     return np.asarray((other - level) / change)
 
 
+def _empty(arm: Arm, ledger: Ledger) -> bool:
+    return ledger.gate(PRODUCT, "bands_of_arm", 0.0, False, threshold=1.0, subject=arm.name, reason="holds no band")
+
+
 def _check_arm(arm: Arm, axis: SpectralAxis, ledger: Ledger) -> bool:
-    if not len(axis):
-        ledger.gate(
-            PRODUCT, "bands", 0.0, False, threshold=1.0, subject=arm.name, reason="no band lies in this arm"
-        )
-        return False
+    ledger.gate(PRODUCT, "bands_of_arm", len(axis), True, threshold=1.0, subject=arm.name)
     sound = True
     w = axis.centre_nm
     for name, (most, zero) in _LIMITS.items():
