@@ -8,6 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hyperval.config import Model
 from hyperval.processing.detectors import DETECTORS
+from hyperval.processing.local_scores import LOCAL_DETECTORS
 from hyperval.scenario import SpectrumSource
 
 
@@ -260,6 +261,7 @@ class UnmixedTarget(Model):
     scenario_target: str | None = Field(
         None, description="target of the scenario that gives fills, host and spread; None: the one of the same name"
     )
+    endmembers: str = Field("", description="where the spectrum is from, such as field; told apart in the results")
     relative_uncertainty: float = Field(
         0.0, ge=0, lt=1, description="of the endmember as a picture of the target, standard"
     )
@@ -279,6 +281,19 @@ class Unmixing(Model):
     )
     draws: int = Field(400, ge=50, le=5000, description="objects drawn for the prediction")
     seed: int = Field(0, ge=0)
+
+
+class LocalWindowSource(Model):
+    """Squares around each pixel, whose pixels between the two give it a background mean of its own."""
+
+    outer_pixels: int = Field(ge=5, le=201, description="side of the outer square, odd")
+    inner_pixels: int = Field(ge=1, le=199, description="side of the inner square, odd: wider than the target")
+
+    @model_validator(mode="after")
+    def _fits(self) -> LocalWindowSource:
+        if self.outer_pixels % 2 == 0 or self.inner_pixels % 2 == 0 or self.inner_pixels >= self.outer_pixels:
+            raise ValueError("outer_pixels and inner_pixels are odd, and the inner one is less")
+        return self
 
 
 class Bootstrap(Model):
@@ -304,6 +319,11 @@ class Detection(Model):
     undesired: list[str] = Field(
         default_factory=list, description="regions whose mean spectra the detector 'osp' projects away"
     )
+    local_window: LocalWindowSource | None = Field(
+        None,
+        description="the background mean moves with the pixel, the covariance stays that of the whole background; "
+        "not for 'osp' and 'sam', which have no mean",
+    )
     halo_pixels: int = Field(
         0,
         ge=0,
@@ -328,6 +348,13 @@ class Detection(Model):
             if name not in DETECTORS:
                 raise ValueError(f"unknown detector {name!r}; one of {', '.join(DETECTORS)}")
         return names
+
+    @model_validator(mode="after")
+    def _local_forms(self) -> Detection:
+        without = [name for name in self.detectors if name not in LOCAL_DETECTORS]
+        if self.local_window is not None and without:
+            raise ValueError(f"local_window: the detector {without[0]!r} has no mean that could be local")
+        return self
 
     @model_validator(mode="after")
     def _osp_has_undesired(self) -> Detection:

@@ -98,3 +98,37 @@ def test_lines_that_nothing_fixes_are_refused():
         EmpiricalLineSource.model_validate({"panels": [one]})
     with pytest.raises(ValueError, match="intercept: false says is none"):
         EmpiricalLineSource.model_validate({"panels": [one], "intercept": False, "darkest_pixel": {}})
+
+
+def test_a_local_window_moves_the_mean_with_the_pixel(world):
+    world.detection |= {
+        "detectors": ["cem", "ace", "rx"], "pools": [], "local_window": {"outer_pixels": 11, "inner_pixels": 3},
+    }  # fmt: skip
+    seen = world.observe()
+    assert any("windows of 11 less 3 pixels; 0 pixels without" in note for note in seen.observation.notes)
+    target = world.on_bands("library.csv", "paint")
+    keep = ~seen.place.left_out
+    covariance = np.cov(world.values[keep].T)
+    line, sample = next(iter(PLANTED))
+    ring = np.zeros((LINES, SAMPLES), bool)
+    ring[line - 5 : line + 6, sample - 5 : sample + 6] = True
+    ring[line - 1 : line + 2, sample - 1 : sample + 2] = False
+    own = world.values[ring & keep].mean(axis=0)
+    for name in ("cem", "ace", "rx"):
+        expected = pixel_detector(name, target, own, covariance).score(
+            world.values[line, sample], whitener_of(own, covariance)
+        )
+        found = seen.detected.score_maps["rx" if name == "rx" else f"paint-{name}"]
+        assert found[line, sample] == pytest.approx(float(expected), rel=1e-8)
+
+
+def test_a_local_window_that_makes_no_sense_is_refused(world):
+    for outer, inner in ((10, 3), (5, 5), (9, 4)):
+        with pytest.raises(ValueError, match="odd"):
+            Detection.model_validate(
+                world.detection | {"local_window": {"outer_pixels": outer, "inner_pixels": inner}}
+            )
+    with pytest.raises(ValueError, match="no mean that could be local"):
+        Detection.model_validate(
+            world.detection | {"detectors": ["sam"], "local_window": {"outer_pixels": 9, "inner_pixels": 3}}
+        )

@@ -15,7 +15,7 @@ from hyperval.collection import AreaCheck, Detection, DetectionTarget
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
 from hyperval.observe.object_roc import object_curve
-from hyperval.observe.place import Place
+from hyperval.observe.place import IMAGE, SCENE, Place
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.blas import single_blas_thread
 from hyperval.processing.detectors import (
@@ -27,6 +27,7 @@ from hyperval.processing.detectors import (
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.exceedance import FEWEST_FOR_A_CURVE, exceedance_curve
 from hyperval.processing.filters import PositiveDefinite
+from hyperval.processing.local_scores import LocalWindow, score_cube_locally
 from hyperval.processing.objects import (
     Placed,
     footprint,
@@ -147,18 +148,34 @@ def detect(
             place.region(name)  # refuses a name that no region has
         undesired = [in_reflectance(measured[name], elm)[0][bands] for name in detection.undesired]
         detectors: dict[str, PixelDetector] = {}
+        looked_for: dict[str, tuple[str, Array | None]] = {}
         for target in detection.targets:
             for name in detection.detectors:
                 key = name if name in ANOMALY_DETECTORS else f"{target.name}-{name}"
                 if key not in detectors:
+                    looked_for[key] = name, None if name in ANOMALY_DETECTORS else spectra[target.name][bands]
                     detectors[key] = pixel_detector(
                         name, spectra[target.name][bands], mean[bands], inverted, np.array(undesired)
                     )
         whitener = None
-        if inverted is not None and any(d.quadratic == "distance" for d in detectors.values()):
+        local = detection.local_window
+        if inverted is not None and (local or any(d.quadratic == "distance" for d in detectors.values())):
             whitener = whitener_of(mean[bands], inverted)
     watch = watch_lines("scores", place.cube.bytes_per_line, place.cube.lines, show=show_progress)
-    maps = score_cube(place.cube, detectors, elm, bands, whitener=whitener, needed=axis.good, watch=watch)
+    if local is not None and whitener is not None:
+        window = LocalWindow(local.outer_pixels, local.inner_pixels)
+        surroundings = place.background([IMAGE] if IMAGE in detection.background else [SCENE])
+        found_here = score_cube_locally(
+            place.cube, looked_for, whitener, window, surroundings, elm, bands, needed=axis.good, watch=watch
+        )
+        maps = found_here.maps
+        notes.append(
+            f"background means from windows of {window.outer} less {window.inner} pixels; "
+            f"{found_here.without_surroundings} pixels without surroundings take the mean of the background. "
+            "Predicted scores are against that mean throughout"
+        )
+    else:
+        maps = score_cube(place.cube, detectors, elm, bands, whitener=whitener, needed=axis.good, watch=watch)
 
     alarms = place.background(detection.false_alarms)
     area_km2 = None if place.pixel_area_m2 is None else float(alarms.sum()) * place.pixel_area_m2 / 1e6

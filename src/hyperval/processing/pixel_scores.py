@@ -104,7 +104,7 @@ def score_cube(
     """
     used = np.ones(cube.bands, bool) if bands is None else np.asarray(bands, dtype=bool)
     must = used if needed is None else used | needed
-    slope, level = _to_spectra(cube, elm, used)
+    slope, level = stored_to_spectra(cube, elm, used)
     rows, constants, at = _stack(detectors, whitener, slope, level)
     with_length = any(d.quadratic == "length" for d in detectors.values())
     step = block_lines or lines_per_block(cube, BLOCK_PIXELS)
@@ -139,7 +139,7 @@ def score_cube(
     return maps
 
 
-def _to_spectra(cube: StoredCube, elm: EmpiricalLine | None, used: Mask) -> tuple[Array, Array]:
+def stored_to_spectra(cube: StoredCube, elm: EmpiricalLine | None, used: Mask) -> tuple[Array, Array]:
     """(F,) slope and level that make the detectors' spectra out of stored numbers s: slope s + level."""
     gain, offset = cube.gain[used], cube.offset[used]
     if elm is None:
