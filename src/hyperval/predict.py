@@ -25,6 +25,7 @@ from hyperval.prediction.departure import (
     departed_scenario,
     departed_surfaces,
     departed_terms,
+    with_retrieval,
 )
 from hyperval.prediction.detection import Background, Detection, Task, detect, seen_background
 from hyperval.prediction.field_spectra import spectrum_error_covariance
@@ -148,7 +149,9 @@ def predict(
 
     moves = moved_predictions(inputs, again)
     notes = [f"formulation: {scenario.formulation}"]
-    detection = _detection(scenario, on, surfaces, looked_for, view, steps, errors, spectra, notes, objects)
+    detection = _detection(
+        scenario, on, surfaces, looked_for, with_retrieval(view, truth), steps, errors, spectra, notes, objects
+    )
     pairs: list[tuple[Detection | Prediction, Detection | Prediction]] = [*detection.pairs]
     pairs += [(m.plus, m.minus) for m in moves]
     if detection.roc:  # spectra of classes move the background; those of targets are in the pairs already
@@ -348,6 +351,8 @@ def _detection(
     classes = [seen[c.name] for c in scene.classes]
     spread = [cut(c.pixel_covariance, bands) for c in classes]
     background = Background(scene.classes, on_bands, here, [c.mean[bands] for c in classes], spread)
+    if view.retrieval is not None:  # a line that is off changes what the detectors see of the classes
+        background = seen_background(here, scene.classes, on_bands)
     base = detect(background, task)
     if objects:
 

@@ -212,6 +212,11 @@ class Uncertainty(Model):
     sensor_offset: RadianceUncertainty | None = Field(None, description="of the recorded radiance")
     noise: RelativeUncertainty | None = Field(None, description="of the noise standard deviation")
     electrons: RelativeUncertainty | None = Field(None, description="of the electrons per radiance")
+    elm_panels: RelativeUncertainty | None = Field(
+        None,
+        description="of the reflectance of each panel of the empirical line, independent between panels; for "
+        "detection, as the collection states it for its reflectance",
+    )
     wavelength_shift: ShiftUncertainty | None = Field(None, description="of the band centres")
     fills: list[NamedSpread] = Field(default_factory=list, description="mean fill of targets or their subjects [1]")
     fractions: list[NamedSpread] = Field(

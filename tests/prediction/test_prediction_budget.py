@@ -41,6 +41,7 @@ uncertainty:
   sensor_offset: {absolute: 0.01}
   noise: {relative: 0.1, correlation: arms}
   electrons: {relative: 0.05}
+  elm_panels: {relative: 0.02}
   wavelength_shift: {absolute: 0.5, correlation: arms}
   fills: [{subject: tenth, absolute: 0.02}]
   fractions: [{subject: grass, absolute: 0.05}, {subject: asphalt, absolute: 0.02}]

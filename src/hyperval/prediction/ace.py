@@ -112,7 +112,7 @@ def _at_fill(
 
 def task_spectrum(background: Background, task: Task, target: Target) -> Array:
     """(F,) what the detector looks for, as it sees it."""
-    line, level = background.view.line(), background.view.level(task.looked_for[target.name])
+    line, level = background.view.library_line(), background.view.level(task.looked_for[target.name])
     return np.asarray((level - line.offset) / line.gain)
 
 

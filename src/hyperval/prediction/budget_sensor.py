@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.errors import UsageError
 from hyperval.prediction.budget_input import BudgetInput, Given, factor_input, scalar_input, spectral_input
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.forms import directions, value_at
+from hyperval.scenario import ElmPanels
 from hyperval.scenario_uncertainty import SpectralForm
 
 Array = npt.NDArray[np.float64]
@@ -53,8 +55,37 @@ def sensor_inputs(given: Given) -> list[BudgetInput]:
                 lambda c: Departure(wavelength_shift_nm=c @ places),
             )
         )  # fmt: skip
+    found += _panels(given)
     found += _blur(given)
     return found + ([] if light else _compensation(given))
+
+
+def _panels(given: Given) -> list[BudgetInput]:
+    """Errors e of the reflectances of the two panels, as parts of them.
+
+    The line through (rho_1 (1 + e_1), L_1) and (rho_2 (1 + e_2), L_2) gives, where L is linear in rho,
+    rho + rho_1 e_1 (rho_2 - rho)/(rho_2 - rho_1) + rho_2 e_2 (rho - rho_1)/(rho_2 - rho_1).
+    """
+    stated, elm = given.scenario.uncertainty.elm_panels, given.scenario.processing.elm
+    if stated is None:
+        return []
+    if not isinstance(elm, ElmPanels):
+        raise UsageError("uncertainty: elm_panels needs an empirical line of two panels")
+    low, high = elm.reflectances
+    rows = directions(np.full(len(given.axis), stated.relative), stated, given.axis, given.sensor)
+
+    def dark(e: Array) -> Departure:
+        slope = -low * e / (high - low)
+        return Departure(retrieval_gain=1.0 + slope, retrieval_offset=-high * slope)
+
+    def bright(e: Array) -> Departure:
+        slope = high * e / (high - low)
+        return Departure(retrieval_gain=1.0 + slope, retrieval_offset=-low * slope)
+
+    return [
+        factor_input(f"reflectance of the {name} panel", "sensor", rows, stated, lambda f, at=at: at(f - 1.0))  # type: ignore[misc]
+        for name, at in (("dark", dark), ("bright", bright))
+    ]
 
 
 def _blur(given: Given) -> list[BudgetInput]:

@@ -18,6 +18,7 @@ from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.prediction.detection import fill_distribution
 from hyperval.prediction.inputs import SurfaceStatistics
+from hyperval.prediction.view import View
 from hyperval.scenario import Fill, Geometry, Scenario
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.recorded import recorded_noise
@@ -27,8 +28,11 @@ from hyperval.spectra.axis import SpectralAxis
 Array = npt.NDArray[np.float64]
 Number = float | Array
 
-_FACTORS = ("ground", "path", "irradiance", "surroundings", "recorded_gain", "noise_factor", "signal_factor")
-_SUMS = ("recorded_offset", "wavelength_shift_nm", "solar_zenith_deg", "solar_azimuth_deg")
+_FACTORS = (
+    "ground", "path", "irradiance", "surroundings", "recorded_gain", "noise_factor", "signal_factor",
+    "retrieval_gain",
+)  # fmt: skip
+_SUMS = ("recorded_offset", "retrieval_offset", "wavelength_shift_nm", "solar_zenith_deg", "solar_azimuth_deg")
 _OF_RADIANCE = ("ground", "path", "irradiance", "surroundings", "noise_factor", "signal_factor")
 
 
@@ -70,6 +74,8 @@ class Departure:
     recorded_gain, recorded_offset : the recorded radiance is gain L + offset [1], [uW cm-2 sr-1 nm-1]; noise
         goes along.  Where the scenario has no atmosphere it is the reflectance of all surfaces that were not
         measured on the imagery
+    retrieval_gain, retrieval_offset : the empirical line gives gain rho + offset for a reflectance rho, its panels
+        being off; seen by the detectors alone, as what the line says of collected reflectance is the collection's
     wavelength_shift_nm : added to the true band centres [nm]; the labels stay
     noise_factor : on the noise standard deviation [1]
     signal_factor : on the electrons per radiance [1]
@@ -89,6 +95,8 @@ class Departure:
     wavelength_shift_nm: Number = 0.0
     noise_factor: Number = 1.0
     signal_factor: Number = 1.0
+    retrieval_gain: Number = 1.0
+    retrieval_offset: Number = 0.0
     solar_zenith_deg: float = 0.0
     solar_azimuth_deg: float = 0.0
 
@@ -307,6 +315,18 @@ def departed_noise(noise: NoiseModel | None, departure: Departure) -> NoiseModel
         factor=departure.noise_factor,
         signal_factor=departure.signal_factor,
     )
+
+
+def with_retrieval(view: View, departure: Departure) -> View:
+    """The view of the detectors, whose empirical line is off."""
+    gain, offset = departure.retrieval_gain, departure.retrieval_offset
+    if np.all(np.asarray(gain) == 1.0) and np.all(np.asarray(offset) == 0.0):
+        return view
+    shape = view.average.shape
+    g, o = np.broadcast_to(gain, shape).astype(float), np.broadcast_to(offset, shape).astype(float)
+    if view.retrieval is not None:  # off already: one after the other
+        g, o = g * view.retrieval[0], g * view.retrieval[1] + o
+    return replace(view, retrieval=(g, o))
 
 
 def keeps_surfaces(departure: Departure) -> bool:

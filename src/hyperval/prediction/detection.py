@@ -340,7 +340,7 @@ def detect(background: Background, task: Task, shift: float = 0.0) -> Detection:
     base = filter_base(background, populations, processing.filter_classes, processing.features)
     notes: list[str] = []
     for target in task.targets:
-        spectrum = retrieved_reflectance(view.line(), view.level(task.looked_for[target.name]))
+        spectrum = retrieved_reflectance(view.library_line(), view.level(task.looked_for[target.name]))
         for name in processing.detectors:
             if name in LINEAR_DETECTORS:
                 linear = base.filter(name, spectrum)

@@ -40,7 +40,7 @@ Array = npt.NDArray[np.float64]
 Key = tuple[str, str]
 
 # Draws of the inputs, and of objects at each of them.
-ROWS, COLUMNS = 400, 40
+ROWS, COLUMNS = 1600, 24
 # The blur's distribution stands on this many equally likely widths.
 _WIDTHS = 5
 # Other targets count up to this far beyond the corners of both [pixels]: four sigma of a blur of 1.5 pixels.
@@ -66,7 +66,7 @@ def evaluation(background: Background, task: Task) -> Evaluation:
     filters, responses = {}, {}
     for target in task.targets:
         spectrum = retrieved_reflectance(
-            background.view.line(), background.view.level(task.looked_for[target.name])
+            background.view.library_line(), background.view.level(task.looked_for[target.name])
         )
         for name in (d for d in task.processing.detectors if d in LINEAR_DETECTORS):
             filters[target.name, name] = base.filter(name, spectrum)

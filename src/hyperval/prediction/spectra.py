@@ -68,7 +68,8 @@ def spectral_products(
     errors : subject -> (B, B) error covariance of its field spectrum
     """
     out = SpectralProducts()
-    lines = [(s, s.plus.line(), s.minus.line()) for s in steps]
+    # What the empirical line is off by belongs to collected reflectance, not to the predicted one.
+    lines = [(s, s.plus.library_line(), s.minus.library_line()) for s in steps]
     for subject in _subjects(scenario, surfaces, view, errors):
         level = view.level(subject.rho)
         seen = view.seen(level, subject.under_sky, subject.covariance, subject.gain)

@@ -20,6 +20,7 @@ from hyperval.prediction.departure import (
     departed_scenario,
     departed_terms,
     keeps_surfaces,
+    with_retrieval,
 )
 from hyperval.prediction.detection import Detection, RocKey
 from hyperval.prediction.forms import form_covariance
@@ -67,7 +68,7 @@ def perturbations(
             terms = terms_of(state) if state is not None else terms
         assert terms is not None  # noqa: S101 - the view has light
         return replace(
-            view,
+            with_retrieval(view, d),
             terms=departed_terms(terms, d),
             average=view.average * d.surroundings,
             noise=departed_noise(view.noise, d),

@@ -67,6 +67,7 @@ class View:
     formulation : corrected or thesis
     elm : the empirical line or the darkest pixel; None for detection on radiance
     classes : for the darkest pixel
+    retrieval : (B,), (B,) the line gives gain rho + offset for a reflectance rho, its panels being off; None: rho
     """
 
     terms: AtmosphericTerms | None
@@ -77,6 +78,7 @@ class View:
     formulation: Formulation
     elm: ElmPanels | DarkestPixel | None
     classes: ClassLevels | None = None
+    retrieval: tuple[Array, Array] | None = None
 
     def at(self, bands: npt.NDArray[np.intp]) -> View:
         """The view of some bands alone, of which all have light."""
@@ -97,6 +99,7 @@ class View:
             self.formulation,
             self.elm,
             classes,
+            None if self.retrieval is None else (self.retrieval[0][bands], self.retrieval[1][bands]),
         )
 
     def level(self, reflectance: npt.ArrayLike) -> Array:
@@ -195,6 +198,14 @@ class View:
 
         Bands without light have NaN.
         """
+        if self.retrieval is None:
+            return self._line
+        gain, offset = self.retrieval  # (L - b) / k of the line below is gain rho + offset
+        k = self._line.gain / gain
+        return TwoPanelLine(k, self._line.offset - k * offset)
+
+    def library_line(self) -> TwoPanelLine:
+        """The line of panels that are as stated: what puts the spectra of a library into the image's units."""
         return self._line
 
     @cached_property
