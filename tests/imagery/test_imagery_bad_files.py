@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import lzma
 import os
 import resource
 import shutil
@@ -161,6 +164,59 @@ def test_sidecar_that_changes_the_meaning_is_not_read(tiff: Path, axis: Spectral
     cube = open_cube(tiff, quantity="reflectance", scale=1e-4, axis=axis)
     assert cube.ignore_value == -99
     assert cube.scaling.gain.tolist() == [1e-4] * 4
+
+
+def test_other_sidecars_of_a_geotiff_are_not_read(tiff: Path, axis: SpectralAxis, values: np.ndarray):
+    """Overviews and masks beside the file; a world file does not move one that knows its place."""
+    with rasterio.open(tiff) as dataset:
+        profile = dataset.profile
+    for name, size in (("t.tif.ovr", (3, 3)), ("t.tif.msk", (6, 5))):
+        smaller = profile | {"height": size[0], "width": size[1], "dtype": "uint8", "nodata": None, "count": 4}
+        with rasterio.open(tiff.with_name(name), "w", **smaller) as dataset:
+            dataset.write(np.zeros((4, *size), "u1"))
+    tiff.with_suffix(".tfw").write_text("9\n0\n0\n-9\n0\n0\n")
+    cube = open_cube(tiff, quantity="reflectance", scale=1e-4, axis=axis)
+    block = cube.read(0, 6)
+    assert np.allclose(block.values, values, atol=1e-15)
+    assert block.valid.all()
+    assert cube.transform == Affine(2, 0, 3e5, 0, -2, 47e5)
+    assert {p.name for p in cube.source_files} == {"t.tif"}
+
+
+def test_sidecars_of_an_envi_cube_are_not_read(cube_file: Path, values: np.ndarray):
+    cube_file.with_name("cube.img.aux.xml").write_text(
+        "<PAMDataset><PAMRasterBand band='1'><NoDataValue>5</NoDataValue><Scale>7</Scale></PAMRasterBand>"
+        "<GeoTransform>0, 9, 0, 0, 0, -9</GeoTransform></PAMDataset>"
+    )
+    for name in ("cube.img.ovr", "cube.img.msk", "cube.enp", "cube.img.enp", "cube.sta", "cube.wld"):
+        cube_file.with_name(name).write_bytes(b"\0" * 50)
+    cube = open_cube(cube_file, quantity="reflectance")
+    assert np.allclose(cube.read(0, 6).values, values, atol=1e-15)
+    assert (cube.ignore_value, cube.transform) == (None, None)
+    assert {p.name for p in cube.source_files} == {"cube.img", "cube.hdr"}
+
+
+@pytest.mark.parametrize("packing", ["gzip", "zip", "bzip2", "xz"])
+def test_a_compressed_data_file_is_called_that(cube_file: Path, packing: str):
+    raw = cube_file.read_bytes()
+    if packing == "zip":
+        import zipfile
+
+        with zipfile.ZipFile(cube_file, "w") as archive:
+            archive.writestr("cube.img", raw)
+    else:
+        pack = {"gzip": gzip.compress, "bzip2": bz2.compress, "xz": lzma.compress}[packing]
+        cube_file.write_bytes(pack(raw))
+    with pytest.raises(InputError, match=rf"cube\.img: the data file is compressed \({packing}\)") as caught:
+        open_cube(cube_file, quantity="reflectance")
+    assert "decompress it" in str(caught.value)
+
+
+def test_data_that_only_begin_like_an_archive_are_read(cube_file: Path):
+    raw = bytearray(cube_file.read_bytes())
+    raw[:2] = b"\x1f\x8b"  # two bytes of an int16 value may be anything
+    cube_file.write_bytes(raw)
+    assert open_cube(cube_file, quantity="other").read(0, 1).values.shape == (1, 5, 4)
 
 
 def test_geotiff_scale_tags_are_applied_once(tiff: Path, axis: SpectralAxis, values: np.ndarray):

@@ -452,3 +452,22 @@ def test_guard_is_a_disc(radius: float, pixels: int):
 def test_a_region_needs_a_boolean_mask():
     with pytest.raises(UsageError):
         Region("a", np.ones(SHAPE), "x")
+
+
+def test_a_packed_region_file_that_swells_is_refused(tmp_path: Path):
+    """40 MB of blanks in 40 kB: read no further than the limit."""
+    path = tmp_path / "rois.txt"
+    path.write_bytes(gzip.compress(b"; ENVI Output of ROIs (4.8)\n" + b" " * (40 << 20)))
+    with pytest.raises(InputError, match="larger than 32 MiB"):
+        read_regions(path, SHAPE)
+
+
+def test_the_header_of_a_class_raster_must_lie_in_the_root(tmp_path: Path):
+    inside = tmp_path / "root"
+    inside.mkdir()
+    write_cube(inside / "classes.img", np.ones((*SHAPE, 1), "u1"), data_type=1)
+    (inside / "classes.hdr").rename(tmp_path / "classes.hdr")
+    (inside / "classes.hdr").symlink_to(tmp_path / "classes.hdr")
+    with pytest.raises(UsageError, match="outside the data root"):
+        read_regions(inside / "classes.img", SHAPE, root=inside)
+    assert read_regions(inside / "classes.img", SHAPE, root=tmp_path)["classes"].n == SHAPE[0] * SHAPE[1]

@@ -31,6 +31,10 @@ from hyperval.paths import checked_file
 Index = npt.NDArray[np.intp]
 MAX_TILE_BYTES = 1 << 30
 TIFF_SUFFIXES = (".tif", ".tiff")
+_PACKED = {
+    b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ\x00": "xz",
+    b"(\xb5/\xfd": "zstandard", b"7z\xbc\xaf": "7-zip",
+}  # fmt: skip
 _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".cub", ".sli", ".lib")
 
 
@@ -231,6 +235,11 @@ def check_size(data: Path, header: EnviHeader) -> None:
         f"{header.header_offset} + {header.samples} samples x {header.lines} lines x {header.bands} bands "
         f"x {header.dtype.itemsize} bytes = {expected} bytes ({header.path})"
     )
+    packed = packing_of(data)
+    if packed is not None:
+        raise InputError(
+            f"the data file is compressed ({packed})", where=str(data), expected=described, mend="decompress it"
+        )
     if size < expected:
         missing = 100.0 * (expected - size) / expected
         what = f"the file is truncated: {size} bytes, {missing:.3g} % missing"
@@ -239,6 +248,13 @@ def check_size(data: Path, header: EnviHeader) -> None:
         what = f"the file is longer than its header says: {size} bytes, {size - expected} too many"
         mend = "correct the header (lines, bands, data type or header offset)"
     raise InputError(what, where=str(data), expected=described, mend=mend)
+
+
+def packing_of(path: Path) -> str | None:
+    """How a file is compressed, by its first bytes; None when it is not."""
+    with open(path, "rb") as stream:
+        head = stream.read(6)
+    return next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
 
 
 def _data_beside(header: Path) -> Path:

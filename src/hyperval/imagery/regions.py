@@ -101,7 +101,7 @@ def read_regions(
     stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     drawn: Mapping[Any, Mask | Drawing]
     if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names))
+        drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names), root=root)
     elif stripped.startswith(b"<"):
         drawn = regions_envi.xml_drawings(path, cube_shape, transform=transform, crs=crs)
     elif b"ENVI Output of ROIs" in head[:200]:
@@ -117,7 +117,7 @@ def read_regions(
             path, cube_shape, coordinates=coordinates, transform=transform, crs=crs
         )
     elif path.suffix.lower() == ".hdr" or header_beside(path) is not None:
-        drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names))
+        drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names), root=root)
     elif path.suffix.lower() in (".csv", ".txt"):
         drawn = regions_files.csv_drawings(path, cube_shape)
     else:

@@ -164,14 +164,16 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
     return drawings
 
 
-def raster_masks(path: Path, shape: tuple[int, int], *, by_value: bool = False) -> dict[str | int, Mask]:
+def raster_masks(
+    path: Path, shape: tuple[int, int], *, by_value: bool = False, root: Path | None = None
+) -> dict[str | int, Mask]:
     """Masks of the classes of a raster of one band, or of the bands of a raster of several.
 
     One band: a class for every whole number but 0 and the ignore value, under the class name of the
     header, else under the file's name (a single class) or ``name-value``; under the number itself with
     ``by_value``.  Several bands: a mask of what is not 0, under the band name.
     """
-    raster = open_raster(path)
+    raster = open_raster(path, root=root)
     if (raster.lines, raster.samples) != shape:
         raise InputError(
             f"the raster has {raster.lines} lines and {raster.samples} samples",
