@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from hyperval.errors import HypervalError
 from hyperval.predict import predict
 from hyperval.results import Status
 from hyperval.scenario import builtin_scenarios, load_scenario
-from hyperval.sensor.noise import NoiseBreakdown, NoiseModel, bit_error_variance
+from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
 from hyperval.sensor.specification import Sensor
 from hyperval.sensor_check.noise import summary_regions
 from hyperval.sensor_check.reference import LEVELS, MIDDLE, Engine, sunlit_radiance
@@ -77,8 +77,9 @@ def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[tuple[str, Measure
             value = np.median(np.sqrt(np.abs(getattr(parts, term)[here])))
             yield _item("noise", region, f"median_noise_{term}", value, "uW cm-2 sr-1 nm-1")
         if noise.measured is None:
-            variance = bit_error_variance(noise.lsb_electrons, noise.bits, BIT_ERROR_RATE)  # (3.19)
-            value = np.median(np.sqrt(variance / noise.electrons_per_radiance**2)[here])
+            wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE, bit_error_per="bit")
+            variance = wrong.breakdown(sunlit_radiance(axis, MIDDLE)).bit_errors  # (3.19)
+            value = np.median(np.sqrt(variance[here]))
             metric = f"median_bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"
             yield _item("noise", region, metric, value, "uW cm-2 sr-1 nm-1")
 

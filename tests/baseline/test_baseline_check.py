@@ -1,0 +1,200 @@
+"""hyperval check and hyperval baseline accept, from end to end on the small campaign and a sensor."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from hyperval import cli
+from hyperval.baseline import accept, check
+from hyperval.baseline.runs import _stale
+from hyperval.campaign.one import Job
+from hyperval.campaign.schema import load_campaign
+from hyperval.results import Status
+from hyperval.sensor.specification import load_sensor
+from small_campaign import SmallCampaign, sensor_data, stand_in_atmosphere, write_yaml
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to work in, so that validation/baselines is there."""
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    return tmp_path / "work"
+
+
+@pytest.fixture
+def finished(small: SmallCampaign, tmp_path: Path, no_figures: None) -> Path:
+    """Folder of a finished run of the small campaign."""
+    out = tmp_path / "finished"
+    assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 0
+    return out
+
+
+def failures(junit: Path) -> dict[str, str]:
+    """Name of each failed test case and its message."""
+    cases = ElementTree.fromstring(junit.read_bytes()).iter("testcase")  # noqa: S314 - written by the check
+    return {c.attrib["name"]: c[0].attrib["message"] for c in cases if len(c) and c[0].tag == "failure"}
+
+
+def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys):
+    campaign = str(small.folder / "campaign.yaml")
+    given = [campaign, "--from", str(finished)]
+    file = place / "validation/baselines/small.yaml"
+    candidate = file.with_suffix(".candidate.yaml")
+
+    assert cli.run(["check", *given, "--junit", "no.xml"]) == 1
+    assert "no baseline" in capsys.readouterr().err
+    assert [*failures(place / "no.xml")] == ["small campaign baseline"]
+    assert candidate.is_file()
+    assert not file.exists()
+    candidate.rename(file)  # a candidate taken as it is does not pass either: its reason is lacking
+    assert cli.run(["check", *given]) == 2
+    assert "still to be filled in" in capsys.readouterr().err
+    file.rename(candidate)
+
+    assert cli.run(["baseline", "accept", *given]) == 2
+    assert "--reason" in capsys.readouterr().err
+    assert cli.run(["baseline", "accept", *given, "--reason", " \n"]) == 2
+    assert not file.exists()
+    assert cli.run(["baseline", "accept", *given, "--reason", "First numbers"]) == 0
+    said = capsys.readouterr()
+    assert "Science changes" in said.err
+    assert len(said.out.splitlines()) > 20
+    assert not candidate.exists()
+    first = file.read_bytes()
+
+    assert cli.run(["check", *given, "--junit", "ok.xml"]) == 0
+    assert failures(place / "ok.xml") == {}
+    assert len(capsys.readouterr().out.splitlines()) == 1  # nothing moved: the header alone
+    assert cli.run(["check", *given, "--all"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 20
+    assert cli.run(["baseline", "accept", *given, "--reason", "Again"]) == 0
+    assert file.read_bytes() == first  # nothing changed: reason and date stay
+
+    held = yaml.safe_load(first)
+    moved, new, gone = sorted(held["metrics"])[:3]
+    held["metrics"][moved]["accepted"] += 0.5
+    held["metrics"]["radiance | nowhere | sixs | z"] = held["metrics"].pop(gone)
+    del held["metrics"][new]
+    write_yaml(file, held)
+    assert cli.run(["check", *given, "--junit", "moved.xml", "-o", "out"]) == 1
+    messages = failures(place / "moved.xml")
+    assert len(messages) == 4
+    names = {key: " ".join(key.split(" | ")[1:]) for key in (moved, new, gone)}
+    assert f"{moved.split(' | ')[-1]} moved from " in messages[names[moved]]
+    assert "not accepted" in messages[names[new]]
+    assert "not accepted" in messages[names[gone]]
+    assert "missing" in messages["nowhere sixs z"]
+    assert messages[names[moved]].split(" (")[0] in capsys.readouterr().err
+    rows = json.loads((place / "out/results.json").read_text())["rows"]
+    assert sum(r["status"] == "FAIL" for r in rows) == 4
+    assert (place / "out/report.html").is_file()
+    assert (place / "out/small/report.html").is_file()
+    assert (place / "out/junit.xml").read_bytes() == (place / "moved.xml").read_bytes()
+
+    assert cli.run(["baseline", "accept", *given, "--reason", "Mended"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1 + 4  # the diff, and nothing but it
+    assert cli.run(["check", *given]) == 0
+
+
+def test_a_check_runs_the_campaign_itself_and_keeps_the_run(small, place, no_figures):
+    path = small.write()
+    accept([path], reason="First", baselines=place / "b")
+    outcome = check([path], baselines=place / "b", output=place / "out")
+    assert outcome.exit_code == 0
+    assert (place / "out/runs/results.json").is_file()
+    small.scenario["atmosphere"] = {**small.scenario["atmosphere"], "aot550": 0.21}
+    wrong = check([small.write()], baselines=place / "b").table.where(status=Status.FAIL)
+    assert "radiance" in {row.product for row in wrong}
+    assert all("moved from" in row.reason or "verdict" in row.reason for row in wrong)
+
+
+def test_a_run_that_fails_its_gates_is_no_baseline(small, place, no_figures, capsys):
+    small.gate("radiance")["at_most"] = 1e-9
+    given = [str(small.write()), "--from", "run"]
+    assert cli.run(["-q", "validate", given[0], "-o", "run"]) == 1
+    assert cli.run(["-q", "baseline", "accept", *given, "--reason", "Anyway"]) == 2
+    assert "is no baseline" in capsys.readouterr().err
+    assert cli.run(["-q", "check", *given]) == 1
+    assert "the run is none" in capsys.readouterr().err
+    assert [*place.rglob("*.yaml")] == []
+
+
+def test_a_finished_run_of_other_files_is_refused(small, finished, place, capsys):
+    small.data["title"] = "Another title"
+    assert cli.run(["check", str(small.write()), "--from", str(finished)]) == 2
+    assert "was made with another campaign.yaml" in capsys.readouterr().err
+    small.data["name"] = "other"
+    assert cli.run(["check", str(small.write()), "--from", str(finished)]) == 3
+    assert "no run of campaign 'other'" in capsys.readouterr().err
+    assert cli.run(["check", str(small.write()), "--from", "nowhere"]) == 3
+
+
+def test_a_finished_run_of_another_source_is_refused(small, monkeypatch):
+    path = small.write()
+    job = Job(load_campaign(path), path)
+    monkeypatch.setattr("hyperval.baseline.runs.source_revision", lambda: {"commit": "b" * 40, "changed": False})
+    assert "made by commit aaaa" in str(_stale(job, {"source_revision": {"commit": "a" * 40}}))
+    assert _stale(job, {"source_revision": {"commit": "b" * 40}}) is None
+    assert _stale(job, {"source_revision": None}) is None
+
+
+def test_lacking_data_are_skipped(small, place, tmp_path, monkeypatch, capsys, no_figures):
+    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path / "empty"))
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
+    small.data["collection"]["cube"] = {
+        "path": "data:hysu/published/full/DLR_HySU_HS_full.tif", "quantity": "reflectance",
+    }  # fmt: skip
+    path = str(small.write())
+    assert cli.run(["check", path, "--junit", "skipped.xml"]) == 5
+    assert "hyperval data fetch hysu" in capsys.readouterr().err
+    assert 'failures="0" errors="0" skipped="1"' in Path("skipped.xml").read_text()
+    assert [*place.rglob("*.yaml")] == []  # nothing was run: there is no candidate either
+    assert cli.run(["baseline", "accept", path, "--reason", "First"]) == 5
+
+
+def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere):
+    data = sensor_data()
+    file = str(write_yaml(tmp_path / "mine.yaml", data))
+    folder = place / "b"
+    done = accept([], [file], reason="First", baselines=folder, engine=stand_in_atmosphere)
+    assert [*done.written] == ["sensor small-sensor"]
+    assert (folder / "sensors/small-sensor.yaml").is_file()
+    assert check([], [file], baselines=folder, engine=stand_in_atmosphere).exit_code == 0
+    data["measured_noise"]["table"][0][1] *= 1.01
+    write_yaml(tmp_path / "mine.yaml", data)
+    wrong = check([], [file], baselines=folder, engine=stand_in_atmosphere).table.where(status=Status.FAIL)
+    moved = {row.metric for row in wrong}
+    assert {"median_snr", "median_electrons_per_radiance", "median_noise_shot"} <= moved
+    assert not any("SWIR2" in row.subject for row in wrong)  # its noise stands in another row of the table
+
+
+def test_a_scenario_that_a_sensor_cannot_do_is_a_number_too(place, own_atmosphere):
+    outcome = accept([], ["hyspex-vnir-1600"], reason="First", baselines=place, engine=stand_in_atmosphere)
+    assert outcome.exit_code == 0
+    assert load_sensor("hyspex-vnir-1600").name in (place / "sensors/hyspex-vnir-1600.yaml").read_text()
+
+
+def test_the_same_run_gives_the_same_bytes(small, finished, place, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    path = small.folder / "campaign.yaml"
+    for name in ("one", "two"):
+        accept([path], reason="First", baselines=place / name, source=finished)
+    assert (place / "one/small.yaml").read_bytes() == (place / "two/small.yaml").read_bytes()
+    assert 'date: "1970-01-01"' in (place / "one/small.yaml").read_text()
+
+
+def test_nothing_named(place, capsys):
+    assert cli.run(["check"]) == 2
+    assert "nothing to run" in capsys.readouterr().err
+    assert cli.run(["check", "--sensors", "no-such-sensor"]) == 2
+
+
+def test_validate_writes_its_verdicts_where_asked(small, place, no_figures):
+    assert cli.run(["-q", "validate", str(small.write()), "-o", "out", "--junit", "a/b.xml"]) == 0
+    assert Path("a/b.xml").read_bytes() == Path("out/junit.xml").read_bytes()

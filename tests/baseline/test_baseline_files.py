@@ -1,0 +1,265 @@
+"""Baseline files: written to be read by people, refused when their tolerances mean nothing."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hyperval.baseline.differences import compare
+from hyperval.baseline.metrics import BEHIND, Measured, campaign_metrics, skipped_reason
+from hyperval.baseline.schema import Accepted, key_of, load_baseline, split_key
+from hyperval.baseline.store import accepted_of, baseline_path, candidate_path, stored, today, write_baseline
+from hyperval.baseline.tolerances import DIGITS, Tolerance, default_tolerance, rounded
+from hyperval.errors import UsageError
+from hyperval.processing.intervals import clopper_pearson
+from hyperval.results import Result, Status
+
+MEDIAN = "median_difference_ratio_windows"
+KEY = key_of("radiance", "white panel", "sixs", MEDIAN)
+PD = key_of("roc", "planks", "cem/pixel", "pd_predicted@1e-2")
+HEAD = 'schema: 1\nkind: campaign\nname: mine\nreason: "because"\ndate: "2026-01-02"\nversions: {hyperval: "0"}\n'
+
+
+def written(folder: Path, line: str, key: str = KEY) -> Path:
+    path = folder / "mine.yaml"
+    path.write_text(f'{HEAD}metrics:\n  "{key}": {line}\n')
+    return path
+
+
+def number(value: float, metric_key: str = KEY, **more) -> Accepted:
+    return accepted_of({metric_key: Measured(value, **more)}, {})[metric_key]
+
+
+def test_a_baseline_comes_back_as_it_was_written(tmp_path):
+    measured = {
+        KEY: Measured(0.0123456789, 0.01, Status.PASS),
+        PD: Measured(0.5),
+        key_of("roc", "a | b", "cem/object", "pd_inside_interval@1e-2"): Measured(
+            math.nan, status=Status.SKIPPED, reason="no data"
+        ),
+        key_of("scores", "x", "cem", "score_mean_difference"): Measured(0.02, 0.004),
+    }
+    metrics = accepted_of(measured, {})
+    path = baseline_path(tmp_path, "campaign", "mine")
+    write_baseline(path, "campaign", "mine", 'why: "so"', {"hyperval": "0"}, metrics)
+    back = stored(tmp_path, "campaign", "mine")
+    assert back is not None
+    assert back.metrics == metrics
+    assert back.reason == 'why: "so"'
+    assert back.metrics[KEY].accepted == 0.0123457
+    lines = path.read_text().split("metrics:\n")[1].splitlines()
+    assert len(lines) == len(metrics)
+    assert lines == sorted(lines)
+
+
+def test_the_date_is_that_of_the_sources(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
+    assert today() == "2001-09-09"
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    with pytest.raises(UsageError, match="seconds since 1970"):
+        today()
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("{accepted: 0.5, tolerance: 1.5, of: value}", "never above 1"),
+        ("{accepted: 0.5, tolerance: 1.01, of: interval, half_width: 0.1}", "never above 1"),
+        ("{accepted: 0.5, tolerance: 0.2, of: unit}", "never above 0.1"),
+        ("{accepted: 0.5, tolerance: -0.1, of: value}", "never below 0"),
+        ("{accepted: 0.5, tolerance: 0.1, of: interval}", "needs half_width"),
+        ("{accepted: 0.5, tolerance: 0.01, of: unit}", r"above the default needs 'why'"),
+        ('{accepted: 0.5, tolerance: 0.01, of: unit, why: ""}', "at least 1 character"),
+        ("{accepted: 0.5, tolerance: .nan, of: unit}", "finite number"),
+        ("{accepted: .inf, tolerance: 0.001, of: unit}", "finite number"),
+        ("{accepted: 0.5, tolerance: 0.001, of: everything}", "Input should be"),
+        ("{accepted: 0.5, tolerance: 0.001, of: unit, status: FAIL}", "Input should be"),
+        ("{accepted: 0.5, tolerence: 0.001, of: unit}", "did you mean 'tolerance'"),
+    ],
+)
+def test_tolerances_that_mean_nothing_are_refused(tmp_path, line, message):
+    with pytest.raises(UsageError, match=message):
+        load_baseline(written(tmp_path, line))
+
+
+def test_a_tolerance_that_can_never_fail_is_refused(tmp_path):
+    line = '{accepted: 0.5, tolerance: 1.0, of: value, why: "noisy"}'
+    with pytest.raises(UsageError, match=r"lies between 0 and 1.*can never fail"):
+        load_baseline(written(tmp_path, line, PD))
+    assert load_baseline(written(tmp_path, line.replace("1.0, of", "0.5, of"), PD)).metrics[PD].width == 0.25
+
+
+def test_a_loosened_tolerance_needs_words_and_a_tight_one_none(tmp_path):
+    loose = '{accepted: 0.5, tolerance: 0.01, of: unit, why: "a random forest"}'
+    assert load_baseline(written(tmp_path, loose)).metrics[KEY].width == 0.01
+    tight = "{accepted: 0.5, tolerance: 0.0005, of: unit}"
+    assert load_baseline(written(tmp_path, tight)).metrics[KEY].width == 0.0005
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEAD.replace('"because"', '"FILL_IN: why"'), "still to be filled in"),
+        (HEAD.replace('"because"', '""'), "at least 1 character"),
+        (HEAD.replace("2026-01-02", "today"), "date"),
+        (HEAD.replace("schema: 1", "schema: 2"), "schema"),
+        (HEAD.replace("mine", "../mine"), "name"),
+    ],
+)
+def test_heads_that_say_nothing_are_refused(tmp_path, text, message):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f'{text}metrics:\n  "{KEY}": {{accepted: 0.5, tolerance: 0.001, of: unit}}\n')
+    with pytest.raises(UsageError, match=message):
+        load_baseline(path)
+
+
+def test_names_of_numbers(tmp_path):
+    assert split_key(key_of("roc", "a | b", "cem", "pd")) == ("roc", "a | b", "cem", "pd")
+    with pytest.raises(UsageError, match=r"is not .product \| subject \| method \| metric"):
+        load_baseline(written(tmp_path, "{accepted: 0.5, tolerance: 0.001, of: unit}", "pd"))
+
+
+def test_a_baseline_of_something_else_is_refused(tmp_path):
+    written(tmp_path, "{accepted: 0.5, tolerance: 0.001, of: unit}").rename(tmp_path / "other.yaml")
+    with pytest.raises(UsageError, match="is the baseline of campaign 'mine'"):
+        stored(tmp_path, "campaign", "other")
+    assert stored(tmp_path, "sensor", "other") is None
+
+
+def test_sensors_stand_apart(tmp_path):
+    assert baseline_path(tmp_path, "sensor", "emit") == tmp_path / "sensors" / "emit.yaml"
+    assert candidate_path(tmp_path, "campaign", "v1.2").name == "v1.2.candidate.yaml"
+
+
+@given(st.floats(1e-30, 1e30), st.sampled_from((-1.0, 1.0)))
+def test_rounding_alone_never_trips_a_check(value, sign):
+    # The tightest tolerance there is: 0, of the unit.
+    key = key_of("bands", "all", "sensor", "band_count")
+    now = {key: Measured(sign * value)}
+    accepted = accepted_of(now, {})
+    assert accepted[key].tolerance == 0.0
+    assert [d.words for d in compare("it", accepted, now)] == [""]
+
+
+@given(st.floats(0.01, 100.0), st.floats(-0.4, 0.4))
+def test_the_verdict_turns_at_the_tolerance(value, part):
+    key = key_of("noise", "VNIR", "sensor", "median_electrons_per_radiance")
+    value = rounded(value)
+    accepted = Accepted.model_validate({"accepted": value, "tolerance": 0.2, "of": "value", "why": "a test"})
+    (found,) = compare("it", {key: accepted}, {key: Measured(value * (1.0 + part))})
+    if abs(abs(part) - 0.2) > 1e-9:
+        assert (found.status is Status.FAIL) == (abs(part) > 0.2)
+
+
+def test_digits_kept():
+    assert rounded(math.pi * 1e-9) == 3.14159e-9
+    assert DIGITS == 6
+    assert rounded(math.nan) is None
+    assert rounded(-math.inf) is None
+
+
+@pytest.mark.parametrize(
+    ("metric", "half", "expected"),
+    [
+        ("pd_inside_interval@1e-2", None, Tolerance(0.0, "unit")),
+        ("pd_inside_interval@1e-2_fraction", 0.1, Tolerance(0.02, "unit")),
+        ("fraction_inside_95", None, Tolerance(0.02, "unit")),
+        ("pd_predicted@1e-2", 0.1, Tolerance(0.005, "unit")),
+        ("pd_measured@1e-2", 0.1, Tolerance(0.8, "interval")),
+        ("pd_measured@1e-2", None, Tolerance(0.005, "unit")),
+        ("median_difference_ratio_swir1", 0.1, Tolerance(0.002, "unit")),
+        ("p_value_full", None, Tolerance(0.02, "unit")),
+        ("pit_uniformity_p_value", None, Tolerance(0.02, "unit")),
+        ("score_mean_difference", 0.1, Tolerance(0.1, "interval")),
+        ("something_new", None, Tolerance(0.01, "value")),
+    ],
+)
+def test_defaults(metric, half, expected):
+    assert default_tolerance(metric, half) == expected
+
+
+def test_one_count_more_or_less_is_tolerated():
+    # An exact interval is narrowest, about 3.7 / n, where none or all were counted.
+    for n in (5, 20, 80, 1000):
+        for hits in {0, 1, n // 2, n - 1, n}:
+            low, high = clopper_pearson(hits, n)
+            half = float(high - low) / 2
+            assert default_tolerance("pd_measured@1e-2", half).width(hits / n, half) > 1.0 / n
+
+
+def row(metric: str, value: float = 0.1, status: Status = Status.INFO, subject: str = "s", **more) -> Result:
+    named = {"product": "roc", "method": "cem/pixel", **more}
+    return Result("c", subject=subject, metric=metric, value=value, status=status, **named)
+
+
+def test_what_a_baseline_keeps_of_a_campaign():
+    rows = [
+        row("pd_inside_interval@1e-2_fraction", 1.0, Status.PASS, "near *, far *"),
+        row("pd_predicted@1e-2", subject="near 1"),
+        row("pd_predicted@1e-2", subject="elsewhere"),
+        row("pd_predicted@1e-2", subject="near 1", method="ace/pixel"),
+        row("pd_difference@1e-2", subject="near 1"),
+        row("auc", reason="would pass; informs only: so"),
+        row("difference_ratio", 0.1, Status.PASS, band_nm=500.0),
+        row("twice", 0.3, Status.PASS),
+        row("twice", 0.3, Status.SKIPPED),
+    ]
+    found = campaign_metrics(rows)
+    assert sorted(split_key(k)[1:] for k in found) == [
+        ("near *, far *", "cem/pixel", "pd_inside_interval@1e-2_fraction"),
+        ("near 1", "cem/pixel", "pd_predicted@1e-2"),
+        ("s", "cem/pixel", "auc"),
+        ("s", "cem/pixel", "twice"),
+    ]
+    assert found[key_of("roc", "s", "cem/pixel", "twice")].status is Status.SKIPPED
+    assert "pd_predicted@*" in BEHIND["roc"]
+
+
+def test_a_campaign_is_skipped_when_all_of_it_is():
+    lost = row("a", math.nan, Status.SKIPPED, reason="no data")
+    assert skipped_reason([lost, lost]) == "no data"
+    assert skipped_reason([lost, row("b")]) is None
+    assert skipped_reason([]) is None
+
+
+@pytest.mark.parametrize(
+    ("accepted", "now", "words"),
+    [
+        (number(0.1), Measured(0.1005), ""),
+        (number(0.1), Measured(0.103), r"moved from 0\.1 to 0\.103: \+0\.003, tolerance 0\.002"),
+        (number(0.1), Measured(math.nan), "moved from 0.1 to no value"),
+        (number(0.1), Measured(math.inf), "moved from 0.1 to no value"),
+        (number(math.nan), Measured(0.1), "moved from no value to 0.1"),
+        (number(math.nan), Measured(math.nan), ""),
+        (number(0.1), None, r"missing: the run does not give this number \(accepted 0\.1\)"),
+        (None, Measured(0.1), "not accepted"),
+        (number(0.1, status=Status.PASS), Measured(0.1, status=Status.FAIL, reason="too large"),
+         r"the verdict changed from PASS to FAIL \(too large\)"),
+        (number(0.1, status=Status.PASS), Measured(0.1), "the verdict changed from PASS to INFO"),
+    ],
+)  # fmt: skip
+def test_what_fails(accepted, now, words):
+    (found,) = compare("it", {KEY: accepted} if accepted else {}, {KEY: now} if now else {})
+    assert found.status is (Status.FAIL if words else Status.PASS)
+    assert re.search(words, found.words)
+    assert bool(found.words) == bool(words)
+
+
+def test_a_row_tells_the_limit_that_was_crossed():
+    (found,) = compare("it", {KEY: number(0.1)}, {KEY: Measured(0.09)})
+    assert found.row().threshold == pytest.approx(0.098)
+    assert found.row().subject == "white panel"
+
+
+def test_tolerances_are_kept_and_lost_intervals_fall_back():
+    tight = Accepted.model_validate({"accepted": 0.5, "tolerance": 0.0001, "of": "unit"})
+    assert accepted_of({KEY: Measured(0.6)}, {KEY: tight})[KEY].tolerance == 0.0001
+    key = key_of("scores", "x", "cem", "score_mean_difference")
+    before = {key: number(0.5, key, half_width=0.2)}
+    assert before[key].of == "interval"
+    assert accepted_of({key: Measured(0.5)}, before)[key].of == "value"
