@@ -11,7 +11,7 @@ from hyperval.imagery.envi_write import write_cube
 from hyperval.processing import local_scores
 from hyperval.processing.detectors import pixel_detector, whitener_of
 from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.local_scores import LOCAL_DETECTORS, LocalWindow, local_mean, score_cube_locally
+from hyperval.processing.local_scores import LOCAL_DETECTORS, LocalWindow, _MovingMeans, score_cube_locally
 from hyperval.spectra.axis import SpectralAxis
 
 LINES, SAMPLES, BANDS = 37, 29, 7
@@ -50,7 +50,7 @@ def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(sc
     mean, covariance = x[valid].mean(axis=0), np.cov(x[valid].T)
     target = mean + np.linspace(0.05, 0.3, mean.size)
     detectors = {name: (name, None if name == "rx" else target) for name in LOCAL_DETECTORS}
-    monkeypatch.setattr(local_scores, "_TILE_VALUES", 6 * 20**2)  # tiles that end within the image
+    monkeypatch.setattr(local_scores, "_HELD_VALUES", 0)  # strips that end within the image
     found = score_cube_locally(cube, detectors, whitener_of(mean, covariance), window, counted, elm, bands)
     use = counted & valid
     for line, sample in ((0, 0), (5, 8), (18, 14), (21, 12), (36, 28), (30, 0), (8, 19), (9, 20)):
@@ -73,7 +73,8 @@ def test_tiles_and_threads_change_nothing(scene, monkeypatch):
     whitener = whitener_of(x.mean(axis=0), np.cov(x.T))
     detectors = {"rx": ("rx", None), "ace": ("ace", x.mean(axis=0) + 0.1)}
     reference = score_cube_locally(cube, detectors, whitener, LocalWindow(7, 3), counted, elm, bands, threads=1)
-    monkeypatch.setattr(local_scores, "_TILE_VALUES", 6 * 18**2)
+    monkeypatch.setattr(local_scores, "_HELD_VALUES", 0)
+    monkeypatch.setattr(local_scores, "_LINES_AT_ONCE", 1)  # segments of 16 lines
     other = score_cube_locally(cube, detectors, whitener, LocalWindow(7, 3), counted, elm, bands, threads=2)
     for name in detectors:
         assert other.maps[name] == pytest.approx(reference.maps[name], rel=1e-10, abs=1e-12, nan_ok=True)
@@ -102,17 +103,29 @@ def test_a_background_that_drifts_hides_less(scene):
     assert local.maps["rx"][inside].mean() < globally[inside].mean()
 
 
+def moved(y, counted, window):
+    """Means and numbers (lines, samples) of one channel."""
+    means = _MovingMeans(window, 2, y.shape[1])
+    lines, half = y.shape[0], window.outer // 2
+    out = []
+    for line in range(lines + half):
+        if line < lines:
+            row = np.stack([y[line], np.ones(y.shape[1])])
+            means.add(line, row, np.ones(y.shape[1], bool), counted[line])
+        if line >= half:
+            out.append(means.at(line - half)[2:])
+    return np.stack([m[0] for m, _ in out]), np.stack([n for _, n in out])
+
+
 def test_the_moving_mean_by_hand():
-    y = np.arange(49.0).reshape(1, 7, 7)
+    y = np.arange(49.0).reshape(7, 7)
     counted = np.ones((7, 7), bool)
-    mean, number = local_mean(y, counted, LocalWindow(5, 3))
-    assert number[3, 3] == 16
-    assert mean[0, 3, 3] == 24.0  # symmetric about the pixel
-    assert number[0, 0] == 9 - 4
-    assert mean[0, 0, 0] == 0.0  # five pixels are too few
+    mean, number = moved(y, counted, LocalWindow(5, 3))
+    assert (number[3, 3], mean[3, 3]) == (16, 24.0)  # symmetric about the pixel
+    assert (number[0, 0], mean[0, 0]) == (9 - 4, 0.0)  # five pixels are too few
     counted[3, 1] = False
-    mean, number = local_mean(y, counted, LocalWindow(5, 3))
-    assert (number[3, 3], mean[0, 3, 3]) == (15, pytest.approx((16 * 24 - 22) / 15))
+    mean, number = moved(y, counted, LocalWindow(5, 3))
+    assert (number[3, 3], mean[3, 3]) == (15, pytest.approx((16 * 24 - 22) / 15))
 
 
 def test_what_makes_no_sense_is_refused(scene):

@@ -10,7 +10,7 @@ z = y - m and d = W (t - mu) - m the detectors are those of :mod:`hyperval.proce
     rx                    |z|^2
     cem-correlation       t R^-1 x / (t R^-1 t), R = Sigma + mu_l mu_l^T inverted by Sherman & Morrison
 
-The image is scored in tiles with as much around them as the window reaches, so that memory does not grow with it.
+The image is scored in strips with as much around them as the window reaches, so that memory does not grow with it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.processing.elm import EmpiricalLine
-from hyperval.processing.passes import StoredCube, Workspace, as_columns, by_segments, runs
+from hyperval.processing.passes import StoredCube, Workspace, by_segments, runs
 from hyperval.processing.pixel_scores import Whitener, stored_to_spectra
 
 Array = npt.NDArray[np.float64]
@@ -33,8 +33,9 @@ Mask = npt.NDArray[np.bool_]
 LOCAL_DETECTORS = ("cem", "matched-filter", "smf", "ace", "rx", "cem-correlation")
 # Fewer pixels make no mean to speak of; the global one stands in.
 LEAST_PIXELS = 10
-# Values of a tile with its surroundings.
-_TILE_VALUES = 1_200_000
+# Values that are held for the lines of a window.
+_HELD_VALUES = 4_000_000
+_LINES_AT_ONCE = 8
 
 
 @dataclass(frozen=True)
@@ -60,23 +61,6 @@ class LocalScores:
 
     maps: dict[str, Array]
     without_surroundings: int
-
-
-def local_mean(y: Array, counted: Mask, window: LocalWindow) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Mean (F, lines, samples) of ``y`` over the counted pixels of each pixel's window, and their number.
-
-    Windows are cut at the edges of the arrays.  Where fewer than :data:`LEAST_PIXELS` are counted the mean is 0.
-    """
-    weight = counted.astype(np.float64)
-    stack = np.concatenate([y * weight, weight[None]])
-    total = _box(stack, window.outer)
-    total -= _box(stack, window.inner)
-    number = np.rint(total[-1]).astype(np.int64)
-    enough = number >= LEAST_PIXELS
-    mean = total[:-1]
-    mean /= np.where(enough, number, 1)
-    mean *= enough
-    return mean, number
 
 
 def score_cube_locally(
@@ -124,63 +108,122 @@ def score_cube_locally(
     origin = whitener.matrix @ whitener.mean
     rows = whitener.matrix * slope
     constant = whitener.matrix @ (level - whitener.mean)
-    reach = window.outer // 2
-    side = max(8, int(np.sqrt(_TILE_VALUES / (slope.size + 1))) - 2 * reach)
+    around = window.outer // 2
+    width = max(16, _HELD_VALUES // (window.outer * (slope.size + 1)) - 2 * around)
     stretches, workspace = runs(used), Workspace()
     maps = {name: np.full((cube.lines, cube.samples), np.nan) for name in detectors}
+    kinds = [name for name, _ in detectors.values()]
 
-    def tile(
-        stored: npt.NDArray[Any], usable: Mask, may: Mask, inner: tuple[slice, slice]
-    ) -> tuple[Array, Mask, int]:
-        pixels = workspace.columns("pixels", stored, slope.size, np.float64)
+    def whitened(first: int, count: int, columns: slice) -> tuple[Array, Mask]:
+        """(count, F + 1, w): y of the lines, 0 without data, and a last row of 1; which pixels have data."""
+        stored, usable = cube.read_stored(first, count, must)
+        stored, usable = stored[:, :, columns], usable[:, columns]
+        pixels = workspace.flat("pixels", slope.size * usable.size, np.float64).reshape(slope.size, *usable.shape)
         for source, goal in stretches:
             np.copyto(pixels[goal], stored[source])
         with np.errstate(invalid="ignore", over="ignore"):
-            y = rows @ as_columns(pixels)
+            y = rows @ pixels.reshape(slope.size, -1)
             y += constant[:, None]
-        known = usable.ravel() & np.isfinite(y).all(axis=0)
-        y[:, ~known] = 0.0
-        y = y.reshape(-1, *usable.shape)
-        known = known.reshape(usable.shape)
-        mean, number = local_mean(y, known & may, window)
-        m, x = (a[:, *inner].reshape(slope.size, -1) for a in (mean, y))
-        found = _scores([name for name, _ in detectors.values()], x, m, targets, origin)
-        lonely = int(np.count_nonzero((number < LEAST_PIXELS)[inner] & known[inner]))
-        return found, known[inner], lonely
+        known = usable & np.isfinite(y).all(axis=0).reshape(usable.shape)
+        y[:, ~known.ravel()] = 0.0
+        out = np.ones((count, slope.size + 1, usable.shape[1]))
+        out[:, :-1] = y.reshape(slope.size, *usable.shape).transpose(1, 0, 2)
+        return out, known
 
-    def segment(firsts: range) -> int:
-        lonely = 0
-        for first in firsts:
-            end = min(first + side, cube.lines)
-            top, bottom = max(first - reach, 0), min(end + reach, cube.lines)
-            stored, usable = cube.read_stored(top, bottom - top, must)
-            for start in range(0, cube.samples, side):
-                stop = min(start + side, cube.samples)
-                left, right = max(start - reach, 0), min(stop + reach, cube.samples)
-                part = np.ascontiguousarray(stored[:, :, left:right])
-                inner = slice(first - top, end - top), slice(start - left, stop - left)
-                found, known, missing = tile(part, usable[:, left:right], counted[top:bottom, left:right], inner)
-                lonely += missing
-                for name, score in zip(detectors, found, strict=True):
-                    shaped = score.reshape(known.shape)
-                    maps[name][first:end, start:stop] = np.where(known & np.isfinite(shaped), shaped, np.nan)
+    def strip(first: int, end: int, start: int, stop: int) -> int:
+        """Score lines ``first`` to ``end`` of samples ``start`` to ``stop``; how many pixels lack surroundings."""
+        left, right = max(start - around, 0), min(stop + around, cube.samples)
+        inner, lonely = slice(start - left, stop - left), 0
+        means = _MovingMeans(window, slope.size + 1, right - left)
+        top, bottom = max(first - around, 0), min(end + around, cube.lines)
+        for batch in range(top, bottom, _LINES_AT_ONCE):
+            count = min(_LINES_AT_ONCE, bottom - batch)
+            for k, (y, has) in enumerate(zip(*whitened(batch, count, slice(left, right)), strict=True)):
+                means.add(batch + k, y, has, has & counted[batch + k, left:right])
+                last = bottom - 1 if batch + k == bottom - 1 else batch + k - around
+                for line in range(max(first, batch + k - around), min(end, last + 1)):
+                    middle, known, mean, number = means.at(line)
+                    found = _scores(kinds, middle[:, inner], mean[:, inner], targets, origin)
+                    known = known[inner]
+                    lonely += int(np.count_nonzero((number[inner] < LEAST_PIXELS) & known))
+                    for name, score in zip(detectors, found, strict=True):
+                        maps[name][line, start:stop] = np.where(known & np.isfinite(score), score, np.nan)
         return lonely
 
-    lonely = sum(count for _, count in watch(by_segments(cube, side, segment, threads=threads)))
+    def segment(firsts: range) -> int:
+        end = min(firsts[-1] + _LINES_AT_ONCE, cube.lines)
+        cuts = range(0, cube.samples, width)
+        return sum(strip(firsts[0], end, start, min(start + width, cube.samples)) for start in cuts)
+
+    lonely = sum(count for _, count in watch(by_segments(cube, _LINES_AT_ONCE, segment, threads=threads)))
     return LocalScores(maps, lonely)
 
 
-def _box(stack: Array, side: int) -> Array:
-    """Sums over a square around each pixel, cut at the edges, by differences of cumulative sums."""
-    out = stack
-    for axis in (1, 2):
-        size, half = out.shape[axis], side // 2
-        summed = np.zeros((*out.shape[:axis], size + 1, *out.shape[axis + 1 :]))
-        np.cumsum(out, axis=axis, out=summed[(slice(None),) * axis + (slice(1, None),)])
-        at = np.arange(size)
-        out = summed.take(np.minimum(at + half + 1, size), axis=axis)
-        out -= summed.take(np.maximum(at - half, 0), axis=axis)
-    return out
+class _MovingMeans:
+    """Means over the window of each pixel of a line, while lines come in one after the other.
+
+    Sums over the lines of the two squares move along; sums over samples are differences of cumulative sums.
+    """
+
+    def __init__(self, window: LocalWindow, rows: int, samples: int):
+        self._window = window
+        self._ring = np.zeros((window.outer, rows, samples))
+        self._known = np.zeros((window.outer, samples), bool)
+        self._weight = np.zeros((window.outer, samples))
+        self._sums = {side: np.zeros((rows, samples)) for side in (window.outer, window.inner)}
+        self._held = {side: range(0) for side in (window.outer, window.inner)}
+        self._first = self._next = -1
+
+    def add(self, line: int, y: Array, known: Mask, counted: Mask) -> None:
+        """The next line (F + 1, samples), which pixels of it have data, and which count for a mean."""
+        if self._first < 0:
+            self._first = line
+        dropped = line - self._window.outer
+        if dropped in self._held[self._window.outer]:  # its place is needed
+            self._move(self._window.outer, range(dropped + 1, self._held[self._window.outer].stop))
+        at = line % self._window.outer
+        self._ring[at], self._known[at], self._weight[at] = y, known, counted
+        self._next = line + 1
+
+    def at(self, line: int) -> tuple[Array, Mask, Array, Array]:
+        """y (F, samples) of a line, which of its pixels have data, the means (F, samples), pixels behind these."""
+        outer, inner = self._window.outer, self._window.inner
+        for side in (outer, inner):
+            half = side // 2
+            self._move(side, range(max(line - half, self._first), min(line + half + 1, self._next)))
+        total = _along(self._sums[outer], outer) - _along(self._sums[inner], inner)
+        number = np.rint(total[-1])
+        mean = total[:-1]
+        mean *= np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
+        at = line % outer
+        return self._ring[at, :-1], self._known[at], mean, number
+
+    def _move(self, side: int, lines: range) -> None:
+        """Make the sum of a square that of ``lines``."""
+        held, total = self._held[side], self._sums[side]
+        for line in held:
+            if line not in lines:
+                total -= self._weighted(line)
+        for line in lines:
+            if line not in held:
+                total += self._weighted(line)
+        if not lines:
+            total[:] = 0.0
+        self._held[side] = lines
+
+    def _weighted(self, line: int) -> Array:
+        at = line % self._window.outer
+        weight = self._weight[at]
+        return self._ring[at] if weight.all() else self._ring[at] * weight
+
+
+def _along(values: Array, side: int) -> Array:
+    """Sums (F, samples) over ``side`` samples around each, cut at the ends."""
+    half, size = side // 2, values.shape[1]
+    summed = np.zeros((values.shape[0], size + 2 * half + 1))
+    np.cumsum(values, axis=1, out=summed[:, half + 1 : half + 1 + size])
+    summed[:, half + 1 + size :] = summed[:, half + size : half + size + 1]
+    return summed[:, 2 * half + 1 :] - summed[:, :size]
 
 
 def _scores(names: list[str], y: Array, m: Array, targets: Array, origin: Array) -> Array:
