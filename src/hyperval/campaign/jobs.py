@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 from hyperval.campaign.draft import Waiting
 from hyperval.campaign.one import Job, run_campaign, unfinished
-from hyperval.errors import HypervalError, UsageError
+from hyperval.errors import HypervalError
+from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.progress import track
 from hyperval.report import RunReport, write_outputs
 from hyperval.results import Status
@@ -21,42 +21,43 @@ Done = tuple[RunReport, int | None]
 AnyJob = Job | Waiting
 
 
-def worker_count(jobs: int) -> int:
-    """Processes for so many campaigns: HYPERVAL_WORKERS, or one per processor; never more than campaigns."""
-    text = os.environ.get("HYPERVAL_WORKERS", "")
-    if text and (not text.isdigit() or int(text) < 1):
-        raise UsageError(f"HYPERVAL_WORKERS is {text!r}", expected="a whole number of 1 or more")
-    return max(1, min(jobs, int(text) if text else len(os.sched_getaffinity(0))))
+def run_jobs(
+    jobs: Sequence[AnyJob],
+    folder: Path,
+    *,
+    executor: Executor | None = None,
+    scheduler: str | None = None,
+    show_progress: bool | None = None,
+) -> list[Done]:
+    """Run every campaign into ``folder``/NAME; the result does not depend on how many run at once, or where.
 
-
-def run_jobs(jobs: Sequence[AnyJob], folder: Path, *, show_progress: bool | None = None) -> list[Done]:
-    """Run every campaign into ``folder``/NAME; the result does not depend on how many run at once.
+    Parameters
+    ----------
+    executor : what runs them; default: the workers of ``scheduler``, or one process for each processor
+    scheduler : address of a Dask scheduler, whose workers see ``folder`` and the data under the same names
 
     Returns
     -------
     For each campaign, in the order given, its report without the arrays (they are written), and the exit code of
     the error that stopped it (None when nothing did).  What stops one campaign becomes its ERROR rows.
     """
-    workers = worker_count(len(jobs))
-    if workers == 1:
+    count = worker_count(len(jobs))
+    if executor is None and scheduler is None and count == 1:
         return [_run_into(job, folder / job.campaign.name, show_progress) for job in jobs]
-    # Spawned, not forked: the parent may hold threads of the linear-algebra library.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures = [pool.submit(_run_into, job, folder / job.campaign.name, False) for job in jobs]
+    with ExitStack() as stack:
+        where = executor or stack.enter_context(workers(count, scheduler))
+        pieces = [(job, folder.resolve() / job.campaign.name) for job in jobs]
+        done: list[Done] = []
         try:
-            return list(track(_results(jobs, futures, folder), "campaigns", len(jobs), show=show_progress))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+            results = in_order(where, _piece, pieces, ahead=len(jobs))
+            done.extend(track(results, "campaigns", len(jobs), show=show_progress))
+        except WorkersLostError as error:  # the campaigns whose results are not there yet
+            done += [_stopped(job, path, error) for job, path in pieces[len(done) :]]
+        return done
 
 
-def _results(jobs: Sequence[AnyJob], futures: Sequence[Future[Done]], folder: Path) -> Iterator[Done]:
-    for job, future in zip(jobs, futures, strict=True):
-        try:
-            yield future.result()
-        except Exception as error:  # a process that died takes the unfinished ones of the pool with it
-            yield _stopped(job, folder / job.campaign.name, error)
+def _piece(piece: tuple[AnyJob, Path]) -> Done:
+    return _run_into(*piece, False)
 
 
 def _run_into(job: AnyJob, folder: Path, show_progress: bool | None) -> Done:

@@ -59,7 +59,7 @@ class FewStates:
     Attributes
     ----------
     names : inputs of the atmosphere that move
-    values : of each input, in rising order
+    values : of each input; None stands for what the scenario has
     terms : value numbers -> number of the run;  stacked : (runs, 1, B) each
     """
 
@@ -72,7 +72,8 @@ class FewStates:
         """Terms (count, 1, B) at the values of ``columns``; (1, 1, B) where no input moves."""
         if not self.names:
             return self.stacked
-        numbers = [[v.index(x) for x in columns[n].tolist()] for n, v in zip(self.names, self.values, strict=True)]
+        given = [columns[n].tolist() if n in columns else [None] * count for n in self.names]
+        numbers = [[v.index(x) for x in g] for g, v in zip(given, self.values, strict=True)]
         return _each(self.stacked, lambda a: a[[self.runs[key] for key in zip(*numbers, strict=True)]])
 
 
@@ -151,7 +152,7 @@ def few_states(
         )
     values = tuple(tuple(sorted({r[i] for r in rows}, key=repr)) for i in range(len(names)))
     found = [
-        terms_of(changed_state(base, dict(zip(names, row, strict=True))))
+        terms_of(changed_state(base, {k: v for k, v in zip(names, row, strict=True) if v is not None}))
         for row in track(rows, "atmosphere", len(rows), show=show_progress)
     ]
     keys = [tuple(v.index(x) for x, v in zip(row, values, strict=True)) for row in rows]
@@ -174,7 +175,7 @@ def table(
     names = tuple(nodes)
     grid = tuple(np.asarray(nodes[n], dtype=float) for n in names)
     for name, values in zip(names, grid, strict=True):
-        if values.size < 2 or np.any(np.diff(values) <= 0):  # noqa: PLR2004 - an interval has two ends
+        if values.size < 2 or np.any(np.diff(values) <= 0):
             raise UsageError(f"nodes of atmosphere.{name}: {values.tolist()}", expected="two or more, rising")
     rows = list(product(*(values.tolist() for values in grid)))
     if len(rows) > MOST_RUNS:
@@ -187,7 +188,7 @@ def table(
     tabulated = {}
     for f in fields(stacked):
         value = getattr(stacked, f.name)
-        if isinstance(value, np.ndarray) and value.ndim == 3:  # noqa: PLR2004 - (runs, 1, B)
+        if isinstance(value, np.ndarray) and value.ndim == 3:
             flat = value[:, 0]
             tabulated[f.name] = flat if f.name in _AS_THEY_ARE else np.log(np.maximum(flat, _LEAST))
     return Table(names, grid, tabulated, _each(stacked, lambda a: a[:1]))
@@ -203,6 +204,6 @@ def _each(terms: AtmosphericTerms, change: Callable[[Array], Array]) -> Atmosphe
     found: dict[str, Any] = {}
     for f in fields(terms):
         value = getattr(terms, f.name)
-        if isinstance(value, np.ndarray) and value.ndim == 3:  # noqa: PLR2004 - (U, 1, B)
+        if isinstance(value, np.ndarray) and value.ndim == 3:
             found[f.name] = change(value)
     return replace(terms, **found)

@@ -106,7 +106,7 @@ class Batch:
             return stacked
         changed: dict[str, Any] = {}
         for name, value in vars(stacked).items():
-            if isinstance(value, np.ndarray) and value.ndim == 3:  # noqa: PLR2004 - (U, 1, B)
+            if isinstance(value, np.ndarray) and value.ndim == 3:
                 changed[name] = value[index]
             elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
                 changed[name] = tuple(x[index] for x in value)

@@ -111,7 +111,7 @@ class Prepared:
         assert self.sensor is not None  # noqa: S101
         key = run.model_dump_json() if run else ""
         if key not in self._noises:
-            if len(self._noises) > 64:  # noqa: PLR2004 - a random number of frames would fill the memory
+            if len(self._noises) > 64:
                 self._noises.clear()
             self._noises[key] = self.sensor.noise(None, run)
         return self._noises[key]

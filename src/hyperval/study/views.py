@@ -53,7 +53,7 @@ class Views:
         size, view = len(self), self.view
 
         def cut(x: Array) -> Array:
-            return x[index] if x.ndim == 3 and x.shape[0] == size else x  # noqa: PLR2004 - (U, 1, B)
+            return x[index] if x.ndim == 3 and x.shape[0] == size else x
 
         return replace(
             self,

@@ -1,0 +1,234 @@
+"""Figures of a study, in the style of the reports: line families, heat maps, tornado."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.report import style
+from hyperval.report.style import Drawing
+from hyperval.report.verdict import number_text
+from hyperval.study.schema import Input, Plot, Study
+from hyperval.study.summary import FoundKnee, words_of
+from hyperval.study.tables import StudyTable
+
+Array = npt.NDArray[np.float64]
+_MOST_LINES = 9
+_BINS = 24
+_SPREAD = (10.0, 90.0)
+_MARKERS = "osD^vP*Xh"
+
+
+def draw(study: Study, table: StudyTable, knees: list[FoundKnee]) -> list[Drawing]:
+    """All figures that a study asks for."""
+    found = []
+    for number, plot in enumerate(study.plots, 1):
+        name = f"{number:02d}-{plot.kind}-{plot.output}"
+        if plot.kind == "tornado":
+            found.append(_tornado(study, table, plot, name))
+        elif plot.kind == "heat":
+            found.append(_heat(study, table, plot, name))
+        else:
+            found.append(_lines(study, table, plot, name, knees))
+    return found
+
+
+def _input(study: Study, name: str | None) -> Input:
+    return next(i for i in study.inputs if i.name == name)
+
+
+def _output_words(study: Study, name: str) -> str:
+    return next(x.words for x in (*study.outputs, *study.required) if x.name == name)
+
+
+def _kept(study: Study, table: StudyTable, drawn: list[str]) -> tuple[npt.NDArray[np.bool_], dict[str, Any]]:
+    """Points that a figure shows: the listed inputs that it does not draw stand at the middle one of their values."""
+    keep, fixed = np.ones(len(table.values), bool), {}
+    for item in study.inputs:
+        values = table.points.values[item.name]
+        if item.name in drawn or values is None or len(values) == 1:
+            continue
+        fixed[item.name] = values[len(values) // 2]
+        keep &= np.array([v == fixed[item.name] for v in table.column(item.name)])
+    return keep, {k: v.item() if hasattr(v, "item") else v for k, v in fixed.items()}
+
+
+def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[FoundKnee]) -> Drawing:
+    item = _input(study, plot.x)
+    keep, fixed = _kept(study, table, [n for n in (plot.x, plot.family) if n])
+    x, y = table.column(item.name)[keep], np.asarray(table.column(plot.output), float)[keep]
+    family = table.column(plot.family)[keep] if plot.family else np.zeros(x.size)
+    members = _different(family)
+    shown = [members[i] for i in _spread_out(len(members))]
+    figure = style.new_figure(8.6, 4.8, plot.title or f"{plot.output} along {item.name}", False)
+    axes = figure.add_subplot()
+    words, entries = [], []
+    for k, member in enumerate(shown):
+        here = np.array([v == member for v in family]) & np.isfinite(y)
+        colour = _colour(k, len(shown), isinstance(member, float))
+        label = f"{_input(study, plot.family).label or plot.family} {_text(member)}" if plot.family else plot.output
+        at, middle, low, high = _summarised(x[here], y[here], plot.scale == "log")
+        line = axes.plot(
+            at, middle, color=colour, marker=_MARKERS[k] if len(at) <= 40 else None, markersize=4, zorder=3
+        )[0]
+        if low is not None:
+            axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0)
+        for found in knees:
+            if _is_knee_of(found, plot, member, fixed) and np.isfinite(found.found.x):
+                axes.plot(found.found.x, found.found.y, marker="o", markersize=10, markerfacecolor="none",
+                          markeredgecolor="#222222", markeredgewidth=1.4, zorder=5)  # fmt: skip
+        entries.append((line, label))
+        if len(at):
+            words.append(
+                f"{label}: {_text(float(middle[0]))} at {_text(at[0])}, {_text(float(middle[-1]))} at {_text(at[-1])}"
+            )
+    if plot.scale == "log":
+        axes.set_xscale("log")
+        style.log_ticks(axes.xaxis) if _decades(x) > 1.5 else None
+    _numeric_or_words(axes, item)
+    axes.set_ylabel(style.plain(_output_words(study, plot.output)))
+    if y.size and np.nanmin(y) >= 0 and np.nanmax(y) <= 1.0 and _is_probability(study, plot.output):
+        axes.set_ylim(-0.03, 1.03)
+    if plot.family:
+        style.add_legend(figure, entries, columns=3)
+    notes = _notes(fixed, len(members), len(shown))
+    if any(item.random for item in study.inputs):
+        notes += "; line: median, band: 10 to 90 % of the points"
+    if any(_is_knee_of(f, plot, m, fixed) and np.isfinite(f.found.x) for f in knees for m in shown):
+        notes += "; circle: knee"
+    title = (plot.title or f"{_output_words(study, plot.output)} against {item.words}") + notes
+    return Drawing(name, "study", title, f"Lines. {'; '.join(words)}.", style.svg_bytes(figure), "svg")
+
+
+def _heat(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
+    across, up = _input(study, plot.x), _input(study, plot.y)
+    keep, fixed = _kept(study, table, [across.name, up.name])
+    x, y = (np.asarray(table.column(i.name)[keep], float) for i in (across, up))
+    z = np.asarray(table.column(plot.output), float)[keep]
+    edges = [_edges(table, i, v) for i, v in ((across, x), (up, y))]
+    cells = np.full((edges[1].size - 1, edges[0].size - 1), np.nan)
+    column, row = (np.clip(np.searchsorted(e, v, "right") - 1, 0, e.size - 2) for e, v in zip(edges, (x, y), strict=True))
+    for r, c in sorted(set(zip(row.tolist(), column.tolist(), strict=True))):
+        inside = z[(row == r) & (column == c)]
+        cells[r, c] = np.nanmedian(inside) if np.isfinite(inside).any() else np.nan
+    figure = style.new_figure(7.6, 5.4, plot.title or f"{plot.output} over {across.name} and {up.name}", False)
+    axes = figure.add_subplot()
+    mesh = axes.pcolormesh(edges[0], edges[1], cells, cmap="cividis", rasterized=False, edgecolors="none")
+    figure.colorbar(mesh, ax=axes, label=style.plain(_output_words(study, plot.output)))
+    axes.grid(False)
+    if plot.scale == "log":
+        axes.set_xscale("log")
+    axes.set_xlabel(style.plain(across.words))
+    axes.set_ylabel(style.plain(up.words))
+    finite = cells[np.isfinite(cells)]
+    told = f"from {number_text(float(finite.min()))} to {number_text(float(finite.max()))}" if finite.size else "empty"
+    title = (plot.title or f"{_output_words(study, plot.output)} over {across.words} and {up.words}") + _notes(fixed, 0, 0)
+    return Drawing(name, "study", title, f"Heat map, {told}.", style.svg_bytes(figure), "svg")
+
+
+def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
+    values = np.asarray(table.column(plot.output), float)
+    base, bars = values[0], []
+    for item in study.inputs:
+        column = table.column(item.name)
+        rows = [i for i, v in enumerate(column) if v is not None and np.isfinite(values[i])]
+        if rows:
+            low, high = min(rows, key=lambda i: values[i]), max(rows, key=lambda i: values[i])
+            bars.append((item, values[low], column[low], values[high], column[high]))
+    bars.sort(key=lambda b: max(b[1], b[3], base) - min(b[1], b[3], base))
+    figure = style.new_figure(9.0, 1.7 + 0.45 * len(bars), plot.title or f"What {plot.output} depends on", False)
+    axes = figure.add_subplot()
+    words = []
+    for k, (item, low, at_low, high, at_high) in enumerate(bars):
+        for end, at, colour in ((low, at_low, "#0072B2"), (high, at_high, "#E69F00")):
+            if end == base:
+                continue
+            axes.barh(k, end - base, left=base, height=0.62, color=colour)
+            axes.annotate(_text(at), (end, k), xytext=(-4 if end < base else 4, 0), textcoords="offset points",
+                          va="center", ha="right" if end < base else "left", fontsize=8.5)  # fmt: skip
+        words.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
+    axes.axvline(base, color="#222222", linewidth=1.0)
+    axes.margins(x=0.12)
+    axes.set_yticks(range(len(bars)), [style.plain(b[0].words) for b in bars])
+    axes.grid(axis="y", visible=False)
+    axes.set_xlabel(style.plain(_output_words(study, plot.output)))
+    title = plot.title or f"{_output_words(study, plot.output)}: each input alone over its values"
+    title += f"; line: as the scenario stands, {number_text(float(base))}"
+    return Drawing(name, "study", title, f"Tornado. {'; '.join(reversed(words))}.", style.svg_bytes(figure), "svg")
+
+
+def _summarised(x: npt.NDArray[Any], y: Array, logarithmic: bool) -> tuple[list[Any], Array, Array | None, Array | None]:
+    """x and y of a line: as they are, or median and spread where several points share an x or x is drawn at random."""
+    different = _different(x)
+    if len(different) > 2 * _BINS and len(different) == x.size and not np.all(np.diff(x.astype(float)) > 0):
+        at = x.astype(float)
+        scaled = np.log(at) if logarithmic else at
+        edges = np.linspace(scaled.min(), scaled.max(), _BINS + 1)
+        cell = np.clip(np.searchsorted(edges, scaled, "right") - 1, 0, _BINS - 1)
+        centres = 0.5 * (edges[1:] + edges[:-1])
+        groups = [(float(np.exp(c) if logarithmic else c), y[cell == k]) for k, c in enumerate(centres)]
+    else:
+        groups = [(v, y[np.array([w == v for w in x])]) for v in different]
+    groups = [(v, part) for v, part in groups if part.size]
+    middle = np.array([np.median(part) for _, part in groups])
+    if all(part.size == 1 for _, part in groups):
+        return [v for v, _ in groups], middle, None, None
+    low, high = (np.array([np.percentile(part, q) for _, part in groups]) for q in _SPREAD)
+    return [v for v, _ in groups], middle, low, high
+
+
+def _edges(table: StudyTable, item: Input, seen: Array) -> Array:
+    values = table.points.values[item.name]
+    if values is None:
+        return np.linspace(seen.min(), seen.max(), _BINS + 1)
+    at = np.unique(np.asarray(values, float))
+    middle = 0.5 * (at[1:] + at[:-1])
+    return np.concatenate([[at[0] - (middle[0] - at[0])], middle, [at[-1] + (at[-1] - middle[-1])]])
+
+
+def _different(column: npt.NDArray[Any]) -> list[Any]:
+    """The values of a column, once each: numbers rising, words in the order of the file."""
+    found = list(dict.fromkeys(column.tolist()))
+    return sorted(found) if all(isinstance(v, int | float) for v in found) else found
+
+
+def _spread_out(count: int) -> list[int]:
+    return sorted(set(np.linspace(0, count - 1, min(count, _MOST_LINES)).round().astype(int).tolist()))
+
+
+def _colour(k: int, count: int, ordered: bool) -> Any:
+    if ordered and count > 1:
+        return mpl.colormaps["viridis"](0.88 * k / (count - 1))
+    return style.SOURCE_COLOURS[k % len(style.SOURCE_COLOURS)]
+
+
+def _numeric_or_words(axes: Any, item: Input) -> None:
+    axes.set_xlabel(style.plain(item.words))
+
+
+def _is_probability(study: Study, name: str) -> bool:
+    return any(o.name == name and o.kind in ("pd", "auc", "log-auc") for o in study.outputs)
+
+
+def _is_knee_of(found: FoundKnee, plot: Plot, member: Any, fixed: dict[str, Any]) -> bool:
+    if found.asked.output != plot.output or found.asked.along != plot.x:
+        return False
+    others = {**fixed, **({plot.family: member} if plot.family else {})}
+    return all(others.get(k) == v for k, v in found.others.items() if k in others)
+
+
+def _notes(fixed: dict[str, Any], members: int, shown: int) -> str:
+    notes = f"; at {words_of(fixed)}" if fixed else ""
+    return notes + (f"; {shown} of {members} lines are drawn" if shown < members else "")
+
+
+def _decades(x: npt.NDArray[Any]) -> float:
+    at = x.astype(float)
+    return float(np.log10(at.max() / at.min())) if at.size and at.min() > 0 else 0.0
+
+
+def _text(value: Any) -> str:
+    return number_text(float(value)) if isinstance(value, int | float) else str(value)

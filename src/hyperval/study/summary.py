@@ -1,0 +1,124 @@
+"""What a study found, as rows of the results table: none of them gates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.results import Result, ResultTable, Status
+from hyperval.study.design import listed
+from hyperval.study.knees import KneePoint, knee
+from hyperval.study.plan import Plan
+from hyperval.study.schema import Knee, Study
+from hyperval.study.tables import StudyTable
+
+Array = npt.NDArray[np.float64]
+MOST_LISTED = 500  # points that stand in results.csv one by one
+_PRODUCT = {"snr": "snr", "radiance": "radiance"}
+
+
+@dataclass(frozen=True)
+class FoundKnee:
+    """A knee of one curve: what was asked, the other inputs, the answer."""
+
+    asked: Knee
+    others: dict[str, Any]
+    found: KneePoint
+
+
+def knees_of(study: Study, table: StudyTable) -> list[FoundKnee]:
+    """The knees that a study asks for, one for each combination of its other inputs."""
+    return [item for asked in study.knees for item in _knees(study, table, asked)]
+
+
+def _knees(study: Study, table: StudyTable, asked: Knee) -> Iterator[FoundKnee]:
+    values = np.asarray(table.column(asked.output), float)
+    if study.design.kind == "one-at-a-time":
+        column = table.column(asked.along)
+        rows = np.array([i for i, v in enumerate(column) if v is not None])
+        yield FoundKnee(asked, {}, _knee(asked, column[rows].astype(float), values[rows]))
+        return
+    shape = tuple(len(listed(i)) for i in study.inputs)  # type: ignore[arg-type]
+    names = [i.name for i in study.inputs]
+    along = names.index(asked.along)
+    each = {i.name: listed(i) for i in study.inputs}
+    curves = np.moveaxis(values.reshape(shape), along, -1)
+    x = np.asarray(each[asked.along], float)
+    others = [n for n in names if n != asked.along]
+    for index in product(*(range(len(each[n])) for n in others)):  # type: ignore[arg-type]
+        fixed = {n: each[n][k] for n, k in zip(others, index, strict=True)}  # type: ignore[index]
+        yield FoundKnee(asked, fixed, _knee(asked, x, curves[index]))
+
+
+def _knee(asked: Knee, x: Array, y: Array) -> KneePoint:
+    order = np.argsort(x, kind="stable")
+    return knee(x[order], y[order], logarithmic=asked.scale == "log")
+
+
+def words_of(values: dict[str, Any]) -> str:
+    """Inputs and their values in a line."""
+    return ", ".join(f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in values.items())
+
+
+def result_rows(plan: Plan, table: StudyTable, knees: list[FoundKnee]) -> ResultTable:
+    """Least, median and greatest value of every output, answers, knees, and what the evaluation cost in exactness.
+
+    A study of few points has a row for every point and output too.  An output without a single value is SKIPPED with
+    the reason.
+    """
+    study, rows = plan.study, ResultTable()
+    kinds = {o.name: o for o in study.outputs}
+
+    def add(product: str, subject: str, method: str, metric: str, value: float, unit: str = "1", **more: Any) -> None:
+        rows.add(Result(study.name, product, subject, method, metric, float(value), unit, **more))
+
+    for f in table.outputs:
+        column = np.asarray(table.column(f.name), float)
+        held = column[np.isfinite(column)]
+        output = kinds.get(f.name)
+        where = _PRODUCT.get(output.kind, "roc") if output else "study"
+        subject = output.subject if output else f.name
+        if not held.size:
+            first = next(iter(table.reasons.values()), "no point has a value")
+            add(where, subject, f.name, "median", np.nan, f.unit, status=Status.SKIPPED, reason=first, n=0)
+            continue
+        lacking = column.size - held.size
+        said = f"{lacking} of {column.size} points have no value; reasons stand in table.csv" if lacking else ""
+        for metric, value in (("least", held.min()), ("median", np.median(held)), ("greatest", held.max())):
+            add(where, subject, f.name, metric, value, f.unit, n=int(held.size), reason=said)
+    units = {i.name: i.unit for i in study.inputs}
+    for item in knees:
+        asked, found = item.asked, item.found
+        reason = "; ".join(x for x in (words_of(item.others), found.reason) if x)
+        lacking_status = Status.SKIPPED if found.reason else Status.INFO
+        add("study", asked.output, f"knee along {asked.along}", "knee", found.x, units[asked.along],
+            status=lacking_status, reason=reason)  # fmt: skip
+    if plan.difference is not None:
+        add("study", plan.scenario.name, "fast evaluator", "greatest_relative_difference_from_predict",
+            plan.difference, reason="radiance, SNR and P_D at three points of the study")  # fmt: skip
+    for name, value in plan.sky_error.items():
+        unit = "1"
+        add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, unit,
+            n=study.atmosphere.checked)  # fmt: skip
+    if len(table.values) <= MOST_LISTED:
+        _add_points(rows, study, table)
+    return rows
+
+
+def _add_points(rows: ResultTable, study: Study, table: StudyTable) -> None:
+    for start, columns in table.stretches():
+        for i in range(len(next(iter(columns.values())))):
+            point = {x.name: columns[x.name][i] for x in study.inputs}
+            said = words_of({k: v.item() if hasattr(v, "item") else v for k, v in point.items() if v is not None})
+            why = table.reasons.get(start + i, "")
+            for f in table.outputs:
+                value = float(columns[f.name][i])
+                rows.add(
+                    Result(study.name, "study", f.name, f"point {start + i}", f.name, value, f.unit,
+                           reason="; ".join(x for x in (said, why if np.isnan(value) else "") if x))
+                )  # fmt: skip

@@ -1,0 +1,143 @@
+"""The table of a study: CSV, NetCDF, and Parquet where pyarrow is installed, written stretch by stretch."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import hyperval
+from hyperval.progress import track
+from hyperval.study.design import Points
+
+Array = npt.NDArray[np.float64]
+STRETCH = 20_000  # rows in memory at once
+
+
+@dataclass(frozen=True)
+class Field:
+    """One column: its name, what it holds, its unit."""
+
+    name: str
+    words: str
+    unit: str
+    text: bool = False
+
+
+@dataclass(frozen=True)
+class StudyTable:
+    """Points, their inputs and their numbers.
+
+    Attributes
+    ----------
+    inputs, outputs : the columns in the order of the file
+    values : (n, outputs);  reasons : number of the point -> what is to be said of it
+    """
+
+    points: Points
+    inputs: Sequence[Field]
+    outputs: Sequence[Field]
+    values: Array
+    reasons: Mapping[int, str]
+
+    def stretches(self) -> Iterator[tuple[int, dict[str, npt.NDArray[Any]]]]:
+        """First point and the columns of one stretch after another."""
+        for start in range(0, len(self.values), STRETCH):
+            stop = min(start + STRETCH, len(self.values))
+            columns = dict(self.points.stretch(start, stop))
+            columns |= {f.name: np.asarray(self.values[start:stop, k]) for k, f in enumerate(self.outputs)}
+            yield start, columns
+
+    def column(self, name: str) -> npt.NDArray[Any]:
+        """All values of one column."""
+        for k, f in enumerate(self.outputs):
+            if f.name == name:
+                return np.asarray(self.values[:, k])
+        return np.concatenate([c[name] for _, c in self.stretches()])
+
+
+def input_fields(points: Points) -> list[Field]:
+    """The columns of the inputs."""
+    found = []
+    for item in points.study.inputs:
+        text = points.stretch(0, len(points) if len(points) < STRETCH else STRETCH)[item.name].dtype == object
+        text = text and points.study.design.kind == "grid"
+        found.append(Field(item.name, item.label or item.name, item.unit, bool(text)))
+    return found
+
+
+def write_tables(table: StudyTable, folder: Path, *, show_progress: bool | None = None) -> list[str]:
+    """Write table.csv, table.nc and, with the extra parquet, table.parquet; the names of what was written."""
+    names = ["table.csv", "table.nc"]
+    _write_csv(table, folder / names[0], show_progress)
+    _write_netcdf(table, folder / names[1])
+    if find_spec("pyarrow") is not None:
+        names.append("table.parquet")
+        _write_parquet(table, folder / names[2])
+    return names
+
+
+def _write_csv(table: StudyTable, path: Path, show_progress: bool | None) -> None:
+    with open(path, "w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["point", *(f.name for f in (*table.inputs, *table.outputs)), "reason"])
+        total = -(-len(table.values) // STRETCH)
+        for start, columns in track(table.stretches(), "table", total, show=show_progress):
+            cells = [_cells(columns[f.name]) for f in (*table.inputs, *table.outputs)]
+            for i, row in enumerate(zip(*cells, strict=True)):
+                writer.writerow([start + i, *row, table.reasons.get(start + i, "")])
+
+
+def _cells(column: npt.NDArray[Any]) -> list[str]:
+    """Numbers as the shortest text that gives them back; nothing for NaN and None."""
+    return ["" if v is None or v != v else repr(v) if isinstance(v, float) else str(v) for v in column.tolist()]
+
+
+def _write_netcdf(table: StudyTable, path: Path) -> None:
+    import h5netcdf
+
+    count = len(table.values)
+    with h5netcdf.File(path, "w") as file:
+        file.attrs["Conventions"] = "CF-1.11"
+        file.attrs["title"] = table.points.study.title or table.points.study.name
+        file.attrs["source"] = f"hyperval {hyperval.__version__}"
+        file.dimensions = {"point": count}
+        held = {}
+        for f in (*table.inputs, *table.outputs):
+            dtype: Any = h5netcdf.core.h5py.string_dtype() if f.text else "f8"
+            packed = {} if f.text else {"chunks": (min(count, STRETCH),), "compression": "gzip", "shuffle": True}
+            held[f.name] = file.create_variable(f.name, ("point",), dtype, **packed)
+            held[f.name].attrs["long_name"] = f.words
+            held[f.name].attrs["units"] = f.unit
+        for start, columns in table.stretches():
+            for f in (*table.inputs, *table.outputs):
+                column = columns[f.name]
+                values: Any = [str(v) for v in column] if f.text else _numbers(column)
+                held[f.name][start : start + len(column)] = values
+
+
+def _numbers(column: npt.NDArray[Any]) -> Array:
+    return np.array([np.nan if v is None else v for v in column], float) if column.dtype == object else column
+
+
+def _write_parquet(table: StudyTable, path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    fields = [pa.field(f.name, pa.string() if f.text else pa.float64()) for f in (*table.inputs, *table.outputs)]
+    schema = pa.schema([pa.field("point", pa.int64()), *fields, pa.field("reason", pa.string())])
+    with pq.ParquetWriter(path, schema) as writer:
+        for start, columns in table.stretches():
+            count = len(next(iter(columns.values())))
+            arrays = [pa.array(np.arange(start, start + count))]
+            for f in (*table.inputs, *table.outputs):
+                column = columns[f.name]
+                arrays.append(pa.array([str(v) for v in column] if f.text else _numbers(column)))
+            arrays.append(pa.array([table.reasons.get(start + i, "") for i in range(count)]))
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
