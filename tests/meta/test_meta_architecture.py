@@ -36,6 +36,17 @@ ROOMS: dict[str, set[str]] = {
     "results": set(),
     "compare": {"products", "results", "spectra", "processing"},
     "report": {"products", "results", "spectra"},
+    "baseline": {
+        "campaign",
+        "compare.gates",
+        "report",
+        "results",
+        "sensor",
+        "sensor_check",
+        "scenario",
+        "predict",
+        "spectra",
+    },
     "sensor_check": {
         "sensor",
         "scenario",
