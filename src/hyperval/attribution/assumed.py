@@ -24,6 +24,7 @@ SPECTRUM = 0.02
 SPREAD = 0.10
 FILL = 0.05
 FRACTION = 0.10
+BLUR = 0.10
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +112,19 @@ def _scene(scenario: Scenario) -> list[AssumedInput]:
             return Departure(fill={name: FILL * z * mean for name, mean in fills.items()})
 
         out.append(_input("fill of the targets", "scene", FILL, filled))
+    blur = _blurs(scenario)
+    if blur:
+        out.append(
+            _input(
+                "blur of the image",
+                "scene",
+                BLUR,
+                lambda z: Departure(
+                    settings={path: min(width * _factor(BLUR, z), 5.0) for path, width in blur.items()}
+                ),
+                most=10.0,
+            )
+        )
     classes = scenario.scene.classes
     for c in classes:
         if len(classes) > 1 and 0 < c.fraction < 1:
@@ -118,6 +132,19 @@ def _scene(scenario: Scenario) -> list[AssumedInput]:
             out.append(_input(f"fraction of {c.name}", "scene", FRACTION, moved, most=1.0 / FRACTION))
             if len(classes) == 2:
                 break  # the other one's is the same input
+    return out
+
+
+def _blurs(scenario: Scenario) -> dict[str, float]:
+    """Path -> width of the blur, wherever a fill follows from geometry and states one."""
+    out: dict[str, float] = {}
+    for t in scenario.scene.targets:
+        fills = [(f"scene.targets.[{t.name}].fill", t.fill)] if t.fill is not None else []
+        fills += [(f"scene.targets.[{t.name}].subjects.[{s.name}].fill", s.fill) for s in t.subjects]
+        for path, fill in fills:
+            width = fill.geometry.psf_fwhm_pixels if fill.geometry is not None else None
+            if isinstance(width, float | int) and width > 0:
+                out[f"{path}.geometry.psf_fwhm_pixels"] = float(width)
     return out
 
 

@@ -63,7 +63,7 @@ def quantities(predicted: Products, observed: Products) -> list[Quantity]:
             found.append(Quantity(product, subject, "", "ratio_windows", 1.0, ratio))
     for key, curve in observed.roc.items():
         there = predicted.roc.get(key)
-        if there is None:
+        if there is None or key[2] != "pixel":
             continue
         for pfa in POINTS:
             if pfa < max(curve.pfa[0], there.pfa[0]):

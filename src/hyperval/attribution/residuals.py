@@ -1,7 +1,8 @@
 """All that a run compares as one vector: observed minus predicted, and how well the data know each entry.
 
 Radiance of every subject in the windows of the atmosphere (reflectance where there is none), SNR, moments of the
-scores, and the false-alarm rate at measured thresholds.  P_D is left out: it follows from the scores, and would count them twice.
+scores, and the false-alarm rate at measured thresholds.  P_D is left out: it follows from the scores, and would count
+them twice.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ SPECTRUM_FLOOR = 1e-3  # of the value, each band by itself
 SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
 LOG_FLOOR = 0.02  # of the logarithm of a standard deviation
 RATE_FLOOR = 0.1  # of the logarithm of a false-alarm rate
+Z95 = 1.959963984540054
 # A false-alarm rate says something of the tail where this many pixels lie above the threshold.
 LEAST_ALARMS = 20
 
@@ -102,14 +104,19 @@ class Stack:
 def stacked(predicted: Products, observed: Products) -> Stack:
     """Everything both sides hold, as far as both have values there."""
     blocks: list[Block] = []
+    # Pixels that a target fills in part are judged by their scores: their mean spectrum is that of their mean fill.
+    mixed = {subject for subject, _ in predicted.scores}
     for name, estimate in observed.radiance.items():
-        blocks += _spectrum("radiance", name, predicted, estimate)
+        if name not in mixed:
+            blocks += _spectrum("radiance", name, predicted, estimate)
     for name, estimate in observed.reflectance.items():
-        if name not in observed.radiance or name not in predicted.radiance:
+        if name not in mixed and (name not in observed.radiance or name not in predicted.radiance):
             blocks += _spectrum("reflectance", name, predicted, estimate)
     for name, estimate in observed.snr.items():
         blocks += _snr(name, predicted, estimate)
-    return Stack((*blocks, *_scores(predicted, observed), *_false_alarms(predicted, observed)))
+    blocks += _scores(predicted, observed)
+    blocks += _objects(predicted, observed)
+    return Stack((*blocks, *_false_alarms(predicted, observed)))
 
 
 def _spectrum(product: str, subject: str, predicted: Products, estimate: SpectralEstimate) -> list[Block]:
@@ -159,6 +166,8 @@ def _scores(predicted: Products, observed: Products) -> list[Block]:
         there = predicted.scores.get((subject, detector))
         if there is None or not _usable(score) or not there.sd > 0:
             continue
+        if few_objects(observed, subject, detector):
+            continue  # pixels of one object are not independent: the object counts
         same = (score.mean, score.sd, detector)
         if same in seen:  # one filter's background stands under each of its targets
             continue
@@ -183,6 +192,30 @@ def _moments(subject: str, detector: str, score: ScoreDistribution) -> Block:
     return Block("scores", subject, detector, np.array([score.mean, np.log(score.sd)]), np.diag(variances), read)
 
 
+def few_objects(observed: Products, subject: str, detector: str) -> bool:
+    """Whether a subject's scores are those of several pixels of fewer objects."""
+    objects, score = observed.object_scores.get((subject, detector)), observed.scores.get((subject, detector))
+    return objects is not None and score is not None and (score.n or 0) > objects.values.size
+
+
+def _objects(predicted: Products, observed: Products) -> list[Block]:
+    """Mean score of the objects of a subject; its variance is what the model itself gives single objects."""
+    blocks: list[Block] = []
+    for (subject, detector), objects in observed.object_scores.items():
+        there = predicted.object_scores.get((subject, detector))
+        values = objects.values[np.isfinite(objects.values)]
+        if there is None or not values.size or not few_objects(observed, subject, detector):
+            continue
+        variance = np.array([[np.var(there.values) / values.size + SCORE_FLOOR**2]])
+        key = (subject, detector)
+
+        def read(p: Products, key: tuple[str, str] = key) -> Array:
+            return np.array([float(np.mean(p.object_scores[key].values))])
+
+        blocks.append(Block("scores", subject, detector, np.array([values.mean()]), variance, read))
+    return blocks
+
+
 def _false_alarms(predicted: Products, observed: Products) -> list[Block]:
     """Logarithm of the false-alarm rate at the thresholds that the data reach 1e-2 and 1e-3 with."""
     blocks: list[Block] = []
@@ -200,6 +233,7 @@ def _false_alarms(predicted: Products, observed: Products) -> list[Block]:
             continue
         seen.add((detector, round(float(thresholds[0]), 9)))
         variance = 1.0 / (rates * n) + RATE_FLOOR**2  # of ln of a count
+        variance = np.maximum(variance, _clustered_variance(observed, subject, detector, thresholds))
         key = (subject, detector, unit)
 
         def read(p: Products, key: tuple[str, str, str] = key, at: Array = thresholds) -> Array:
@@ -207,6 +241,19 @@ def _false_alarms(predicted: Products, observed: Products) -> list[Block]:
 
         blocks.append(Block("roc", background_of(subject), detector, np.log(rates), np.diag(variance), read))
     return blocks
+
+
+def _clustered_variance(observed: Products, subject: str, detector: str, threshold: Array) -> Array:
+    """(K,) variance of ln P_FA from blocks of the image, as alarms come in clusters; 0 where it is not known."""
+    for (name, method), curve in observed.exceedance.items():
+        if method == detector and (subject == name or subject.startswith(f"{name} ")):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                half = (np.log(curve.upper) - np.log(curve.lower)) / 2.0
+            known = np.isfinite(half)
+            if known.any():
+                spread = np.interp(threshold, curve.threshold[known], half[known]) / Z95
+                return np.asarray(spread**2)
+    return np.zeros(threshold.size)
 
 
 def log_false_alarm_rate(curve: RocCurve, threshold: Array) -> Array:

@@ -27,6 +27,7 @@ Move = Callable[[float], Departure]
 ALL = "all"
 ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
 _CHECKS = 4
+MOST_TOGETHER = 6
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 SINGLE_BANDS = 0.01
 
@@ -198,16 +199,19 @@ def _indices(
 ) -> Indices:
     """First and total sensitivities, each input along its leading direction.
 
-    Two inputs of the atmosphere are not changed together, as each pair would take a run of the engine: their
-    interaction counts as none.
+    Only the inputs that move most are changed together; inputs of the atmosphere never are, as each pair would take
+    a run of the engine.  The other interactions count as none.
     """
+    moves = np.array([np.abs(single[r.candidate, 1] - single[r.candidate, -1]) for r in reasons])
+    share = np.max(moves / np.maximum(moves.max(axis=0), 1e-300), axis=1)
+    leading = set(np.argsort(-share, kind="stable")[:MOST_TOGETHER])
     design = quadratic_design(len(reasons))
     values = [base, *(single[r.candidate, 1] for r in reasons), *(single[r.candidate, -1] for r in reasons)]
     pairs = list(combinations(range(len(reasons)), 2))
     for i, j in track(pairs, "reasons: pairs of inputs", show=show_progress):
         a, b = reasons[i], reasons[j]
         together = None
-        if not a.candidate.kind == b.candidate.kind == ATMOSPHERE:
+        if {i, j} <= leading and not a.candidate.kind == b.candidate.kind == ATMOSPHERE:
             together = _together([a, b], [1.0, 1.0])
         values.append(
             single[a.candidate, 1] + single[b.candidate, 1] - base if together is None else evaluate(together)[1]
