@@ -70,6 +70,23 @@ def test_a_mean_of_many_bright_pixels_keeps_its_digits(tmp_path):
     assert found["fast"] == pytest.approx(x.mean(axis=(0, 1)), rel=1e-8)
 
 
+def test_a_running_float32_sum_is_off_by_a_quarter_of_a_per_cent_and_ours_is_not(tmp_path):
+    # 640,000 pixels around 9,100: the sum passes 2^32, where float32 counts in steps of 512, always rounded alike.
+    x = np.random.default_rng(0).integers(9000, 9200, size=(800, 800, 1)).astype("<i2")
+    exact = int(x.astype(np.int64).sum()) / x.size
+    naive = float(np.add.accumulate(x.ravel().astype(np.float32), dtype=np.float32)[-1]) / x.size
+    assert abs(naive / exact - 1) > 0.0025
+    path = tmp_path / "bright.img"
+    x.transpose(0, 2, 1).tofile(path)
+    path.with_suffix(".hdr").write_text(
+        "ENVI\nsamples = 800\nlines = 800\nbands = 1\nheader offset = 0\ndata type = 2\ninterleave = bil\n"
+        "byte order = 0\nwavelength units = nm\nwavelength = {550}\nfwhm = {5}\n"
+    )
+    cube = open_cube(path, quantity="other")
+    assert region_statistics(cube, precision="exact")["scene"].mean[0] == exact  # to the last bit
+    assert region_statistics(cube, precision="fast")["scene"].mean[0] == pytest.approx(exact, rel=1e-9)
+
+
 def test_the_exact_interval_covers_where_the_normal_one_does_not():
     # 20 targets, true P_D 0.97; both intervals in closed form over every outcome, no draws.
     n, p = 20, 0.97
