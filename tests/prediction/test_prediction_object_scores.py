@@ -1,0 +1,171 @@
+"""Predicted scores of objects: limits and closed forms, and pixels drawn one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperval.config import parse_yaml, validate
+from hyperval.errors import UsageError
+from hyperval.predict import predict
+from hyperval.processing.filters import design_filter
+from hyperval.processing.roc_model import greatest_class_false_alarm
+from hyperval.scenario import Scenario
+from hyperval.scene.builtin import builtin_class
+from hyperval.spectra.axis import SpectralAxis
+
+AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
+SCENE = """
+schema: 1
+name: small
+scene:
+  classes:
+    - {name: grass, fraction: 0.7, spectrum: {builtin: grass}}
+    - {name: asphalt, fraction: 0.3, spectrum: {builtin: asphalt}}
+  targets:
+    - name: plank
+      spectrum: {builtin: yellow-paint-plank}
+      covariance: {relative_sd: 0.02}
+      host: asphalt
+      subjects:
+        - {name: tenth, fill: {fixed: 0.1}}
+        - {name: square, PLACE fill: {geometry: {
+            side_m: 1, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 6}}}
+    - name: other
+      spectrum: {builtin: green-paint-plank}
+      covariance: {relative_sd: 0.02}
+      host: asphalt
+      subjects:
+        - {name: beside, THERE fill: {geometry: {
+            side_m: 1, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 6}}}
+processing: {detectors: [cem], elm: none}
+"""
+
+
+def run(extra="", place="", there="", text=SCENE):
+    text = text.replace("PLACE", place).replace("THERE", there) + extra
+    data, lines = parse_yaml(text, "small.yaml")
+    return predict(validate(Scenario, data, lines, "small.yaml"), axis=AXIS, objects=True)
+
+
+def filter_of():
+    """The filter for the plank by its definition, from the mixture of the classes."""
+    grass, asphalt = builtin_class("grass", AXIS), builtin_class("asphalt", AXIS)
+    mean = 0.7 * grass.mean + 0.3 * asphalt.mean
+    spread = 0.21 * np.outer(grass.mean - asphalt.mean, grass.mean - asphalt.mean)
+    covariance = 0.7 * grass.covariance + 0.3 * asphalt.covariance + spread
+    return design_filter("cem", builtin_class("yellow-paint-plank", AXIS).mean, mean, covariance)
+
+
+def test_one_pixel_of_known_fill_is_normal():
+    p = run()
+    draws, model = p.object_scores["tenth", "cem"].values, p.scores["tenth", "cem"]
+    assert draws.shape[0] == 1  # nothing is uncertain
+    # 38,400 draws: standard errors of mean and sd are sd/196 and sd/277; five of them.
+    assert draws.mean() == pytest.approx(model.mean, abs=5 * model.sd / 196)
+    assert draws.std() == pytest.approx(model.sd, rel=5 / 277)
+
+
+def test_the_greatest_pixel_has_the_law_of_the_object_curve():
+    p = run()
+    curve = p.roc["square", "cem", "object"]
+    draws = np.sort(p.object_scores["square", "cem"].values, axis=None)
+    found = 1.0 - np.searchsorted(draws, curve.threshold) / draws.size
+    # The greatest error of a sampled distribution of 38,400: 0.0083 once in a thousand.
+    assert found == pytest.approx(curve.pd, abs=0.0083)
+
+
+def test_error_of_the_spectrum_moves_a_whole_row():
+    p = run("uncertainty: {field_spectra: [{subject: plank, relative: 0.05}, {subject: plank, relative: 0.12}]}\n")
+    values = p.object_scores["tenth", "cem"].values
+    # The entries add up to 13 % of the target's part of the score.
+    w, rho = filter_of(), builtin_class("yellow-paint-plank", AXIS).mean
+    expected = 0.1 * 0.13 * abs(float(w.weights @ rho))
+    inside = values.std(axis=1, ddof=1).mean()
+    between = np.sqrt(values.mean(axis=1).var() - inside**2 / values.shape[1])
+    assert between == pytest.approx(expected, rel=0.09)  # 800 independent pairs: 2.5 %; 3.5 of them
+    same = p.object_scores["beside", "cem"].values  # the other target's own spectrum is certain
+    assert np.std(same.mean(axis=1)) < 1.5 * np.std(same) / np.sqrt(same.shape[1])
+
+
+def test_error_of_the_collected_reflectance_is_common_to_all_targets():
+    p = run("uncertainty: {collected_reflectance: {relative: 0.1}}\n", text=SCENE.replace("fixed: 0.1", "fixed: 1"))
+    one = p.object_scores["tenth", "cem"].values.mean(axis=1)
+    two = p.object_scores["beside", "cem"].values.mean(axis=1)
+    assert abs(np.corrcoef(one, two)[0, 1]) > 0.9
+    w, rho = filter_of(), builtin_class("yellow-paint-plank", AXIS).mean
+    assert one.std() == pytest.approx(0.1 * abs(float(w.weights @ rho)), rel=0.12)
+
+
+def test_a_neighbour_adds_its_part_of_the_pixels():
+    alone = run(place="position_m: [0, 0],")
+    apart = run(place="position_m: [0, 0],", there="position_m: [0, 40],")
+    close = run(place="position_m: [0, 0],", there="position_m: [0, 1.0],")
+    key = ("square", "cem")
+    assert np.array_equal(alone.object_scores[key].values, apart.object_scores[key].values)
+    # Green paint scores by the yellow filter what (3.26) says; a pixel gets it by the fill that (3.10) gives.
+    w = filter_of()
+    green = w.score(builtin_class("green-paint-plank", AXIS).mean) - w.score(builtin_class("asphalt", AXIS).mean)
+    moved = close.object_scores[key].values.mean() - alone.object_scores[key].values.mean()
+    assert np.sign(moved) == np.sign(green)
+    assert 0.005 < moved / green < 0.3
+
+
+def test_a_wider_blur_lowers_the_score_and_is_common():
+    p = run("uncertainty: {psf_fwhm_pixels: 0.3}\n")
+    certain = run()
+    values, sure = p.object_scores["square", "cem"].values, certain.object_scores["square", "cem"].values
+    assert values.std() > sure.std()
+    # Five widths: rows fall into five groups, the same in every subject.
+    rows = values.mean(axis=1)
+    other = p.object_scores["beside", "cem"].values.mean(axis=1)
+    assert abs(np.corrcoef(rows, other)[0, 1]) > 0.2
+    assert np.std(p.object_scores["tenth", "cem"].values.mean(axis=1)) < 2.0 * np.std(
+        p.object_scores["tenth", "cem"].values
+    ) / np.sqrt(values.shape[1])
+
+
+def test_tails_of_the_host():
+    heavy = run(text=SCENE.replace("{builtin: asphalt}}", "{builtin: asphalt}, tail_dof: 3}"))
+    normal = run()
+    a, b = (x.object_scores["tenth", "cem"].values for x in (heavy, normal))
+    assert a.std() == pytest.approx(b.std(), rel=0.1)  # the fourth moment of t3 does not exist
+    far = 5.0 * b.std()
+    assert np.mean(np.abs(a - a.mean()) > far) > 10 * max(np.mean(np.abs(b - b.mean()) > far), 1e-5)
+
+
+def test_same_seed_same_draws():
+    extra = "uncertainty: {psf_fwhm_pixels: 0.3, field_spectra: [{subject: plank, relative: 0.05}]}\n"
+    first, again = run(extra), run(extra)
+    for key, held in first.object_scores.items():
+        assert np.array_equal(held.values, again.object_scores[key].values)
+
+
+def test_positions_need_a_heading():
+    text = SCENE.replace("heading_deg: 10", "heading_deg: random")
+    with pytest.raises(UsageError, match="lies any way"):
+        run(place="position_m: [0, 0],", text=text)
+
+
+def test_curves_of_the_background():
+    p = run()
+    curve, roc = p.exceedance["plank", "cem"], p.roc["tenth", "cem", "pixel"]
+    assert np.all(np.diff(curve.threshold) > 0)
+    assert np.interp(roc.threshold[40], curve.threshold, curve.probability) == pytest.approx(roc.pfa[40])
+    # Each class alone gives at most its tail, and all together no more than the worst of them (3.33).
+    assert np.all(roc.preset_pfa >= roc.pfa - 1e-12)
+    assert np.all(roc.pfa >= 0.3 * roc.preset_pfa - 1e-12)
+
+
+def test_preset_is_the_tail_of_the_worst_class():
+    from scipy.stats import norm
+
+    from hyperval.processing.roc_model import ClassScore, class_by_class_roc
+
+    classes = [ClassScore(0.8, 0.0, 0.1), ClassScore(0.2, 0.1, 0.2), ClassScore(0.0, 5.0, 1.0)]
+    x = np.array([0.2, 0.5, 0.8])
+    assert greatest_class_false_alarm(x, classes) == pytest.approx(norm.sf((x - 0.1) / 0.2), rel=1e-9)
+    # (3.32): the least P_D over the classes at a preset has that preset as its greatest tail.
+    preset = np.array([1e-3, 1e-2, 1e-1])
+    printed = class_by_class_roc(1.0, 0.3, classes, preset)
+    assert np.sort(greatest_class_false_alarm(printed.threshold, classes)) == pytest.approx(preset, rel=1e-9)
