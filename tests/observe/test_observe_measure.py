@@ -303,3 +303,18 @@ def _checked(world: World):
 def test_spectra_without_a_band_table_are_refused(sites):
     with pytest.raises(ValueError, match="spectra need 'bands'"):
         Collection.model_validate({k: v for k, v in sites.collection.items() if k != "bands"})
+
+
+def test_replicate_spectra_of_a_panel_widen_the_empirical_line(make_radiance):
+    """Three readings that differ by 5 %: their standard error by Student's t is that of the panel."""
+    made = make_radiance(relative_noise=0.001)
+    world = made.world
+    for i, level in enumerate((0.57, 0.60, 0.63)):
+        rows = "".join(f"{w},{level}\n" for w in range(400, 1701))
+        world.text(f"white{i}.csv", "wavelength_nm,white\n" + rows)
+    before = world.observe().observation.reflectance["corner"].budget["empirical line"]
+    panel = world.collection["empirical_line"]["panels"][0]
+    assert panel["region"] == "white"
+    panel["spectrum"] = {"replicates": {"files": "white?.csv", "wavelength_unit": "nm"}}
+    after = world.observe().observation.reflectance["corner"].budget["empirical line"]
+    assert np.all(after > before)

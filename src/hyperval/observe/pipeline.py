@@ -212,7 +212,9 @@ def _empirical_line(
         sample = measured[panel.region]
         field = Sources(cube.axis, {}, resolve).spectrum(panel.spectrum, panel.region)
         spread = np.zeros(len(cube.axis))
-        if field.standard_deviation is not None:
+        if field.mean_error is not None:
+            spread = np.sqrt(np.diag(field.mean_error))
+        elif field.standard_deviation is not None:
             spread = field.standard_deviation / np.sqrt(field.n or 1)
         panels.append(
             PanelMeasurement(

@@ -18,9 +18,17 @@ from hyperval.spectra.windows import in_window
 class FeatureChoice(Protocol):
     """Bands or components under a name."""
 
-    name: str
-    bands_nm: list[float]
-    pca: int | None
+    @property
+    def name(self) -> str:
+        """Stands in the table as the method."""
+
+    @property
+    def bands_nm(self) -> Sequence[float]:
+        """Wavelengths of the bands; empty: all."""
+
+    @property
+    def pca(self) -> int | None:
+        """Principal components; None: bands."""
 
 
 def predicted_classification(

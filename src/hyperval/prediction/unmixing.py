@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,21 @@ _POOL = 4000  # background and target pixels drawn once and taken from at random
 _SMALLEST = 1e-10  # of the mean variance, added where a covariance has less than full rank
 
 
-class Subject(Protocol):
-    """See ``hyperval.observe.unmixing.UnmixedSubject``."""
+@dataclass(frozen=True, eq=False)
+class UnmixedSubject:
+    """What a prediction of one subject's area must know.
+
+    Attributes
+    ----------
+    subject : its name in the products
+    population, scenario_target : the population and the target of the scenario that stand for it
+    spectrum : (B,) the target's endmember [1]
+    relative_uncertainty, correlation_nm : of it, as a picture of the target
+    endmembers : where the spectrum is from, as the method tells it
+    objects : number of objects that the area is the mean of
+    nominal_m2 : their area as the truth states it
+    ring : pixels behind the local background
+    """
 
     subject: str
     population: str
@@ -32,15 +45,21 @@ class Subject(Protocol):
     spectrum: Array
     relative_uncertainty: float
     correlation_nm: float | None
+    endmembers: str
     objects: int
     nominal_m2: float
     ring: int
 
 
+def labelled(method: str, endmembers: str) -> str:
+    """The method with the origin of its endmembers: "fcls field"."""
+    return f"{method} {endmembers}".strip()
+
+
 def predicted_areas(
     scenario: Scenario,
     prediction: Prediction,
-    subjects: Iterable[Subject],
+    subjects: Iterable[UnmixedSubject],
     bands: npt.NDArray[np.bool_],
     covariances: Mapping[str, Array | None],
     pixel_area_m2: float,
@@ -77,7 +96,7 @@ def predicted_areas(
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
             area = abundance.sum(axis=1) * pixel_area_m2
             spread = float(area.std(ddof=1)) / np.sqrt(item.objects)
-            out[item.subject, method] = Abundance(
+            out[item.subject, labelled(method, item.endmembers)] = Abundance(
                 float(area.mean()), float(spread), pixels.shape[1], item.nominal_m2
             )
     return out
@@ -86,7 +105,7 @@ def predicted_areas(
 def _objects(
     target: Target,
     population: TargetSubject,
-    item: Subject,
+    item: UnmixedSubject,
     prediction: Prediction,
     sources: Sources,
     index: npt.NDArray[np.intp],
@@ -114,7 +133,7 @@ def _objects(
 
 
 def _errors(
-    item: Subject, axis: SpectralAxis, index: npt.NDArray[np.intp], draws: int, rng: np.random.Generator
+    item: UnmixedSubject, axis: SpectralAxis, index: npt.NDArray[np.intp], draws: int, rng: np.random.Generator
 ) -> Array:
     """(draws, F) error of the endmember as a picture of the target."""
     sd = item.relative_uncertainty * item.spectrum[index]
