@@ -45,10 +45,13 @@ def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Pr
         {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in held.items() if k not in taken}
         for held in (prediction.radiance, prediction.reflectance)
     )
+    fitted = {c.name for x in scenarios for c in x.scene.classes if c.tail_dof == "measured"}
+    tails = {k: v for k, v in prediction.distribution.items() if k not in fitted}
+    prediction = replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails)
     if not taken:
-        return replace(prediction, radiance=radiance, reflectance=reflectance)
+        return prediction
     note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
-    return replace(prediction, radiance=radiance, reflectance=reflectance, notes=(*prediction.notes, note))
+    return replace(prediction, notes=(*prediction.notes, note))
 
 
 def with_pools(

@@ -28,7 +28,8 @@ def compare_abundance(
     The ratio is (predicted - observed)/observed with the first-order interval of both uncertainties; z is the
     difference over sqrt(u_p^2 + u_o^2).  Where neither side has an uncertainty, z and the verdict are SKIPPED.
     Where both sides estimate a nominal area: ``area_error_predicted`` and ``area_error_observed`` [m2], estimate
-    less nominal area, and ``area_in_predicted_95``, 1 where the measured area lies in the predicted interval.
+    less nominal area, ``area_nominal_ratio`` measured over nominal, and ``area_in_predicted_95``, 1 where the
+    measured area lies in the predicted interval.
     """
     make = RowMaker(campaign, "abundance", subject, method)
 
@@ -57,6 +58,8 @@ def compare_abundance(
                 error = side.area_m2 - observed.nominal_m2
                 interval = (error - Z95 * spread, error + Z95 * spread)
                 out.append(make.row(f"area_error_{name}", error, interval=interval, unit="m2", n=side.n))
+            ratio, half = o / observed.nominal_m2, Z95 * uo / observed.nominal_m2
+            out.append(make.row("area_nominal_ratio", ratio, interval=(ratio - half, ratio + half), n=observed.n))
             out.append(make.row("area_in_predicted_95", float(abs(p - o) <= Z95 * up), n=observed.n))
         u = float(np.hypot(up, uo))
         if not u > 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -78,51 +79,85 @@ def compare_covariance(
     make = RowMaker(campaign, "covariance", subject, method)
     if predicted is None or observed is None:
         return []
-    if predicted.pixel_covariance is None or observed.pixel_covariance is None or observed.n is None:
+    found = sampled(predicted, observed, axis, predicted_distribution, observed_distribution, EIGENVALUES)
+    if found is None:
         return []
-    bands = compared_bands(predicted, observed, axis)
-    n = observed.n
-    if n < FEWEST_PIXELS or not bands.any():
-        return [make.skipped(f"{n} pixels and {int(bands.sum())} bands say nothing of a covariance")]
-    at = np.ix_(bands, bands)
-    first, second = predicted.pixel_covariance[at], np.asarray(observed.pixel_covariance[at])
-    if not (np.isfinite(first).all() and np.isfinite(second).all()):
-        return [make.skipped("a covariance is not finite")]
-    directions = Directions.of(first)
-    size = directions.values.size
-    independent = independent_pixels(n, observed_distribution, size)
-    kurtosis = 0.0 if predicted_distribution is None else kurtosis_parameter(predicted_distribution.tail_dof)
-    if math.isinf(kurtosis):
-        return [make.skipped("tails of 4 degrees of freedom or fewer: a sample covariance has no sampling band")]
-    count = max(min(EIGENVALUES, size, n - 1, int(independent.min())), 1)
-    spaces = tuple(k for k in SPACES if k <= count and k < size)
-    measured = statistics_of_covariance(
-        directions, directions.of_other(second), count, spaces, full_rank=full_rank(independent, size)
-    )
-    rng = np.random.default_rng(_SEED)
-    band = sampling_band(directions, independent, count, spaces, rng, kurtosis=kurtosis)
+    if isinstance(found, str):
+        return [make.skipped(found)]
+    measured, band, n = found.measured, found.band, found.n
     rows = _eigenvalue_rows(make, measured, band, n)
-    rows += _space_rows(make, measured, band, spaces, n)
+    rows += _space_rows(make, measured, band, found.spaces, n)
     if math.isnan(measured.distance):
-        why = f"{int(independent.min()) + 1} independent pixels for {size} directions"
+        why = f"{found.fewest:.0f} independent pixels for {found.size} directions"
         names = ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
         return rows + [make.skipped(why, name) for name in names]
-    distance = bhattacharyya_distance(predicted.mean[bands], first, observed.mean[bands], second)
+    at = np.ix_(found.bands, found.bands)
+    first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
+    distance = bhattacharyya_distance(predicted.mean[found.bands], first, observed.mean[found.bands], second)
     rows.append(make.row("bhattacharyya_distance", distance, n=n))
     excess = measured.distance - float(band.distance.mean())
     low, high = SamplingBand.limits(band.distance - band.distance.mean())
     reason = f"sampling alone gives {band.distance.mean():.3g}, {measured.distance:.3g} was found"
-    return [
-        *rows,
-        _row(
-            make,
-            "bhattacharyya_covariance_excess",
-            excess,
-            (excess - float(high), excess - float(low)),
-            n,
-            reason=reason,
-        ),
-    ]
+    interval = (excess - float(high), excess - float(low))
+    return [*rows, _row(make, "bhattacharyya_covariance_excess", excess, interval, n, reason=reason)]
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A measured covariance beside those drawn from the predicted one.
+
+    Attributes
+    ----------
+    bands : (B,) compared
+    measured, band : statistics of the measured covariance and of the drawn ones
+    spaces : the k of the principal angles
+    n : pixels; ``fewest``: independent ones behind any direction
+    size : directions in which the prediction has a spread
+    """
+
+    bands: Mask
+    measured: Statistics
+    band: SamplingBand
+    spaces: tuple[int, ...]
+    n: int
+    fewest: float
+    size: int
+
+
+def sampled(
+    predicted: SpectralEstimate,
+    observed: SpectralEstimate,
+    axis: SpectralAxis,
+    predicted_distribution: PixelDistribution | None,
+    observed_distribution: PixelDistribution | None,
+    most: int,
+) -> Sampled | str | None:
+    """The measured covariance and what chance alone makes of the predicted one, for at most ``most`` eigenvalues.
+
+    None where a side has no spread; a text that says why where the two cannot be compared.
+    """
+    if predicted.pixel_covariance is None or observed.pixel_covariance is None or observed.n is None:
+        return None
+    bands, n = compared_bands(predicted, observed, axis), observed.n
+    if n < FEWEST_PIXELS or not bands.any():
+        return f"{n} pixels and {int(bands.sum())} bands say nothing of a covariance"
+    at = np.ix_(bands, bands)
+    first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        return "a covariance is not finite"
+    kurtosis = 0.0 if predicted_distribution is None else kurtosis_parameter(predicted_distribution.tail_dof)
+    if math.isinf(kurtosis):
+        return "tails of 4 degrees of freedom or fewer: a sample covariance has no sampling band"
+    directions = Directions.of(first)
+    size = directions.values.size
+    independent = independent_pixels(n, observed_distribution, size)
+    count = max(min(most, size, n - 1, int(independent.min())), 1)
+    spaces = tuple(k for k in SPACES if k <= count and k < size)
+    full = full_rank(independent, size)
+    measured = statistics_of_covariance(directions, directions.of_other(second), count, spaces, full_rank=full)
+    rng = np.random.default_rng(_SEED)
+    band = sampling_band(directions, independent, count, spaces, rng, kurtosis=kurtosis)
+    return Sampled(bands, measured, band, spaces, n, float(independent.min()) + 1.0, size)
 
 
 def _eigenvalue_rows(make: RowMaker, measured: Statistics, band: SamplingBand, n: int) -> list[Result]:
@@ -178,13 +213,15 @@ def compare_distribution(
 
     ``background_tail_dof`` and ``background_tail_dof_leading``: measured degrees of freedom of a multivariate t in
     all bands and in the few leading components, inf for normal pixels; ``tail_inverse_dof_difference``
-    1/predicted - 1/measured in the leading components, which stays finite; ``normality_p_value``;
+    1/predicted - 1/measured in the leading components, which stays finite (left out where no law is predicted,
+    or it was fitted to these very pixels); ``normality_p_value``;
     ``effective_pixels``: independent pixels behind the variance of the first component.
     """
     make = RowMaker(campaign, "covariance", subject, method)
-    if predicted is None or observed is None:
+    if observed is None:
         return []
-    o, told = observed, f"predicted {_dof_text(predicted.tail_dof)}"
+    o = observed
+    told = "no predicted law to compare with" if predicted is None else f"predicted {_dof_text(predicted.tail_dof)}"
     rows = [
         make.row(
             "background_tail_dof", o.tail_dof, interval=(o.tail_lower, o.tail_upper), n=o.n,
@@ -198,6 +235,7 @@ def compare_distribution(
                 n=o.n, reason=f"{told}; in the {o.leading_dimension} leading components",
             )
         )  # fmt: skip
+    if predicted is not None and not math.isnan(o.leading_tail_dof):
         inverse = [
             0.0 if math.isinf(x) else 1.0 / x for x in (o.leading_upper, o.leading_tail_dof, o.leading_lower)
         ]

@@ -111,7 +111,7 @@ def _independence(
     count = min(COMPONENTS, directions.values.size)
 
     def quantities() -> Iterator[tuple[Array, Mask]]:
-        for corner in _windows(region, rng):
+        for corner in correlation_windows(region, rng):
             rows, columns = (slice(a, a + WINDOW) for a in corner)
             inside = region[rows, columns]
             lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
@@ -132,7 +132,7 @@ def _independence(
     return independent, (parts[0], parts[1])
 
 
-def _windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
+def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
     """Corners of windows about pixels of the region drawn at random; one where they hold the whole image."""
     lines, samples = region.shape
     if lines <= WINDOW and samples <= WINDOW:

@@ -16,6 +16,7 @@ from hyperval.imagery.truth import TargetObject
 from hyperval.observe.detection import in_reflectance, target_groups
 from hyperval.observe.place import Place
 from hyperval.prediction.inputs import Sources
+from hyperval.prediction.unmixing import UnmixedSubject, labelled
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.filters import PositiveDefinite
 from hyperval.processing.sample import SampleStatistics
@@ -25,35 +26,10 @@ from hyperval.progress import track
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Pixels = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]  # lines and samples
 
 METHODS = {"equal": "fcls", "background": "fcls-weighted"}
 PLACES = 60  # of the background, at which the same sum is taken for its error
-
-
-@dataclass(frozen=True, eq=False)
-class UnmixedSubject:
-    """What a prediction of one subject's area must know.
-
-    Attributes
-    ----------
-    subject : its name in the products
-    population, scenario_target : the population and the target of the scenario that stand for it
-    spectrum : (B,) the target's endmember [1]
-    relative_uncertainty, correlation_nm : of it, as a picture of the target
-    objects : number of objects that the area is the mean of
-    nominal_m2 : their area as the truth states it
-    ring : pixels behind the local background
-    """
-
-    subject: str
-    population: str
-    scenario_target: str
-    spectrum: Array
-    relative_uncertainty: float
-    correlation_nm: float | None
-    objects: int
-    nominal_m2: float
-    ring: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,11 +106,13 @@ def unmix(
         nominal = float(np.mean([o.area_m2 for o in members]))
         spectrum = spectra[target.name][bands]
         for method, factor in noise.items():
-            areas[subject, method] = _area(around, spectrum, factor, place.pixel_area_m2, nominal)
+            areas[subject, labelled(method, item.endmembers)] = _area(
+                around, spectrum, factor, place.pixel_area_m2, nominal
+            )
         subjects.append(
             UnmixedSubject(
                 subject, population, item.scenario_target or item.target, spectra[target.name],
-                item.relative_uncertainty, item.correlation_nm, len(members), nominal,
+                item.relative_uncertainty, item.correlation_nm, item.endmembers, len(members), nominal,
                 int(np.mean([s.ring for s in around])),
             )
         )  # fmt: skip
@@ -189,55 +167,44 @@ def _surroundings(
     rng: np.random.Generator,
 ) -> _Surroundings:
     lines, samples = np.nonzero(target.part)
-    at = lines + target.corner[0], samples + target.corner[1]
-    mean, ring = _ring_mean(place, at, region, task.ring_pixels, elm, bands)
-    if mean is None:
+    corners = [target.corner, *_free_places(region, lines, samples, rng)]
+    parts: list[Pixels] = []
+    for line, sample in corners:
+        own = lines + line, samples + sample
+        parts += [own, _ring(own, region, task.ring_pixels)]
+    read = _reflectance(place, parts, elm, bands)
+    found = list(zip(read[::2], read[1::2], strict=True))
+    pixels, ring = found[0]
+    if not ring.shape[0]:
         raise InputError(
             f"target {target.name!r} has no pixel of {task.background!r} within {task.ring_pixels} pixels",
             expected="background around every target",
         )
-    elsewhere = []
-    for line, sample in _free_places(region, lines, samples, rng):
-        there = lines + line, samples + sample
-        around, _ = _ring_mean(place, there, region, task.ring_pixels, elm, bands)
-        pixels = _reflectance(place, there, elm, bands)
-        if around is not None and pixels.shape[0] == lines.size:
-            elsewhere.append((pixels, around))
-    return _Surroundings(_reflectance(place, at, elm, bands), mean, ring, elsewhere)
+    elsewhere = [(x, r.mean(axis=0)) for x, r in found[1:] if r.shape[0] and x.shape[0] == lines.size]
+    return _Surroundings(pixels, ring.mean(axis=0), ring.shape[0], elsewhere)
 
 
-def _ring_mean(
-    place: Place,
-    at: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]],
-    region: Mask,
-    reach: int,
-    elm: EmpiricalLine | None,
-    bands: Mask,
-) -> tuple[Array | None, int]:
-    """Mean reflectance (F,) of the region within ``reach`` pixels of some, these left out, and their number."""
-    first = np.maximum([at[0].min() - reach, at[1].min() - reach], 0)
-    last = np.minimum([at[0].max() + reach + 1, at[1].max() + reach + 1], place.cube.shape)
-    own = np.zeros(tuple(last - first), bool)
-    own[at[0] - first[0], at[1] - first[1]] = True
-    near = ndimage.distance_transform_edt(~own) <= reach
-    ring = near & ~own & region[first[0] : last[0], first[1] : last[1]]
-    lines, samples = np.nonzero(ring)
-    pixels = (
-        _reflectance(place, (lines + first[0], samples + first[1]), elm, bands) if lines.size else np.empty((0, 1))
-    )
-    return (pixels.mean(axis=0), pixels.shape[0]) if pixels.shape[0] else (None, 0)
+def _ring(own: Pixels, region: Mask, reach: int) -> Pixels:
+    """The pixels of the region within ``reach`` pixels of some pixels, these left out."""
+    first = np.maximum([own[0].min() - reach, own[1].min() - reach], 0)
+    last = np.minimum([own[0].max() + reach + 1, own[1].max() + reach + 1], region.shape)
+    inside = np.zeros(tuple(last - first), bool)
+    inside[own[0] - first[0], own[1] - first[1]] = True
+    near = ndimage.distance_transform_edt(~inside) <= reach
+    lines, samples = np.nonzero(near & ~inside & region[first[0] : last[0], first[1] : last[1]])
+    return lines + first[0], samples + first[1]
 
 
-def _reflectance(
-    place: Place,
-    at: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]],
-    elm: EmpiricalLine | None,
-    bands: Mask,
-) -> Array:
-    """(n, F) reflectance of the valid ones of some pixels."""
-    values = place.cube.spectra(at)
+def _reflectance(place: Place, parts: list[Pixels], elm: EmpiricalLine | None, bands: Mask) -> list[Array]:
+    """(n, F) reflectance of the valid ones among several sets of pixels, all read at once: each line once."""
+    flat = [lines * place.cube.samples + samples for lines, samples in parts]
+    every, index = np.unique(np.concatenate(flat), return_inverse=True)
+    at = np.divmod(every, place.cube.samples)
+    values = place.cube.pixels(at)
     found = (values if elm is None else elm.reflectance(values))[:, bands]
-    return np.asarray(found[np.isfinite(found).all(axis=1)])
+    valid = place.cube.valid_pixels(at) & np.isfinite(found).all(axis=1)
+    ends = np.cumsum([f.size for f in flat])[:-1]
+    return [found[i[valid[i]]] for i in np.split(index, ends)]
 
 
 def _free_places(

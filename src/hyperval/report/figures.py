@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from hyperval.report.figures_attribution import attribution_figures
+from hyperval.report.figures_covariance import sampled_eigenvalue_figures, tail_figures
 from hyperval.report.figures_detection import abundance_figures, roc_figures, score_figures
+from hyperval.report.figures_errors import class_error_figures, unmixing_figures
 from hyperval.report.figures_images import quicklook_figure, score_map_figures
+from hyperval.report.figures_scores import (
+    exceedance_figures,
+    object_score_figures,
+    roc_difference_figures,
+    transform_figures,
+)
 from hyperval.report.figures_spectra import budget_figures, eigenvalue_figures, pair_figures
 from hyperval.report.run import RunReport
 from hyperval.report.style import Drawing, house_style
@@ -22,10 +30,26 @@ def draw_figures(run: RunReport) -> list[Drawing]:
         drawings += budget_figures(sides, simulated=simulated)
         drawings += pair_figures(sides, "snr", simulated=simulated)
         drawings += pair_figures(sides, "reflectance", simulated=simulated)
-        drawings += eigenvalue_figures(sides, simulated=simulated)
+        if not run.eigenvalues:  # one side alone: no band of chance to judge by
+            drawings += eigenvalue_figures(sides, simulated=simulated)
+        drawings += sampled_eigenvalue_figures(run.eigenvalues, simulated=simulated)
+        drawings += tail_figures(run.tails, simulated=simulated)
+        drawings += class_error_figures(sides, simulated=simulated)
         drawings += score_figures(sides, simulated=simulated)
+        drawings += object_score_figures(sides, simulated=simulated)
+        drawings += transform_figures(sides, simulated=simulated)
+        drawings += exceedance_figures(sides, simulated=simulated)
         drawings += score_map_figures(run.score_maps, simulated=simulated)
         drawings += roc_figures(sides, simulated=simulated)
+        drawings += roc_difference_figures(sides, _equivalence_margin(run), simulated=simulated)
         drawings += abundance_figures(sides, simulated=simulated)
+        drawings += unmixing_figures(sides, list(run.table.where(product="abundance")), simulated=simulated)
         drawings += attribution_figures(run.table, simulated=simulated)
     return drawings
+
+
+def _equivalence_margin(run: RunReport) -> float | None:
+    """The margin that the campaign of a run states, as its provenance records it."""
+    campaign = (run.provenance.get("configuration") or {}).get("campaign") or {}
+    margin = campaign.get("equivalence_margin")
+    return float(margin) if isinstance(margin, int | float) else None

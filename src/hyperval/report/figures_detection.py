@@ -93,7 +93,10 @@ def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
 
 def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Area of each target from its abundance, predicted and measured."""
-    predicted, measured = _held(sides[0], "abundance"), _held(sides[1], "abundance")
+    # Areas that both sides estimate against a nominal one have a figure of their own.
+    predicted, measured = (
+        {k: a for k, a in _held(side, "abundance").items() if a.nominal_m2 is None} for side in sides
+    )
     every = both_first(predicted, measured)
     keys = every[:_MOST_ROWS]
     if not keys:

@@ -34,6 +34,7 @@ _SECTIONS = {
     "snr": "Signal-to-noise ratio",
     "reflectance": "Reflectance",
     "covariance": "Covariance",
+    "classification": "Classification",
     "scores": "Detector scores",
     "roc": "Detection and false alarms",
     "abundance": "Abundance and target area",

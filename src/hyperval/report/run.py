@@ -55,6 +55,52 @@ class Quicklook:
 
 
 @dataclass(frozen=True)
+class EigenvalueSpectrum:
+    """Leading eigenvalues of one class's covariance from pixel to pixel, largest first.
+
+    Attributes
+    ----------
+    measured : (K,) of the collection
+    expected, lower, upper : (K,) mean and 95 % limits of those of as many pixels drawn from the prediction
+    n : pixels
+    """
+
+    measured: npt.NDArray[np.float64]
+    expected: npt.NDArray[np.float64]
+    lower: npt.NDArray[np.float64]
+    upper: npt.NDArray[np.float64]
+    n: int
+
+
+@dataclass(frozen=True)
+class TailCurve:
+    """Share of a class's pixels beyond a distance from its mean.
+
+    Attributes
+    ----------
+    distance : (Q,) Mahalanobis distance [standard deviations]
+    measured, lower, upper : (Q,) share of pixels beyond it and its 95 % limits
+    predicted, normal, fitted : (Q,) probability under the predicted law, the normal one, and the fitted t; the
+        first None where nothing was predicted
+    predicted_dof, fitted_dof : degrees of freedom of these, inf for the normal law
+    dimension : components in which the distance is taken
+    n : pixels
+    """
+
+    distance: npt.NDArray[np.float64]
+    measured: npt.NDArray[np.float64]
+    lower: npt.NDArray[np.float64]
+    upper: npt.NDArray[np.float64]
+    predicted: npt.NDArray[np.float64] | None
+    normal: npt.NDArray[np.float64]
+    fitted: npt.NDArray[np.float64]
+    predicted_dof: float | None
+    fitted_dof: float
+    dimension: int
+    n: int
+
+
+@dataclass(frozen=True)
 class RunReport:
     """One campaign's run, ready to be written.
 
@@ -71,6 +117,8 @@ class RunReport:
         formulation, ...) are shown as they are
     notes : assumptions made, what was left out
     references : literature
+    eigenvalues : (subject, quantity) -> eigenvalues of both sides
+    tails : subject -> tails of both sides
     """
 
     campaign: str
@@ -85,3 +133,5 @@ class RunReport:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     notes: Sequence[str] = ()
     references: Sequence[str] = ()
+    eigenvalues: Mapping[tuple[str, str], EigenvalueSpectrum] = field(default_factory=dict)
+    tails: Mapping[str, TailCurve] = field(default_factory=dict)
