@@ -92,6 +92,61 @@ def test_a_line_through_the_origin(make_radiance):
     assert np.all(line.gain > made.gain)  # the path radiance goes into the gain
 
 
+@pytest.mark.parametrize("dark", [None, 0.0, 0.03])
+def test_a_material_of_the_scene_as_colour_standard(make_radiance, dark):
+    """One surface of known spectrum, not flat, that lies in the scene; alone, or with the darkest pixel."""
+    made = make_radiance()
+    colour = np.linspace(0.25, 0.65, BANDS)
+    scene = made.reflectance.copy()
+    scene[12:18, 30:36] = colour
+    scene[44, 38] = np.linspace(0.01, 0.03, BANDS)  # the darkest pixel in every band
+    made.world.write(made.offset + made.gain * scene)
+    made.world.library("standards.csv", ("tarpaulin", colour), ("other", 0.5 * colour))
+    known = made.world.on_bands("standards.csv", "tarpaulin")
+    made.world.collection["regions"].append({"name": "tarpaulin", "rectangle": [12, 30, 6, 6]})
+    line = {
+        "panels": [
+            {
+                "region": "tarpaulin",
+                "spectrum": made.world.source("standards.csv", "tarpaulin"),
+                "relative_uncertainty": 0.02,
+            }
+        ],
+        **({"intercept": False} if dark is None else {"darkest_pixel": {"reflectance": dark, "uncertainty": 0.01}}),
+    }
+    made.world.collection["empirical_line"] = line
+    found = made.world.observe().elm
+    radiance = made.offset + made.gain * scene
+    standard, least = radiance[12, 30], radiance.min(axis=(0, 1))
+    assert least == pytest.approx(radiance[44, 38])
+    x = radiance[20:30, 5:9]
+    expected = known * x / standard  # rho = rho_s L/L_s
+    if dark is not None:  # rho = rho_d + (rho_s - rho_d)(L - L_d)/(L_s - L_d)
+        expected = dark + (known - dark) * (x - least) / (standard - least)
+    usable = found.usable
+    assert usable.sum() >= BANDS - 1
+    assert found.reflectance(x)[..., usable] == pytest.approx(expected[..., usable], rel=1e-6, abs=1e-9)
+    # The standard itself comes out as it is known, whatever the assumption about the dark end.
+    assert found.reflectance(standard)[usable] == pytest.approx(known[usable], rel=1e-9)
+    if dark is None:
+        assert np.all(found.reflectance(least) > scene[44, 38])  # the path radiance is taken for reflectance
+    else:
+        # The darkest pixel is not what it was taken for; the stated 0.01 covers an error of 0.03 at three sd.
+        error = np.abs(found.reflectance(least) - scene[44, 38])[usable]
+        sd = np.sqrt(found.reflectance_error_variance(least))[usable]
+        assert np.all(error <= 3.1 * sd)
+
+
+def test_a_dark_colour_standard_is_refused(make_radiance):
+    made = make_radiance()
+    panels = made.world.collection["empirical_line"]["panels"]
+    made.world.collection["empirical_line"] = {
+        "panels": [p for p in panels if p["region"] == "black"], "darkest_pixel": {"reflectance": 0.0},
+    }  # fmt: skip
+    with pytest.raises(UsageError, match=r"differ by 0\.05 in reflectance"):
+        made.world.observe()
+
+
 def test_lines_that_nothing_fixes_are_refused():
     one = {"region": "white", "spectrum": {"constant": 0.5}}
     with pytest.raises(ValueError, match="needs two panels"):
