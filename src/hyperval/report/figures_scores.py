@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from scipy.stats import beta
 
 from hyperval.products import ExceedanceCurve, RocCurve
@@ -136,7 +137,10 @@ def roc_difference_figures(sides: Sides, margin: float | None, *, simulated: boo
     """Predicted minus measured P_D against P_FA with its 95 % interval, for the curves with the most targets."""
     predicted, measured = (({} if s is None else s.roc) for s in sides)
     every = [key for key in both_first(predicted, measured) if key in predicted and key in measured]
-    every.sort(key=lambda key: -(measured[key].n_target or 0))
+    # Objects are independent and pixels of one object are not: curves by object first, where there are several.
+    every.sort(
+        key=lambda key: (key[2] != "object" or (measured[key].n_target or 0) < 2, -(measured[key].n_target or 0))
+    )
     found = style.pages(every, 1)
     drawings = []
     for keys in found:
@@ -225,6 +229,7 @@ def _tail_panel(
         model = float(np.exp(np.interp(x[at], predicted.threshold, np.log(predicted.probability))))
         words += f"at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}."
     axes.plot(predicted.threshold, predicted.probability, color=PREDICTED.colour, linestyle=PREDICTED.line)
+    axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.set_yscale("log")
     axes.set_ylim(floor, 1.0)
     style.log_ticks(axes.yaxis)

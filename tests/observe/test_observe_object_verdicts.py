@@ -1,0 +1,124 @@
+"""Closure of the verdict on objects and on false alarms: drawn collections whose model is true, and broken ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_world import AXIS, BACKGROUND, BANDS, TARGET, World, background_spread
+
+from hyperval.compare.products import compare_products
+from hyperval.config import parse_yaml, validate
+from hyperval.predict import predict
+from hyperval.scenario import Scenario
+
+LINES, SAMPLES, FILL, SPREAD = 96, 96, 0.12, 0.05
+SCENE = """
+schema: 1
+name: world
+scene:
+  classes: [{name: ground, fraction: 1, spectrum: {measured: all}TAIL}]
+  targets:
+    - name: paint
+      spectrum: {file: library.csv, record: paint, wavelength_unit: nm, reflectance_unit: fraction}
+      covariance: {relative_sd: 0.05}
+      host: ground
+      fill: {fixed: FILL}
+processing: {detectors: [cem], elm: none, bands: {drop_bad: false}}
+UNCERTAIN
+"""
+
+
+def collection(folder, seed, *, spectrum_error=0.0, dof=None):
+    """A world of 60 planted pixels; its paint may differ from the library, its ground may have heavy tails."""
+    rng = np.random.default_rng(seed)
+    scene = rng.multivariate_normal(np.zeros(BANDS), background_spread(), (LINES, SAMPLES))
+    if dof is not None:
+        scene *= np.sqrt((dof - 2.0) / rng.chisquare(dof, (LINES, SAMPLES, 1)))
+    scene += BACKGROUND
+    paint = TARGET * (1.0 + spectrum_error)
+    rows = ["name,material,row0,col0,side_m,area_m2"]
+    for i in range(60):
+        line, sample = 6 + 9 * (i // 10), 5 + 9 * (i % 10)
+        own = paint * (1.0 + SPREAD * rng.standard_normal())
+        scene[line, sample] = FILL * own + (1.0 - FILL) * scene[line, sample]
+        rows.append(f"t{i},paint,{line},{sample},0.5,0.25")
+    world = World(folder, scene)
+    world.write()
+    world.library("library.csv", ("paint", TARGET), ("ground", BACKGROUND))
+    world.text("targets.csv", "\n".join(rows) + "\n")
+    world.collection = {
+        "cube": {"path": "cube.img", "quantity": "reflectance"},
+        "regions": [{"name": "all", "rectangle": [0, 0, LINES, SAMPLES]}],
+        "targets": {"csv": "targets.csv", "guard_pixels": 0, "pixels": "centre"},
+    }
+    world.detection = {
+        "targets": [{"name": "paint", "material": "paint", "spectrum": world.source("library.csv", "paint")}],
+        "group": "paint",
+        "bands": "all",
+    }
+    return world
+
+
+def rows_of(world, *, fill=FILL, uncertain="", tail=""):
+    text = SCENE.replace("FILL", str(fill)).replace("UNCERTAIN", uncertain).replace("TAIL", tail)
+    data, lines = parse_yaml(text, "world.yaml")
+    seen = world.observe()
+    prediction = predict(
+        validate(Scenario, data, lines, "world.yaml"),
+        axis=AXIS,
+        measured=seen.statistics,
+        resolve=world.resolve,
+        objects=True,
+    )
+    rows = compare_products(prediction, seen.observation, campaign="c")
+    return {r.metric: r for r in rows if r.subject in ("all objects", "paint background") and r.product == "scores"}
+
+
+def test_a_true_model_is_uniform_and_covers(tmp_path):
+    # 12 worlds of 60 objects. Each test fails a true model in 1 of 100; twice or more in 12: 0.6 %.
+    inside, low_pit, low_inside = [], 0, 0
+    for seed in range(12):
+        found = rows_of(collection(tmp_path, seed))
+        inside.append(found["objects_inside_95"].value)
+        low_pit += found["pit_uniformity_p_value"].value < 0.01
+        low_inside += found["objects_inside_95_p_value"].value < 0.01
+    assert low_pit <= 1
+    assert low_inside <= 1
+    # 720 objects: sd of the share 0.8 %, four of them.
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.033)
+
+
+def test_an_error_common_to_all_objects_is_forgiven_where_it_is_stated(tmp_path):
+    """Paint off by one standard uncertainty: one collection cannot tell it, unless the model claims certainty."""
+    off = 0.15
+    world = collection(tmp_path, 21, spectrum_error=off)
+    sure = rows_of(world)
+    stated = rows_of(world, uncertain=f"uncertainty: {{field_spectra: [{{subject: paint, relative: {off}}}]}}")
+    assert sure["pit_uniformity_p_value"].value < 0.01
+    assert stated["pit_uniformity_p_value"].value > 0.05
+    assert stated["objects_inside_95_p_value"].value > 0.05
+
+
+@pytest.mark.parametrize("fill", [0.8 * FILL, 1.25 * FILL])
+def test_a_wrong_fill_turns_the_verdict(tmp_path, fill):
+    found = rows_of(collection(tmp_path, 22), fill=fill)
+    assert found["pit_uniformity_p_value"].value < 0.001
+    assert found["objects_inside_95_p_value"].value < 0.01
+
+
+def test_false_alarms_of_a_true_background(tmp_path):
+    found = rows_of(collection(tmp_path, 23))
+    # 9,000 pixels: the relative sd of the counts is 3.2 % at 1e-1 and 11 % at 1e-2; four of them.
+    assert found["pfa_ratio@1e-1"].value == pytest.approx(1.0, abs=0.13)
+    assert found["pfa_ratio@1e-2"].value == pytest.approx(1.0, abs=0.44)
+    assert "pfa_ratio@1e-3" in found
+
+
+def test_heavy_tails_show_and_a_fitted_tail_mends_them(tmp_path):
+    world = collection(tmp_path, 24, dof=3.0)
+    normal, fitted = rows_of(world), rows_of(world, tail=", tail_dof: measured")
+    # Fixed seed: the ratio of t3 to normal tails at this level is 0.73, the interval's half-width a quarter of it.
+    assert normal["pfa_ratio@1e-2"].upper < 1.0
+    ratio = fitted["pfa_ratio@1e-2"]
+    assert ratio.lower < 1.0 < ratio.upper
+    assert abs(np.log(ratio.value)) < abs(np.log(normal["pfa_ratio@1e-2"].value))
