@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
@@ -23,11 +25,17 @@ FALSE_ALARM = 1e-3
 REFLECTANCE_TOLERANCE = 1e-6
 
 
+@lru_cache(maxsize=8)
+def standard_scenario(name: str) -> Scenario:
+    """A built-in scenario, read once."""
+    return load_scenario(name)
+
+
 def run_scenarios(sensor: Sensor, ledger: Ledger, engine: Engine | None = None) -> dict[str, Prediction]:
     """Predict every built-in scenario with ``sensor`` and check what comes out."""
     done: dict[str, Prediction] = {}
     for name in builtin_scenarios():
-        scenario = load_scenario(name)
+        scenario = standard_scenario(name)
         try:
             done[name] = predict(scenario, engine=engine, sensor=sensor, show_progress=False)
         except HypervalError as error:
@@ -52,8 +60,8 @@ def _check(scenario: Scenario, found: Prediction, sensor: Sensor, ledger: Ledger
     )
     ledger.gate(PRODUCT, "values_not_positive", wrong, wrong == 0, threshold=0.0, subject=name,
                 reason="radiances or ratios that are not positive in the windows")  # fmt: skip
-    cap = 100.0 / sensor.noise(found.axis).calibration_percent
-    highest = max(float(np.max(e.mean / cap)) for s, e in found.snr.items() if s in found.radiance)
+    c_r = sensor.noise(found.axis).calibration_percent / 100.0
+    highest = max(float(np.max(e.mean * c_r)) for s, e in found.snr.items() if s in found.radiance)
     ledger.gate(PRODUCT, "highest_snr_over_cap_of_c_r", highest, highest <= 1.0 + 1e-9, threshold=1.0, subject=name,
                 reason="the SNR passes 100 / C_R")  # fmt: skip
     error = _panel_error(scenario, found, good)

@@ -10,12 +10,12 @@ import numpy as np
 from hyperval.predict import predict
 from hyperval.products import Prediction
 from hyperval.progress import track
-from hyperval.scenario import load_scenario
+from hyperval.scenario import Scenario
 from hyperval.sensor.specification import Sensor
 from hyperval.sensor_check.ledger import Ledger
 from hyperval.sensor_check.numbers import Number, numbers, scaled
 from hyperval.sensor_check.reference import MIDDLE, Engine, sunlit_radiance
-from hyperval.sensor_check.scenarios import detection_at
+from hyperval.sensor_check.scenarios import detection_at, standard_scenario
 from hyperval.spectra.windows import in_window
 
 PRODUCT = "sensitivity"
@@ -69,12 +69,13 @@ def sensitivities(
     """Lower and raise each assumed number by the part ``vary``; the swings, largest of the SNR first."""
     assumed = [n for n in numbers(sensor.specification) if n.assumed and n.varies]
     probe = telling_probe(predictions)
+    scenario = standard_scenario(probe.scenario) if probe is not None else None
     swings = []
     for number in track(assumed, "assumed numbers", show=show_progress):
         sides = []
         for factor in (1.0 - vary, 1.0 + vary):
             other = Sensor(scaled(sensor.specification, {number.name: factor}))
-            sides.append((_snr_change(sensor, other), _detection_change(other, probe, engine)))
+            sides.append((_snr_change(sensor, other), _detection_change(other, scenario, probe, engine)))
         (low, low_pd), (high, high_pd) = sides
         swings.append(Swing(number, (low, high), (low_pd, high_pd)))
     swings.sort(key=lambda s: -max(abs(v) for v in s.snr))
@@ -98,8 +99,10 @@ def _snr_change(sensor: Sensor, other: Sensor) -> float:
     return float(change[int(np.argmax(np.abs(change)))])
 
 
-def _detection_change(other: Sensor, probe: Probe | None, engine: Engine | None) -> float:
-    if probe is None:
+def _detection_change(
+    other: Sensor, scenario: Scenario | None, probe: Probe | None, engine: Engine | None
+) -> float:
+    if probe is None or scenario is None:
         return 0.0
-    found = predict(load_scenario(probe.scenario), sensor=other, engine=engine, show_progress=False)
+    found = predict(scenario, sensor=other, engine=engine, show_progress=False)
     return detection_at(found.roc[probe.key]) - probe.value
