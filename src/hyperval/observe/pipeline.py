@@ -145,7 +145,10 @@ def observe(
         notes=(*notes, *(detected.notes if detected else ())),
         provenance={"quantity": cube.quantity, "description": cube.description},
     )
-    return Observed(observation, _classes(regions, cube.axis, elm, cube.quantity), place, detected, elm, unmixed)
+    # Of the surface itself: over all bands noise dilutes what makes false alarms.
+    tails = {n: d.leading_tail_dof for n, d in observation.distribution.items() if np.isfinite(d.leading_tail_dof)}
+    classes = _classes(regions, cube.axis, elm, cube.quantity, tails)
+    return Observed(observation, classes, place, detected, elm, unmixed)
 
 
 def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[str, Mask]:
@@ -243,7 +246,11 @@ def _some_pixels(place: Place, name: str) -> Array:
 
 
 def _classes(
-    regions: Mapping[str, SampleStatistics], axis: SpectralAxis, elm: EmpiricalLine | None, quantity: str
+    regions: Mapping[str, SampleStatistics],
+    axis: SpectralAxis,
+    elm: EmpiricalLine | None,
+    quantity: str,
+    tails: Mapping[str, float],
 ) -> dict[str, ClassStatistics]:
     """Statistics of each region in reflectance; none where the image holds radiance without a line."""
     if quantity == "radiance" and elm is None:
@@ -256,7 +263,8 @@ def _classes(
             # A band without a gain has no reflectance; the detectors do not use it either.
             mean = np.where(known, mean, 0.0)
             covariance = np.where(np.outer(known, known), covariance, 0.0)
-        out[name] = ClassStatistics(
-            name, axis, mean, (covariance + covariance.T) / 2.0, sample.n, f"{sample.n} pixels of region {name}"
-        )
+        # Only a very heavy tail has no covariance; such a fit is held just above it.
+        tail = max(tails[name], 2.05) if name in tails else None
+        source = f"{sample.n} pixels of region {name}"
+        out[name] = ClassStatistics(name, axis, mean, (covariance + covariance.T) / 2.0, sample.n, source, tail)
     return out
