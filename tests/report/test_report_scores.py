@@ -1,0 +1,93 @@
+"""Figures of objects, transforms, exceedance and differences of P_D."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from hyperval.products import ExceedanceCurve, ObjectScores, Observation, Prediction, RocCurve
+from hyperval.report.figures_scores import (
+    exceedance_figures,
+    object_score_figures,
+    roc_difference_figures,
+    transform_figures,
+)
+from hyperval.report.style import house_style
+from hyperval.spectra.axis import SpectralAxis
+
+AXIS = SpectralAxis(np.linspace(400.0, 900.0, 5), np.full(5, 5.0))
+
+
+def sides(objects=1):
+    rng = np.random.default_rng(1)
+    names = [f"target {i} & $x$" for i in range(6)]
+    predicted = {(n, "cem"): ObjectScores(rng.normal(0.5, 0.1, (20, 50))) for n in names}
+    measured = {
+        (n, "cem"): ObjectScores(rng.normal(0.5, 0.1, objects), tuple(map(str, range(objects)))) for n in names
+    }
+    measured[names[0], "cem"] = ObjectScores(np.full(objects, 0.95), ("far",) * objects)
+    x = np.linspace(0.0, 4.0, 50)
+    p = norm.sf(x)
+    pfa = np.geomspace(1e-4, 0.999, 40)
+    pd = np.linspace(0.3, 1.0, 40)
+    curves = [RocCurve(pfa, y, y - 0.1, np.minimum(y + 0.1, 1.0), norm.isf(pfa), "object", n, b) for y, n, b in (
+        (pd, None, None), (np.clip(pd - 0.05, 0, 1), 40, 10_000))]  # fmt: skip
+    key = (names[1], "cem", "object")
+    return (
+        Prediction(AXIS, object_scores=predicted, exceedance={(names[1], "cem"): ExceedanceCurve(x, p, p, p)},
+                   roc={key: curves[0]}),
+        Observation(AXIS, object_scores=measured, roc={key: curves[1]},
+                    exceedance={(names[1], "cem"): ExceedanceCurve(
+                        x[:30], p[:30], p[:30] / 2, np.full(30, np.nan), 9999)}),
+    )  # fmt: skip
+
+
+def drawn(function, *arguments):
+    with house_style():
+        return function(*arguments, simulated=True)
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "name"),
+    [
+        (object_score_figures, (), "object-scores"),
+        (transform_figures, (), "object-transforms"),
+        (exceedance_figures, (), "exceedance"),
+        (roc_difference_figures, (0.1,), "roc-difference"),
+    ],
+)
+def test_each_figure_is_drawn_the_same_twice(function, arguments, name):
+    first, again = (drawn(function, sides(), *arguments) for _ in range(2))
+    assert [d.name for d in first] == [name]
+    assert first[0].content == again[0].content
+    ElementTree.fromstring(first[0].content)  # noqa: S314 - our own
+    assert len(first[0].alt) > 60
+
+
+def test_texts_say_what_is_drawn():
+    (figure,) = drawn(object_score_figures, sides())
+    assert "target 0 & $x$ cem: 0.95, predicted 0." in figure.alt
+    assert ", outside" in figure.alt
+    (figure,) = drawn(transform_figures, sides())
+    assert "6 objects" in figure.alt
+    (figure,) = drawn(roc_difference_figures, sides(), None)
+    assert "+0.05" in figure.alt
+
+
+def test_groups_are_judged_together_alone():
+    assert drawn(object_score_figures, sides(objects=12)) == []
+    (figure,) = drawn(transform_figures, sides(objects=12))
+    assert "72 objects" in figure.alt
+
+
+def test_nothing_to_draw():
+    for function, arguments in (
+        (object_score_figures, ()),
+        (transform_figures, ()),
+        (exceedance_figures, ()),
+        (roc_difference_figures, (None,)),
+    ):
+        assert drawn(function, (None, Observation(AXIS)), *arguments) == []
