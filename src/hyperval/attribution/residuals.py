@@ -1,8 +1,8 @@
 """All that a run compares as one vector: observed minus predicted, and how well the data know each entry.
 
 Radiance of every subject in the windows of the atmosphere (reflectance where there is none), SNR, moments of the
-scores, and the false-alarm rate at measured thresholds.  P_D is left out: it follows from the scores, and would count
-them twice.
+scores, and the false-alarm rate at measured thresholds.  P_D is left out: it follows from the scores, and would
+count them twice.
 """
 
 from __future__ import annotations

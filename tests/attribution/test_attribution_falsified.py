@@ -1,0 +1,115 @@
+"""Twins with one input falsified on purpose: the falsified input must be the first reason named.
+
+The collection is true; what the model is told of it is not.  Each kind is run on the same simulated collection, so
+that a wrong answer is one of method, not of luck.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from hyperval.campaign.one import jobs_of, run_campaign
+
+WHAT_IFS = [
+    {
+        "name": "a class that was left out",
+        "question": "would asphalt among the background explain it?",
+        "scenario": {
+            "scene.classes": [
+                {"name": "field", "fraction": 36 / 84, "spectrum": {"builtin": "grass"}},
+                {"name": "court", "fraction": 48 / 84, "spectrum": {"builtin": "asphalt"}},
+            ]
+        },
+    },
+    {
+        "name": "heavy tails",
+        "question": "would heavy tails of the classes explain it?",
+        "scenario": {"scene.classes.field.tail_dof": 4},
+    },
+]
+
+
+def _falsify(small, kind):
+    scenario, scene = small.scenario, small.scenario["scene"]
+    if kind == "aerosol optical depth":
+        scenario["atmosphere"] = copy.deepcopy(scenario["atmosphere"])
+        scenario["atmosphere"]["aot550"] = 0.4  # the truth is 0.2
+    elif kind == "fill of the targets":
+        for subject in scene["targets"][0]["subjects"]:
+            subject["fill"]["fixed"] *= 1.6
+    elif kind == "sensor gain":
+        small.data["collection"]["cube"]["scale"] = 1.04e-3  # the header's is 1e-3
+    elif kind == "wavelength shift":
+        scenario["sensor_operation"] = {"wavelength_shift_nm": 1.5}
+    elif kind == "a class that was left out":
+        # The planks' host is what is left out, so they are described on grass.
+        scene["classes"] = [{"name": "field", "fraction": 1.0, "spectrum": {"builtin": "grass"}}]
+        scene["targets"][0]["host"] = "field"
+        del small.data["comparisons"][:]
+        small.data["comparisons"] = [
+            {"product": "radiance", "subjects": ["field"], "metric": "median_abs_difference_ratio_windows",
+             "at_most": 0.02, "reason": "closure"},
+        ]  # fmt: skip
+    small.data["attribution"] = {
+        "what_ifs": WHAT_IFS if kind == "a class that was left out" else [],
+        "totals": False,
+    }
+
+
+def _reasons(small):
+    table = run_campaign(jobs_of(small.write())[0], show_progress=False).table
+    gains = {
+        r.method: r.value
+        for r in table
+        if r.subject == "all" and r.product in ("attribution", "what-if") and r.metric == "likelihood_gain"
+    }
+    return table, sorted(gains, key=lambda n: -gains[n])
+
+
+KINDS = (
+    "aerosol optical depth",
+    "fill of the targets",
+    "sensor gain",
+    "wavelength shift",
+    "a class that was left out",
+)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_falsified_input_is_named_first(small, kind):
+    _falsify(small, kind)
+    table, ranked = _reasons(small)
+    assert ranked[0] == kind
+    (chi,) = [r for r in table.where(product="attribution", subject="all") if r.metric == "reduced_chi_square"]
+    assert chi.value > 3.0
+    assert chi.reason.startswith("disagrees")
+
+
+def test_nothing_is_blamed_where_nothing_was_falsified(small):
+    small.data["attribution"] = {"totals": False}
+    # Panels and planks are part of the surroundings, which the model is not told; one panel is no sample of SNR.
+    small.scenario["uncertainty"] = {"adjacency_reflectance_relative": 0.1}
+    small.data["collection"]["targets"]["guard_pixels"] = 1
+    del small.data["collection"]["snr_regions"]
+    small.data["comparisons"] = [g for g in small.data["comparisons"] if g["product"] != "snr"]
+    table, _ = _reasons(small)
+    (chi,) = [r for r in table.where(product="attribution", subject="all") if r.metric == "reduced_chi_square"]
+    # 100 and more residuals: 1.5 is far outside of what a true model gives.
+    assert chi.value < 1.5
+    worst = max(r.value for r in table.where(product="attribution") if r.metric == "likelihood_gain")
+    assert worst < 15.0
+
+
+def test_the_change_found_is_the_one_that_was_made(small):
+    _falsify(small, "sensor gain")
+    table, _ = _reasons(small)
+    (row,) = [
+        r
+        for r in table.where(product="attribution", subject="all", method="sensor gain")
+        if r.metric == "likelihood_gain"
+    ]
+    units = float(row.reason.partition(": ")[2].split()[0])
+    assert np.isclose(units, 4.0, atol=0.3)  # 4 % in steps of 1 %

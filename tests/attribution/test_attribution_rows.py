@@ -1,0 +1,91 @@
+"""From a ranking and what-ifs to rows that a reader understands."""
+
+import numpy as np
+import pytest
+
+from hyperval.attribution.ranking import Candidate, budget_covariance, groups_of, ranking
+from hyperval.attribution.schema import AttributionOptions, WhatIf
+from hyperval.attribution.what_ifs import changed_scenarios
+from hyperval.errors import UsageError
+from hyperval.scenario import load_scenario
+
+N = 50
+X = np.linspace(0.0, 1.0, N)
+GAIN = Candidate("gain", "sensor", "1 %", False, 30.0)
+TILT = Candidate("tilt", "sensor", "1 %", True)
+TWIN = Candidate("twin of gain", "sensor", "1 %", False, 30.0)
+COLUMNS = {GAIN: np.ones((N, 1)), TILT: (X - 0.5)[:, None]}
+
+
+def _ranking(residual, columns=None):
+    columns = columns or COLUMNS
+    covariance = 0.1**2 * np.eye(N) + budget_covariance(columns, N)
+    return ranking("all", residual, covariance, columns)
+
+
+def test_a_small_residual_needs_no_reason():
+    found = _ranking(0.05 * np.sin(40 * X))
+    assert found.p_value > 0.05
+    assert found.conclusion.startswith("nothing to explain")
+
+
+def test_the_reason_and_its_size_are_told():
+    found = _ranking(np.full(N, 3.0))
+    assert found.ranked[0].candidate is GAIN
+    assert found.ranked[0].units == pytest.approx(3.0, rel=0.01)
+    assert "gain (+3 times its step of 1 %) explains most, and is enough" in found.conclusion
+
+
+def test_two_reasons_are_found_one_after_the_other():
+    found = _ranking(3.0 + 8.0 * (X - 0.5))
+    assert [r.candidate.name for r in found.together] == ["gain", "tilt"]
+    assert found.p_value < 1e-6
+    assert found.together[-1].p_value > 0.05
+    assert "gain and tilt together are enough" in found.conclusion
+
+
+def test_it_is_said_when_none_is_enough():
+    found = _ranking(3.0 + 2.0 * np.sin(40 * X))
+    assert "none is enough" in found.conclusion
+
+
+def test_inputs_alike_are_not_told_apart():
+    found = _ranking(np.full(N, 3.0), COLUMNS | {TWIN: np.ones((N, 1))})
+    assert "not told apart from twin of gain" in found.conclusion
+
+
+def test_an_input_cannot_move_farther_than_it_may():
+    near = Candidate("gain", "sensor", "1 %", False, 2.0)
+    found = _ranking(np.full(N, 30.0), {near: np.ones((N, 1))})
+    assert found.ranked[0].needed == pytest.approx(2.0)
+    assert "none is enough" in found.conclusion
+
+
+def test_patterns_name_groups():
+    assert groups_of(["lawn", "lot", "lawn"], ["l*"]) == ["lawn", "lot"]
+    assert groups_of(["lawn", "lot"], []) == []
+
+
+def test_a_what_if_changes_the_scenarios_that_it_fits():
+    scenarios = [load_scenario("yellow-planks-asphalt"), load_scenario("panels")]
+    target = scenarios[0].scene.targets[0].name
+    item = WhatIf(name="x", question="?", scenario={f"scene.targets.{target}.gain": 3.0})
+    changed = changed_scenarios(scenarios, item)
+    assert changed[0].scene.targets[0].gain == 3.0
+    assert changed[1] is scenarios[1]
+    nowhere = WhatIf(name="y", question="?", scenario={"scene.targets.nothing.gain": 3.0})
+    with pytest.raises(UsageError, match="fits no scenario"):
+        changed_scenarios(scenarios, nowhere)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"what_ifs": [{"name": "a", "question": "?"}]},
+        {"what_ifs": [{"name": "a", "question": "?", "observe": {"name": "b"}}]},
+        {"what_ifs": [{"name": "a", "question": "?", "scenario": {"name": "b"}}] * 2},
+    ],
+)
+def test_what_ifs_that_say_nothing_are_refused(data):
+    with pytest.raises(ValueError, match=r"changes something|neither collection|two what-ifs"):
+        AttributionOptions.model_validate(data)
