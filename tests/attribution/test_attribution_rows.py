@@ -37,7 +37,7 @@ def test_the_reason_and_its_size_are_told():
 
 
 def test_two_reasons_are_found_one_after_the_other():
-    found = _ranking(3.0 + 8.0 * (X - 0.5))
+    found = _ranking(6.0 + 9.5 * (X - 0.5) + 0.08 * np.sin(40 * X))
     assert [r.candidate.name for r in found.together] == ["gain", "tilt"]
     assert found.p_value < 1e-6
     assert found.together[-1].p_value > 0.05
