@@ -116,6 +116,9 @@ class PanelReference(Model):
     region: str
     spectrum: SpectrumSource
     relative_uncertainty: float = Field(0.0, ge=0, lt=1, description="of the panel reflectance, standard")
+    correlation_nm: float | None = Field(
+        None, gt=0, description="correlation length of that error between bands; None: fully correlated"
+    )
 
 
 class DarkestPixel(Model):

@@ -36,6 +36,7 @@ from hyperval.prediction.setup import Instrument, instrument, refuse_gaps, with_
 from hyperval.prediction.spectra import SpectralProducts, spectral_products, without_calibration_error
 from hyperval.prediction.terms import remembered
 from hyperval.prediction.uncertainty import (
+    MOST_DIRECTIONS,
     Perturbation,
     moved_predictions,
     perturbations,
@@ -354,15 +355,16 @@ def _detection(
     if view.retrieval is not None:  # a line that is off changes what the detectors see of the classes
         background = seen_background(here, scene.classes, on_bands)
     base = detect(background, task)
+    leading = [s for s in steps if s.number < MOST_DIRECTIONS]  # the rest of an input moves a score little
     if objects:
 
         def moved(with_view: View) -> Background:
             return seen_background(with_view.at(bands), scene.classes, on_bands)
 
-        views = [(moved(s.plus), moved(s.minus)) for s in steps]
+        views = [(moved(s.plus), moved(s.minus)) for s in leading]
         drawn = predicted_object_scores(background, task, scenario.uncertainty, axis.select(bands), views)
         base = replace(base, object_scores=drawn)
-    pairs = [(run(s.plus), run(s.minus)) for s in steps]
+    pairs = [(run(s.plus), run(s.minus)) for s in leading]
     if task.spectrum_error:
         pairs.append((run(view, 1.0), run(view, -1.0)))
     return replace(base, pairs=tuple(pairs))

@@ -32,6 +32,8 @@ class SpectralEstimate:
     n : number of samples behind the mean
     budget : standard uncertainty (B,) by source of error, for budget bars; the sources are
         independent of each other, so their squares sum to the diagonal of ``error_covariance``
+    estimated : parts (B, B) of ``error_covariance`` that were estimated from samples, each with its degrees of
+        freedom; the rest counts as known
     """
 
     mean: Array
@@ -39,6 +41,7 @@ class SpectralEstimate:
     pixel_covariance: Array | None = None
     n: int | None = None
     budget: Mapping[str, Array] = field(default_factory=dict)
+    estimated: tuple[tuple[Array, float], ...] = field(default=(), compare=False, repr=False)
 
     @property
     def standard_uncertainty(self) -> Array:

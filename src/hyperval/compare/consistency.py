@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,17 +13,25 @@ from scipy import stats
 from hyperval.errors import UsageError
 
 Array = npt.NDArray[np.float64]
+Estimated = Sequence[tuple[Array, float]]
 
 # Directions whose variance, in the correlation matrix, is below this part of the greatest are rounding noise.
 EIGENVALUE_CUT = 1e-9
+# Fewer degrees of freedom of an estimated covariance for each direction say little of the least of them.
+DOF_PER_DIRECTION = 3.0
 
 
 @dataclass(frozen=True)
 class ChiSquare:
-    """A chi-square statistic with its degrees of freedom; ``p_value`` = P(at least this large | consistent)."""
+    """A chi-square statistic with its degrees of freedom; ``p_value`` = P(at least this large | consistent).
+
+    ``covariance_dof`` nu: degrees of freedom behind the covariance; below infinity the statistic is Hotelling's
+    T^2, and T^2 (nu - p + 1) / (nu p) follows F(p, nu - p + 1).
+    """
 
     value: float
     dof: int
+    covariance_dof: float = math.inf
 
     @property
     def reduced(self) -> float:
@@ -31,7 +41,12 @@ class ChiSquare:
     @property
     def p_value(self) -> float:
         """Upper tail probability; NaN without degrees of freedom."""
-        return float(stats.chi2.sf(self.value, self.dof)) if self.dof > 0 else float("nan")
+        p, nu = self.dof, self.covariance_dof
+        if p <= 0 or nu <= p:
+            return float("nan")
+        if math.isinf(nu):
+            return float(stats.chi2.sf(self.value, p))
+        return float(stats.f.sf(self.value * (nu - p + 1.0) / (nu * p), p, nu - p + 1.0))
 
 
 def z_scores(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
@@ -54,14 +69,50 @@ def chi_square_diagonal(difference: npt.ArrayLike, covariance: npt.ArrayLike) ->
     return ChiSquare(float(np.sum(z**2)), int(z.size))
 
 
-def chi_square_full(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> ChiSquare:
+def chi_square_full(difference: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated = ()) -> ChiSquare:
     """r^T C^-1 r with the whole covariance of both sides.
 
     C is scaled to unit diagonal and eigen-decomposed; directions with less than ``EIGENVALUE_CUT`` of the
-    greatest eigenvalue are left out, and the degrees of freedom are the directions kept.
+    greatest eigenvalue are left out, and the degrees of freedom are the directions kept.  Where parts of C were
+    estimated from samples, the directions of least variance are left out too, until there are three effective
+    degrees of freedom for each direction (:func:`covariance_dof`).
+
+    Parameters
+    ----------
+    estimated : parts (B, B) of the covariance that were estimated, each with its degrees of freedom
     """
-    kept, projected = _whitened(difference, covariance)
-    return ChiSquare(float(projected @ projected), int(kept))
+    r, nu = _tested(difference, covariance, estimated)
+    return ChiSquare(float(r @ r), int(r.size), nu)
+
+
+def covariance_dof(parts: Estimated) -> float:
+    """Effective degrees of freedom of a covariance C = I of which ``parts`` (p, p) were estimated.
+
+    nu = p (1 + p) / sum {tr(C_i^2) + tr(C_i)^2} / nu_i, the rest of C being known.  Source: Nel & van der Merwe,
+    Commun. Stat. Theory Methods 15, 3719-3735, 1986, in the invariant form of Krishnamoorthy & Yu, Stat. Probab.
+    Lett. 66, 161-169, 2004.
+    """
+    if not parts or parts[0][0].size == 0:
+        return math.inf
+    p = parts[0][0].shape[0]
+    total = sum((np.sum(c * c.T) + np.trace(c) ** 2) / nu for c, nu in parts)
+    return float(p * (1.0 + p) / total) if total > 0.0 else math.inf
+
+
+def _tested(difference: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated) -> tuple[Array, float]:
+    """The vector in the directions that are tested, in units of its standard deviation, and what C is known by."""
+    some, whiten = _whitening(covariance)
+    whiten = whiten[:, ::-1]  # greatest variance first
+    x = np.asarray(difference, dtype=float)
+    if not np.all(np.isfinite(x)):
+        raise UsageError("a consistency test got NaN or infinity", mend="leave bands without a value out")
+    parts = [(whiten.T @ np.asarray(c)[np.ix_(some, some)] @ whiten, nu) for c, nu in estimated]
+    kept = whiten.shape[1]
+    nu = covariance_dof(parts)
+    while kept > 1 and nu < DOF_PER_DIRECTION * kept:
+        kept = max(min(kept - 1, int(nu / DOF_PER_DIRECTION)), 1)
+        nu = covariance_dof([(c[:kept, :kept], n) for c, n in parts])
+    return (whiten.T @ x[some])[:kept], nu
 
 
 @dataclass(frozen=True)
@@ -77,19 +128,23 @@ class BiasAndShape:
     shape: ChiSquare
 
 
-def bias_and_shape(difference: npt.ArrayLike, reference: npt.ArrayLike, covariance: npt.ArrayLike) -> BiasAndShape:
+def bias_and_shape(
+    difference: npt.ArrayLike, reference: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated = ()
+) -> BiasAndShape:
     """Split r into a multiple of the reference spectrum and a shape residual (generalised least squares).
 
-    s = c^T C^-1 r/(c^T C^-1 c), sd(s) = (c^T C^-1 c)^-1/2, shape = r^T C^-1 r - (s/sd)^2.
+    s = c^T C^-1 r/(c^T C^-1 c), sd(s) = (c^T C^-1 c)^-1/2, shape = r^T C^-1 r - (s/sd)^2, in the directions of
+    :func:`chi_square_full`.
     """
-    kept, r = _whitened(difference, covariance)
-    _, c = _whitened(reference, covariance)
+    r, nu = _tested(difference, covariance, estimated)
+    c, _ = _tested(reference, covariance, estimated)
+    kept = r.size
     weight = float(c @ c)
     if weight <= 0.0:
-        return BiasAndShape(float("nan"), float("nan"), ChiSquare(float(r @ r), int(kept)))
+        return BiasAndShape(float("nan"), float("nan"), ChiSquare(float(r @ r), int(kept), nu))
     s = float(c @ r) / weight
     rest = r - s * c
-    return BiasAndShape(s, weight**-0.5, ChiSquare(float(rest @ rest), int(kept) - 1))
+    return BiasAndShape(s, weight**-0.5, ChiSquare(float(rest @ rest), int(kept) - 1, nu))
 
 
 def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
@@ -110,16 +165,16 @@ def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
     return float(np.degrees(2.0 * np.arctan2(np.linalg.norm(u - v), np.linalg.norm(u + v))))
 
 
-def _whitened(vector: npt.ArrayLike, covariance: npt.ArrayLike) -> tuple[int, Array]:
-    """Directions kept, and the vector in units of its standard deviation along each of them."""
-    x, cov = np.asarray(vector, dtype=float), np.asarray(covariance, dtype=float)
+def _whitening(covariance: npt.ArrayLike) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Bands with a variance, and (bands, K) directions of unit variance and no covariance, the least first."""
+    cov = np.asarray(covariance, dtype=float)
     sd = np.sqrt(np.diag(cov))
-    if not (np.all(np.isfinite(cov)) and np.all(np.isfinite(x))):
+    if not np.all(np.isfinite(cov)):
         raise UsageError("a consistency test got NaN or infinity", mend="leave bands without a value out")
-    some = sd > 0
+    some = np.asarray(sd > 0)
     if not np.any(some):
-        return 0, np.zeros(0)
+        return some, np.zeros((0, 0))
     scaled = cov[np.ix_(some, some)] / np.outer(sd[some], sd[some])
     values, vectors = np.linalg.eigh((scaled + scaled.T) / 2.0)
     keep = values > EIGENVALUE_CUT * values[-1]
-    return int(keep.sum()), (vectors[:, keep].T @ (x[some] / sd[some])) / np.sqrt(values[keep])
+    return some, vectors[:, keep] / sd[some][:, None] / np.sqrt(values[keep])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -86,7 +89,10 @@ def _rows(
             continue  # the sensor does not see this part of the spectrum: nothing was planned there
         out += _summary(make, name, ratio, ratio_covariance, usable & region & np.isfinite(ratio))
     window = usable & regions(axis)["windows"]
-    out += _consistency(make, predicted.mean, observed.mean, covariance, window, (ratio, ratio_covariance))
+    estimated = (*predicted.estimated, *observed.estimated)
+    out += _consistency(
+        make, predicted.mean, observed.mean, covariance, window, (ratio, ratio_covariance), estimated
+    )
     return out
 
 
@@ -114,6 +120,7 @@ def _consistency(
     covariance: Array,
     window: npt.NDArray[np.bool_],
     relative: tuple[Array, Array],
+    estimated: Sequence[tuple[Array, float]] = (),
 ) -> list[Result]:
     names = (
         "chi2_reduced_diagonal", "p_value_diagonal", "chi2_reduced_full", "p_value_full",
@@ -123,15 +130,19 @@ def _consistency(
         return [make.skipped("no comparable band in windows", name) for name in names]
     r = (predicted - observed)[window]
     cov = covariance[np.ix_(window, window)]
+    parts_here = [(c[np.ix_(window, window)], nu) for c, nu in estimated]
     if not np.all(np.diag(cov) > 0):
         reason = "neither side states an uncertainty in some bands"
         out = [make.skipped(reason, name) for name in names[:-1]]
     else:
-        diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, cov)
-        parts = bias_and_shape(r, observed[window], cov)
+        diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, cov, parts_here)
+        parts = bias_and_shape(r, observed[window], cov, parts_here)
         z = np.abs(z_scores(r, cov))
         bias, bias_sd = _mean_ratio(*relative, window)
         kept = f"{full.dof} of {int(window.sum())} directions kept" if full.dof < window.sum() else ""
+        if math.isfinite(full.covariance_dof):
+            words = f"covariance known by {full.covariance_dof:.0f} effective degrees of freedom"
+            kept = f"{kept}; {words}" if kept else words
         out = [
             make.row(names[0], diagonal.reduced, n=diagonal.dof),
             make.row(names[1], diagonal.p_value, n=diagonal.dof),

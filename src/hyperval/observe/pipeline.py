@@ -10,20 +10,20 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.collection import Classification, Collection, Detection, EmpiricalLineSource
+from hyperval.collection import Classification, Collection, Detection
 from hyperval.errors import UsageError
-from hyperval.imagery.cube import Cube
 from hyperval.observe.classification import classification_errors
 from hyperval.observe.detection import BACKGROUND, Detected, detect, in_reflectance, scored_pixels, target_groups
+from hyperval.observe.empirical_line import empirical_line
 from hyperval.observe.place import Place, open_place
+from hyperval.observe.sampling import mean_error
 from hyperval.observe.site_spectra import observe_spectra
 from hyperval.observe.spread import pixel_distribution
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
 from hyperval.observe.unmixing import Unmixed, unmix
-from hyperval.prediction.inputs import Sources
-from hyperval.processing.elm import EmpiricalLine, PanelMeasurement, fit_elm
-from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
-from hyperval.processing.region_statistics import darkest_values, region_statistics
+from hyperval.processing.elm import EmpiricalLine
+from hyperval.processing.elm_error import LineError
+from hyperval.processing.region_statistics import region_statistics
 from hyperval.processing.sample import SampleStatistics
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.products import Observation, SpectralEstimate
@@ -34,6 +34,7 @@ from hyperval.spectra.axis import SpectralAxis
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Resolve = Callable[[str], Path]
+Sampling = tuple[Array, float]  # error covariance of a mean, and the degrees of freedom behind it
 
 # At most this many pixels of a region are held in memory for its SNR.
 MAX_SNR_PIXELS = 20_000
@@ -98,18 +99,24 @@ def observe(
         masks |= populations
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
     measured = region_statistics(cube, masks, place.left_out, precision=collection.precision, watch=watch)
-    elm = _empirical_line(collection.empirical_line, measured, cube, resolve)
     regions = {name: measured[name] for name in place.regions}
     subjects = regions | {name: measured[name] for name in populations}
+    sampling: dict[str, Sampling] = {
+        name: mean_error(place, masks[name], s)
+        for name, s in track(list(subjects.items()), "sampling", show=show_progress)
+    }
+    errors = {name: covariance for name, (covariance, _) in sampling.items()}
+    line = empirical_line(collection.empirical_line, measured, errors, cube, resolve)
+    elm = None if line is None else line.line
 
     radiance: dict[str, SpectralEstimate] = {}
     reflectance: dict[str, SpectralEstimate] = {}
     if cube.quantity == "radiance":
-        radiance = {n: _radiance(s, collection, cube.axis, resolve) for n, s in subjects.items()}
-        if elm is not None:
-            reflectance = {n: _reflectance(s, elm) for n, s in subjects.items()}
+        radiance = {n: _radiance(s, sampling[n], collection, cube.axis, resolve) for n, s in subjects.items()}
+        if line is not None:
+            reflectance = {n: _reflectance(n, s, sampling[n], line) for n, s in subjects.items()}
     else:
-        reflectance = {n: _sampled(s) for n, s in subjects.items()}
+        reflectance = {n: _sampled(s, sampling[n]) for n, s in subjects.items()}
     snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
 
     detected = None
@@ -173,69 +180,30 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[
 
 
 def _radiance(
-    sample: SampleStatistics, collection: Collection, axis: SpectralAxis, resolve: Resolve
+    sample: SampleStatistics, sampling: Sampling, collection: Collection, axis: SpectralAxis, resolve: Resolve
 ) -> SpectralEstimate:
-    parts = {"sampling": sample.covariance / sample.n}
+    parts = {"sampling": sampling[0]}
     if collection.calibration is not None:
         parts["calibration"] = calibration_covariance(sample.mean, axis, collection.calibration, resolve)
-    return spectral_estimate(sample.mean, parts, pixel_covariance=sample.covariance, n=sample.n)
+    dof = {"sampling": sampling[1]}
+    return spectral_estimate(sample.mean, parts, pixel_covariance=sample.covariance, n=sample.n, dof=dof)
 
 
-def _reflectance(sample: SampleStatistics, elm: EmpiricalLine) -> SpectralEstimate:
+def _reflectance(name: str, sample: SampleStatistics, sampling: Sampling, error: LineError) -> SpectralEstimate:
+    """After the empirical line, whose error is common to all pixels and hangs together between bands."""
+    elm = error.line
     mean, covariance = in_reflectance(sample, elm)
-    line = np.diag(elm.reflectance_error_variance(sample.mean))
-    return spectral_estimate(
-        mean,
-        {"sampling": covariance / sample.n, "empirical line": line},
-        pixel_covariance=covariance,
-        n=sample.n,
-    )
+    parts = {"sampling": sampling[0] / np.outer(elm.gain, elm.gain)}
+    parts["empirical line"] = error.covariance(sample.mean, own=name)
+    dof = {"sampling": sampling[1]}
+    if name in elm.panels:  # its pixels made the line: what they are off by is in the line's error
+        del parts["sampling"], dof["sampling"]
+    return spectral_estimate(mean, parts, pixel_covariance=covariance, n=sample.n, dof=dof)
 
 
-def _sampled(sample: SampleStatistics) -> SpectralEstimate:
-    return spectral_estimate(
-        sample.mean, {"sampling": sample.covariance / sample.n}, pixel_covariance=sample.covariance, n=sample.n
-    )
-
-
-def _empirical_line(
-    source: EmpiricalLineSource | None,
-    measured: Mapping[str, SampleStatistics],
-    cube: Cube,
-    resolve: Resolve,
-) -> EmpiricalLine | None:
-    if source is None:
-        return None
-    panels = []
-    for panel in source.panels:
-        if panel.region not in measured:
-            raise UsageError(
-                f"empirical line: no region {panel.region!r}", expected="one of " + ", ".join(measured)
-            )
-        sample = measured[panel.region]
-        field = Sources(cube.axis, {}, resolve).spectrum(panel.spectrum, panel.region)
-        spread = np.zeros(len(cube.axis))
-        if field.mean_error is not None:
-            spread = np.sqrt(np.diag(field.mean_error))
-        elif field.standard_deviation is not None:
-            spread = field.standard_deviation / np.sqrt(field.n or 1)
-        panels.append(
-            PanelMeasurement(
-                panel.region,
-                field.mean,
-                np.hypot(spread, panel.relative_uncertainty * field.mean),
-                sample.mean,
-                np.diag(sample.covariance) / sample.n,
-                sample.n,
-            )
-        )
-    if not source.intercept:
-        return fit_gain(panels)
-    if source.darkest_pixel is not None:
-        dark = source.darkest_pixel
-        noise = np.full(len(cube.axis), dark.radiance_noise**2)
-        panels.append(darkest_pixel_panel(darkest_values(cube), noise, dark.reflectance, dark.uncertainty))
-    return fit_elm(panels)
+def _sampled(sample: SampleStatistics, sampling: Sampling) -> SpectralEstimate:
+    parts, dof = {"sampling": sampling[0]}, {"sampling": sampling[1]}
+    return spectral_estimate(sample.mean, parts, pixel_covariance=sample.covariance, n=sample.n, dof=dof)
 
 
 def _some_pixels(place: Place, name: str) -> Array:

@@ -40,9 +40,14 @@ def spectral_estimate(
     *,
     pixel_covariance: Array | None = None,
     n: int | None = None,
+    dof: Mapping[str, float] | None = None,
 ) -> SpectralEstimate:
-    """Estimate whose error covariance is the sum of independent ``parts`` (B, B), each named in the budget."""
+    """Estimate whose error covariance is the sum of independent ``parts`` (B, B), each named in the budget.
+
+    ``dof``: degrees of freedom of the parts that were estimated from samples.
+    """
     mean = np.asarray(mean, dtype=float)
     total = sum(parts.values(), np.zeros((mean.size, mean.size)))
     budget = {name: np.sqrt(np.clip(np.diag(part), 0.0, None)) for name, part in parts.items()}
-    return SpectralEstimate(mean, total, pixel_covariance, n, budget)
+    estimated = tuple((parts[name], v) for name, v in (dof or {}).items())
+    return SpectralEstimate(mean, total, pixel_covariance, n, budget, estimated)

@@ -99,8 +99,9 @@ def propagate(
 def with_intervals(stated: Prediction, found: Propagated, method: str) -> Prediction:
     """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
 
-    With ``method`` "monte-carlo" all curves take the limits of the draws, and spectra their standard uncertainties
-    with the linearised correlation between bands: the correlation of a few hundred draws is too noisy to invert.
+    With ``method`` "monte-carlo" all curves take the limits of the draws, and the errors of a spectrum are the
+    linearised ones times the median over bands of drawn over linearised: the covariance of a few hundred draws, or
+    their standard deviation band by band, is too noisy to be inverted in a test.
     With "both" a curve takes the limits of the draws where P_D at 1e-2 or 1e-3 disagrees.
     """
     differs = {a.key for a in found.agreements if a.key[0] == "P_D" and not a.agrees}
@@ -139,11 +140,10 @@ def _drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
 
 def _drawn_estimate(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
     linear = estimate.standard_uncertainty
-    factor = np.divide(np.nan_to_num(sd), linear, out=np.ones_like(linear), where=linear > 0)
-    covariance = estimate.error_covariance * np.outer(factor, factor)
-    return replace(
-        estimate, error_covariance=covariance, budget={k: v * factor for k, v in estimate.budget.items()}
-    )
+    some = (linear > 0) & np.isfinite(sd)
+    factor = float(np.median(sd[some] / linear[some])) if some.any() else 1.0
+    budget = {k: v * factor for k, v in estimate.budget.items()}
+    return replace(estimate, error_covariance=factor**2 * estimate.error_covariance, budget=budget)
 
 
 def ratios(agreements: Sequence[Agreement]) -> Mapping[str, tuple[float, float, float]]:

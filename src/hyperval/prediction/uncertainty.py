@@ -38,11 +38,12 @@ MOST_DIRECTIONS = 24  # of one input over wavelength; the rest of a short correl
 
 @dataclass(frozen=True)
 class Perturbation:
-    """One scalar input one standard uncertainty up and down."""
+    """One direction of an input one standard uncertainty up and down; the leading direction has the number 0."""
 
     source: str
     plus: View
     minus: View
+    number: int = 0
 
 
 def perturbations(
@@ -54,8 +55,8 @@ def perturbations(
     """Views of the scene for every input of light and sensor, one standard uncertainty up and down (3.7).
 
     ``terms_of`` gives the terms of a state on the bands.  An input that would leave its range is stopped at the end
-    of it.  Inputs over wavelength have one pair for each direction, at most 24.  What changes surfaces, fills or
-    bands is no part of it: that needs another prediction (:func:`moved_predictions`).
+    of it.  Inputs over wavelength have one pair for each direction.  What changes surfaces, fills or bands is no
+    part of it: that needs another prediction (:func:`moved_predictions`).
     """
     found: list[Perturbation] = []
     if view.terms is None:
@@ -77,9 +78,9 @@ def perturbations(
     for item in inputs:
         if not keeps_surfaces(item.moved(1.0)):
             continue
-        for k in range(min(item.size, MOST_DIRECTIONS)):
+        for k in range(item.size):
             pair = moved(item.direction(k, 1.0)), moved(item.direction(k, -1.0))
-            found.append(Perturbation(item.name, *pair))
+            found.append(Perturbation(item.name, *pair, k))
     return found
 
 
@@ -160,10 +161,11 @@ def combined(
     if not changes and not covariances:
         return _nothing(bands), budget
     total = np.zeros((bands, bands))
-    for source, change in changes:
-        d = np.nan_to_num(change)
-        total += np.outer(d, d)
-        budget[source] = np.hypot(budget[source], d) if source in budget else np.abs(d)
+    if changes:
+        rows = np.nan_to_num(np.stack([change for _, change in changes]))
+        total += rows.T @ rows
+        for source, d in zip((name for name, _ in changes), rows, strict=True):
+            budget[source] = np.hypot(budget[source], d) if source in budget else np.abs(d)
     for source, covariance in covariances.items():
         c = np.nan_to_num(covariance)
         total += c

@@ -1,0 +1,53 @@
+"""Sampling error of the mean of a region, its neighbours resembling each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.observe.place import Place
+from hyperval.observe.spread import correlation_windows
+from hyperval.processing.mean_error import components, independent_pixels, mean_error_covariance
+from hyperval.processing.sample import SampleStatistics
+from hyperval.processing.spatial_correlation import neighbour_shares
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+FEWEST_PIXELS = 50  # below it a correlation on the ground is not told from chance
+REACH, WINDOW = 24, 64  # [pixels]
+_SEED = 37
+
+
+def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> tuple[Array, float]:
+    """Error covariance (B, B) of a region's mean, in the cube's values, and the degrees of freedom behind it.
+
+    Correlation on the ground is measured along the leading components, and the rest together, in windows of the
+    image, at lags of up to 24 pixels; regions of fewer than 50 pixels count as independent ones.
+    """
+    n, covariance = statistics.n, statistics.covariance
+    known = np.flatnonzero(np.isfinite(np.diag(covariance)))
+    if n < FEWEST_PIXELS or known.size == 0 or not np.any(np.diag(covariance)[known] > 0):
+        return covariance / n, float(n - 1)
+    inner = covariance[np.ix_(known, known)]
+    mean = statistics.mean[known]
+    rng = np.random.default_rng(_SEED)
+    along = components(inner, rng)
+
+    def windows() -> Iterator[tuple[Array, Mask]]:
+        for corner in correlation_windows(region, rng):
+            rows, columns = (slice(a, a + WINDOW) for a in corner)
+            inside = region[rows, columns]
+            lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
+            at = lines.ravel(), samples.ravel()
+            pixels = place.cube.pixels(at)[:, known].reshape(*inside.shape, -1)
+            inside = inside & place.cube.valid_pixels(at).reshape(inside.shape) & np.isfinite(pixels).all(axis=-1)
+            yield along.scores(np.where(inside[..., None], pixels, mean) - mean), inside
+
+    reach = min(REACH, max(*region.shape) - 1)
+    independent, of_variance = independent_pixels(windows(), neighbour_shares(region, reach, rng), n, reach)
+    out = covariance / n
+    out[np.ix_(known, known)] = mean_error_covariance(inner, along, independent)
+    return out, float(np.median(of_variance)) - 1.0

@@ -1,0 +1,91 @@
+"""Error of an empirical line with its correlation between bands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.processing.elm import EmpiricalLine, PanelMeasurement
+
+Array = npt.NDArray[np.float64]
+Fit = Callable[[Sequence[PanelMeasurement]], EmpiricalLine]
+
+_STEP = 1e-4  # of the reflectance of a panel, and of its radiance
+
+
+@dataclass(frozen=True)
+class PanelErrors:
+    """Error covariances (B, B) of one panel: of its reflectance in the field and of its mean radiance."""
+
+    reflectance: Array
+    radiance: Array
+
+
+@dataclass(frozen=True)
+class LineError:
+    """How the reflectance of a line depends on its panels, band by band, and how their errors hang together.
+
+    Attributes
+    ----------
+    line : the line
+    by_reflectance, by_radiance : for each panel, lines fitted with it a step up and a step down
+    steps : (P, 2, B) those steps
+    errors : of each panel
+    """
+
+    line: EmpiricalLine
+    by_reflectance: tuple[tuple[EmpiricalLine, EmpiricalLine], ...]
+    by_radiance: tuple[tuple[EmpiricalLine, EmpiricalLine], ...]
+    steps: Array
+    errors: tuple[PanelErrors, ...]
+
+    def covariance(self, radiance: npt.ArrayLike, own: str = "") -> Array:
+        """(B, B) error covariance, by its panels, of the reflectance of a mean radiance (B,).
+
+        sum over panels of D C_rho D + E C_L E with D, E = diag of the derivatives of the reflectance.  ``own``
+        names the panel whose mean radiance it is: the same pixels then are on both sides, and 1/gain comes on top
+        of E, so that a line through two panels gives their reflectances back whatever their radiances.
+        """
+        level = np.asarray(radiance, dtype=float)
+        total = np.zeros((level.size, level.size))
+        for p, errors in enumerate(self.errors):
+            d = self._slope(self.by_reflectance[p], self.steps[p, 0], level)
+            e = self._slope(self.by_radiance[p], self.steps[p, 1], level)
+            if own == self.line.panels[p]:
+                e = e + 1.0 / self.line.gain
+            total += errors.reflectance * np.outer(d, d) + errors.radiance * np.outer(e, e)
+        return total
+
+    def _slope(self, pair: tuple[EmpiricalLine, EmpiricalLine], step: Array, level: Array) -> Array:
+        return (pair[0].reflectance(level) - pair[1].reflectance(level)) / (2.0 * step)
+
+
+def line_error(
+    fit: Fit, panels: Sequence[PanelMeasurement], errors: Sequence[PanelErrors], line: EmpiricalLine | None = None
+) -> LineError:
+    """Derivatives of a line by every panel, by central differences: the law of propagation (JCGM 100:2008, 5.2).
+
+    Parameters
+    ----------
+    fit : the way from panels to the line
+    panels, errors : in the same order
+    """
+    found = line or fit(panels)
+    by_reflectance, by_radiance, steps = [], [], []
+    for i, p in enumerate(panels):
+        h, g = _STEP * np.maximum(p.reflectance, 0.01), _STEP * np.maximum(np.abs(p.radiance), 1e-12)
+        steps.append([h, g])
+        by_reflectance.append(
+            tuple(fit(_with(panels, i, replace(p, reflectance=p.reflectance + s * h))) for s in (1.0, -1.0))
+        )
+        by_radiance.append(
+            tuple(fit(_with(panels, i, replace(p, radiance=p.radiance + s * g))) for s in (1.0, -1.0))
+        )
+    return LineError(found, tuple(by_reflectance), tuple(by_radiance), np.array(steps), tuple(errors))  # type: ignore[arg-type]
+
+
+def _with(panels: Sequence[PanelMeasurement], i: int, panel: PanelMeasurement) -> list[PanelMeasurement]:
+    return [panel if j == i else p for j, p in enumerate(panels)]

@@ -1,0 +1,99 @@
+"""Error of the mean of a region whose pixels resemble their neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.processing.spatial_correlation import lag_correlation
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+COMPONENTS = 24  # leading ones whose correlation on the ground is measured one by one
+MIXTURES = 4  # of all the others, which are measured together
+
+
+@dataclass(frozen=True)
+class Components:
+    """Principal components of a region's pixels.
+
+    Attributes
+    ----------
+    vectors, values : (B, K), (K,) the leading ones
+    rest : (B, M) mixtures of all the others, each of variance 1; M = 0 where there are no others
+    """
+
+    vectors: Array
+    values: Array
+    rest: Array
+
+    def scores(self, centred: Array) -> Array:
+        """(K + M, ...) quantities of variance 1 of pixels (..., B) with their mean removed."""
+        leading = centred @ (self.vectors / np.sqrt(self.values))
+        return np.concatenate([np.moveaxis(leading, -1, 0), np.moveaxis(centred @ self.rest, -1, 0)])
+
+
+def components(covariance: Array, rng: np.random.Generator, count: int = COMPONENTS) -> Components:
+    """Components of a covariance (B, B); directions without variance are left out."""
+    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    some = values > 1e-12 * max(float(values[0]), 0.0)
+    values, vectors = values[some], vectors[:, some]
+    others = vectors[:, count:] / np.sqrt(values[count:])
+    mix = rng.standard_normal((others.shape[1], MIXTURES))
+    rest = others @ (mix / np.linalg.norm(mix, axis=0)) if others.shape[1] else np.zeros((covariance.shape[0], 0))
+    return Components(vectors[:, :count], values[:count], rest)
+
+
+def independent_pixels(
+    windows: Iterable[tuple[Array, Mask]], shares: Array, n: int, reach: int
+) -> tuple[Array, Array]:
+    """(K,) independent pixels for the mean, and for the variance, of K quantities over a region of ``n`` pixels.
+
+    n / sum_h rho(h) share(h), and the same with rho^2 (Cressie, Statistics for Spatial Data, 1993, 1.3).  The
+    correlation is summed ring by ring outwards and stops at the first ring whose mean is not positive: beyond it
+    there is noise (on the plane, the initial positive sequence of Geyer, Stat. Sci. 7, 473-483, 1992).  The mean of
+    a correlated region takes a part of its own variance away, 1 of so many independent pixels: the number for the
+    mean is less by it.
+
+    Parameters
+    ----------
+    windows : values (K, lines, samples) of mean 0 over the region, and the pixels that count
+    shares : (2R + 1, 2R + 1) share of the region's pixels whose neighbour at each lag belongs to it
+    reach : R [pixels]
+    """
+    found = lag_correlation(windows, reach)
+    steps = np.arange(-reach, reach + 1)
+    ring = np.rint(np.hypot(steps[:, None], steps[None, :])).astype(int).ravel()
+    pairs, share = found.pairs.ravel(), shares.ravel()
+    for_mean, for_variance = [], []
+    for rho in found.value.reshape(found.value.shape[0], -1):
+        total = squares = 0.0
+        for r in range(reach + 1):
+            here = ring == r
+            mean = float(pairs[here] @ rho[here] / max(pairs[here].sum(), 1e-12))
+            if r > 0 and mean <= 0.0:
+                break
+            total += mean * float(share[here].sum())
+            squares += mean**2 * float(share[here].sum())
+        total = min(max(total, 1.0), 0.5 * n)
+        for_mean.append(max(n / total - 1.0, 1.0))
+        for_variance.append(n / min(max(squares, 1.0), 0.5 * n))
+    return np.array(for_mean), np.array(for_variance)
+
+
+def mean_error_covariance(covariance: Array, found: Components, independent: Array) -> Array:
+    """(B, B) error covariance of a mean: lambda_k / n_k along the leading components.
+
+    The rest has the average 1/n of its mixtures; ``independent`` (K + M,) are those of :meth:`Components.scores`.
+    """
+    k = found.values.size
+    v, values = found.vectors, found.values
+    total = (v * (values / independent[:k])) @ v.T
+    if independent.size > k:
+        total += (covariance - (v * values) @ v.T) * float(np.mean(1.0 / independent[k:]))
+    return np.asarray(total)
