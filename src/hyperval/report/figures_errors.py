@@ -147,8 +147,8 @@ def _area_panel(
             groups.setdefault(area.nominal_m2, []).append(key)
     axes.axhline(1.0, color=_NORMAL, linewidth=0.9)
     for nominal, keys in groups.items():
-        # Side by side within a fifth of a decade, in the order of the targets.
-        steps = np.linspace(-0.16, 0.16, len(keys)) if len(keys) > 1 else np.zeros(1)
+        # Side by side within a quarter of a decade, in the order of the targets.
+        steps = np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else np.zeros(1)
         for step, key in zip(steps, keys, strict=True):
             for held, look, shift in ((predicted, PREDICTED, -0.012), (measured, COLLECTED, 0.012)):
                 if key not in held:

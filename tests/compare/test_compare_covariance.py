@@ -1,0 +1,216 @@
+"""Covariances, tails, classes and unmixed areas: a true prediction agrees, each falsified one is seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperval.compare import Gate, compare_products
+from hyperval.compare.abundance import compare_area_errors
+from hyperval.compare.classification import compare_classification
+from hyperval.compare.covariance import compare_covariance, compare_distribution, independent_pixels
+from hyperval.products import (
+    Abundance,
+    ClassificationError,
+    Observation,
+    PixelDistribution,
+    Prediction,
+    SpectralEstimate,
+)
+from hyperval.results import Status
+from hyperval.spectra.axis import SpectralAxis
+
+AXIS = SpectralAxis(np.array([450.0, 550, 650, 750, 870, 1400, 1650]), 10.0)
+B = len(AXIS)
+WINDOWS = 6  # 1400 nm lies in an absorption band
+
+
+def truth():
+    x = np.linspace(-1, 1, B)
+    return 0.05 * np.outer(1 + x, 1 + x) + 0.01 * np.outer(x**2, x**2) + 0.0005 * np.eye(B)
+
+
+def estimate(covariance, n=None, mean=None):
+    return SpectralEstimate(np.ones(B) if mean is None else mean, np.eye(B) * 1e-6, covariance, n)
+
+
+def sample(n, seed=1, covariance=None):
+    x = np.random.default_rng(seed).multivariate_normal(
+        np.ones(B), truth() if covariance is None else covariance, n
+    )
+    return estimate(np.cov(x.T), n, x.mean(axis=0))
+
+
+def rows_of(predicted, observed, **more):
+    rows = compare_covariance(
+        predicted, observed, campaign="c", subject="grass", method="radiance", axis=AXIS, **more
+    )
+    return {row.metric: row for row in rows}
+
+
+def test_a_sample_of_the_prediction_agrees():
+    rows = rows_of(estimate(truth()), sample(3000))
+    # Seed fixed; each of the ten verdicts misses in one of twenty samples.
+    assert rows["eigenvalues_inside_95"].value >= 0.8
+    for k in (1, 2, 3):
+        assert rows[f"eigenvalue_ratio@{k}"].value == pytest.approx(1.0, abs=0.1)
+        assert rows[f"subspace_inside_95@{k}"].value == 1.0
+    excess = rows["bhattacharyya_covariance_excess"]
+    assert excess.lower <= 0.0 <= excess.upper
+    assert rows["total_variance_ratio"].lower <= 1.0 <= rows["total_variance_ratio"].upper
+    for row in rows.values():
+        assert not (row.value < row.lower or row.value > row.upper)
+
+
+@pytest.mark.parametrize(
+    ("change", "metric"),
+    [
+        (lambda c: 1.3 * c, "total_variance_ratio"),
+        (lambda c: c + 0.002 * np.eye(B), "bhattacharyya_covariance_excess"),
+        (lambda c: c[::-1, ::-1], "subspace_angle@1"),
+    ],
+    ids=["scaled", "noise", "turned"],
+)
+def test_a_falsified_covariance_is_seen(change, metric):
+    row = rows_of(estimate(change(truth())), sample(3000))[metric]
+    if metric == "total_variance_ratio":
+        assert row.lower > 1.0
+    elif metric == "subspace_angle@1":
+        assert row.value > 20.0
+    else:
+        assert row.lower > 0.0
+
+
+def test_absorption_bands_do_not_count():
+    spoiled = truth()
+    spoiled[5, 5] *= 100.0
+    assert rows_of(estimate(spoiled), sample(3000)) == rows_of(estimate(truth()), sample(3000))
+
+
+def test_few_pixels_have_no_determinant_and_say_so():
+    rows = rows_of(estimate(truth()), sample(5))
+    assert rows["bhattacharyya_distance"].status is Status.SKIPPED
+    assert "5 independent pixels for 6 directions" in rows["bhattacharyya_distance"].reason
+    assert rows["eigenvalue_ratio@1"].lower < 1.0 < rows["eigenvalue_ratio@1"].upper
+    (only,) = rows_of(estimate(truth()), sample(2)).values()
+    assert only.status is Status.SKIPPED
+
+
+def test_what_one_side_lacks_gives_no_row():
+    assert rows_of(estimate(None), sample(100)) == {}
+    assert rows_of(None, sample(100)) == {}
+    assert rows_of(estimate(truth()), None) == {}
+
+
+def test_dependent_pixels_and_heavy_tails_widen_the_band():
+    def width(**more):
+        row = rows_of(estimate(truth()), sample(3000), **more)["eigenvalue_ratio@1"]
+        return row.upper - row.lower
+
+    few = PixelDistribution(n=3000, effective_n=np.full(6, 300.0))
+    assert width(observed_distribution=few) > 2.0 * width()
+    assert width(predicted_distribution=PixelDistribution(tail_dof=5.0)) > 1.3 * width()
+    refused = rows_of(estimate(truth()), sample(3000), predicted_distribution=PixelDistribution(tail_dof=4.0))
+    assert "4 degrees of freedom or fewer" in refused["comparison"].reason
+
+
+def test_independent_pixels_by_direction():
+    held = PixelDistribution(n=100, effective_n=np.array([5.0, 50.0]))
+    assert independent_pixels(100, held, 4) == pytest.approx([4.0, 49.0, 49.0, 49.0])
+    assert independent_pixels(100, None, 2) == pytest.approx([99.0, 99.0])
+
+
+def tails(predicted, observed):
+    rows = compare_distribution(predicted, observed, campaign="c", subject="grass")
+    return {row.metric: row for row in rows}
+
+
+def test_rows_of_tails():
+    measured = PixelDistribution(40.0, 30.0, 60.0, 1e-9, 100, 6.0, 5.0, 8.0, 4, 5000, np.array([900.0]))
+    rows = tails(PixelDistribution(), measured)
+    assert rows["background_tail_dof"].value == 40.0
+    assert rows["background_tail_dof_leading"].lower == 5.0
+    difference = rows["tail_inverse_dof_difference"]
+    assert (difference.lower, difference.value, difference.upper) == pytest.approx((-1 / 5, -1 / 6, -1 / 8))
+    assert rows["effective_pixels"].value == 900.0
+    same = tails(PixelDistribution(tail_dof=6.0), measured)["tail_inverse_dof_difference"]
+    assert same.value == 0.0
+    assert same.lower < 0.0 < same.upper
+    alone = tails(None, measured)
+    assert "tail_inverse_dof_difference" not in alone
+    assert "no predicted law" in alone["background_tail_dof"].reason
+    normal = tails(
+        PixelDistribution(), PixelDistribution(np.inf, 100.0, np.inf, 0.5, 5, np.inf, 90.0, np.inf, 2, 50)
+    )
+    assert normal["tail_inverse_dof_difference"].value == 0.0
+
+
+def errors(p, o):
+    rows = compare_classification(p, o, campaign="c", subject="a / b", method="2 bands")
+    return {row.metric: row for row in rows}
+
+
+def test_rows_of_classification():
+    predicted = ClassificationError(0.10, 0.095, 0.105, 20_000, None, 1.0, 0.09, 0.04, 0.2)
+    rows = errors(predicted, ClassificationError(0.12, 0.09, 0.16, 500, 300.0, 0.9))
+    assert rows["error_difference"].value == pytest.approx(-0.02)
+    assert rows["error_difference"].lower == pytest.approx(-0.02 - np.hypot(0.005, 0.04))
+    assert rows["error_inside_interval"].value == 1.0
+    assert "300 of 500" in rows["error_observed"].reason
+    assert (rows["error_bounds"].lower, rows["error_bounds"].upper) == (0.04, 0.2)
+    wrong = errors(predicted, ClassificationError(0.20, 0.17, 0.24, 500, 300.0, 0.9))
+    assert wrong["error_inside_interval"].value == 0.0
+    assert errors(predicted, None)["comparison"].status is Status.SKIPPED
+
+
+def test_area_errors_by_size():
+    nominal = {"a": 4.0, "b": 4.0, "c": 1.0}
+    observed = {
+        (k, "fcls"): Abundance(v + e, 0.1, 9, v) for (k, v), e in zip(nominal.items(), (1, -0.5, 0.2), strict=True)
+    }
+    predicted = {(k, "fcls"): Abundance(v + 0.1, 0.3, 9, v) for k, v in nominal.items()}
+    rows = {(r.subject, r.metric): r for r in compare_area_errors(predicted, observed, campaign="c")}
+    assert {s for s, _ in rows} == {"all targets of 4 m2"}  # a single target of a size has no spread
+    key = "all targets of 4 m2"
+    assert rows[key, "area_bias_observed"].value == pytest.approx(0.25)
+    assert rows[key, "area_rmse_observed"].value == pytest.approx(np.sqrt((1 + 0.25) / 2))
+    assert rows[key, "area_bias_predicted"].value == pytest.approx(0.1)
+    assert rows[key, "area_rmse_predicted"].value == pytest.approx(np.hypot(0.1, 0.3))
+    rmse = rows[key, "area_rmse_observed"]
+    assert rmse.lower < rmse.value < rmse.upper
+
+
+def test_all_of_it_is_in_the_table_and_can_gate():
+    predicted = Prediction(
+        AXIS, radiance={"g": estimate(truth())}, distribution={"g": PixelDistribution()},
+        classification={("a / b", "f"): ClassificationError(0.1, 0.09, 0.11)},
+        abundance={(k, "fcls"): Abundance(1.0, 0.1, 4, 1.0) for k in "ab"},
+    )  # fmt: skip
+    observed = Observation(
+        AXIS, radiance={"g": sample(500)},
+        distribution={"g": PixelDistribution(np.inf, 50.0, np.inf, 0.4, 6, n=500)},
+        classification={("a / b", "f"): ClassificationError(0.1, 0.08, 0.12, 400, 400.0)},
+        abundance={(k, "fcls"): Abundance(1.1, 0.1, 4, 1.0) for k in "ab"},
+    )  # fmt: skip
+    found = {(r.product, r.metric) for r in compare_products(predicted, observed, campaign="c")}
+    assert {
+        ("covariance", "eigenvalue_ratio@1"), ("covariance", "background_tail_dof"),
+        ("classification", "error_difference"), ("abundance", "area_rmse_predicted"),
+        ("abundance", "area_in_predicted_95"), ("abundance", "area_nominal_ratio"),
+    } <= found  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("product", "metric", "limit"),
+    [
+        ("covariance", "eigenvalues_inside_95", {"at_least": 0.0}),
+        ("covariance", "subspace_angle@1", {"at_most": 90.0}),
+        ("covariance", "total_variance_ratio", {"at_least": 0.0}),
+        ("classification", "error_difference", {"at_least": -1.0}),
+        ("classification", "error_observed", {"at_most": 1.0}),
+        ("abundance", "area_in_predicted_95", {"at_most": 1.0}),
+    ],
+)
+def test_limits_that_cannot_fail_are_refused(product, metric, limit):
+    with pytest.raises(ValueError, match="can never fail"):
+        Gate(product=product, metric=metric, reason="x", **limit)

@@ -1,0 +1,88 @@
+"""Predicted areas by unmixing: against the linear error, and its limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperval.prediction.classification import predicted_classification
+from hyperval.prediction.inputs import Sources
+from hyperval.prediction.unmixing import UnmixedSubject, labelled, predicted_areas
+from hyperval.processing.unmixing import abundance_covariance
+from hyperval.products import PixelDistribution, Prediction, SpectralEstimate
+from hyperval.scenario import Scenario
+from hyperval.spectra.axis import SpectralAxis
+
+AXIS = SpectralAxis(np.linspace(450.0, 900.0, 10), 10.0)
+B = len(AXIS)
+GRASS = np.linspace(0.05, 0.5, B)
+SPREAD = 1e-4 * np.outer(GRASS, GRASS) + 1e-6 * np.eye(B)
+
+
+def scenario(fill, pixels=1):
+    target = {"name": "paint", "spectrum": {"constant": 0.3}, "host": "grass",
+              "subjects": [{"name": "paint 1 m", "fill": fill}]}  # fmt: skip
+    scene = {"classes": [{"name": "grass", "fraction": 1.0, "spectrum": {"constant": 0.2}}], "targets": [target]}
+    return Scenario.model_validate({"name": "s", "scene": scene})
+
+
+def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariances=None, draws=4000):
+    grass = SpectralEstimate(GRASS, np.zeros((B, B)), spread)
+    prediction = Prediction(AXIS, reflectance={"grass": grass}, distribution={"grass": PixelDistribution()})
+    subject = UnmixedSubject(
+        "paint 1 m", "paint 1 m", "paint", np.full(B, 0.3), uncertainty, 300.0, "", 1, 1.0, 10**6
+    )
+    found = predicted_areas(
+        scenario(fill), prediction, [subject], np.ones(B, bool), covariances or {"fcls": None}, 4.0,
+        Sources(AXIS, {}, lambda name: name), draws=draws,
+    )  # fmt: skip
+    return found["paint 1 m", method]
+
+
+def test_spread_is_the_linear_error_where_no_limit_binds():
+    area = predicted({"fixed": 0.4})
+    error = abundance_covariance(np.stack([np.full(B, 0.3), GRASS]), 0.6**2 * SPREAD)[0, 0]
+    assert area.area_m2 == pytest.approx(1.6, abs=0.01)
+    # A standard deviation of 4000 draws is known to 1.1 %, and comes from a pool of 4000 pixels: 5 % is three of both.
+    assert area.standard_uncertainty == pytest.approx(4.0 * np.sqrt(error), rel=0.05)
+
+
+def test_an_empty_pixel_is_biased_upwards():
+    # Half of the errors are cut off at 0: mean sd/sqrt(2 pi), 4 % known from 4000 draws.
+    area = predicted({"fixed": 0.0})
+    sd = 4.0 * np.sqrt(abundance_covariance(np.stack([np.full(B, 0.3), GRASS]), SPREAD)[0, 0])
+    assert area.area_m2 == pytest.approx(sd / np.sqrt(2 * np.pi), rel=0.12)
+
+
+def test_weights_by_the_background_reduce_the_spread():
+    both = {"fcls": None, "fcls-weighted": SPREAD}
+    plain = predicted({"fixed": 0.4}, covariances=both)
+    weighted = predicted({"fixed": 0.4}, covariances=both, method="fcls-weighted")
+    assert weighted.standard_uncertainty < 0.5 * plain.standard_uncertainty
+
+
+def test_error_of_the_endmember_is_common_to_an_object():
+    quiet = 1e-12 * np.eye(B)
+    # A level error of 10 % moves a full pixel's abundance by about as much; below 1 it is seen, above it is cut.
+    area = predicted({"fixed": 0.5}, uncertainty=0.1, spread=quiet)
+    assert 0.02 < area.standard_uncertainty < 0.6
+    assert predicted({"fixed": 0.5}, spread=quiet).standard_uncertainty < 1e-4
+
+
+def test_whole_objects_have_their_own_fills():
+    geometry = {"side_m": 1.0, "gsd_m": 2.0, "psf_fwhm_pixels": 0.5, "pixels": "ranked", "n": 9}
+    area = predicted({"geometry": geometry}, spread=1e-12 * np.eye(B), draws=500)
+    assert area.n == 9
+    assert area.area_m2 == pytest.approx(1.0, abs=0.05)  # nearly all of the target lies in the nine best pixels
+
+
+def test_a_scenario_with_light_is_left_out():
+    made = scenario({"fixed": 0.4})
+    lit = made.model_copy(update={"atmosphere": object()})
+    assert predicted_areas(lit, Prediction(AXIS), [], np.ones(B, bool), {"fcls": None}, 1.0, None) == {}
+    assert labelled("fcls", "") == "fcls"
+
+
+def test_classes_that_are_not_predicted_are_left_out():
+    prediction = Prediction(AXIS, radiance={"a": SpectralEstimate(GRASS, np.zeros((B, B)), SPREAD)})
+    assert predicted_classification(prediction, [("a", "b")], [], "radiance") == {}

@@ -1,0 +1,115 @@
+"""Gaussian classification: closed forms, bounds, errors of pixels, and pixels that err together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import special
+
+from hyperval.errors import UsageError
+from hyperval.processing.class_features import class_features, feature_bands
+from hyperval.processing.gaussian_classifier import (
+    ClassLaw,
+    GaussianClassifier,
+    measured_error,
+    predicted_error,
+)
+
+
+def law(mean, spread=1.0, dof=np.inf):
+    return ClassLaw(np.asarray(mean, dtype=float), spread * np.eye(len(mean)), dof)
+
+
+def test_equal_covariances_have_the_closed_form():
+    # Two classes 2.5 standard deviations apart: error Phi(-1.25), which the estimate is for equal covariances.
+    found = predicted_error([law([0.0, 0.0]), law([2.5, 0.0])], np.random.default_rng(1), 40_000)
+    exact = special.ndtr(-1.25)
+    assert found.approximation == pytest.approx(exact, rel=1e-12)
+    assert found.distance == pytest.approx(2.5**2 / 8)
+    # 80,000 pixels: four standard deviations.
+    assert found.error == pytest.approx(exact, abs=4 * np.sqrt(exact / 80_000))
+    assert found.lower < found.error < found.upper
+
+
+@pytest.mark.parametrize("spread", [1.0, 4.0, 0.2])
+def test_error_lies_between_the_bounds(spread):
+    found = predicted_error([law([0.0, 0.0, 0.0]), law([1.0, 1.0, 0.0], spread)], np.random.default_rng(2))
+    assert found.bound_lower <= found.upper
+    assert found.lower <= found.bound_upper
+
+
+def test_more_classes_than_two():
+    # Three far corners of a triangle: the pairs do not overlap elsewhere, so that the estimate is near the error.
+    laws = [law([0.0, 0.0]), law([4.0, 0.0]), law([2.0, 3.5])]
+    found = predicted_error(laws, np.random.default_rng(3), 60_000)
+    assert found.approximation == pytest.approx(found.error, rel=0.12)
+    assert found.bound_lower < found.error < found.bound_upper
+    assert found.n == 180_000
+
+
+def test_the_same_class_twice_is_a_throw_of_a_coin():
+    found = predicted_error([law([0.0]), law([0.0])], np.random.default_rng(4), 2000)
+    assert found.approximation == 0.5
+    assert found.bound_upper == 0.5
+
+
+def test_heavy_tails_make_more_errors_far_from_the_border():
+    near = predicted_error([law([0.0, 0.0]), law([6.0, 0.0])], np.random.default_rng(5), 100_000)
+    far = predicted_error([law([0.0, 0.0], dof=4.0), law([6.0, 0.0], dof=4.0)], np.random.default_rng(5), 100_000)
+    assert far.lower > near.upper
+
+
+def test_classifier_is_quadratic_discriminant_analysis():
+    # Against the log density itself.
+    laws = [law([0.0, 1.0], 2.0), law([1.0, 0.0], 0.5)]
+    x = np.random.default_rng(6).normal(size=(200, 2))
+    from scipy.stats import multivariate_normal
+
+    density = [multivariate_normal.logpdf(x, one.mean, one.covariance) for one in laws]
+    assert np.array_equal(GaussianClassifier(laws).classify(x), np.argmax(density, axis=0))
+
+
+def test_measured_error_of_independent_pixels_covers_the_true_one():
+    # 200 samples: inside at least 95 % (Clopper-Pearson); fewer than 180 has probability 2e-3 at most.
+    laws, rng = [law([0.0]), law([2.0])], np.random.default_rng(7)
+    exact, inside = special.ndtr(-1.0), 0
+    for _ in range(200):
+        x = [one.draw(400, rng) for one in laws]
+        found = measured_error(laws, x, [np.arange(400) // 20] * 2)
+        inside += found.lower <= exact <= found.upper
+    assert inside >= 180
+
+
+def test_pixels_that_err_together_count_once():
+    # Blocks share their pixel: 25 pixels of each block are one. The interval must be that of the blocks.
+    laws, rng = [law([0.0]), law([2.0])], np.random.default_rng(8)
+    exact, inside, effective = special.ndtr(-1.0), 0, []
+    for _ in range(150):
+        x = [np.repeat(one.draw(60, rng), 25, axis=0) for one in laws]
+        found = measured_error(laws, x, [np.repeat(np.arange(60), 25)] * 2)
+        inside += found.lower <= exact <= found.upper
+        effective.append(found.effective_n)
+    # The spread between blocks is itself estimated, from 60 of each class: a little below 95 %.
+    assert inside >= 130
+    assert np.median(effective) == pytest.approx(120, rel=0.15)
+
+
+def test_no_error_at_all_gives_the_one_sided_limit():
+    laws = [law([0.0]), law([50.0])]
+    x = [one.draw(100, np.random.default_rng(9)) for one in laws]
+    found = measured_error(laws, x, [np.arange(100)] * 2)
+    assert (found.error, found.lower, found.n) == (0.0, 0.0, 200)
+    assert found.upper == pytest.approx(1 - 0.025 ** (1 / 200))
+
+
+def test_features():
+    centre = np.array([450.0, 550.0, 650.0, 800.0])
+    usable = np.array([True, True, False, True])
+    assert feature_bands(centre, usable, []).tolist() == [0, 1, 3]
+    assert feature_bands(centre, usable, [640.0, 790.0]).tolist() == [1, 3]
+    with pytest.raises(UsageError, match="share the band at 550 nm"):
+        feature_bands(centre, usable, [560.0, 600.0])
+    laws = [law([0.0, 0.0, 0.0], 0.01), law([3.0, 4.0, 0.0], 0.01)]
+    assert class_features(laws, None) == pytest.approx(np.eye(3))
+    # The classes differ along (3, 4, 0): that is the first component.
+    assert class_features(laws, 1) == pytest.approx(np.array([[0.6, 0.8, 0.0]]), abs=1e-9)
