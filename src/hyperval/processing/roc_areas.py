@@ -183,7 +183,7 @@ def area_estimates(
     for i, (name, area) in enumerate(areas.items()):
         placed = np.repeat(placements(counts, area), counts.targets)
         of_targets, of_background = area_variance(counts, area)
-        method = "DeLong"
+        method = "DeLong" if m > 1 else f"one {unit}: the greatest variance there can be"
         if drawn is not None:
             method = f"bootstrap of {m} objects, {draws} draws"
             of_targets = max(float(drawn[i]) - of_background, 0.0)
