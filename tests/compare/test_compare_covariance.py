@@ -34,10 +34,8 @@ def estimate(covariance, n=None, mean=None):
     return SpectralEstimate(np.ones(B) if mean is None else mean, np.eye(B) * 1e-6, covariance, n)
 
 
-def sample(n, seed=1, covariance=None):
-    x = np.random.default_rng(seed).multivariate_normal(
-        np.ones(B), truth() if covariance is None else covariance, n
-    )
+def sample(n, seed=2):
+    x = np.random.default_rng(seed).multivariate_normal(np.ones(B), truth(), n)
     return estimate(np.cov(x.T), n, x.mean(axis=0))
 
 
@@ -50,7 +48,8 @@ def rows_of(predicted, observed, **more):
 
 def test_a_sample_of_the_prediction_agrees():
     rows = rows_of(estimate(truth()), sample(3000))
-    # Seed fixed; each of the ten verdicts misses in one of twenty samples.
+    # Seed fixed; each of the ten verdicts misses in one of twenty samples. An eigenvalue of 3000 pixels has a
+    # relative standard deviation of 2.6 %: 10 % is four of these.
     assert rows["eigenvalues_inside_95"].value >= 0.8
     for k in (1, 2, 3):
         assert rows[f"eigenvalue_ratio@{k}"].value == pytest.approx(1.0, abs=0.1)

@@ -43,7 +43,8 @@ def test_spread_is_the_linear_error_where_no_limit_binds():
     area = predicted({"fixed": 0.4})
     error = abundance_covariance(np.stack([np.full(B, 0.3), GRASS]), 0.6**2 * SPREAD)[0, 0]
     assert area.area_m2 == pytest.approx(1.6, abs=0.01)
-    # A standard deviation of 4000 draws is known to 1.1 %, and comes from a pool of 4000 pixels: 5 % is three of both.
+    # A standard deviation of 4000 draws is known to 1.1 %, and so is that of the pool they are from: 5 % is three
+    # of both.
     assert area.standard_uncertainty == pytest.approx(4.0 * np.sqrt(error), rel=0.05)
 
 

@@ -40,7 +40,9 @@ def classes():
 def areas():
     held = {(f"t{i}", "fcls"): Abundance(a, 0.1 * a, 4, a) for i, a in enumerate((1.0, 1.0, 4.0, 4.0))}
     rows = [
-        Result("c", "abundance", f"all targets of {a} m2", "fcls", f"area_rmse_{side}", 0.2, "m2", lower=0.1, upper=0.5)
+        Result(
+            "c", "abundance", f"all targets of {a} m2", "fcls", f"area_rmse_{side}", 0.2, "m2", lower=0.1, upper=0.5
+        )
         for a in (1, 4) for side in ("predicted", "observed")
     ]  # fmt: skip
     return unmixing_figures(
