@@ -50,7 +50,7 @@ DEFAULTS: tuple[tuple[str, Tolerance], ...] = (
     (r".*difference_ratio.*|bias_ratio", Tolerance(0.002, "unit")),
     # Counts: rounding can carry a pixel over a threshold.  0.8 of half of an exact 95 % interval is more
     # than one count of 5 or more: where all are found it is about 3.7 / n wide.
-    (r"pd_(measured|difference).*", Tolerance(0.8, "interval")),
+    (r"pd_(measured|difference).*|pfa_.*|error_(observed|difference).*", Tolerance(0.8, "interval")),
     (r"pd_.*", Tolerance(0.005, "unit")),
     (r".*auc.*", Tolerance(0.002, "unit")),
     (r"(.*_)?z", Tolerance(0.1, "unit")),  # counts standard uncertainties itself
