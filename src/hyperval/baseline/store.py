@@ -103,7 +103,8 @@ def write_baseline(
     """Write one baseline, or a candidate whose reason and date are still to be given."""
     what = f"{FILL_IN}: why these numbers are right" if candidate else reason
     lines = [
-        f"# Accepted numbers of the {kind} {name}.  `hyperval baseline accept` renews them; tolerances are set by hand.",
+        f"# Accepted numbers of the {kind} {name}.  "
+        "`hyperval baseline accept` renews them; tolerances are set by hand.",
         "schema: 1",
         f"kind: {kind}",
         f"name: {json.dumps(name)}",
