@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field, field_validator, model_validator
 
 from hyperval.config import Model
-from hyperval.processing.detectors import DETECTORS
+from hyperval.processing.detectors import detector_names
 from hyperval.processing.local_scores import LOCAL_DETECTORS
 from hyperval.scenario import SpectrumSource
 
@@ -348,8 +348,8 @@ class Detection(Model):
     @classmethod
     def _known(cls, names: list[str]) -> list[str]:
         for name in names:
-            if name not in DETECTORS:
-                raise ValueError(f"unknown detector {name!r}; one of {', '.join(DETECTORS)}")
+            if name not in detector_names():
+                raise ValueError(f"unknown detector {name!r}; one of {', '.join(detector_names())}")
         return names
 
     @model_validator(mode="after")

@@ -42,10 +42,14 @@ _FILE_NAMES = {
 _PART = re.compile(r"([A-Za-z][A-Za-z0-9_]*?)-(\d+(?:\.\d+)?)(?=_|$)")
 
 
-def read_table(path: Path) -> AtmosphericTable:
+def read_table(path: Path, template: Path | None = None) -> AtmosphericTable:
     """A table from a NetCDF file, a folder of channel files, or the run template (.json) in such a folder.
 
     Tables are kept in memory for the life of the process, as long as their files do not change.
+
+    Parameters
+    ----------
+    template : run template of a folder, where it stands elsewhere
 
     Raises
     ------
@@ -55,7 +59,8 @@ def read_table(path: Path) -> AtmosphericTable:
     if path.is_dir() or path.suffix == ".json":
         folder = path if path.is_dir() else path.parent
         files = _channel_files(folder)
-        template = _template_file(folder, files[0]) if path.is_dir() else path
+        if template is None:
+            template = _template_file(folder, files[0]) if path.is_dir() else path
         return _from_folder(tuple(_stamp(f) for f in files), str(folder), _stamp(template))
     return _from_netcdf(*_stamp(path))
 

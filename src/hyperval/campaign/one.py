@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -119,44 +120,72 @@ def run_campaign(
     """
     if isinstance(job, Waiting):
         return unfinished(job, Status.SKIPPED, job.reason)
-    inputs = Inputs(job.folder)
-    inputs.log.add(job.path.resolve(), job.path.name)
-    scratch: Path | None = None
     try:
-        scenarios = [_scenario(s, inputs, job.campaign.run) for s in job.campaign.scenarios]
-        seed = None
-        if job.campaign.collection.simulate:
-            scratch = Path(tempfile.mkdtemp(prefix="hyperval-simulated-"))
-            seed = _simulate(job.campaign.collection.simulate, inputs, scratch, show_progress)
-        observed = observe_collection(
-            job.campaign.collection,
-            job.campaign.detection,
-            inputs.resolve,
-            classification=job.campaign.classification,
-            show_progress=show_progress,
-        )
-        if observed.place is not None:
-            inputs.record_beside(observed.place.source_files)
-        if with_observed is not None:
-            with_observed(observed)
-        predictions = []
-        if predicts:
-            predictions = [
-                predict(
-                    scenario,
-                    axis=observed.observation.axis,
-                    measured=observed.statistics,
-                    resolve=_resolver(scenario, inputs),
-                    show_progress=show_progress,
-                    objects=True,
-                )
-                for scenario in scenarios
-            ]
-        return _report(job, inputs, observed, scenarios, predictions, seed, show_progress)
+        with collected(job, show_progress=show_progress) as held:
+            if with_observed is not None:
+                with_observed(held.observed)
+            predictions = []
+            if predicts:
+                predictions = [
+                    predict(
+                        scenario,
+                        axis=held.observed.observation.axis,
+                        measured=held.observed.statistics,
+                        resolve=held.resolver(scenario),
+                        show_progress=show_progress,
+                        objects=True,
+                    )
+                    for scenario in held.scenarios
+                ]
+            return _report(job, held.inputs, held.observed, held.scenarios, predictions, held.seed, show_progress)
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
         return unfinished(job, Status.SKIPPED, _with_every_set(job, error))
+
+
+@dataclass(frozen=True)
+class Collected:
+    """What a campaign's collection says, while its files, simulated ones too, are there."""
+
+    inputs: Inputs
+    scenarios: Sequence[Scenario]
+    observed: Observed
+    seed: int | None
+
+    def resolver(self, scenario: Scenario) -> Callable[[str], Path]:
+        """Finds the files that a scenario names, and records them with the campaign's."""
+        return _resolver(scenario, self.inputs)
+
+
+@contextmanager
+def collected(job: Job, *, show_progress: bool | None = None) -> Iterator[Collected]:
+    """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
+
+    Raises
+    ------
+    MissingDataError : files of a registered data set that are not on this machine.
+    HypervalError : anything else that the user can mend.
+    """
+    campaign, inputs = job.campaign, Inputs(job.folder)
+    inputs.log.add(job.path.resolve(), job.path.name)
+    scratch: Path | None = None
+    try:
+        scenarios = [_scenario(s, inputs, campaign.run) for s in campaign.scenarios]
+        seed = None
+        if campaign.collection.simulate:
+            scratch = Path(tempfile.mkdtemp(prefix="hyperval-simulated-"))
+            seed = _simulate(campaign.collection.simulate, inputs, scratch, show_progress)
+        observed = observe_collection(
+            campaign.collection,
+            campaign.detection,
+            inputs.resolve,
+            classification=campaign.classification,
+            show_progress=show_progress,
+        )
+        if observed.place is not None:
+            inputs.record_beside(observed.place.source_files)
+        yield Collected(inputs, scenarios, observed, seed)
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)

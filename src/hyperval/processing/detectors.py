@@ -10,10 +10,13 @@ With background mean mu and covariance Sigma, d = target - mu and z = x - mu:
     sam                   -arccos(t x / (|t| |x|))                             minus the angle [rad]
     rx                    z^T Sigma^-1 z                                       needs no target
 
-A higher score is always more like a target.
+A higher score is always more like a target.  :func:`register_detector` adds one of your own.
 """
 
 from __future__ import annotations
+
+import re
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -27,8 +30,34 @@ Array = npt.NDArray[np.float64]
 ANOMALY_DETECTORS = ("rx",)
 WITHOUT_COVARIANCE = ("osp", "sam")
 DETECTORS = (*LINEAR_DETECTORS, "osp", "ace", "sam", *ANOMALY_DETECTORS)
+# (target (B,), background mean (B,), its covariance, undesired spectra (K, B)) -> detector
+DetectorMaker = Callable[[Array, Array, "npt.ArrayLike | PositiveDefinite", Array], PixelDetector]
+ADDED_DETECTORS: dict[str, DetectorMaker] = {}
 # A direction of the undesired spectra below this part of the greatest adds nothing but rounding.
 _RANK = 1e-10
+
+
+def detector_names() -> tuple[str, ...]:
+    """Every detector that a campaign may name, the added ones last."""
+    return (*DETECTORS, *ADDED_DETECTORS)
+
+
+def register_detector(name: str, make: DetectorMaker) -> None:
+    """Add a detector: campaigns may name it, and the benchmark gives it rows.
+
+    Parameters
+    ----------
+    make : builds the detector from target (B,), background mean (B,), covariance and undesired spectra (K, B)
+
+    Raises
+    ------
+    UsageError : a name that is taken, or that cannot name files.
+    """
+    if not re.fullmatch(r"[a-z0-9][a-z0-9-]*", name):
+        raise UsageError(f"detector name {name!r}", expected="small letters, digits and hyphens")
+    if name in DETECTORS or ADDED_DETECTORS.get(name, make) is not make:
+        raise UsageError(f"there is a detector {name!r} already")
+    ADDED_DETECTORS[name] = make
 
 
 def pixel_detector(
@@ -51,8 +80,8 @@ def pixel_detector(
     ------
     UsageError : an unknown name, a singular background, or a target that cannot be told from the background.
     """
-    if name not in DETECTORS:
-        raise UsageError(f"unknown detector {name!r}", expected="one of " + ", ".join(DETECTORS))
+    if name not in detector_names():
+        raise UsageError(f"unknown detector {name!r}", expected="one of " + ", ".join(detector_names()))
     bands = np.size(mean)
     if name == "rx":
         return PixelDetector(np.empty((0, bands)), np.empty(0), _only_quadratic, "distance")
@@ -67,6 +96,10 @@ def pixel_detector(
         return PixelDetector((t / np.linalg.norm(t))[None], np.zeros(1), _minus_angle, "length")
     if covariance is None:
         raise UsageError(f"the detector {name!r} needs the covariance of the background")
+    if name in ADDED_DETECTORS:
+        return ADDED_DETECTORS[name](
+            t, np.asarray(mean, dtype=float), covariance, np.asarray(undesired, dtype=float)
+        )
     if name in LINEAR_DETECTORS:
         return from_filter(design_filter(name, t, mean, covariance))
     linear = from_filter(design_filter("smf", t, mean, covariance))  # ace = smf^2/(z^T Sigma^-1 z)
