@@ -10,7 +10,7 @@ import pytest
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.predict import predict
-from hyperval.prediction.detection import fill_distribution
+from hyperval.prediction.fills import fill_distribution
 from hyperval.processing.elm_model import darkest_level
 from hyperval.processing.roc_model import pd_at_pfa
 from hyperval.products import background_of

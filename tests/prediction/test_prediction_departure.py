@@ -8,7 +8,7 @@ from uncertain_scene import AXIS, run, scenario
 
 from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure, StatisticsDeparture, combined, departed_fill, departs
-from hyperval.prediction.detection import fill_distribution
+from hyperval.prediction.fills import fill_distribution
 from hyperval.scenario import Fill
 from hyperval.settings import with_settings
 

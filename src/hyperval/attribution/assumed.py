@@ -10,7 +10,7 @@ import numpy as np
 
 from hyperval.atmosphere.visibility import aot550_from_range
 from hyperval.prediction.departure import Departure, StatisticsDeparture
-from hyperval.prediction.detection import fill_distribution
+from hyperval.prediction.fills import fill_distribution
 from hyperval.scenario import Scenario
 
 # Usual sizes, as a part of the input unless a unit is given.

@@ -11,10 +11,9 @@ from hyperval.prediction.detection import (
     Detection,
     FilterBase,
     Task,
-    fills_of_objects,
-    moments,
     seen_population,
 )
+from hyperval.prediction.fills import fills_of_objects, moments
 from hyperval.processing.ace_model import (
     AceSpace,
     Exceedance,

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.prediction.budget_input import BudgetInput, Given, scalar_input, spectral_input
 from hyperval.prediction.departure import Departure, StatisticsDeparture
-from hyperval.prediction.detection import fill_distribution
 from hyperval.prediction.field_spectra import spectrum_error_sd
+from hyperval.prediction.fills import fill_distribution
 from hyperval.prediction.forms import covariance_directions, directions, value_at
 from hyperval.scenario_uncertainty import NamedSpread, SampledStatistics, SpectrumUncertainty
 

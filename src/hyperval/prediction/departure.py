@@ -16,7 +16,7 @@ import numpy.typing as npt
 from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.prediction.detection import fill_distribution
+from hyperval.prediction.fills import fill_distribution
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.prediction.view import View
 from hyperval.scenario import Fill, Geometry, Scenario

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
+from hyperval.prediction.fills import fills_of_objects, moments
 from hyperval.prediction.inputs import SurfaceStatistics, class_tail
 from hyperval.prediction.view import View
 from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance
@@ -36,15 +37,8 @@ from hyperval.processing.roc_model import (
     threshold_at,
 )
 from hyperval.products import ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution, background_of
-from hyperval.scenario import BackgroundClass, Features, Fill, Processing, Target, TargetSubject
-from hyperval.scene.fill import (
-    FillDistribution,
-    TargetGeometry,
-    beta_fill,
-    fixed_fill,
-    object_fills,
-    ranked_pixel_fill,
-)
+from hyperval.scenario import BackgroundClass, Features, Processing, Target
+from hyperval.scene.fill import FillDistribution
 from hyperval.scene.mixture import average_reflectance, mixture_covariance
 from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance
 
@@ -55,43 +49,6 @@ RocKey = tuple[str, str, str]
 _FILL_NODES = np.linspace(0.0, 1.0, 9)
 # Score distributions are tabulated on this many points, over this many standard deviations either way.
 _GRID, _REACH = 201, 6.0
-
-
-def fill_distribution(fill: Fill) -> FillDistribution:
-    """Fill fractions of the pixels of one population (f of 3.10)."""
-    if fill.fixed is not None:
-        return fixed_fill(fill.fixed)
-    if fill.geometry is not None:
-        return ranked_pixel_fill(geometry_of(fill), fill.geometry.n or 1).binned()
-    return beta_fill(fill.mean or 0.0, fill.sd or 0.0)
-
-
-def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:
-    """(K, n) fills of the pixels of one object (f of 3.10); one pixel unless the geometry says more.
-
-    ``wider`` : added to the width of the blur [pixels]
-    """
-    if fill.geometry is not None:
-        return object_fills(geometry_of(fill, wider), fill.geometry.n or 1)
-    return fill_distribution(fill).values[:, None]
-
-
-def geometry_of(fill: Fill, wider: float = 0.0) -> TargetGeometry:
-    """The geometry of a fill that has one, its blur ``wider`` by so much, but not below 0 [pixels]."""
-    g = fill.geometry
-    assert g is not None  # noqa: S101 - all callers have asked
-    blur = g.psf_fwhm_pixels or 0.0
-    if wider:
-        along, across = blur if isinstance(blur, tuple) else (blur, blur)
-        blur = max(along + wider, 0.0), max(across + wider, 0.0)
-    return TargetGeometry(
-        g.side_m or g.length_m or 0.0,
-        g.side_m or g.width_m or 0.0,
-        g.gsd_m,
-        None if g.heading_deg == "random" else float(g.heading_deg),
-        blur,
-        g.phase,
-    )
 
 
 @dataclass(frozen=True)
@@ -389,12 +346,6 @@ def _add_linear(
         found.roc[population.name, name, "object"] = RocCurve(
             task.pfa, pd, pd, pd, threshold, "object", preset_pfa=preset
         )
-
-
-def moments(population: TargetSubject, thesis: bool) -> FillDistribution:
-    """The fill of a population; the printed form knows its mean alone."""
-    fill = fill_distribution(population.fill)
-    return fixed_fill(fill.mean) if thesis else fill
 
 
 def _mixture_score(classes: Sequence[ClassScore]) -> ScoreDistribution:

@@ -18,14 +18,11 @@ from hyperval.prediction.detection import (
     Background,
     TargetResponse,
     Task,
-    fill_distribution,
-    fills_of_objects,
     filter_base,
     filter_populations,
-    geometry_of,
-    moments,
     target_response,
 )
+from hyperval.prediction.fills import fill_distribution, fills_of_objects, geometry_of, moments
 from hyperval.prediction.inputs import correlation
 from hyperval.processing.elm_model import retrieved_reflectance
 from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter

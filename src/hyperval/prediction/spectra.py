@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.prediction.detection import fill_distribution
+from hyperval.prediction.fills import fill_distribution
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.prediction.uncertainty import Perturbation, combined, spectral_errors
 from hyperval.prediction.view import View

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.prediction.detection import fills_of_objects
+from hyperval.prediction.fills import fills_of_objects
 from hyperval.prediction.inputs import Sources, correlation, cut
 from hyperval.processing.filters import PositiveDefinite
 from hyperval.processing.gaussian_classifier import ClassLaw

@@ -139,7 +139,7 @@ def object_fills(geometry: TargetGeometry, n: int) -> Array:
 
 
 def lattice_positions(count: int) -> Array:
-    """(count, 2) places on the pixel grid that f of (3.10) is averaged over, (x, y) from a pixel's centre [pixels]."""
+    """(count, 2) places on the pixel grid to average f of (3.10) over, (x, y) from a pixel's centre [pixels]."""
     i = np.arange(count)
     return np.asarray(np.stack([(i + 0.5) / PHASES, (i * _LATTICE + 0.5) / PHASES], axis=1) % 1.0 - 0.5)
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.predict import detection_bands
-from hyperval.prediction.detection import fills_of_objects, moments
+from hyperval.prediction.fills import fills_of_objects, moments
 from hyperval.scenario import Adjacency, Fill, TargetSubject
 from hyperval.study.filters import Designer, Filters, SeenClasses, seen_classes
 from hyperval.study.levers import Lever
