@@ -22,6 +22,7 @@ from hyperval.processing.roc_model import (
     class_threshold,
     detection_probability,
     false_alarm_grid,
+    greatest_class_false_alarm,
     log_false_alarm,
     object_detection_probability,
     pd_at_pfa,
@@ -108,6 +109,12 @@ def test_3_30_threshold_by_hand():
     assert class_threshold(np.log([0.0227501319481792, 1e-9]), c) == pytest.approx([0.7, 1.099780702], rel=1e-8)
     # The printed sign would put the threshold at 0.3, where the false-alarm probability is 0.977.
     assert np.exp(log_false_alarm(0.3, [c])) == pytest.approx(0.977249868)
+
+
+def test_3_32_preset_of_the_worst_class_by_hand():
+    # At 0.7 the first class has Phi(-2), the second Phi(-1) = 0.158655254; a class of no area does not count.
+    classes = [ClassScore(0.9, 0.5, 0.1), ClassScore(0.1, 0.5, 0.2), ClassScore(0.0, 9.0, 1.0)]
+    assert greatest_class_false_alarm([0.7], classes) == pytest.approx([0.158655254], rel=1e-8)
 
 
 def test_3_31_detection_by_hand():

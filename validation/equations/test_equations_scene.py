@@ -17,6 +17,7 @@ from hyperval.scene.fill import (
     best_pixel_fill,
     beta_fill,
     fixed_fill,
+    lattice_positions,
     object_fills,
     pixel_fills,
     ranked_pixel_fill,
@@ -210,6 +211,13 @@ def test_best_pixel_of_a_small_square_by_closed_form():
     assert found.mean == pytest.approx((a - a**2 / 4) ** 2, rel=1e-4)  # 377 positions stand for the integral
     centred = best_pixel_fill(TargetGeometry(a, a, 1.0, phase="centred"))
     assert (centred.mean, centred.variance) == pytest.approx((0.36, 0.0))
+
+
+def test_places_on_the_grid_average_what_is_smooth():
+    # Evenly spread over a pixel: mean 0, variance 1/12 in each direction, and no correlation.
+    x, y = lattice_positions(377).T
+    assert (x.mean(), y.mean(), (x * y).mean()) == pytest.approx((0.0, 0.0, 0.0), abs=2e-3)
+    assert ((x**2).mean(), (y**2).mean()) == pytest.approx((1 / 12, 1 / 12), rel=1e-3)
 
 
 def test_ranked_pixels_hold_the_whole_target():
