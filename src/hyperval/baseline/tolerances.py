@@ -45,7 +45,7 @@ DEFAULTS: tuple[tuple[str, Tolerance], ...] = (
     # Campaigns.
     (r".*_fraction|fraction_.*|objects_inside.*", Tolerance(0.02, "unit")),
     (r".*(inside|equivalent).*", Tolerance(0.0, "unit")),  # a verdict, 0 or 1
-    (r"p_value.*|.*_p_value", Tolerance(0.02, "unit")),
+    (r"p_value.*|.*_p_value", Tolerance(0.05, "unit")),
     (r"chi2.*", Tolerance(0.02, "value")),
     (r".*difference_ratio.*|bias_ratio", Tolerance(0.002, "unit")),
     # Counts: rounding can carry a pixel over a threshold.  0.8 of half of an exact 95 % interval is more
