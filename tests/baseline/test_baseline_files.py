@@ -174,6 +174,7 @@ def test_digits_kept():
         ("pd_measured@1e-2", None, Tolerance(0.005, "unit")),
         ("median_difference_ratio_swir1", 0.1, Tolerance(0.002, "unit")),
         ("p_value_full", None, Tolerance(0.05, "unit")),
+        ("objects_inside_95_p_value", None, Tolerance(0.05, "unit")),
         ("pit_uniformity_p_value", None, Tolerance(0.05, "unit")),
         ("score_mean_difference", 0.1, Tolerance(0.1, "interval")),
         ("something_new", None, Tolerance(0.01, "value")),

@@ -43,9 +43,9 @@ DEFAULTS: tuple[tuple[str, Tolerance], ...] = (
     (r"median_electrons_per_radiance|reference_radiance|white_panel_radiance", Tolerance(0.001, "value")),
     (r"pd_at_pfa_\S+", Tolerance(0.005, "unit")),
     # Campaigns.
+    (r"p_value.*|.*_p_value", Tolerance(0.05, "unit")),
     (r".*_fraction|fraction_.*|objects_inside.*", Tolerance(0.02, "unit")),
     (r".*(inside|equivalent).*", Tolerance(0.0, "unit")),  # a verdict, 0 or 1
-    (r"p_value.*|.*_p_value", Tolerance(0.05, "unit")),
     (r"chi2.*", Tolerance(0.02, "value")),
     (r".*difference_ratio.*|bias_ratio", Tolerance(0.002, "unit")),
     # Counts: rounding can carry a pixel over a threshold.  0.8 of half of an exact 95 % interval is more
