@@ -115,6 +115,16 @@ class SpectrumUncertainty(SpectralForm):
         return self
 
 
+class FineStructure(SpectralForm):
+    """Error of the shape of single absorption lines and bands, as a part of the ground-reflected radiance.
+
+    u = relative + per_optical_depth * (-ln T_gas).
+    """
+
+    relative: float = Field(ge=0, lt=1)
+    per_optical_depth: float = Field(0.0, ge=0, lt=10)
+
+
 class EngineUncertainty(SpectralForm):
     """How far the radiative-transfer engine itself may be off, as a part of the ground-reflected radiance.
 
@@ -124,6 +134,9 @@ class EngineUncertainty(SpectralForm):
     relative: float = Field(ge=0, lt=1)
     per_optical_depth: float = Field(0.0, ge=0, lt=10)
     path_relative: float = Field(0.0, ge=0, lt=1, description="of the path radiance")
+    fine_structure: FineStructure | None = Field(
+        None, description="besides: the error that changes from band to band, with a form of its own"
+    )
 
 
 class CollectedReflectance(Model):

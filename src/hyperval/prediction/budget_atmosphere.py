@@ -23,6 +23,7 @@ AEROSOL, WATER, OZONE, SUN, SURROUNDINGS = (
     "aerosol optical depth", "water vapour", "ozone", "solar irradiance", "surroundings"
 )  # fmt: skip
 ENGINE, ENGINE_PATH = "radiative-transfer engine", "engine's path radiance"
+ENGINE_LINES = "engine's fine structure"
 _HIGHEST_SUN_DEG = MAX_SOLAR_ZENITH_DEG - 0.1
 
 # Field of the state: (name for users, lowest, highest value).
@@ -122,12 +123,14 @@ def _factor(key: str, spread: Spread) -> Callable[[float], Departure]:
 def _engine_inputs(engine: EngineUncertainty, given: Given) -> list[BudgetInput]:
     """The engine's errors: on the ground-reflected radiance, greater where gases absorb, and on the path."""
     found = []
-    if engine.relative > 0 or engine.per_optical_depth > 0:
-        sd = np.full(len(given.axis), engine.relative)
-        if engine.per_optical_depth > 0:
-            sd = sd + engine.per_optical_depth * gas_depth(given.terms().gas_transmittance)
-        rows = directions(sd, engine, given.axis, given.sensor)
-        found.append(factor_input(ENGINE, "engine", rows, engine, lambda f: Departure(ground=np.maximum(f, 0.0))))
+    for name, part in ((ENGINE, engine), (ENGINE_LINES, engine.fine_structure)):
+        if part is None or not (part.relative > 0 or part.per_optical_depth > 0):
+            continue
+        sd = np.full(len(given.axis), part.relative)
+        if part.per_optical_depth > 0:
+            sd = sd + part.per_optical_depth * gas_depth(given.terms().gas_transmittance)
+        rows = directions(sd, part, given.axis, given.sensor)
+        found.append(factor_input(name, "engine", rows, part, lambda f: Departure(ground=np.maximum(f, 0.0))))
     if engine.path_relative > 0:
         rows = directions(np.full(len(given.axis), engine.path_relative), engine, given.axis, given.sensor)
         found.append(

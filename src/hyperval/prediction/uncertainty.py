@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.prediction.budget_atmosphere import ENGINE, ENGINE_PATH, gas_depth
+from hyperval.prediction.budget_atmosphere import ENGINE, ENGINE_LINES, ENGINE_PATH, gas_depth
 from hyperval.prediction.budget_input import BudgetInput
 from hyperval.prediction.departure import (
     Departure,
@@ -138,6 +138,10 @@ def spectral_errors(
         ground = view.level(reflectance) - view.terms.path_radiance
         u = (engine.relative + engine.per_optical_depth * gas_depth(view.terms.gas_transmittance)) * ground
         errors[ENGINE] = form_covariance(u, engine, axis, sensor)
+        if engine.fine_structure is not None:
+            fine = engine.fine_structure
+            u = (fine.relative + fine.per_optical_depth * gas_depth(view.terms.gas_transmittance)) * ground
+            errors[ENGINE_LINES] = form_covariance(u, fine, axis, sensor)
         if engine.path_relative:
             u = engine.path_relative * view.terms.path_radiance
             errors[ENGINE_PATH] = form_covariance(u, engine, axis, sensor)
