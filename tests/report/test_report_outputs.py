@@ -83,7 +83,7 @@ def test_every_file_of_the_contract_is_there(files):
         f"figures/{name}"
         for name in (
             "scene.png", "radiance-pair.svg", "radiance-budget.svg", "radiance-eigenvalues.svg", "snr-pair.svg",
-            "reflectance-pair.svg", "roc.svg", "scores.svg", "abundance.svg", "score-map-1.png", "score-map-2.png",
+            "reflectance-pair.svg", "roc.svg", "roc-difference.svg", "scores.svg", "abundance.svg", "score-map-1.png", "score-map-2.png",
         )
     }  # fmt: skip
     assert set(files) == expected
@@ -109,7 +109,7 @@ def test_second_write_gives_the_same_bytes(tmp_path):
     there = {str(p.relative_to(out)): p.read_bytes() for p in out.rglob("*") if p.is_file()}
     assert [name for name in here if here[name] != there.get(name)] == []
     assert set(here) == set(there)
-    assert sum(name.startswith("figures/") for name in here) == 11
+    assert sum(name.startswith("figures/") for name in here) == 12
 
 
 def test_page_loads_nothing_from_elsewhere(page, files):

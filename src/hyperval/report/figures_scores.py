@@ -63,7 +63,7 @@ def object_score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             ),
         ],
     )
-    title = f"Score of each object: predicted interval and measured value{style.left_out([shown], pairs)}"
+    title = f"Score of each object: predicted interval and measured value{_part(len(shown), len(pairs))}"
     alt = f"Measured score of each object beside its predicted 95 % interval. {'; '.join(told)}."
     return [Drawing("object-scores", "scores", title, alt, style.svg_bytes(figure), "svg")]
 
@@ -128,7 +128,7 @@ def exceedance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             ],
         )
         alt = f"Part of the background above each score, predicted (dashed) and measured. {' '.join(told)}"
-        title = f"False-alarm probability against the threshold{style.left_out(found, every)}"
+        title = f"False-alarm probability against the threshold{_part(len(keys), len(every))}"
         drawings.append(Drawing("exceedance", "scores", title, alt, style.svg_bytes(figure), "svg"))
     return drawings
 
@@ -180,6 +180,11 @@ def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:
             if values.size:
                 out.append((key, held.values.ravel(), values))
     return out
+
+
+def _part(shown: int, every: int) -> str:
+    """What a caption adds when not all is drawn; the rows of all stand in the results table."""
+    return "" if shown == every else f"; {shown} of {every} are drawn, all have rows in results.csv"
 
 
 def _transform(measured: Array, draws: Array) -> Array:
