@@ -83,7 +83,8 @@ def test_every_file_of_the_contract_is_there(files):
         f"figures/{name}"
         for name in (
             "scene.png", "radiance-pair.svg", "radiance-budget.svg", "radiance-eigenvalues.svg", "snr-pair.svg",
-            "reflectance-pair.svg", "roc.svg", "roc-difference.svg", "scores.svg", "abundance.svg", "score-map-1.png", "score-map-2.png",
+            "reflectance-pair.svg", "roc.svg",
+            "roc-difference.svg", "scores.svg", "abundance.svg", "score-map-1.png", "score-map-2.png",
         )
     }  # fmt: skip
     assert set(files) == expected
