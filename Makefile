@@ -13,7 +13,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check test lint check-style format types lock clean
+.PHONY: help setup validate check test lint check-style format types lock clean coverage
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -33,6 +33,9 @@ check: $(READY)  ## compare every campaign and sensor with the accepted numbers
 
 test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest
+
+coverage: $(READY)  ## how often the 95 % intervals hold, over simulated collections (minutes)
+	$(BIN)/python validation/coverage/study.py --output reports/coverage
 
 lint: $(READY)  ## check style
 	$(BIN)/ruff check

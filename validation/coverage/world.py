@@ -23,7 +23,7 @@ from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
 
-FILL, TARGETS, BACKGROUND = 0.05, 150, 12_000
+FILL, TARGETS, BACKGROUND = 0.03, 150, 12_000
 CLASSES = {"grass": 0.6, "asphalt": 0.4}
 SITE, PANEL_SIDE = 28, 16  # [pixels]
 TEXTURE_PIXELS = 3.0  # correlation length of the site's texture
@@ -54,7 +54,7 @@ uncertainty:
   noise: {relative: 0.05}
   electrons: {relative: 0.05}
   elm_panels: {relative: 0.01, correlation_nm: 500}
-  fills: [{subject: plank, absolute: 0.004}]
+  fills: [{subject: plank, absolute: 0.003}]
   field_spectra:
     - {subject: bright, relative: 0.005, correlation: random}
     - {subject: field, relative: 0.04, correlation_nm: 200}
@@ -164,7 +164,7 @@ def truth(rng: np.random.Generator) -> Truth:
         1.0 + 0.005 * rng.standard_normal(B),
         1.0 + 0.05 * rng.standard_normal(),
         1.0 + 0.05 * rng.standard_normal(),
-        float(np.clip(FILL + 0.004 * rng.standard_normal(), 0.0, 1.0)),
+        float(np.clip(FILL + 0.003 * rng.standard_normal(), 0.0, 1.0)),
         spectra,
         (smooth(0.01, 500.0), smooth(0.01, 500.0)),
     )

@@ -14,6 +14,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 COMPONENTS = 24  # leading ones whose correlation on the ground is measured one by one
+_RING_NOISE = 2.0  # standard errors
 MIXTURES = 4  # of all the others, which are measured together
 
 
@@ -55,8 +56,9 @@ def independent_pixels(
     """(K,) independent pixels for the mean, and for the variance, of K quantities over a region of ``n`` pixels.
 
     n / sum_h rho(h) share(h), and the same with rho^2 (Cressie, Statistics for Spatial Data, 1993, 1.3).  The
-    correlation is summed ring by ring outwards and stops at the first ring whose mean is not positive: beyond it
-    there is noise (on the plane, the initial positive sequence of Geyer, Stat. Sci. 7, 473-483, 1992).  The mean of
+    correlation is summed ring by ring outwards and stops at the first ring whose mean is not above two standard
+    errors of uncorrelated pixels: beyond it there is noise (on the plane, what the initial positive sequence of Geyer,
+    Stat. Sci. 7, 473-483, 1992, is on a line).  The mean of
     a correlated region takes a part of its own variance away, 1 of so many independent pixels: the number for the
     mean is less by it.
 
@@ -75,8 +77,9 @@ def independent_pixels(
         total = squares = 0.0
         for r in range(reach + 1):
             here = ring == r
-            mean = float(pairs[here] @ rho[here] / max(pairs[here].sum(), 1e-12))
-            if r > 0 and mean <= 0.0:
+            behind = max(float(pairs[here].sum()), 1e-12)
+            mean = float(pairs[here] @ rho[here]) / behind
+            if r > 0 and mean <= _RING_NOISE / np.sqrt(0.5 * behind):  # every pair of pixels stands there twice
                 break
             total += mean * float(share[here].sum())
             squares += mean**2 * float(share[here].sum())

@@ -28,6 +28,7 @@ from hyperval.products import AreaEstimate
 
 Array = npt.NDArray[np.float64]
 
+_LOST_ENOUGH = 8.0  # targets' worth of area that a variance can be estimated from
 # Values of the largest array of a bootstrap.
 _CHUNK = 2_000_000
 
@@ -158,11 +159,15 @@ def interval_of_mean(
 ) -> tuple[float, float]:
     """Interval of an area from the placements (m,) of its targets and the two parts of its variance.
 
-    The logit interval, and towards the far end (0 for a value above 1/2) at least the limit that the placements
-    give without any assumption: few targets, all found, cannot show the one in ten that is not.
+    The logit interval; where fewer than 8 targets' worth is lost (won, for a value below 1/2), towards the far end at
+    least the limit that the placements give without any assumption: few targets, all found, cannot show the one in
+    ten that is not.  From 8 on the logit interval holds the truth in 0.94 to 0.96 of draws by itself, and the other
+    in 0.97 to 0.98 (10 to 150 targets, normal and two-mode scores, 1,500 draws each).
     """
     value = float(np.clip(placed.mean(), 0.0, 1.0))
     low, high = logit_interval(value, target_variance + background_variance, placed.size, n, level)
+    if min(float(np.sum(1.0 - placed)), float(np.sum(placed))) >= _LOST_ENOUGH:
+        return low, high
     least, greatest = bounded_mean_limits(np.clip(placed, 0.0, 1.0), level)
     half = float(special.ndtri(0.5 + level / 2.0)) * np.sqrt(background_variance)
     if value > 0.5:

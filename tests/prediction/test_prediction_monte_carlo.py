@@ -1,0 +1,157 @@
+"""Monte Carlo beside linearisation: where they must agree, where they must not, and what stands for the engine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
+
+from hyperval.prediction.budget import budget_inputs
+from hyperval.prediction.budget_scene import drawn_covariance
+from hyperval.prediction.departure import departed_scenario
+from hyperval.prediction.emulator import emulator
+from hyperval.prediction.propagation import auc_of, quantities, tolerance
+from hyperval.scenario import Scenario
+from hyperval.scenario_uncertainty import Uncertainty
+
+KEY = ("tenth", "cem", "pixel")
+SMALL = """
+uncertainty:
+  method: both
+  samples: 300
+  aot550: 0.02
+  solar_irradiance_relative: 0.01
+  engine: {relative: 0.01, correlation_nm: 300}
+  field_spectra: [{subject: plank, relative: 0.02, correlation_nm: 300}]
+"""
+
+
+def with_method(method: str, text: str = SMALL) -> Scenario:
+    return scenario(ATMOSPHERE + text.replace("method: both", f"method: {method}"))
+
+
+@pytest.fixture(scope="module")
+def both():
+    return run(with_method("both"))
+
+
+def test_small_errors_agree_both_ways_and_keep_the_linear_intervals(both):
+    # 300 draws: the standard error of a standard deviation is 4.1 %; 4.5 of them, false failure below 1e-4 in all.
+    table = both.provenance["propagation"]["agreements"]
+    assert {row["key"][0] for row in table} == {
+        "radiance", "reflectance", "snr", "score mean", "score sd", "P_D", "AUC",
+    }  # fmt: skip
+    for row in table:
+        if row["key"][0] != "score sd":  # of second order in a change of the light
+            assert row["sd_ratio"] == pytest.approx(1.0, abs=0.185), row
+    linear = run(with_method("linear"))
+    np.testing.assert_array_equal(both.roc[KEY].pd_lower, linear.roc[KEY].pd_lower)
+    assert any("300 draws of the budget (seed 0)" in n for n in both.notes)
+    assert any("engine runs" in n for n in both.notes)
+
+
+def test_the_budget_that_predict_adds_up_is_that_of_the_full_linearisation(both):
+    table = {tuple(r["key"]): r for r in both.provenance["propagation"]["agreements"] if r["key"][0] != "P_D"}
+    for product in ("radiance", "snr", "reflectance"):
+        for subject, estimate in getattr(both, product).items():
+            stated = table[product, subject]["linear_sd"]
+            if stated > 1e-9:
+                live = estimate.standard_uncertainty > 1e-12 * np.abs(estimate.mean)
+                assert np.median(estimate.standard_uncertainty[live]) == pytest.approx(stated, rel=0.02), subject
+
+
+def test_the_same_seed_gives_the_same_and_another_one_not():
+    few = SMALL.replace("samples: 300", "samples: 40")
+    first = run(with_method("both", few)).provenance["propagation"]["agreements"]
+    again, other = run(with_method("both", few)), run(with_method("both", few + "  seed: 4\n"))
+    assert again.provenance["propagation"]["agreements"] == first
+    assert other.provenance["propagation"]["agreements"][0]["drawn_sd"] != first[0]["drawn_sd"]
+
+
+def test_where_the_ways_differ_the_draws_give_the_interval_of_pd():
+    # A fill that is uncertain by its own size and cannot be below 0: P_D has a tail that no straight line knows.
+    text = SMALL.replace(
+        "aot550: 0.02", "fills: [{subject: tenth, absolute: {standard: 0.03, distribution: log-normal}}]"
+    )
+    p, linear = run(with_method("both", text)), run(with_method("linear", text))
+    assert any("P_D intervals from the draws" in n for n in p.notes)
+    at = int(np.argmin(np.abs(p.roc[KEY].pfa - 1e-2)))
+    assert p.roc[KEY].pd_lower[at] != linear.roc[KEY].pd_lower[at]
+    assert np.all(p.roc[KEY].pd_lower <= p.roc[KEY].pd)
+    assert np.all(p.roc[KEY].pd_upper >= p.roc[KEY].pd)
+    loose = ("loose", "cem", "pixel")
+    np.testing.assert_array_equal(p.roc[loose].pd_lower, linear.roc[loose].pd_lower)
+
+
+def test_monte_carlo_alone_scales_spectra_and_takes_every_curve():
+    p, linear = run(with_method("monte-carlo")), run(with_method("linear"))
+    ratio = p.radiance["grass"].standard_uncertainty / linear.radiance["grass"].standard_uncertainty
+    assert np.ptp(ratio) < 1e-12
+    assert ratio[0] == pytest.approx(1.0, abs=0.185)
+    assert np.any(p.roc[KEY].pd_lower != linear.roc[KEY].pd_lower)
+
+
+def test_nothing_uncertain_needs_no_draw():
+    p = run(with_method("both", "\nuncertainty:\n  method: both\n"))
+    assert "propagation" not in p.provenance
+
+
+def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
+    s = scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, water_vapour_g_cm2: 0.5, solar_zenith_deg: 2}\n")
+    inputs = budget_inputs(s, axis=AXIS, engine=engine)
+    made = emulator(s, inputs, engine, AXIS)
+    assert made.runs == 8  # stated, two for each of three fields, one check
+    assert 0.0 < made.error[1] <= made.error[0] < 0.01
+    for item in inputs:
+        for z in (-(3.0**0.5), 0.0, 3.0**0.5):
+            state = departed_scenario(s, item.moved(z)).atmosphere
+            exact = engine(state).at_bands(AXIS)
+            np.testing.assert_allclose(made(state).direct, exact.direct, rtol=1e-9)
+            np.testing.assert_allclose(made(state).at_bands(AXIS).path_radiance, exact.path_radiance, rtol=1e-9)
+        state = departed_scenario(s, item.moved(1.0)).atmosphere
+        np.testing.assert_allclose(made(state).direct, engine(state).at_bands(AXIS).direct, rtol=2e-3)
+
+
+def test_an_input_at_the_end_of_its_range_is_interpolated_from_the_other_side():
+    s = scenario((ATMOSPHERE + "uncertainty: {aot550: 0.1}\n").replace("aot550: 0.2,", "aot550: 0.0,"))
+    made = emulator(s, budget_inputs(s, axis=AXIS, engine=engine), engine, AXIS)
+    assert made.runs == 3
+    p = run(
+        s.model_copy(update={"uncertainty": s.uncertainty.model_copy(update={"method": "both", "samples": 40})})
+    )
+    assert np.all(np.isfinite(p.radiance["grass"].standard_uncertainty))
+
+
+def test_separation_of_a_drawn_covariance_follows_its_pivot():
+    # (n - 1) d^T Sigma^-1 d / d^T S^-1 d is chi-square(n - B): mean n - B, variance 2 (n - B).  3,000 draws; 4.5
+    # standard errors, false failure below 1e-5 each.
+    rng = np.random.default_rng(2)
+    bands, n = 8, 60
+    root = np.tril(rng.standard_normal((bands, bands))) + 3.0 * np.eye(bands)
+    s = root @ root.T
+    d = rng.standard_normal(bands)
+    stated = d @ np.linalg.solve(s, d)
+    x = np.array(
+        [d @ np.linalg.solve(drawn_covariance(s, n, rng).covariance, d) / stated * (n - 1) for _ in range(3000)]
+    )
+    assert x.mean() == pytest.approx(n - bands, abs=4.5 * np.sqrt(2 * (n - bands) / 3000))
+    assert x.var() == pytest.approx(2 * (n - bands), rel=4.5 * np.sqrt(2.3 / 3000))
+    few = drawn_covariance(s, 12, rng)  # too few for a matrix: one factor
+    assert few.covariance is None
+    assert few.factor > 0
+
+
+def test_area_of_a_curve_and_tolerance_of_a_limit():
+    p = run(scenario(ATMOSPHERE).model_copy(update={"uncertainty": Uncertainty()}))
+    curve = p.roc[KEY]
+    # P(score of a target above one of the background), from the tabulated densities of both.
+    target, ground = p.scores["tenth", "cem"], p.scores["tenth background", "cem"]
+    below = np.concatenate(
+        [[0.0], np.cumsum(0.5 * np.diff(ground.grid) * (ground.density[1:] + ground.density[:-1]))]
+    )
+    share = np.interp(target.grid, ground.grid, below, left=0.0, right=1.0)
+    assert auc_of(curve) == pytest.approx(np.trapezoid(share * target.density, target.grid), abs=2e-3)
+    assert quantities(p)["AUC", *KEY][0] == auc_of(curve)
+    # u = 0.02: one digit, half a unit of it is 0.005; with infinitely many draws nothing is added.
+    np.testing.assert_allclose(tolerance(np.array([0.02, 0.9]), 10**12), [0.005, 0.05], rtol=1e-4)
+    assert tolerance(np.array([0.02]), 400)[0] > 0.005

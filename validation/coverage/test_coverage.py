@@ -1,0 +1,49 @@
+"""A reduced coverage study; ``make coverage`` runs the whole of it.
+
+60 collections, 30 of them with pixels for the detectors.  Limits for a true rate of 95 % or 5 %, for which chance
+leaves them less than once in 1,000 runs each (binomial); the seed is fixed, so that a failure is a change of code.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import study  # noqa: E402
+
+# Least number covered of n at 95 %: P(X < 51 of 60) = 7e-4, P(X < 24 of 30) = 6e-4.
+LEAST = {60: 51, 30: 24}
+# Greatest number rejected of 60 at 5 %: P(X > 9) = 7e-4.
+MOST_REJECTED = 9
+
+
+@pytest.fixture(scope="module")
+def found():
+    predictions = {"linear": study.predict(study.scenario(), axis=study.AXIS, engine=study.engine)}
+    return study.outcomes(predictions, 30, 60, 7, show=False)
+
+
+def test_every_product_is_there(found):
+    assert {(o.product, o.subject) for o in found} == {
+        ("radiance", "field"), ("radiance", "bright"), ("reflectance", "field"), ("snr", "bright"),
+        ("P_D", "plank"), ("AUC", "plank"),
+    }  # fmt: skip
+    assert all(o.comparisons >= o.collections > 0 for o in found)
+
+
+def test_intervals_hold_the_difference(found):
+    for o in (o for o in found if o.wanted == study.COVERED):
+        # Bands of a collection move together: their share is judged as if every collection had one band.
+        assert o.share >= LEAST[o.collections] / o.collections, o
+
+
+def test_consistency_test_rejects_tilted_collections_and_few_others(found):
+    for o in (o for o in found if "rejects" in o.what):
+        if o.wanted == study.FOUND:
+            assert o.share > 0.8, o  # P(X <= 48 of 60) = 3e-6 at the 97 % of the whole study
+        else:
+            assert o.share <= MOST_REJECTED / 60, o
