@@ -54,6 +54,8 @@ def _bars(rows: Sequence[Result], table: ResultTable, simulated: bool) -> Drawin
     values = np.array([max(r.value, 0.1) for r in rows])
     axes.barh(at, values, color=colours, height=0.7)
     for y, r in zip(at, rows, strict=True):
+        if r.value < 1.0:
+            continue  # it explains nothing, however far it moves
         words = r.reason.partition("; ")[0].partition(": ")[2]
         axes.annotate(
             style.plain(words), (max(r.value, 0.1), y), xytext=(4, 0), textcoords="offset points", va="center",
@@ -164,10 +166,16 @@ def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
         axes.plot(before, y, "o", color="white", markeredgecolor="#333333")
         axes.plot(r.value, y, "s", color="#17643a" if better else "#9b1c1c")
         told.append(f"{r.method} from {before:.3g} to {r.value:.3g}")
+        axes.annotate(
+            f"{r.value:.3g}", (r.value, y), xytext=(0, 6), textcoords="offset points", fontsize=7.5, ha="center"
+        )
     axes.set_yticks(range(len(rows)), [style.plain(style.shortened(r.method, 44)) for r in reversed(rows)])
     axes.set_ylim(-0.6, len(rows) - 0.4)
-    axes.set_xscale("log")
-    style.log_ticks(axes.xaxis)
+    both = [v for r in rows for v in (r.value, _leading_number(r.reason)) if v > 0]
+    if both and max(both) > 20.0 * min(both):
+        axes.set_xscale("log")
+        style.log_ticks(axes.xaxis)
+    axes.margins(x=0.12)
     axes.set_xlabel("reduced chi-square of all residuals [1]; 1 is what the uncertainties allow")
     axes.axvline(1.0, color="#333333", linestyle=":", linewidth=1.0)
     style.add_legend(
@@ -189,7 +197,7 @@ def _stated(table: ResultTable) -> set[str]:
 
 def _leading_number(text: str) -> float:
     try:
-        return float(text.split()[0])
+        return float(text.split()[0].rstrip(",;"))
     except (IndexError, ValueError):
         return math.nan
 

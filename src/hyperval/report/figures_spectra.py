@@ -37,6 +37,8 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
     every = both_first(predicted, collected)
     # Where anything can be compared, what only one side holds is left to products.nc.
     pairs = [subject for subject in every if subject in predicted and subject in collected]
+    if not pairs and None not in sides:
+        return []  # a comparison that has none of this product
     paired = bool(pairs)
     found = style.pages(pairs or every)
     for number, subjects in enumerate(found, start=1):
@@ -89,7 +91,9 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
 def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Relative uncertainty of the radiance by source, stacked to the total."""
     panels: list[tuple[str, str, Products, SpectralEstimate]] = []
-    for subject in both_first(_held(sides[0], "radiance"), _held(sides[1], "radiance")):
+    held = [_held(side, "radiance") for side in sides]
+    every = both_first(*held)
+    for subject in [s for s in every if all(s in side for side in held)] or every:
         for name, side in (("predicted", sides[0]), ("collected", sides[1])):
             if side is not None and subject in side.radiance and side.radiance[subject].budget:
                 panels.append((subject, name, side, side.radiance[subject]))
@@ -135,7 +139,10 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         {k: e for k, e in _held(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
     )
     every = both_first(predicted, collected)
-    subjects = ([s for s in every if s in predicted and s in collected] or every)[: style.MAX_PANELS]
+    subjects = [s for s in every if s in predicted and s in collected]
+    if not subjects and None in sides:
+        subjects = every  # one side alone was run
+    subjects = subjects[: style.MAX_PANELS]
     if not subjects:
         return []
     columns = style.column_count(len(subjects))

@@ -29,6 +29,9 @@ _MOST_ROWS = 60  # informing rows of one section
 _INPUTS_UNDER_FIGURE = 3
 
 _SECTIONS = {
+    "attribution": "Why they differ",
+    "what-if": "What-ifs",
+    "sensitivity": "What moves what",
     "scene": "Scene",
     "radiance": "Radiance",
     "snr": "Signal-to-noise ratio",
@@ -38,9 +41,6 @@ _SECTIONS = {
     "scores": "Detector scores",
     "roc": "Detection and false alarms",
     "abundance": "Abundance and target area",
-    "attribution": "Why they differ",
-    "sensitivity": "What moves what",
-    "what-if": "What-ifs",
 }
 _MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
 
