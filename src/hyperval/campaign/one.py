@@ -159,8 +159,17 @@ class Collected:
 
 
 @contextmanager
-def collected(job: Job, *, show_progress: bool | None = None) -> Iterator[Collected]:
+def collected(
+    job: Job,
+    *,
+    asked: Callable[[Sequence[Scenario], Inputs], Campaign] | None = None,
+    show_progress: bool | None = None,
+) -> Iterator[Collected]:
     """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
+
+    Parameters
+    ----------
+    asked : the campaign to observe in place of the job's, once its files are there
 
     Raises
     ------
@@ -176,6 +185,8 @@ def collected(job: Job, *, show_progress: bool | None = None) -> Iterator[Collec
         if campaign.collection.simulate:
             scratch = Path(tempfile.mkdtemp(prefix="hyperval-simulated-"))
             seed = _simulate(campaign.collection.simulate, inputs, scratch, show_progress)
+        if asked is not None:
+            campaign = asked(scenarios, inputs)
         observed = observe_collection(
             campaign.collection,
             campaign.detection,

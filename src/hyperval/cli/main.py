@@ -15,7 +15,7 @@ from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__
 from hyperval.cli import baseline, check, compare, data, runs, sensor  # noqa: F401  (each adds its commands to the application)
-from hyperval.cli import study  # noqa: F401
+from hyperval.cli import scoreboard, study  # noqa: F401
 from hyperval.cli.shared import app, settings
 from hyperval.errors import HypervalError
 

@@ -1,0 +1,175 @@
+"""``report.html`` of a benchmark: detectors with ranks, engines and formulations, campaign by campaign."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hyperval.report.figures_benchmark import agreement_figures, detector_figures, rank_figures
+from hyperval.report.html import common_words, environment
+from hyperval.report.style import Drawing
+from hyperval.report.verdict import number_text
+from hyperval.results import Result, ResultTable, Status
+
+EVERY_OBJECT = "all objects"
+EVERY_SUBJECT = "all subjects"
+_RADIANCE, _REFLECTANCE = "radiance_median_abs_difference_ratio", "reflectance_median_abs_difference_ratio"
+
+
+@dataclass(frozen=True)
+class CampaignWords:
+    """What the page says of a campaign besides its rows."""
+
+    name: str
+    title: str
+    simulated: bool
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class BenchmarkReport:
+    """Everything the page shows.
+
+    Attributes
+    ----------
+    measures, engines : name in the table -> title
+    """
+
+    table: ResultTable
+    campaigns: Sequence[CampaignWords]
+    measures: Mapping[str, str]
+    engines: Mapping[str, str]
+
+
+def draw_benchmark(report: BenchmarkReport) -> list[Drawing]:
+    """The figures of the page."""
+    out: list[Drawing] = []
+    for item in report.campaigns:
+        rows = list(report.table.where(campaign=item.name))
+        groups = alike(rows, report.measures)
+        out += detector_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
+        out += rank_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
+        out += agreement_figures(item.name, rows, simulated=item.simulated)
+    return out
+
+
+def alike(rows: Sequence[Result], measures: Mapping[str, str]) -> list[tuple[str, ...]]:
+    """Detectors in groups that have the same value of every metric on all objects: they order the pixels alike."""
+    found: dict[tuple[float, ...], list[str]] = {}
+    own = [r for r in rows if r.subject == EVERY_OBJECT and r.metric in measures and r.status is Status.INFO]
+    for method in dict.fromkeys(r.method for r in own):
+        key = tuple(r.value for r in own if r.method == method)
+        found.setdefault(key, []).append(method.removesuffix("/object"))
+    return [tuple(names) for names in found.values()]
+
+
+def benchmark_page(report: BenchmarkReport, drawings: Sequence[Drawing]) -> str:
+    """The page."""
+    skipped = [r for r in report.table if r.status in (Status.SKIPPED, Status.ERROR)]
+    entries = []
+    for item in report.campaigns:
+        rows = list(report.table.where(campaign=item.name))
+        groups = alike(rows, report.measures)
+        entries.append(
+            {
+                "words": item,
+                "leads": leads(rows, groups, report.measures),
+                "measures": [t for m, t in report.measures.items() if _has(rows, m)],
+                "detectors": [_detector(rows, names, report.measures) for names in groups],
+                "variants": _variants(rows),
+                "figures": [{"drawing": d, "source": _embedded(d)} for d in drawings if d.section == item.name],
+            }
+        )
+    return environment().get_template("benchmark.html.j2").render(
+        entries=entries, skipped=skipped, engines=report.engines, count=len(report.table), **common_words()
+    )  # fmt: skip
+
+
+def leads(rows: Sequence[Result], groups: Sequence[tuple[str, ...]], measures: Mapping[str, str]) -> list[str]:
+    """Who is first by each metric on all objects, and who cannot be told from the first."""
+    out = []
+    for metric, title in measures.items():
+        ranks = {r.method: r for r in rows if r.subject == EVERY_OBJECT and r.metric == f"rank_{metric}"}
+        ranks = {k: r for k, r in ranks.items() if r.status is Status.INFO}
+        if not ranks:
+            continue
+        first = [" = ".join(g) for g in groups if f"{g[0]}/object" in ranks and ranks[f"{g[0]}/object"].value == 1]
+        near = [
+            " = ".join(g)
+            for g in groups
+            if (r := ranks.get(f"{g[0]}/object")) is not None and r.value > 1 and r.lower <= 1
+        ]
+        told = f"; not told from it: {', '.join(near)}" if near else "; all others are told from it"
+        out.append(f"{title}: {' and '.join(first)}{told if len(groups) > len(first) else ''}")
+    return out
+
+
+def _has(rows: Sequence[Result], metric: str) -> bool:
+    return any(r.metric == metric and r.subject == EVERY_OBJECT for r in rows)
+
+
+def _detector(rows: Sequence[Result], names: tuple[str, ...], measures: Mapping[str, str]) -> dict[str, Any]:
+    own = {r.metric: r for r in rows if r.subject == EVERY_OBJECT and r.method == f"{names[0]}/object"}
+    cells = []
+    for metric in measures:
+        if not _has(rows, metric):
+            continue
+        value, rank, first = (own.get(f"{p}{metric}") for p in ("", "rank_", "first_"))
+        cells.append(
+            {
+                "value": _number(value), "interval": _span(value),
+                "rank": f"{rank.value:.0f} [{rank.lower:.0f} to {rank.upper:.0f}]" if rank else "–",
+                "first": f"{100 * first.value:.0f} %" if first else "–",
+            }
+        )  # fmt: skip
+    return {"name": " = ".join(names), "cells": cells}
+
+
+def _variants(rows: Sequence[Result]) -> list[dict[str, Any]]:
+    """Engines and formulations of a campaign, each with what its rows say; the campaign as it stands first."""
+    whole = [r for r in rows if r.subject == EVERY_SUBJECT]
+    out = []
+    for label in dict.fromkeys(r.method for r in whole):
+        own = {r.metric: r for r in whole if r.method == label}
+        refused = own.get("agreement")
+        quantity = "radiance" if _RADIANCE in own else "reflectance"
+        spectral = own.get(f"{quantity}_median_abs_difference_ratio")
+        out.append(
+            {
+                "name": label,
+                "reason": refused.reason if refused else "",
+                "quantity": quantity if spectral else "",
+                "spectral": _both(spectral, 100.0, " %"),
+                "change": _both(own.get(f"{quantity}_median_abs_difference_ratio_change"), 100.0, " %"),
+                "chi2": _number(own.get(f"{quantity}_chi2_reduced")),
+                "inside": [_both(own.get(f"pd_inside_interval@{x}")) for x in ("1e-2", "1e-3")],
+                "gaps": [_both(own.get(f"pd_mean_abs_difference@{x}")) for x in ("1e-2", "1e-3")],
+            }
+        )
+    return out
+
+
+def _both(row: Result | None, factor: float = 1.0, unit: str = "") -> str:
+    if row is None or not math.isfinite(row.value):
+        return "–"
+    if not math.isfinite(row.lower):
+        return f"{number_text(factor * row.value)}{unit}"
+    ends = f"{number_text(factor * row.lower)} to {number_text(factor * row.upper)}"
+    return f"{number_text(factor * row.value)}{unit} ({ends})"
+
+
+def _number(row: Result | None) -> str:
+    return "–" if row is None or not math.isfinite(row.value) else number_text(row.value)
+
+
+def _span(row: Result | None) -> str:
+    if row is None or not math.isfinite(row.lower):
+        return ""
+    return f"{number_text(row.lower)} to {number_text(row.upper)}"
+
+
+def _embedded(drawing: Drawing) -> str:
+    return "data:image/svg+xml;base64," + base64.b64encode(drawing.content).decode("ascii")

@@ -1,0 +1,212 @@
+"""All detectors on one collection: which of them can run, their score maps, and their rows with ranks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.campaign.one_side import product_rows
+from hyperval.campaign.schema import Campaign
+from hyperval.collection import Detection
+from hyperval.compare.rows import RowMaker
+from hyperval.observe import Observed
+from hyperval.observe.detection import scored_pixels, target_groups
+from hyperval.processing.detectors import ANOMALY_DETECTORS, detector_names
+from hyperval.processing.local_scores import LOCAL_DETECTORS
+from hyperval.processing.objects import object_scores
+from hyperval.progress import track
+from hyperval.results import Result
+from hyperval.scenario import Scenario
+from hyperval.scoreboard.measures import MEASURES, Measure
+from hyperval.scoreboard.ranks import Ranked, fewest_objects, ranked
+from hyperval.scoreboard.shares import BlockCounts, blocks_of, counts_by_block
+from hyperval.settings import with_settings
+
+Array = npt.NDArray[np.float64]
+
+PRODUCT = "benchmark"
+EVERY_OBJECT = "all objects"
+DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A campaign that is asked for every detector it can take.
+
+    Attributes
+    ----------
+    left_out : detector -> why it cannot run here
+    notes : what was chosen for the campaign
+    """
+
+    campaign: Campaign
+    left_out: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+
+
+def with_every_detector(campaign: Campaign, regions: Sequence[str]) -> Asked:
+    """The campaign with all detectors that the code knows, and without what the benchmark does not look at.
+
+    Parameters
+    ----------
+    regions : names that the collection has; those that are classes of a scenario are projected away by osp, where
+        the campaign names none itself
+    """
+    bare = campaign.model_copy(update={"classification": None, "attribution": None})
+    detection = campaign.detection
+    if detection is None:
+        return Asked(bare, {})
+    names, left_out, notes = list(detector_names()), {}, []
+    if detection.local_window is not None:
+        for name in [n for n in names if n not in LOCAL_DETECTORS]:
+            left_out[name] = (
+                "the campaign takes background means from a local window, which this detector does not have"
+            )
+    undesired = list(detection.undesired) or list(regions)
+    if "osp" not in left_out and not undesired:
+        left_out["osp"] = "no region of the collection is a class of the scenario: nothing to project away"
+    elif "osp" not in left_out and not detection.undesired:
+        notes.append(f"osp projects away the mean spectra of {', '.join(undesired)}")
+    run = [n for n in names if n not in left_out]
+    changed: Detection = with_settings(
+        detection,
+        {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None},
+    )
+    return Asked(bare.model_copy(update={"detection": changed}), left_out, tuple(notes))
+
+
+def with_own_detectors(asked: Asked, own: Detection, why: str) -> Asked:
+    """Back to the detectors that the campaign names; the others are left out with the reason."""
+    detection = asked.campaign.detection
+    assert detection is not None  # noqa: S101 - the caller has asked
+    others = {
+        d: f"not run, as one of the added detectors was refused: {why}"
+        for d in detection.detectors
+        if d not in own.detectors
+    }
+    back = detection.model_copy(update={"detectors": list(own.detectors), "undesired": list(own.undesired)})
+    return Asked(asked.campaign.model_copy(update={"detection": back}), {**asked.left_out, **others})
+
+
+def classes_with_regions(scenarios: Sequence[Scenario], regions: Iterable[str]) -> list[str]:
+    """Regions of the collection that are classes of the scenarios, or give them their statistics."""
+    there = set(regions)
+    named = [n for s in scenarios for c in s.scene.classes for n in (c.name, c.spectrum.measured)]
+    return list(dict.fromkeys(n for n in named if n is not None and n in there))
+
+
+def block_counts(observed: Observed, detection: Detection) -> BlockCounts:
+    """Background pixels above every object's greatest score, by detector and block of the image.
+
+    A halo that the campaign gives its objects is left out: pixels of the object alone count, and of the background
+    single pixels.
+    """
+    place, found = observed.place, observed.detected
+    assert place is not None  # noqa: S101 - detection has both
+    assert found is not None  # noqa: S101
+    counted = place.background(detection.false_alarms)
+    names = tuple(detection.detectors)
+    keys = {(t.name, d): d if d in ANOMALY_DETECTORS else f"{t.name}-{d}" for t in detection.targets for d in names}
+    for key in set(keys.values()):
+        counted = counted & np.isfinite(found.score_maps[key])
+    block = blocks_of(counted)
+    over, tie = [], []
+    item: list[int] = []
+    group: dict[str, list[int]] = {}
+    number: dict[str, int] = {}
+    for target in detection.targets:
+        groups = target_groups(place.targets, target, detection.group)
+        objects = {o.name: scored_pixels(o, place) for members in groups.values() for o in members}
+        maps = [found.score_maps[keys[target.name, d]] for d in names]
+        scores = np.array([list(object_scores(m, objects).values()) for m in maps])
+        valid = np.isfinite(scores).all(axis=0)
+        kept = [name for name, ok in zip(objects, valid, strict=True) if ok]
+        at = {name: len(item) + i for i, name in enumerate(kept)}
+        pairs = [
+            counts_by_block(own[valid], m[counted], block, int(block.max()) + 1)
+            for own, m in zip(scores, maps, strict=True)
+        ]
+        over.append(np.stack([p[0] for p in pairs], axis=1))
+        tie.append(np.stack([p[1] for p in pairs], axis=1))
+        item += [number.setdefault(name, len(number)) for name in kept]
+        for subject, members in groups.items():
+            group[subject] = [at[o.name] for o in members if o.name in at]
+    for pool in detection.pools:
+        group[pool.name] = [i for s in pool.subjects for i in group.get(s, [])]
+    group[EVERY_OBJECT] = list(range(len(item)))
+    density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
+    return BlockCounts(
+        names, np.concatenate(over), np.concatenate(tie), np.bincount(block),
+        np.array(item, dtype=np.intp), group, density,
+    )  # fmt: skip
+
+
+def detector_rows(
+    campaign: str, observed: Observed, asked: Asked, *, seed: int, show_progress: bool | None = None
+) -> list[Result]:
+    """Rows of every detector: metrics by subject, the same of all objects, ranks, and what could not run."""
+    detection = asked.campaign.detection
+    if detection is None or observed.detected is None:
+        why = "the campaign looks for no targets"
+        return [RowMaker(campaign, PRODUCT, EVERY_OBJECT, "detectors").skipped(why, "rank")]
+    rows = _measured_rows(campaign, observed)
+    counts = block_counts(observed, detection)
+    groups = {name: looks for name, looks in counts.group.items() if looks}
+    for name, looks in track(groups.items(), f"{campaign}: ranks", len(groups), show=show_progress):
+        objects = len(set(counts.item[list(looks)]))
+        if objects < 2:
+            continue  # one object orders detectors by chance alone
+        for measure in MEASURES.values():
+            if measure.known_from(counts.n):
+                found = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
+                rows += rank_rows(campaign, name, counts, measure, found)
+    for name, reason in asked.left_out.items():
+        rows.append(RowMaker(campaign, PRODUCT, EVERY_OBJECT, f"{name}/object").skipped(reason, "rank"))
+    return rows
+
+
+def _measured_rows(campaign: str, observed: Observed) -> list[Result]:
+    """The metrics of single subjects and pools, as the collection's own rows have them."""
+    least = {(s, f"{d}/{u}"): c.n_background or 0 for (s, d, u), c in observed.observation.roc.items()}
+    names = {m.observed: m for m in MEASURES.values()}
+    rows = []
+    for row in product_rows(campaign, observed.observation, "observed"):
+        measure = names.get(row.metric)
+        if row.product != "roc" or measure is None or not measure.known_from(least[row.subject, row.method]):
+            continue
+        make = RowMaker(campaign, PRODUCT, row.subject, row.method)
+        ends = (row.lower, row.upper)
+        rows.append(make.row(measure.name, row.value, interval=ends, unit=row.unit, n=row.n, reason=row.reason))
+    return rows
+
+
+def rank_rows(campaign: str, group: str, counts: BlockCounts, measure: Measure, found: Ranked) -> list[Result]:
+    """``METRIC`` (of all objects together), ``rank_METRIC`` and ``first_METRIC`` of each detector on one group."""
+    m, rows = found.objects, []
+    told = f"paired: {DRAWS} draws of {m} objects and of blocks of the background, the same for all detectors"
+    if not found.orders:
+        told += f"; {m} objects cannot order {found.distinct} detectors, {fewest_objects(found.distinct)} could"
+    first = "share of the draws in which it is the best, equals counted alike"
+    for d, detector in enumerate(counts.detectors):
+        make = RowMaker(campaign, PRODUCT, group, f"{detector}/object")
+        if group == EVERY_OBJECT:
+            rows.append(_value_row(make, counts, measure, found, d))
+        ends = float(found.rank_lower[d]), float(found.rank_upper[d])
+        rows.append(make.row(f"rank_{measure.name}", float(found.rank[d]), interval=ends, n=m, reason=told))
+        rows.append(make.row(f"first_{measure.name}", float(found.first[d]), n=m, reason=first))
+    return rows
+
+
+def _value_row(make: RowMaker, counts: BlockCounts, measure: Measure, found: Ranked, d: int) -> Result:
+    per_area = measure.of_look is None
+    scale = counts.density_km2 if per_area else 1.0
+    if math.isnan(scale):
+        return make.skipped("the ground area of the background is not known", measure.name)
+    value, low, high = (float(x[d]) * scale for x in (found.value, found.lower, found.upper))
+    why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
+    unit = "km-2" if per_area else "1"
+    return make.row(measure.name, value, interval=(low, high), unit=unit, n=found.objects, reason=why)

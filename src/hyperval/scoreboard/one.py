@@ -1,0 +1,129 @@
+"""The benchmark of one campaign: observed once with every detector, predicted once by every variant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hyperval.campaign.draft import Waiting
+from hyperval.campaign.one import Inputs, Job, collected, record_of
+from hyperval.campaign.schema import Campaign
+from hyperval.datasets import InputLog
+from hyperval.errors import HypervalError, MissingDataError, UsageError
+from hyperval.observe.place import open_place
+from hyperval.results import Result, Status
+from hyperval.scenario import Scenario
+from hyperval.scoreboard.extend import load_extensions
+from hyperval.scoreboard.looks import (
+    EVERY_OBJECT,
+    PRODUCT,
+    Asked,
+    classes_with_regions,
+    detector_rows,
+    with_every_detector,
+    with_own_detectors,
+)
+from hyperval.scoreboard.variants import variant_rows
+
+INTERNAL_ERROR = 4
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One campaign to be run, as it is handed to a worker."""
+
+    job: Job | Waiting
+    seed: int
+    extensions: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class Benchmarked:
+    """What one campaign gives to the page.
+
+    Attributes
+    ----------
+    exit_code : of the error that stopped it; None when nothing did
+    """
+
+    name: str
+    title: str
+    simulated: bool
+    rows: list[Result]
+    notes: list[str] = field(default_factory=list)
+    provenance: dict[str, Any] = field(default_factory=dict)
+    exit_code: int | None = None
+
+
+def benchmark_campaign(entry: Entry, *, show_progress: bool | None = False) -> Benchmarked:
+    """Every row of one campaign; what stops it becomes its one row, SKIPPED or ERROR."""
+    job = entry.job
+    if isinstance(job, Waiting):
+        return _stopped(entry, Status.SKIPPED, job.reason)
+    try:
+        load_extensions(entry.extensions)
+        return _run(entry, job, show_progress)
+    except MissingDataError as error:
+        return _stopped(entry, Status.SKIPPED, str(error))
+    except HypervalError as error:
+        return _stopped(entry, Status.ERROR, str(error), error.exit_code)
+    except Exception as error:  # one broken campaign must not hide what the others say
+        return _stopped(entry, Status.ERROR, f"internal error: {type(error).__name__}: {error}", INTERNAL_ERROR)
+
+
+def _run(entry: Entry, job: Job, show_progress: bool | None) -> Benchmarked:
+    own = job.campaign.detection
+    try:
+        return _with(entry, job, None, show_progress)
+    except UsageError as error:
+        if own is None or isinstance(error, MissingDataError):
+            raise
+        # A detector that this collection cannot take (a target among the undesired, a singular background) must not
+        # take the others with it: the campaign's own detectors are known to run.
+        return _with(entry, job, str(error), show_progress)
+
+
+def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | None) -> Benchmarked:
+    """The rows with every detector, or with the campaign's own where the others were ``refused``."""
+    name, chosen = job.campaign.name, Asked(job.campaign, {})
+
+    def ask(scenarios: Sequence[Scenario], inputs: Inputs) -> Campaign:
+        nonlocal chosen
+        regions: list[str] = []
+        if job.campaign.detection is not None and not job.campaign.detection.undesired:
+            place = open_place(job.campaign.collection, inputs.resolve, show_progress=show_progress)
+            regions = classes_with_regions(scenarios, place.regions)
+        chosen = with_every_detector(job.campaign, regions)
+        if refused is not None and job.campaign.detection is not None:
+            chosen = with_own_detectors(chosen, job.campaign.detection, refused)
+        return chosen.campaign
+
+    with collected(job, asked=ask, show_progress=show_progress) as held:
+        rows = detector_rows(name, held.observed, chosen, seed=entry.seed, show_progress=show_progress)
+        found, predictions = variant_rows(name, held, seed=entry.seed, show_progress=show_progress)
+        record = record_of(
+            held.inputs.log,
+            held.scenarios,
+            held.seed,
+            {"campaign": chosen.campaign.model_dump(mode="json", by_alias=True)},
+            [held.observed.observation, *predictions],
+        )
+        notes = list(dict.fromkeys([*chosen.notes, *_halo(chosen), *held.observed.observation.notes]))
+    return Benchmarked(name, job.campaign.title, job.campaign.simulated, rows + found, notes, record)
+
+
+def _halo(asked: Asked) -> list[str]:
+    if asked.campaign.detection is None or not asked.campaign.detection.halo_pixels:
+        return []
+    return ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
+
+
+def _stopped(entry: Entry, status: Status, reason: str, code: int | None = None) -> Benchmarked:
+    campaign = entry.job.campaign
+    log = InputLog(entry.job.folder)
+    log.add(entry.job.path.resolve(), entry.job.path.name)
+    row = Result(campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", status=status, reason=reason)
+    record = record_of(log, [], None, {"campaign": campaign.model_dump(mode="json", by_alias=True)}, [])
+    return Benchmarked(campaign.name, campaign.title, campaign.simulated, [row], [], record, code)
