@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, GetCoreSchemaHandler, model_validator
-from pydantic_core import CoreSchema, core_schema
+from pydantic import Field, GetCoreSchemaHandler, PlainSerializer, PlainValidator, model_validator
 
 from hyperval.config import Model
 
@@ -32,11 +31,9 @@ class Spread(float):
         return float(self), self.distribution
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """Read a number or a mapping; written back the same way."""
-        return core_schema.no_info_plain_validator_function(
-            _read_spread, serialization=core_schema.plain_serializer_function_ser_schema(_plain_spread)
-        )
+        return handler.generate_schema(Annotated[Any, PlainValidator(_read_spread), PlainSerializer(_plain_spread)])
 
 
 def _read_spread(value: Any) -> Spread:

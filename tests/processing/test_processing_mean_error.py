@@ -24,8 +24,8 @@ def _fields(correlation: float, count: int, rng: np.random.Generator) -> np.ndar
 
 @pytest.mark.parametrize(("correlation", "tolerance"), [(0.0, 0.2), (3.0, 0.25), (5.0, 0.3)])
 def test_independent_pixels_give_the_spread_of_the_mean(correlation, tolerance):
-    # 150 fields: the sd of the means is known to 5.8 %, 20 % is 3.5 of that: false failure below 1e-3; correlated fields
-    # of this size also have a bias of their own, which the wider limit allows for.
+    # 150 fields: the sd of the means is known to 5.8 %, 20 % is 3.5 of that: false failure below 1e-3; correlated
+    # fields of this size also have a bias of their own, which the wider limit allows for.
     rng = np.random.default_rng(4)
     inside = np.ones((SIDE, SIDE), bool)
     shares = neighbour_shares(inside, REACH, rng)

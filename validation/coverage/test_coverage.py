@@ -13,7 +13,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-import study  # noqa: E402
+import study
 
 # Least number covered of n at 95 %: P(X < 51 of 60) = 7e-4, P(X < 24 of 30) = 6e-4.
 LEAST = {60: 51, 30: 24}

@@ -57,10 +57,9 @@ def independent_pixels(
 
     n / sum_h rho(h) share(h), and the same with rho^2 (Cressie, Statistics for Spatial Data, 1993, 1.3).  The
     correlation is summed ring by ring outwards and stops at the first ring whose mean is not above two standard
-    errors of uncorrelated pixels: beyond it there is noise (on the plane, what the initial positive sequence of Geyer,
-    Stat. Sci. 7, 473-483, 1992, is on a line).  The mean of
-    a correlated region takes a part of its own variance away, 1 of so many independent pixels: the number for the
-    mean is less by it.
+    errors of uncorrelated pixels: beyond it there is noise (the initial positive sequence of Geyer, Stat. Sci. 7,
+    473-483, 1992, is the same on a line).  The mean of a correlated region takes a part of its own variance away,
+    1 of so many independent pixels: the number for the mean is less by it.
 
     Parameters
     ----------
