@@ -161,8 +161,8 @@ def interval_of_mean(
 
     The logit interval; where fewer than 8 targets' worth is lost (won, for a value below 1/2), towards the far end
     at least the limit that the placements give without any assumption: few targets, all found, cannot show the one
-    in ten that is not.  From 8 on the logit interval holds the truth in 0.94 to 0.96 of draws by itself, and the other
-    in 0.97 to 0.98 (10 to 150 targets, normal and two-mode scores, 1,500 draws each).
+    in ten that is not.  From 8 on the logit interval holds the truth in 0.94 to 0.96 of draws by itself, and the
+    other in 0.97 to 0.98 (10 to 150 targets, normal and two-mode scores, 1,500 draws each).
     """
     value = float(np.clip(placed.mean(), 0.0, 1.0))
     low, high = logit_interval(value, target_variance + background_variance, placed.size, n, level)
