@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 REPORT ?= reports/validate
+SCORES ?= reports/scoreboard
 
 # One thread per matrix product: the last digits of a solve depend on the number of threads.
 export OPENBLAS_NUM_THREADS ?= 1
@@ -13,7 +14,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check test lint check-style format types lock clean coverage
+.PHONY: help setup validate check scoreboard test lint check-style format types lock clean coverage
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -30,6 +31,9 @@ validate: $(READY)  ## run every campaign; the report is in reports/validate
 # CHECK_FROM=$(REPORT) takes the campaigns' numbers from a finished `make validate`.
 check: $(READY)  ## compare every campaign and sensor with the accepted numbers
 	$(BIN)/hyperval check campaigns/*/campaign*.yaml --sensors all --junit reports/check.xml $(if $(CHECK_FROM),--from $(CHECK_FROM))
+
+scoreboard: $(READY)  ## rank detectors, engines and formulations on every campaign; the page is in reports/scoreboard
+	$(BIN)/hyperval benchmark campaigns/*/campaign.yaml -o $(SCORES)
 
 test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest

@@ -10,13 +10,11 @@ from typing import Any
 
 from hyperval.report.figures_benchmark import agreement_figures, detector_figures, rank_figures
 from hyperval.report.html import common_words, environment
-from hyperval.report.style import Drawing
-from hyperval.report.verdict import number_text
+from hyperval.report.style import Drawing, house_style
 from hyperval.results import Result, ResultTable, Status
 
 EVERY_OBJECT = "all objects"
 EVERY_SUBJECT = "all subjects"
-_RADIANCE, _REFLECTANCE = "radiance_median_abs_difference_ratio", "reflectance_median_abs_difference_ratio"
 
 
 @dataclass(frozen=True)
@@ -47,12 +45,13 @@ class BenchmarkReport:
 def draw_benchmark(report: BenchmarkReport) -> list[Drawing]:
     """The figures of the page."""
     out: list[Drawing] = []
-    for item in report.campaigns:
-        rows = list(report.table.where(campaign=item.name))
-        groups = alike(rows, report.measures)
-        out += detector_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
-        out += rank_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
-        out += agreement_figures(item.name, rows, simulated=item.simulated)
+    with house_style():
+        for item in report.campaigns:
+            rows = list(report.table.where(campaign=item.name))
+            groups = alike(rows, report.measures)
+            out += detector_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
+            out += rank_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
+            out += agreement_figures(item.name, rows, simulated=item.simulated)
     return out
 
 
@@ -128,47 +127,52 @@ def _detector(rows: Sequence[Result], names: tuple[str, ...], measures: Mapping[
     return {"name": " = ".join(names), "cells": cells}
 
 
-def _variants(rows: Sequence[Result]) -> list[dict[str, Any]]:
+_COLUMNS = {
+    "radiance_median_abs_difference_ratio": "Median |difference ratio| of radiance, windows [%]",
+    "radiance_median_abs_difference_ratio_change": "Change of it [%]",
+    "radiance_chi2_reduced": "Reduced χ² of radiance",
+    "reflectance_median_abs_difference_ratio": "Median |difference ratio| of reflectance, windows [%]",
+    "reflectance_median_abs_difference_ratio_change": "Change of it [%]",
+    "reflectance_chi2_reduced": "Reduced χ² of reflectance",
+    "pd_inside_interval@1e-2": "P_D inside, P_FA 1e-2",
+    "pd_inside_interval@1e-3": "P_D inside, P_FA 1e-3",
+    "pd_mean_abs_difference@1e-2": "Mean |P_D difference|, P_FA 1e-2",
+    "pd_mean_abs_difference@1e-3": "Mean |P_D difference|, P_FA 1e-3",
+}
+
+
+def _variants(rows: Sequence[Result]) -> dict[str, Any]:
     """Engines and formulations of a campaign, each with what its rows say; the campaign as it stands first."""
     whole = [r for r in rows if r.subject == EVERY_SUBJECT]
-    out = []
+    there = {r.metric for r in whole}
+    columns = [m for m in _COLUMNS if m in there]
+    lines = []
     for label in dict.fromkeys(r.method for r in whole):
         own = {r.metric: r for r in whole if r.method == label}
         refused = own.get("agreement")
-        quantity = "radiance" if _RADIANCE in own else "reflectance"
-        spectral = own.get(f"{quantity}_median_abs_difference_ratio")
-        out.append(
-            {
-                "name": label,
-                "reason": refused.reason if refused else "",
-                "quantity": quantity if spectral else "",
-                "spectral": _both(spectral, 100.0, " %"),
-                "change": _both(own.get(f"{quantity}_median_abs_difference_ratio_change"), 100.0, " %"),
-                "chi2": _number(own.get(f"{quantity}_chi2_reduced")),
-                "inside": [_both(own.get(f"pd_inside_interval@{x}")) for x in ("1e-2", "1e-3")],
-                "gaps": [_both(own.get(f"pd_mean_abs_difference@{x}")) for x in ("1e-2", "1e-3")],
-            }
-        )
-    return out
+        cells = [(_number(own.get(m), _factor(m)), _span(own.get(m), _factor(m))) for m in columns]
+        lines.append({"name": label, "reason": refused.reason if refused else "", "cells": cells})
+    return {"columns": [_COLUMNS[m] for m in columns], "lines": lines}
 
 
-def _both(row: Result | None, factor: float = 1.0, unit: str = "") -> str:
-    if row is None or not math.isfinite(row.value):
-        return "–"
-    if not math.isfinite(row.lower):
-        return f"{number_text(factor * row.value)}{unit}"
-    ends = f"{number_text(factor * row.lower)} to {number_text(factor * row.upper)}"
-    return f"{number_text(factor * row.value)}{unit} ({ends})"
+def _factor(metric: str) -> float:
+    return 100.0 if "ratio" in metric else 1.0
 
 
-def _number(row: Result | None) -> str:
-    return "–" if row is None or not math.isfinite(row.value) else number_text(row.value)
+def _number(row: Result | None, factor: float = 1.0) -> str:
+    return "–" if row is None or not math.isfinite(row.value) else _text(factor * row.value)
 
 
-def _span(row: Result | None) -> str:
+def _span(row: Result | None, factor: float = 1.0) -> str:
     if row is None or not math.isfinite(row.lower):
         return ""
-    return f"{number_text(row.lower)} to {number_text(row.upper)}"
+    return f"{_text(factor * row.lower)} to {_text(factor * row.upper)}"
+
+
+def _text(value: float) -> str:
+    """Three digits: intervals are what limits them."""
+    words = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return words.replace("-", "−", 1) if words.startswith("-") else words
 
 
 def _embedded(drawing: Drawing) -> str:

@@ -20,6 +20,8 @@ _RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
 _AGREEMENT = {
     "radiance_median_abs_difference_ratio": ("median |difference ratio|\nof radiance [%]", 100.0),
     "reflectance_median_abs_difference_ratio": ("median |difference ratio|\nof reflectance [%]", 100.0),
+    "radiance_chi2_reduced": ("reduced χ² of radiance\n(1 where the budget holds)", 1.0),
+    "reflectance_chi2_reduced": ("reduced χ² of reflectance\n(1 where the budget holds)", 1.0),
     "pd_inside_interval@1e-2": ("share of curves with P_D\ninside at 1e-2 [1]", 1.0),
     "pd_inside_interval@1e-3": ("share of curves with P_D\ninside at 1e-3 [1]", 1.0),
     "pd_mean_abs_difference@1e-2": ("mean |P_D difference|\nat 1e-2 [1]", 1.0),
@@ -135,7 +137,7 @@ def agreement_figures(name: str, rows: Sequence[Result], *, simulated: bool) -> 
                 _whisker(axes, row, i, factor, filled=True, colour=PREDICTED.colour)
                 told.append(f"{label} {metric} {row.value:.3g}")
         _rows_of(axes, labels if k == 0 else [""] * len(labels))
-        axes.set_xlabel(style.plain(title.replace("\n", " ")) if "\n" not in title else title, fontsize=8.0)
+        axes.set_xlabel(title, fontsize=8.0)
         axes.set_xlim(left=0.0)
     title = f"{name}: how well engines and formulations predict, with 95 % intervals"
     return [

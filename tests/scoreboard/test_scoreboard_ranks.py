@@ -1,0 +1,113 @@
+"""Ranks with their confidence sets: closed forms, limits, and coverage by Monte Carlo."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperval.scoreboard.measures import MEASURES
+from hyperval.scoreboard.ranks import fewest_objects, rank_sets, ranked
+from hyperval.scoreboard.shares import BlockCounts, counts_by_block
+
+
+def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 2000) -> BlockCounts:
+    """Detectors that see the same objects and pixels, each with noise of its own on top."""
+    block = np.repeat(np.arange(20), pixels // 20)
+    common_t, common_b = rng.normal(size=objects), rng.normal(size=pixels)
+    pairs = []
+    for s in shift:
+        t = s + common_t + 0.5 * rng.normal(size=objects)
+        pairs.append(counts_by_block(t, common_b + 0.5 * rng.normal(size=pixels), block, 20))
+    over, tie = (np.stack([p[i] for p in pairs], axis=1) for i in (0, 1))
+    names = tuple(f"d{i}" for i in range(len(shift)))
+    return BlockCounts(names, over, tie, np.bincount(block), np.arange(objects), {})
+
+
+def test_fewest_objects_is_where_the_sign_test_can_reject():
+    for detectors in range(2, 12):
+        m = fewest_objects(detectors)
+        assert 2.0 ** (1 - m) <= 0.05 / (detectors - 1) + 1e-12
+        assert 2.0 ** (2 - m) > 0.05 / (detectors - 1)
+    assert fewest_objects(7) == 8
+
+
+def test_detectors_far_apart_have_one_rank_each_and_equal_ones_share_all():
+    rng = np.random.default_rng(0)
+    noise = rng.normal(scale=0.01, size=(3, 2000))
+    values = np.array([0.9, 0.5, 0.1])
+    low, high = rank_sets(values, values[:, None] + noise, 1000)
+    assert low.tolist() == high.tolist() == [1, 2, 3]
+    same = np.full(3, 0.5)
+    low, high = rank_sets(same, np.tile(noise[:1], (3, 1)), 1000)  # the same in every draw
+    assert low.tolist() == [1, 1, 1]
+    assert high.tolist() == [3, 3, 3]
+
+
+def test_two_detectors_by_the_normal_law():
+    """Of two, c is the normal 97.5 % point of the difference: told apart from 1.96 standard deviations on."""
+    rng = np.random.default_rng(1)
+    draws = np.stack([rng.normal(size=200_000), np.zeros(200_000)])
+    for gap, upper in ((1.90, 2), (2.02, 1)):
+        low, high = rank_sets(np.array([gap, 0.0]), draws + np.array([[gap], [0.0]]), 100_000)
+        assert (low[0], high[0]) == (1, upper)
+
+
+def test_pairing_tells_apart_what_separate_intervals_do_not():
+    counts = counts_of_detectors([1.0, 1.2], 200, np.random.default_rng(5))
+    found = ranked(counts, list(range(200)), MEASURES["auc"], draws=400, rng=np.random.default_rng(0))
+    assert found.lower[1] < found.upper[0]  # the intervals overlap
+    assert found.rank.tolist() == [2, 1]
+    assert found.rank_lower[0] == 2
+    assert found.first[1] > 0.99
+
+
+def test_few_objects_order_nothing():
+    counts = counts_of_detectors([0.0, 4.0], 5, np.random.default_rng(2))
+    found = ranked(counts, list(range(5)), MEASURES["auc"], draws=200, rng=np.random.default_rng(0))
+    assert not found.orders
+    assert found.rank.tolist() == [2, 1]
+    assert found.rank_lower.tolist() == [1, 1]
+    assert found.rank_upper.tolist() == [2, 2]
+
+
+def test_detectors_that_order_alike_share_their_rank():
+    one = counts_of_detectors([1.0, 1.0], 30, np.random.default_rng(4))
+    over, tie = (np.concatenate([x, x[:, :1]], axis=1) for x in (one.over, one.tie))
+    counts = BlockCounts(("a", "b", "a again"), over, tie, one.held, one.item, {})
+    found = ranked(counts, list(range(30)), MEASURES["auc"], draws=200, rng=np.random.default_rng(0))
+    assert found.distinct == 2
+    assert found.rank[0] == found.rank[2]
+    assert found.first[0] == found.first[2]
+    assert (found.rank_lower[0], found.rank_upper[0]) == (found.rank_lower[2], found.rank_upper[2])
+
+
+def test_false_alarms_keep_an_upper_limit_where_there_are_none():
+    counts = counts_of_detectors([20.0, 20.0], 20, np.random.default_rng(4))
+    found = ranked(counts, list(range(20)), MEASURES["far@pd0.5"], draws=100, rng=np.random.default_rng(0))
+    assert found.value.tolist() == [0.0, 0.0]
+    assert np.all(found.upper >= 1.0 - 0.05 ** (1.0 / 2000.0))
+
+
+def test_true_ranks_lie_in_their_sets_95_times_in_100():
+    """Equal detectors: every rank from 1 to 3 is true of each, and a set that leaves any out is an error.
+
+    400 collections of three equal detectors; errors at the nominal 5 % are binomial with mean 20, and more than 35
+    come once in 1500 runs of a right rule.
+    """
+    wrong = 0
+    for trial in range(400):
+        counts = counts_of_detectors([1.0, 1.0, 1.0], 40, np.random.default_rng(100 + trial), pixels=1000)
+        found = ranked(counts, list(range(40)), MEASURES["auc"], draws=150, rng=np.random.default_rng(trial))
+        wrong += int(found.rank_lower[0] > 1 or found.rank_upper[0] < 3)
+    assert wrong <= 35
+
+
+@pytest.mark.parametrize("name", ["auc", "pd@1e-2"])
+def test_the_interval_holds_the_value_and_narrows_with_objects(name):
+    widths = []
+    for objects in (20, 320):
+        counts = counts_of_detectors([1.5, 1.5], objects, np.random.default_rng(9))
+        found = ranked(counts, list(range(objects)), MEASURES[name], draws=200, rng=np.random.default_rng(0))
+        assert np.all((found.lower <= found.value) & (found.value <= found.upper))
+        widths.append(float(found.upper[0] - found.lower[0]))
+    assert widths[1] < 0.5 * widths[0]

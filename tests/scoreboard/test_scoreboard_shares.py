@@ -1,0 +1,91 @@
+"""Counts by block and the metrics that follow, against brute force and against the ROC room."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperval.processing.alarms import alarms_at_detection
+from hyperval.processing.rank_counts import counts_of
+from hyperval.processing.roc import pd_at_pfa
+from hyperval.processing.roc_areas import AREAS, roc_area
+from hyperval.scoreboard.measures import LOG_AREA, MEASURES, goodness, measured
+from hyperval.scoreboard.shares import BlockCounts, blocks_of, counts_by_block
+
+
+def one_detector(targets: np.ndarray, background: np.ndarray, block: np.ndarray) -> BlockCounts:
+    over, tie = counts_by_block(targets, background, block, int(block.max()) + 1)
+    return BlockCounts(
+        ("a",),
+        over[:, None],
+        tie[:, None],
+        np.bincount(block),
+        np.arange(targets.size),
+        {"all": range(targets.size)},
+    )
+
+
+@pytest.fixture
+def scores():
+    rng = np.random.default_rng(3)
+    background = np.round(rng.normal(size=3000), 2)  # rounded: many ties
+    targets = np.round(rng.normal(1.5, 1.0, size=40), 2)
+    return targets, background, rng.integers(7, size=3000)
+
+
+def test_counts_are_those_of_every_pair(scores):
+    targets, background, block = scores
+    over, tie = counts_by_block(targets, background, block, 7)
+    for k in range(7):
+        own = background[block == k]
+        assert np.array_equal(over[:, k], (own[None] > targets[:, None]).sum(axis=1))
+        assert np.array_equal(tie[:, k], (own[None] == targets[:, None]).sum(axis=1))
+
+
+def test_drawn_shares_are_those_of_a_background_made_of_the_drawn_blocks(scores):
+    targets, background, block = scores
+    counts = one_detector(targets, background, block)
+    weights = np.array([0.0, 2, 1, 0, 3, 1, 0])
+    over, tie = counts.shares(weights[:, None])
+    made = np.concatenate([np.repeat(background[block == k], int(w)) for k, w in enumerate(weights)])
+    assert over[:, 0, 0] == pytest.approx((made[None] > targets[:, None]).mean(axis=1), abs=1e-12)
+    assert tie[:, 0, 0] == pytest.approx((made[None] == targets[:, None]).mean(axis=1), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", list(MEASURES))
+def test_metrics_are_those_of_the_roc(scores, name):
+    targets, background, block = scores
+    over, tie = one_detector(targets, background, block).shares()
+    value = measured(MEASURES[name], over[..., None], tie[..., None], np.ones((targets.size, 1)))[0, 0]
+    counts = counts_of(targets, background)
+    expected = {
+        "auc": lambda: roc_area(counts),
+        LOG_AREA: lambda: roc_area(counts, AREAS[LOG_AREA]),
+        "pd@1e-2": lambda: pd_at_pfa(targets, background, 1e-2).pd[0],
+        "pd@1e-3": lambda: pd_at_pfa(targets, background, 1e-3).pd[0],
+        "far@pd0.5": lambda: next(a.pfa for a in alarms_at_detection(counts) if a.pd == 0.5),
+    }[name]()
+    assert value == pytest.approx(expected, abs=1e-12)
+
+
+def test_fewer_false_alarms_are_better_and_none_is_half_a_pixel():
+    far = MEASURES["far@pd0.5"]
+    assert np.all(np.diff(goodness(far, np.array([0.1, 0.01, 0.0]), 1000)) > 0)
+    assert goodness(far, np.array([0.0]), 1000)[0] == pytest.approx(-np.log10(0.0005))
+
+
+def test_a_small_background_says_nothing_of_rare_alarms():
+    assert MEASURES["pd@1e-3"].known_from(10_000)
+    assert not MEASURES["pd@1e-3"].known_from(9_999)
+    assert MEASURES["auc"].known_from(5)
+
+
+def test_blocks_are_squares_of_the_image():
+    counted = np.ones((64, 64), bool)
+    counted[:, 40:] = False
+    block = blocks_of(counted).reshape(64, 40)
+    assert len(np.unique(block)) == pytest.approx(64, rel=0.3)
+    side = int((block[0] == block[0, 0]).sum())
+    assert np.all(block[:side, :side] == block[0, 0])
+    assert block[side, 0] != block[0, 0]
+    assert block[0, side] != block[0, 0]
