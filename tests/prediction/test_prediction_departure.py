@@ -9,8 +9,10 @@ from uncertain_scene import AXIS, run, scenario
 from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure, StatisticsDeparture, combined, departed_fill, departs
 from hyperval.prediction.fills import fill_distribution
+from hyperval.prediction.replicates import in_bands
 from hyperval.scenario import Fill
 from hyperval.settings import with_settings
+from hyperval.spectra.axis import SpectralAxis
 
 B = len(AXIS)
 KEY = ("tenth", "cem", "pixel")
@@ -141,3 +143,17 @@ def test_reflectance_domain_takes_a_recorded_gain_and_refuses_light():
     np.testing.assert_allclose(off.reflectance["grass"].mean, 1.1 * base.reflectance["grass"].mean + 0.01)
     with pytest.raises(UsageError, match="no atmosphere"):
         run(s, departure=Departure(path=1.1))
+
+
+def test_a_library_at_the_labelled_bands_moves_with_a_shift_and_is_not_smoothed():
+    w = np.arange(400.0, 1000.0, 5.0)
+    axis = SpectralAxis(w, np.full(w.size, 6.0))
+    values = 0.3 + 0.2 * np.exp(-(((w - 700.0) / 15.0) ** 2))
+    for shift in (0.2, -1.0):
+        true = SpectralAxis(w + shift, axis.fwhm_nm)
+        exact = 0.3 + 0.2 * np.exp(-(((w + shift - 700.0) / 15.0) ** 2))
+        np.testing.assert_allclose(in_bands(w, values, true, axis), exact, atol=3e-4)
+        # Averaged over the bands a second time the peak would lose more than the shift moves it.
+        assert np.nanmax(np.abs(in_bands(w, values, true) - exact)) > 3e-3
+    holes = np.where(np.abs(w - 500) < 8, np.nan, values)
+    assert np.array_equal(np.isnan(in_bands(w, holes, true, axis)), np.isnan(holes))

@@ -111,7 +111,7 @@ class Sources:
 
     def _replicates(self, source: Replicates, name: str) -> ReplicateStatistics:
         try:
-            return replicate_statistics(source, self.axis, self.resolve)
+            return replicate_statistics(source, self.axis, self.resolve, self.nominal)
         except UsageError as error:
             where = f"replicates of {name!r}: " + (error.where or "")
             raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
@@ -135,7 +135,7 @@ class Sources:
             wavelength_unit=source.wavelength_unit,
             reflectance_unit=source.reflectance_unit,
         )
-        mean = in_bands(read.wavelength_nm, read.values, self.axis)
+        mean = in_bands(read.wavelength_nm, read.values, self.axis, self.nominal)
         if not np.any(np.isfinite(mean)):
             raise UsageError(
                 f"the spectrum of {name!r} ({source.file}) covers none of the bands",
@@ -143,7 +143,7 @@ class Sources:
             )
         spread = None
         if read.standard_deviation is not None:
-            spread = in_bands(read.wavelength_nm, read.standard_deviation, self.axis)
+            spread = in_bands(read.wavelength_nm, read.standard_deviation, self.axis, self.nominal)
         zero = np.zeros((len(self.axis), len(self.axis)))
         return SurfaceStatistics(name, mean, zero, str(source.file), None, spread, read.n)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
+from scipy.interpolate import CubicSpline
 
 from hyperval.errors import UsageError
 from hyperval.file_names import MAX_MATCHES, matching
@@ -56,8 +57,12 @@ class ReplicateStatistics:
         return f"{self.n} replicate spectra{few}"
 
 
-def replicate_statistics(source: Replicates, axis: SpectralAxis, resolve: Resolve) -> ReplicateStatistics:
+def replicate_statistics(
+    source: Replicates, axis: SpectralAxis, resolve: Resolve, nominal: SpectralAxis | None = None
+) -> ReplicateStatistics:
     """Mean, covariance and number of the spectra that ``source`` names, in the bands of ``axis``.
+
+    ``nominal`` are the bands as they are labelled, where they are others (:func:`in_bands`).
 
     Raises
     ------
@@ -65,16 +70,18 @@ def replicate_statistics(source: Replicates, axis: SpectralAxis, resolve: Resolv
     UsageError : fewer than two spectra, records that no file has, or spectra that share no band.
     """
     spectra = replicate_spectra(source, resolve)
-    return statistics_in_bands(spectra, axis, ", ".join(source.references))
+    return statistics_in_bands(spectra, axis, ", ".join(source.references), nominal)
 
 
-def statistics_in_bands(spectra: Sequence[FieldSpectrum], axis: SpectralAxis, where: str) -> ReplicateStatistics:
+def statistics_in_bands(
+    spectra: Sequence[FieldSpectrum], axis: SpectralAxis, where: str, nominal: SpectralAxis | None = None
+) -> ReplicateStatistics:
     """Statistics of spectra, each averaged over the bands first."""
     if len(spectra) < 2:
         raise UsageError(
             "a single spectrum has no spread", where=where, expected="two or more replicates", mend="use file:"
         )
-    values = np.array([in_bands(s.wavelength_nm, s.values, axis) for s in spectra])
+    values = np.array([in_bands(s.wavelength_nm, s.values, axis, nominal) for s in spectra])
     known = np.all(np.isfinite(values), axis=0)
     if not known.any():
         raise UsageError(
@@ -127,15 +134,24 @@ def replicate_spectra(source: Replicates, resolve: Resolve) -> list[FieldSpectru
     return out
 
 
-def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis) -> Array:
+def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: SpectralAxis | None = None) -> Array:
     """(B,) values in the bands: as they stand where they are sampled at the bands' centres, else band averages.
 
     A library at the sensor's own bands was convolved when it was made; a second time would smooth it and lose its
-    first and last bands.  NaN in bands that the samples do not cover.
+    first and last bands.  NaN in bands that the samples do not cover.  Where the samples stand at the bands
+    as they are labelled (``nominal``) but those truly stand elsewhere, a cubic spline leads from one to the other.
     """
-    if wavelength_nm.size == len(axis) and np.all(np.abs(wavelength_nm - axis.centre_nm) <= SAME_BAND_NM):
+    if _are_centres(wavelength_nm, axis):
         return np.array(values, dtype=float)
     known = np.isfinite(values)
     if known.sum() < 2:
         return np.full(len(axis), np.nan)
+    if nominal is not None and _are_centres(wavelength_nm, nominal):
+        at = np.clip(axis.centre_nm, wavelength_nm[known][0], wavelength_nm[known][-1])
+        moved = CubicSpline(wavelength_nm[known], values[known])(at)
+        return np.where(known, moved, np.nan)
     return band_average(wavelength_nm[known], values[known], axis, outside="nan")
+
+
+def _are_centres(wavelength_nm: Array, axis: SpectralAxis) -> bool:
+    return wavelength_nm.size == len(axis) and bool(np.all(np.abs(wavelength_nm - axis.centre_nm) <= SAME_BAND_NM))
