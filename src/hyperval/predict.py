@@ -72,7 +72,7 @@ def predict(
     engine: Engine | None = None,
     departure: Departure | None = None,
     sensor: Sensor | None = None,
-    objects: bool = False,
+    objects: bool | int = False,
 ) -> Prediction:
     """Predict radiance, SNR, reflectance, detector scores and ROC of a scenario (3.7-3.33).
 
@@ -87,7 +87,8 @@ def predict(
     engine : stands in for the atmosphere engine
     sensor : stands in for the sensor that the scenario names
     departure : how the truth departs from the scenario; None: not at all
-    objects : also draw the scores of whole objects, which takes a few seconds where there are many
+    objects : also draw the scores of whole objects, which takes a few seconds where there are many; a number is
+        that of draws where no input is uncertain
 
     Returns
     -------
@@ -316,7 +317,7 @@ def _detection(
     errors: Mapping[str, Array],
     spectra: SpectralProducts,
     notes: list[str],
-    objects: bool,
+    objects: bool | int,
 ) -> Detection:
     scene, processing = scenario.scene, scenario.processing
     if not scene.targets or not processing.detectors:
@@ -362,7 +363,8 @@ def _detection(
             return seen_background(with_view.at(bands), scene.classes, on_bands)
 
         views = [(moved(s.plus), moved(s.minus)) for s in leading]
-        drawn = predicted_object_scores(background, task, scenario.uncertainty, axis.select(bands), views)
+        draws = None if objects is True else objects
+        drawn = predicted_object_scores(background, task, scenario.uncertainty, axis.select(bands), views, draws)
         base = replace(base, object_scores=drawn)
     pairs = [(run(s.plus), run(s.minus)) for s in leading]
     if task.spectrum_error:

@@ -28,6 +28,8 @@ from hyperval.settings import with_settings
 
 # Directions of an input with a correlation length that are looked at: they hold nearly all of its variance.
 MOST_DIRECTIONS = 8
+# Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
+OBJECT_DRAWS = 1600
 
 
 def reasons(
@@ -59,6 +61,7 @@ def reasons(
                 measured=observed.statistics,
                 resolve=resolver_of(scenario),
                 departure=departure,
+                objects=OBJECT_DRAWS,
                 show_progress=show_progress,
             )
             for scenario, departure in zip(asked, departures, strict=True)

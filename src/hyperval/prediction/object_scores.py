@@ -136,6 +136,7 @@ def predicted_object_scores(
     uncertainty: Uncertainty,
     axis: SpectralAxis,
     steps: Sequence[tuple[Background, Background]] = (),
+    draws: int | None = None,
 ) -> dict[Key, ObjectScores]:
     """(subject, detector) -> draws of the greatest score over the pixels of an object (3.26, 3.28 for objects).
 
@@ -145,6 +146,7 @@ def predicted_object_scores(
     ----------
     axis : the detector's bands
     steps : backgrounds with one scalar input up and down by its standard uncertainty
+    draws : of each object where no input is uncertain; default: as many as there would be with uncertain inputs
     """
     drawn = input_draws(background, task, uncertainty, axis, len(steps))
     here = evaluation(background, task)
@@ -155,7 +157,8 @@ def predicted_object_scores(
         for population in target.populations:
             rng = np.random.default_rng([task.processing.seed, 11, zlib.crc32(population.name.encode())])
             beside = [] if thesis else neighbours_of(target, population, task.targets)
-            fills, others = _drawn_fills(population, beside, uncertainty, drawn, thesis, rng)
+            columns = COLUMNS if drawn.rows > 1 else draws or ROWS * COLUMNS
+            fills, others = _drawn_fills(population, beside, uncertainty, drawn, columns, thesis, rng)
             noise, tails = rng.standard_normal(fills.shape), _tail_factor(background, target, fills.shape, rng)
             for name in (d for d in task.processing.detectors if d in LINEAR_DETECTORS):
                 mean, sd = _pixel_scores(
@@ -191,11 +194,11 @@ def _drawn_fills(
     beside: Sequence[tuple[Target, TargetSubject]],
     uncertainty: Uncertainty,
     drawn: InputDraws,
+    columns: int,
     thesis: bool,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """(S, R, n) fills of an object's pixels and (S, R, n, J) those by its neighbours."""
-    columns = COLUMNS if drawn.rows > 1 else ROWS * COLUMNS
     shape = (drawn.rows, columns)
     geometry = population.fill.geometry
     if thesis or geometry is None:
