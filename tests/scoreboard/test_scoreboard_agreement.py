@@ -33,22 +33,19 @@ def test_rows_are_gathered_in_windows_only():
     ]
     found = a.agreement_of(rows)
     assert found.spectra["radiance"]["lawn"].ratio.tolist() == [0.1]
-    assert a.pooled_chi2(found.spectra["radiance"])[:2] == (2.0, 10)
+    assert found.spectra["radiance"]["lawn"].chi2_reduced == 2.0
     assert list(found.inside["1e-2"]) == [1.0]
     assert list(found.differences["1e-2"]) == [0.25]
     assert list(found.inside["1e-3"]) == []
 
 
-def test_chi_squares_are_summed_and_the_expected_range_is_that_of_the_sum():
-    parts = {
-        str(i): a.Spectral(BANDS, 0 * BANDS, chi2=c, dof=d) for i, (c, d) in enumerate([(30.0, 20), (10.0, 30)])
-    }
-    value, dof, (low, high) = a.pooled_chi2(parts)
-    assert value == pytest.approx(0.8)
-    assert dof == 50
-    drawn = np.random.default_rng(0).chisquare(50, size=200_000) / 50
-    assert np.quantile(drawn, [0.025, 0.975]) == pytest.approx([low, high], rel=0.01)  # 4 standard errors are 0.008
-    assert a.pooled_chi2({"x": a.Spectral(BANDS, 0 * BANDS)})[1] == 0
+def test_one_subject_without_a_budget_does_not_carry_the_chi_square():
+    values = [0.8, 1.1, 0.9, 40000.0, 1.0]
+    parts = {str(i): a.Spectral(BANDS, 0 * BANDS, c) for i, c in enumerate(values)}
+    value, (low, high), n = a.median_chi2(parts, draws=400, rng=np.random.default_rng(0))
+    assert (value, n) == (1.0, 5)
+    assert 0.8 <= low < 1.0 < high
+    assert a.median_chi2({"x": a.Spectral(BANDS, 0 * BANDS)}, draws=9, rng=np.random.default_rng(0))[2] == 0
 
 
 def test_the_median_counts_subjects_alike():
@@ -76,7 +73,7 @@ def test_the_interval_of_the_median_covers_the_truth():
         rng = np.random.default_rng(trial)
         spectra = {str(i): spectrum(rng, mean=0.05 + 0.01 * rng.normal(), sd=0.002) for i in range(6)}
         value = a.median_abs(spectra)
-        drawn = a.median_abs_draws([spectra], draws=100, rng=rng)[0]
+        drawn = a.median_abs_draws([spectra], draws=60, rng=rng)[0]
         low, high = a.interval(drawn, value)
         held += low <= 0.05 <= high
     assert held >= 120

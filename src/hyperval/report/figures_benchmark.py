@@ -17,13 +17,12 @@ EVERY_OBJECT = "all objects"
 EVERY_SUBJECT = "all subjects"
 _MOST_SUBJECTS = 30
 _RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
+_FIRST = "radiance_median_abs_difference_ratio"
 _AGREEMENT = {
-    "radiance_median_abs_difference_ratio": ("median |difference ratio|\nof radiance [%]", 100.0),
+    _FIRST: ("median |difference ratio|\nof radiance [%]", 100.0),
     "reflectance_median_abs_difference_ratio": ("median |difference ratio|\nof reflectance [%]", 100.0),
     "radiance_chi2_reduced": ("reduced χ² of radiance\n(1 where the budget holds)", 1.0),
-    "reflectance_chi2_reduced": ("reduced χ² of reflectance\n(1 where the budget holds)", 1.0),
     "pd_inside_interval@1e-2": ("share of curves with P_D\ninside at 1e-2 [1]", 1.0),
-    "pd_inside_interval@1e-3": ("share of curves with P_D\ninside at 1e-3 [1]", 1.0),
     "pd_mean_abs_difference@1e-2": ("mean |P_D difference|\nat 1e-2 [1]", 1.0),
 }
 
@@ -60,6 +59,7 @@ def detector_figures(
         axes.set_xlabel(style.plain(measures[metric].replace(", ", "\n", 1)), fontsize=8.0)
         if metric.startswith("far"):
             axes.set_xscale("symlog", linthresh=_least_positive([here[k] for k in here if k[1] == metric]))
+            axes.set_xlim(left=0.0)
         axes.tick_params(axis="x", labelsize=7.5)
     title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set], filled where it may be first"
     alt = f"Metrics of each detector on all objects of {name}. {'; '.join(told)}."
@@ -121,7 +121,8 @@ def rank_figures(
 def agreement_figures(name: str, rows: Sequence[Result], *, simulated: bool) -> list[Drawing]:
     """Engines and formulations: one panel for each figure of agreement."""
     here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_SUBJECT and r.status is Status.INFO}
-    shown = [m for m in _AGREEMENT if any(metric == m for _, metric in here)]
+    there = {metric for _, metric in here}
+    shown = [m for m in _AGREEMENT if m in there and not (m.startswith("reflectance") and _FIRST in there)]
     labels = list(dict.fromkeys(label for label, metric in here if metric in shown))
     if not shown:
         return []

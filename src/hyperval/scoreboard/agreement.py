@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.results import Result, Status
@@ -29,13 +28,12 @@ class Spectral:
     Attributes
     ----------
     band_nm, ratio : (b,) band centres [nm] and predicted over collected less 1
-    chi2, dof : of the full-covariance test; NaN and 0 where it could not be made
+    chi2_reduced : of the full-covariance test; NaN where it could not be made
     """
 
     band_nm: Array
     ratio: Array
-    chi2: float = math.nan
-    dof: int = 0
+    chi2_reduced: float = math.nan
 
     @property
     def blocks(self) -> list[npt.NDArray[np.intp]]:
@@ -85,9 +83,8 @@ def _spectral(rows: Sequence[Result]) -> Spectral | None:
     at = [r for r in rows if r.metric == "difference_ratio" and math.isfinite(r.value) and in_window(r.band_nm)]
     if not at:
         return None
-    chi2 = next((r for r in rows if r.metric == "chi2_reduced_full" and math.isfinite(r.value) and r.n), None)
-    total, dof = (chi2.value * chi2.n, chi2.n) if chi2 is not None and chi2.n else (math.nan, 0)
-    return Spectral(np.array([r.band_nm for r in at]), np.array([r.value for r in at]), total, dof)
+    chi2 = next((r.value for r in rows if r.metric == "chi2_reduced_full"), math.nan)
+    return Spectral(np.array([r.band_nm for r in at]), np.array([r.value for r in at]), chi2)
 
 
 def median_abs(spectra: Mapping[str, Spectral]) -> float:
@@ -120,14 +117,21 @@ def interval(draws: Array, value: float) -> Span:
     return min(low, value), max(high, value)
 
 
-def pooled_chi2(spectra: Mapping[str, Spectral]) -> tuple[float, int, Span]:
-    """Reduced chi-square of all subjects together, its degrees of freedom, and the 95 % range that is expected."""
-    total = sum(s.chi2 for s in spectra.values() if s.dof)
-    dof = sum(s.dof for s in spectra.values())
-    if dof == 0:
-        return math.nan, 0, _NAN
-    low, high = (float(x) / dof for x in stats.chi2.ppf([0.025, 0.975], dof))
-    return total / dof, dof, (low, high)
+def median_chi2(
+    spectra: Mapping[str, Spectral], *, draws: int, rng: np.random.Generator
+) -> tuple[float, Span, int]:
+    """Median over subjects of the reduced chi-square, with the percentiles of a bootstrap over them.
+
+    The median, as one subject whose budget leaves out a direction may give a thousand times the others'.
+    """
+    values = np.array([s.chi2_reduced for s in spectra.values() if math.isfinite(s.chi2_reduced)])
+    if values.size == 0:
+        return math.nan, _NAN, 0
+    middle = float(np.median(values))
+    if values.size == 1:
+        return middle, _NAN, 1
+    drawn = np.median(values[rng.integers(values.size, size=(draws, values.size))], axis=1)
+    return middle, interval(drawn, middle), int(values.size)
 
 
 def inside_share(inside: Sequence[float]) -> tuple[float, Span, int]:

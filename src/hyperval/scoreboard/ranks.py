@@ -26,7 +26,7 @@ class Ranked:
     Attributes
     ----------
     value, lower, upper : the metric and its 95 % interval
-    rank : 1 for the best; equals share the best of their ranks
+    rank : 1 for the best; equals share the best of their ranks, detectors that order alike count as one
     rank_lower, rank_upper : 95 % confidence set of the rank
     first : share of draws in which the detector is the best, equals counted alike
     objects : objects on the ground
@@ -92,30 +92,31 @@ def rank_sets(values: Array, draws: Array, objects: int) -> tuple[npt.NDArray[np
 def ranked(
     counts: BlockCounts, looks: list[int], measure: Measure, *, draws: int, rng: np.random.Generator
 ) -> Ranked:
-    """Detectors on the objects of some looks: objects and blocks of the background drawn anew, for all at once."""
+    """Detectors on the objects of some looks: objects and blocks of the background drawn anew, for all at once.
+
+    Detectors that order all pixels alike count as one, and share rank and set.
+    """
+    order = np.array(counts.orders)
+    one_of = np.array([int(np.argmax(order == k)) for k in range(int(order.max()) + 1)])
     item = np.unique(counts.item[looks], return_inverse=True)[1]
-    m = int(item.max()) + 1
+    m, n = int(item.max()) + 1, counts.n
+    cells = np.ix_(np.array(looks), one_of)
     part = BlockCounts(
-        counts.detectors, counts.over[looks], counts.tie[looks], counts.held, item, {}, counts.density_km2
-    )
-    n = counts.n
-    ones = np.ones((len(looks), 1))
+        tuple(counts.detectors[d] for d in one_of), counts.over[cells],
+        counts.tie[cells], counts.held, item, {}, counts.density_km2,
+    )  # fmt: skip
     over, tie = part.shares()
-    value = measured(measure, over[..., None], tie[..., None], ones)[:, 0]
+    value = measured(measure, over[..., None], tie[..., None], np.ones((len(looks), 1)))[:, 0]
     both, still = _drawn(part, measure, m, draws, rng)
-    best = goodness(measure, value, n)
-    drawn = goodness(measure, both, n)
-    distinct = len({(over[:, d].tobytes(), tie[:, d].tobytes()) for d in range(value.size)})
-    orders = m >= fewest_objects(distinct)
-    low, high = rank_sets(best, drawn, m)
-    if not orders:
-        low, high = np.ones_like(low), np.full_like(high, value.size)
+    best, drawn = goodness(measure, value, n), goodness(measure, both, n)
+    enough = m >= fewest_objects(value.size)
+    low, high = rank_sets(best, drawn, m) if enough else (np.ones(value.size, int), np.full(value.size, value.size))
     lower, upper = _limits(part, measure, value, both, still, m)
-    top = drawn.max(axis=0)
     rank = np.array([1 + np.sum(best > x + 1e-12) for x in best], dtype=np.int64)
+    first = np.mean(drawn >= drawn.max(axis=0) - 1e-12, axis=1)
     return Ranked(
-        value, lower, upper, rank, np.minimum(low, rank), np.maximum(high, rank),
-        np.mean(drawn >= top - 1e-12, axis=1), m, distinct, orders,
+        value[order], lower[order], upper[order], rank[order], np.minimum(low, rank)[order],
+        np.maximum(high, rank)[order], first[order], m, value.size, enough,
     )  # fmt: skip
 
 
