@@ -83,7 +83,7 @@ def propagate(
             yield predicted(d)
 
     draws = draw_products(drawn(), seed)
-    linear = linearise(predicted(Departure()), inputs, predicted)
+    linear = linearise(stated, inputs, predicted)
     found = []
     for key in linear.stated:
         if key[0] != "P_D":

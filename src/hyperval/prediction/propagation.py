@@ -69,7 +69,7 @@ class Draws:
 
     def interval(self, key: Key) -> tuple[Array, Array]:
         """(n,) limits of the 95 % interval, probabilistically symmetric (JCGM 101:2008, 7.7.2)."""
-        low, high = np.nanquantile(self.values[key], [0.025, 0.975], axis=0)
+        low, high = np.quantile(self.values[key], [0.025, 0.975], axis=0)
         return low, high
 
 
@@ -105,17 +105,23 @@ class Linear:
 def linearise(
     stated: Prediction, inputs: Sequence[BudgetInput], predicted: Callable[[Departure], Prediction]
 ) -> Linear:
-    """Central differences over one standard uncertainty along every direction of every input (JCGM 100:2008, 5.1).
+    """Linearised propagation of all products (JCGM 100:2008, 5.1).
 
-    Of an input with more than 40 directions the leading 40 are followed.
+    Spectra have it in ``stated``, with every direction of every input.  For scores and curves it is made of central
+    differences over one standard uncertainty along each direction, the leading 40 of an input that has more.
     """
-    base = quantities(stated)
+    base = quantities(predicted(Departure()))
     variance = {key: np.zeros(values.shape) for key, values in base.items()}
-    for item in inputs:
+    by_steps = any(key[0] not in SPECTRA for key in variance)
+    for item in inputs if by_steps else ():
         for k in range(min(item.size, MOST_DIRECTIONS)):
             up, down = (quantities(predicted(item.direction(k, z))) for z in (1.0, -1.0))
             for key, total in variance.items():
-                total += (0.5 * (scaled(key, up[key]) - scaled(key, down[key]))) ** 2
+                if key[0] not in SPECTRA:
+                    total += (0.5 * (scaled(key, up[key]) - scaled(key, down[key]))) ** 2
+    for product in SPECTRA:
+        for subject, estimate in getattr(stated, product).items():
+            variance[product, subject] = estimate.standard_uncertainty**2
     return Linear(base, variance)
 
 
