@@ -37,7 +37,8 @@ def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> f
         return math.nan
     if pfa[-1] < 1.0:
         pfa, pd = np.append(pfa, 1.0), np.append(pd, 1.0)
-    curve_of = PchipInterpolator(np.log(pfa), pd)
+    with np.errstate(over="ignore"):  # a rise of 1e-300 gives no slope, as it should
+        curve_of = PchipInterpolator(np.log(pfa), pd)
     low = max(area.low, float(pfa[0]))
     u = np.linspace(math.log(low), math.log(area.high), _POINTS)
     if area.logarithmic:

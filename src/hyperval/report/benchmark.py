@@ -71,6 +71,8 @@ def benchmark_page(report: BenchmarkReport, drawings: Sequence[Drawing]) -> str:
     entries = []
     for item in report.campaigns:
         rows = list(report.table.where(campaign=item.name))
+        if not any(r.status is Status.INFO for r in rows):
+            continue  # named under what was not run
         groups = alike(rows, report.measures)
         entries.append(
             {
@@ -83,7 +85,8 @@ def benchmark_page(report: BenchmarkReport, drawings: Sequence[Drawing]) -> str:
             }
         )
     return environment().get_template("benchmark.html.j2").render(
-        entries=entries, skipped=skipped, engines=report.engines, count=len(report.table), **common_words()
+        entries=entries, skipped=skipped, engines=report.engines, count=len(report.table),
+        all=len(report.campaigns), **common_words(),
     )  # fmt: skip
 
 
