@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 # Numerical error of the model itself: what interpolation and rounding may do.  It keeps well sampled quantities
 # from deciding alone.
-SPECTRUM_FLOOR = 1e-3  # of the value, each band by itself
+SPECTRUM_FLOOR = 2e-3  # of the value, each band by itself: what closure with simulated collections leaves
 SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
 LOG_FLOOR = 0.02  # of the logarithm of a standard deviation
 RATE_FLOOR = 0.1  # of the logarithm of a false-alarm rate

@@ -9,6 +9,7 @@ from typing import Any
 
 from hyperval.attribution.assumed import assumed_inputs
 from hyperval.attribution.model import Model
+from hyperval.attribution.residuals import few_objects
 from hyperval.attribution.rows import attribution_rows
 from hyperval.attribution.run import Input, Move, attribute
 from hyperval.campaign.merge import merged, with_pools, without_circles
@@ -52,6 +53,9 @@ def reasons(
     if campaign.attribution is None:
         return []
     observation = observed.observation
+    # Where every object is one pixel, the scores of pixels say the same.
+    whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
+    draws = OBJECT_DRAWS if whole else False
 
     def predicted(asked: Sequence[Scenario], departures: Sequence[Departure]) -> Products:
         parts = [
@@ -61,7 +65,7 @@ def reasons(
                 measured=observed.statistics,
                 resolve=resolver_of(scenario),
                 departure=departure,
-                objects=OBJECT_DRAWS,
+                objects=draws,
                 show_progress=show_progress,
             )
             for scenario, departure in zip(asked, departures, strict=True)
