@@ -213,7 +213,8 @@ def _unmet(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
     """An ERROR row for every subject pattern of the gate that no row meets."""
     out = []
     for pattern in gate.subjects:
-        if not any(gate.model_copy(update={"subjects": (pattern,)}).covers(row) for row in rows):
+        alone = gate.model_copy(update={"subjects": (pattern,)})
+        if not any(alone.covers(row) for row in rows):
             reason = f"planned but absent: no {gate.product} row of subject {pattern!r} has metric {gate.metric!r}"
             if gate.method != "*":
                 reason += f" and method {gate.method!r}"

@@ -176,18 +176,19 @@ class Cube:
 
     def pixels(self, where: Where) -> Array:
         """(n, B) values of the pixels of a mask (in line order) or of (rows, cols); NaN for ignored values."""
-        return self._pixels(where)[0]
+        return self.marked_pixels(where)[0]
 
     def spectra(self, where: Where) -> Array:
         """(m, B) values of the valid pixels among ``where``."""
-        values, valid = self._pixels(where)
+        values, valid = self.marked_pixels(where)
         return values[valid]
 
     def valid_pixels(self, where: Where) -> Mask:
         """(n,) which of the pixels of ``where`` are valid."""
-        return self._pixels(where)[1]
+        return self.marked_pixels(where)[1]
 
-    def _pixels(self, where: Where) -> tuple[Array, Mask]:
+    def marked_pixels(self, where: Where) -> tuple[Array, Mask]:
+        """(n, B) values of :meth:`pixels` and (n,) which of them are valid, read once."""
         rows, cols = self._index(where)
         stored = self.raster.read_pixels(rows, cols)
         return self._physical(stored, np.dtype(np.float64))

@@ -30,6 +30,7 @@ from hyperval.paths import checked_file
 
 Index = npt.NDArray[np.intp]
 MAX_TILE_BYTES = 1 << 30
+MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
 TIFF_SUFFIXES = (".tif", ".tiff")
 _PACKED = {
     b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ\x00": "xz",
@@ -170,11 +171,20 @@ class TiffRaster:
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
         """(n, bands) stored numbers of single pixels."""
         out = np.empty((rows.size, self.bands), self.dtype)
+        if not rows.size:
+            return out
+        lines = np.unique(rows)
+        # Each call costs some time for every band: lines that follow each other are read at once.
+        most = max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
+        run = np.cumsum(np.diff(lines, prepend=lines[0]) > 1)
         with _opened(self.path) as dataset:
-            for line in np.unique(rows):
-                stored = dataset.read(window=Window(0, int(line), self.samples, 1))
-                here = rows == line
-                out[here] = stored[:, 0, cols[here]].T
+            for together in np.split(lines, np.flatnonzero(np.diff(run)) + 1):
+                for first in range(int(together[0]), int(together[-1]) + 1, most):
+                    count = min(most, int(together[-1]) + 1 - first)
+                    here = (rows >= first) & (rows < first + count)
+                    left, right = int(cols[here].min()), int(cols[here].max()) + 1
+                    stored = dataset.read(window=Window(left, first, right - left, count))
+                    out[here] = stored[:, rows[here] - first, cols[here] - left].T
         return out
 
 

@@ -105,9 +105,9 @@ def _half(
 ) -> _Half:
     step = max(-(-lines.size // most), 1)  # evenly thinned
     at = lines[::step], samples[::step]
-    pixels = place.cube.pixels(at)
+    pixels, valid = place.cube.marked_pixels(at)
     bands = place.cube.axis.good
-    keep = place.cube.valid_pixels(at) & np.isfinite(pixels[:, bands]).all(axis=1)
+    keep = valid & np.isfinite(pixels[:, bands]).all(axis=1)
     if np.count_nonzero(keep) < 2:
         raise UsageError(f"classification: region {name!r} has fewer than two valid pixels in one of the halves")
     return _Half(pixels[keep], block[::step][keep])

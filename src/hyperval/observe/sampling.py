@@ -42,8 +42,9 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> tupl
             inside = region[rows, columns]
             lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
             at = lines.ravel(), samples.ravel()
-            pixels = place.cube.pixels(at)[:, known].reshape(*inside.shape, -1)
-            inside = inside & place.cube.valid_pixels(at).reshape(inside.shape) & np.isfinite(pixels).all(axis=-1)
+            values, valid = place.cube.marked_pixels(at)
+            pixels = values[:, known].reshape(*inside.shape, -1)
+            inside = inside & valid.reshape(inside.shape) & np.isfinite(pixels).all(axis=-1)
             yield along.scores(np.where(inside[..., None], pixels, mean) - mean), inside
 
     reach = min(REACH, max(*region.shape) - 1)

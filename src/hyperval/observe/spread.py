@@ -116,8 +116,9 @@ def _independence(
             inside = region[rows, columns]
             lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
             at = lines.ravel(), samples.ravel()
-            values = place.cube.pixels(at)[:, bands].reshape(*inside.shape, -1)
-            inside = inside & place.cube.valid_pixels(at).reshape(inside.shape) & np.isfinite(values).all(axis=-1)
+            pixels, valid = place.cube.marked_pixels(at)
+            values = pixels[:, bands].reshape(*inside.shape, -1)
+            inside = inside & valid.reshape(inside.shape) & np.isfinite(values).all(axis=-1)
             scores = (np.where(inside[..., None], values, mean) - mean) @ directions.vectors
             scores /= np.sqrt(directions.values)
             # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.

@@ -200,9 +200,9 @@ def _reflectance(place: Place, parts: list[Pixels], elm: EmpiricalLine | None, b
     flat = [lines * place.cube.samples + samples for lines, samples in parts]
     every, index = np.unique(np.concatenate(flat), return_inverse=True)
     at = np.divmod(every, place.cube.samples)
-    values = place.cube.pixels(at)
+    values, usable = place.cube.marked_pixels(at)
     found = (values if elm is None else elm.reflectance(values))[:, bands]
-    valid = place.cube.valid_pixels(at) & np.isfinite(found).all(axis=1)
+    valid = usable & np.isfinite(found).all(axis=1)
     ends = np.cumsum([f.size for f in flat])[:-1]
     return [found[i[valid[i]]] for i in np.split(index, ends)]
 
