@@ -73,6 +73,7 @@ def predict(
     departure: Departure | None = None,
     sensor: Sensor | None = None,
     objects: bool | int = False,
+    object_curves: bool = True,
 ) -> Prediction:
     """Predict radiance, SNR, reflectance, detector scores and ROC of a scenario (3.7-3.33).
 
@@ -89,6 +90,7 @@ def predict(
     departure : how the truth departs from the scenario; None: not at all
     objects : also draw the scores of whole objects, which takes a few seconds where there are many; a number is
         that of draws where no input is uncertain
+    object_curves : also the ROC curves of whole objects, half of the time where there are many targets
 
     Returns
     -------
@@ -152,8 +154,9 @@ def predict(
     moves = moved_predictions(inputs, again)
     notes = [f"formulation: {scenario.formulation}"]
     detection = _detection(
-        scenario, on, surfaces, looked_for, with_retrieval(view, truth), steps, errors, spectra, notes, objects
-    )
+        scenario, on, surfaces, looked_for, with_retrieval(view, truth), steps, errors, spectra, notes, objects,
+        object_curves,
+    )  # fmt: skip
     pairs: list[tuple[Detection | Prediction, Detection | Prediction]] = [*detection.pairs]
     pairs += [(m.plus, m.minus) for m in moves]
     if detection.roc:  # spectra of classes move the background; those of targets are in the pairs already
@@ -318,6 +321,7 @@ def _detection(
     spectra: SpectralProducts,
     notes: list[str],
     objects: bool | int,
+    object_curves: bool,
 ) -> Detection:
     scene, processing = scenario.scene, scenario.processing
     if not scene.targets or not processing.detectors:
@@ -342,6 +346,7 @@ def _detection(
         processing,
         false_alarm_grid(processing.false_alarm_grid.lowest, processing.false_alarm_grid.per_decade),
         {t.name: cut(errors[t.name], bands) for t in scene.targets if t.name in errors},
+        object_curves,
     )
 
     def run(with_view: View, shift: float = 0.0) -> Detection:

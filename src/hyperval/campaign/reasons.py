@@ -66,6 +66,7 @@ def reasons(
                 resolve=resolver_of(scenario),
                 departure=departure,
                 objects=draws,
+                object_curves=False,  # scores and false alarms of pixels and draws of objects are looked at
                 show_progress=show_progress,
             )
             for scenario, departure in zip(asked, departures, strict=True)

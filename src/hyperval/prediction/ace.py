@@ -70,6 +70,7 @@ def add_ace(
     worst = 0.0
     for population in target.populations:
         fill = moments(population, thesis)
+        # The fills of whole objects are in the reach of the nodes even where their curve is not asked for.
         objects = np.array([[fill.mean]]) if thesis else fills_of_objects(population.fill)
         reach = np.concatenate([fill.values, objects.ravel()])
         nodes = _nodes(float(reach.min()), float(reach.max()))
@@ -80,6 +81,8 @@ def add_ace(
         found.scores[background_of(population.name), "ace"] = _distribution(mixture)
         pd = exceedance_at(threshold, pixel)
         found.roc[population.name, "ace", "pixel"] = RocCurve(task.pfa, pd, pd, pd, threshold, "pixel")
+        if not task.object_curves:
+            continue
         if objects.shape[1] > 1 or fill.values.size < objects.shape[0]:
             weights = np.full(objects.shape[0], 1.0 / objects.shape[0])
             pd = exceedance_at(threshold, _averaged(at_nodes, nodes, objects, weights))

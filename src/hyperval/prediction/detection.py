@@ -263,6 +263,7 @@ class Task:
     pfa : (K,) false-alarm probabilities
     processing : detectors, features, statistics of the filter
     spectrum_error : target name -> (F, F) error covariance of the target's spectrum
+    object_curves : also the ROC curves of whole objects
     """
 
     targets: Sequence[Target]
@@ -270,6 +271,7 @@ class Task:
     processing: Processing
     pfa: Array
     spectrum_error: Mapping[str, Array]
+    object_curves: bool = True
 
 
 def filter_populations(background: Background, task: Task) -> list[tuple[float, Array, Array]]:
@@ -340,6 +342,8 @@ def _add_linear(
         found.roc[population.name, name, "pixel"] = RocCurve(
             task.pfa, pd, pd, pd, threshold, "pixel", preset_pfa=preset
         )
+        if not task.object_curves:
+            continue
         objects = np.array([[fill.mean]]) if thesis else fills_of_objects(population.fill)
         if objects.shape[1] > 1 or fill.values.size < objects.shape[0]:
             pd = object_detection_probability(threshold, *response.at(objects))

@@ -119,7 +119,7 @@ def _lay_out(figure: Figure) -> None:
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)  # a placeholder would still draw everything once for nothing
 
 
 def svg_bytes(figure: Figure) -> bytes:

@@ -132,7 +132,7 @@ def ranked_pixel_fill(geometry: TargetGeometry, n: int) -> FillDistribution:
 
 def object_fills(geometry: TargetGeometry, n: int) -> Array:
     """(K, n) fills of the ``n`` fullest pixels, in falling order, for K equally likely positions (f of 3.10)."""
-    fills = np.sort(_sampled_fills(geometry), axis=1)[:, ::-1]
+    fills = _ranked_fills(geometry)
     if n > fills.shape[1]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
     return fills[:, :n]
@@ -142,6 +142,14 @@ def lattice_positions(count: int) -> Array:
     """(count, 2) places on the pixel grid to average f of (3.10) over, (x, y) from a pixel's centre [pixels]."""
     i = np.arange(count)
     return np.asarray(np.stack([(i + 0.5) / PHASES, (i * _LATTICE + 0.5) / PHASES], axis=1) % 1.0 - 0.5)
+
+
+@lru_cache(maxsize=256)
+def _ranked_fills(geometry: TargetGeometry) -> Array:
+    """(K, P) the same in falling order."""
+    result = np.sort(_sampled_fills(geometry), axis=1)[:, ::-1]
+    result.setflags(write=False)
+    return result
 
 
 @lru_cache(maxsize=256)

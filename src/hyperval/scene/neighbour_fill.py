@@ -54,6 +54,23 @@ def shared_pixel_fills(
             raise UsageError(
                 "a target with a position lies any way", mend="state heading_deg, or leave position_m out"
             )
+    if shifts is None:
+        return _kept(own, n, tuple(neighbours))
+    return _shared_pixel_fills(own, n, neighbours, shifts)
+
+
+@lru_cache(maxsize=128)
+def _kept(own: TargetGeometry, n: int, neighbours: tuple[Neighbour, ...]) -> tuple[Array, Array]:
+    """For one arrangement, however often it is asked for; not to be written to."""
+    found = _shared_pixel_fills(own, n, neighbours, None)
+    for part in found:
+        part.setflags(write=False)
+    return found
+
+
+def _shared_pixel_fills(
+    own: TargetGeometry, n: int, neighbours: Sequence[Neighbour], shifts: Array | None
+) -> tuple[Array, Array]:
     centred = own.phase == "centred"
     place = np.zeros((1, 2)) if centred else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
     table = _fill_table(replace(own, phase="random"))
