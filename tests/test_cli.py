@@ -64,7 +64,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
 @pytest.mark.parametrize("option", ["-o", "--output"])
 def test_each_command_calls_its_function(calls, arguments, function, first, option):
     assert cli.run([*arguments, option, "out"]) == 0
-    assert calls[function] == ((first, Path("out")), {"show_progress": False})
+    asked = {"show_progress": False} | ({"write_reflectance": None} if function == "observe" else {})
+    assert calls[function] == ((first, Path("out")), asked)
 
 
 @pytest.mark.parametrize("code", [0, 1, 3, 5])
@@ -237,7 +238,7 @@ import sys, types, time
 from pathlib import Path
 from hyperval.files import whole_folder
 fake = types.ModuleType("hyperval.campaign.run")
-def observe(campaign, output, show_progress):
+def observe(campaign, output, show_progress, **options):
     with whole_folder(output) as t:
         (t / "half").write_text("x")
         print("ready", flush=True)

@@ -58,7 +58,8 @@ def test_a_sample_of_the_prediction_agrees():
     assert excess.lower <= 0.0 <= excess.upper
     assert rows["total_variance_ratio"].lower <= 1.0 <= rows["total_variance_ratio"].upper
     for row in rows.values():
-        assert not (row.value < row.lower or row.value > row.upper)
+        assert not row.value < row.lower
+        assert not row.value > row.upper
 
 
 @pytest.mark.parametrize(

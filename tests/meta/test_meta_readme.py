@@ -35,7 +35,9 @@ def test_readme_names_every_command_and_no_other():
     assert named == there | {str(group.name) for group in cli.app.registered_groups}
 
 
-@pytest.mark.parametrize("target", ["validate", "check", "scoreboard", "test", "setup", "lint", "types", "lock", "clean", "help"])
+@pytest.mark.parametrize(
+    "target", ["validate", "check", "scoreboard", "test", "setup", "lint", "types", "lock", "clean", "help"]
+)
 def test_make_knows_the_target(target):
     if not shutil.which("make"):
         pytest.skip("make is not installed")

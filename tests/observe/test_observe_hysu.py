@@ -33,7 +33,7 @@ def test_scores_of_the_field_spectra_equal_plain_numpy(data_dir, campaign):
         shape = source.shape
     targets = [t for t in campaign.detection.targets if t.name in FIELD]
     detection = campaign.detection.model_copy(
-        update={"targets": targets, "background": ["image"], "pools": [], "areas": []}
+        update={"targets": targets, "background": ["image"], "pools": [], "areas": [], "unmixing": None}
     )
     seen = observe(campaign.collection, detection, datasets.resolve, show_progress=False)
     used = seen.detected.bands

@@ -83,7 +83,8 @@ def independent_pixels(
             total += mean * float(share[here].sum())
             squares += mean**2 * float(share[here].sum())
         total = min(max(total, 1.0), 0.5 * n)
-        for_mean.append(max(n / total - 1.0, 1.0))
+        # E[s^2] = sigma^2 (1 - total/n) n/(n - 1) of s^2 with divisor n - 1, var(mean) = sigma^2 total/n.
+        for_mean.append(max((n / total - 1.0) * n / (n - 1.0), 1.0))
         for_variance.append(n / min(max(squares, 1.0), 0.5 * n))
     return np.array(for_mean), np.array(for_variance)
 

@@ -240,15 +240,8 @@ def object_detection_probability(threshold: npt.ArrayLike, means: Array, sds: Ar
     means, sds : (K, n) score statistics of the n pixels at K positions
     """
     x = np.asarray(threshold, dtype=float)
-    precision = 1.0 / np.maximum(sds, _SMALLEST_SD)
-    out = np.empty(x.size)
-    for k, t in enumerate(x):
-        passed = ndtr((means - t) * precision)
-        found = passed[:, 0]
-        for j in range(1, passed.shape[1]):  # sums of positive terms, which keep the digits of small probabilities
-            found = found + (1.0 - found) * passed[:, j]
-        out[k] = found.mean()
-    return out
+    missed = np.stack([log_ndtr((t - means) / np.maximum(sds, _SMALLEST_SD)).sum(axis=1) for t in x])
+    return np.asarray(-np.expm1(missed).mean(axis=1))
 
 
 def predicted_roc(
