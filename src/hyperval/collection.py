@@ -277,8 +277,8 @@ class Unmixing(Model):
     targets: list[UnmixedTarget] = Field(min_length=1)
     background: str = Field(description="region whose pixels around the object give the other endmember")
     ring_pixels: int = Field(8, ge=1, le=64, description="how far around the object they are taken")
-    weights: list[Literal["equal", "background"]] = Field(
-        default_factory=lambda: ["equal"],
+    weights: tuple[Literal["equal", "background"], ...] = Field(
+        ("equal",),
         min_length=1,
         description="all bands alike (method fcls), or by the inverse covariance of the background (fcls-weighted)",
     )

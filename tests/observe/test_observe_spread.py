@@ -27,7 +27,7 @@ def test_tails_of_a_region(world, dof):
     found = world.observe().observation.distribution["all"]
     # Seed fixed; the interval misses in one of twenty seeds.
     assert found.tail_lower <= dof <= found.tail_upper
-    # In components chosen for the spread of these very pixels tails come out 3 % too heavy, varying by another 3 %.
+    # In components chosen for the spread of these very pixels tails come out 3 % too heavy, give or take 3 %.
     assert 1 / found.leading_tail_dof == pytest.approx(1 / dof, abs=0.025)
     assert (found.normality_p_value < 1e-6) == np.isfinite(dof)
     assert found.dimension == BANDS

@@ -9,7 +9,7 @@ from hyperval.errors import InputError
 from hyperval.spectra.readers_record import Record
 from hyperval.spectra.readers_text import number_table, power_unit_in, reflectance_unit_in
 
-# What the maker says that the numbers of a .sig file, times 1e-10, are in; the file itself names the quantity alone.
+# What the maker says that the numbers of a .sig file, times 1e-10, are in; the file names the quantity alone.
 SVC_UNITS = {"radiance": "W cm-2 sr-1 nm-1", "irradiance": "W cm-2 nm-1"}
 SVC_SCALE = 1e-10
 
