@@ -110,7 +110,8 @@ def _sobol(dimensions: int, seed: int, start: int, stop: int) -> Array:
     sequence = qmc.Sobol(dimensions, scramble=True, rng=seed)
     with warnings.catch_warnings():  # a stretch of the sequence has no power of two points, and need not
         warnings.simplefilter("ignore", UserWarning)
-        sequence.fast_forward(start)
+        if start:
+            sequence.fast_forward(start)
         return np.asarray(np.clip(sequence.random(stop - start), 1e-12, 1.0 - 1e-12))
 
 

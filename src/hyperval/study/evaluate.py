@@ -216,7 +216,7 @@ def difference_from_predict(evaluator: Evaluator, point: Mapping[str, Any]) -> f
     moved = {p: v for p, v in point.items() if p not in changes}
     ready = evaluator.variant(changes)
     prediction = evaluator.predicted(ready, moved)
-    batch = evaluator.batch(ready, {p: _tidy(np.array([v], dtype=object)) for p, v in moved.items()}, 1)
+    batch = evaluator.batch(ready, {p: _tidy(_single(v)) for p, v in moved.items()}, 1)
     pairs = [(batch.radiance(s)[0], e.mean) for s, e in prediction.radiance.items() if s in _pure(ready.scenario)]
     pairs += [(batch.snr(s)[0], e.mean) for s, e in prediction.snr.items() if s in _pure(ready.scenario)]
     for (subject, detector, unit), curve in prediction.roc.items():
@@ -242,6 +242,12 @@ def _tidy(column: Column) -> Column:
         return column.astype(float)
     found = np.empty(column.size, dtype=object)
     found[:] = [tuple(v) if isinstance(v, list) else v for v in column]
+    return found
+
+
+def _single(value: Any) -> Column:
+    found = np.empty(1, dtype=object)
+    found[0] = value
     return found
 
 

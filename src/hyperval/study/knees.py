@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,13 @@ class KneePoint:
     reason: str = ""
 
 
-def knee(x: npt.ArrayLike, y: npt.ArrayLike, *, logarithmic: bool = False) -> KneePoint:
+def knee(
+    x: npt.ArrayLike,
+    y: npt.ArrayLike,
+    *,
+    logarithmic: bool = False,
+    bend: Literal["any", "concave", "convex"] = "any",
+) -> KneePoint:
     """The point of greatest curvature of y(x) once both axes run from 0 to 1.
 
     kappa = |v''| / (1 + v'^2)^(3/2) of v(u), u = (x - x_0)/(x_1 - x_0) (of log x where ``logarithmic``) and
@@ -35,6 +42,7 @@ def knee(x: npt.ArrayLike, y: npt.ArrayLike, *, logarithmic: bool = False) -> Kn
     Parameters
     ----------
     x, y : (n,), n of 5 or more, x rising
+    bend : "concave" looks at v'' < 0 alone (a rising curve levels off), "convex" at v'' > 0
     """
     at, value = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     held = np.isfinite(value)
@@ -49,7 +57,12 @@ def knee(x: npt.ArrayLike, y: npt.ArrayLike, *, logarithmic: bool = False) -> Kn
     u = (scaled - scaled[0]) / (scaled[-1] - scaled[0])
     spline = CubicSpline(u, (value - value.min()) / span)
     fine = np.linspace(0.0, 1.0, _FINE)
-    curvature = np.abs(spline(fine, 2)) / (1.0 + spline(fine, 1) ** 2) ** 1.5
+    sign = {"any": 0.0, "concave": -1.0, "convex": 1.0}[bend]
+    second = spline(fine, 2)
+    second = np.abs(second) if sign == 0.0 else np.maximum(sign * second, 0.0)
+    curvature = second / (1.0 + spline(fine, 1) ** 2) ** 1.5
+    if not curvature.any():
+        return KneePoint(*nothing, f"no part of the curve is {bend}")
     # A parabola through the three values around the greatest: between the points of the fine grid.
     k = int(np.argmax(curvature))
     if k in (0, _FINE - 1):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,6 +20,7 @@ from hyperval.study.tables import StudyTable
 
 _MOST_REASONS = 12
 _MOST_VALUES = 12
+_MOST_KNEES = 24
 
 
 def study_page(
@@ -32,23 +34,28 @@ def study_page(
     """The page: figures first, then answers, knees, what moved, what was asked, and how it was evaluated."""
     study = plan.study
     questions = {q.name: q for q in study.required}
-    return environment().get_template("study.html.j2").render(
-        **common_words(),
-        study=study,
-        scenario=plan.scenario,
-        title=study.title or study.name,
-        summary=f"{len(table.values):,} points were evaluated; nothing here passes or fails. "
-        f"Tables: {', '.join(names)}.",
-        figures=[{"drawing": d, "source": _embedded(d)} for d in drawings],
-        from_words=f"From {names[0]}; study {study.name}, scenario {plan.scenario.name}",
-        answers=[_answer(table, f.name, questions[f.name]) for f in table.outputs if f.name in questions],
-        knees=[_knee(k) for k in knees],
-        inputs=[_input(i) for i in study.inputs],
-        outputs=[_output(plan, table, o) for o in study.outputs],
-        has_error=bool(plan.sky_error),
-        notes=_notes(plan),
-        reasons=_reasons(table),
-        record=record,
+    return (
+        environment()
+        .get_template("study.html.j2")
+        .render(
+            **common_words(),
+            study=study,
+            scenario=plan.scenario,
+            title=study.title or study.name,
+            summary=f"{len(table.values):,} points were evaluated; nothing here passes or fails. "
+            f"Tables: {', '.join(names)}.",
+            figures=[{"drawing": d, "source": _embedded(d)} for d in drawings],
+            from_words=f"From {names[0]}; study {study.name}, scenario {plan.scenario.name}",
+            answers=[_answer(table, f.name, questions[f.name]) for f in table.outputs if f.name in questions],
+            knees=[_knee(k) for k in knees[:_MOST_KNEES]],
+            knees_left_out=max(0, len(knees) - _MOST_KNEES),
+            inputs=[_input(i) for i in study.inputs],
+            outputs=[_output(plan, table, o) for o in study.outputs],
+            has_error=bool(plan.sky_error),
+            notes=_notes(plan),
+            reasons=_reasons(table),
+            record=record,
+        )
     )
 
 
@@ -88,21 +95,24 @@ def _knee(item: FoundKnee) -> dict[str, str]:
 
 def _input(item: Input) -> dict[str, str]:
     moves = [
-        m.path + (f" = {m.offset:g} + {m.factor:g} x" if (m.factor, m.offset) != (1.0, 0.0) else "") for m in item.targets
+        m.path + (f" = {m.offset:g} + {m.factor:g} x" if (m.factor, m.offset) != (1.0, 0.0) else "")
+        for m in item.targets
     ]
     if item.grid is not None:
         g = item.grid
         values = f"{g.count} from {g.start:g} to {g.stop:g}, {g.spacing}"
     elif item.values is not None:
         shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in item.values]
-        values = ", ".join(shown[:_MOST_VALUES]) + (f" and {len(shown) - _MOST_VALUES} more" if len(shown) > _MOST_VALUES else "")
+        values = ", ".join(shown[:_MOST_VALUES]) + (
+            f" and {len(shown) - _MOST_VALUES} more" if len(shown) > _MOST_VALUES else ""
+        )
     else:
         assert item.random is not None  # noqa: S101 - the model's own check
         kind = next(n for n in ("uniform", "log_uniform", "normal") if getattr(item.random, n) is not None)
         values = f"{kind.replace('_', '-')} from {item.random.ends[0]:g} to {item.random.ends[1]:g}"
         if item.random.normal:
             values = f"normal, {item.random.normal[0]:g} ± {item.random.normal[1]:g}, cut at {item.random.ends}"
-    return {"words": item.words, "moves": "; ".join(moves), "values": values}
+    return {"words": item.words, "moves": "; ".join(moves), "taken": values}
 
 
 def _output(plan: Plan, table: StudyTable, output: Output) -> dict[str, str]:
@@ -129,7 +139,11 @@ def _meaning(plan: Plan, o: Output) -> str:
         return f"area under the ROC of {o.subject}, {detector}"
     if o.kind == "log-auc":
         return f"mean P_D of {o.subject} over P_FA {o.pfa_range[0]:g} to {o.pfa_range[1]:g}, evenly in its logarithm, {detector}"
-    where = f"at {o.band_nm:g} nm" if o.band_nm is not None else f"mean of the windows in {o.range_nm} nm"
+    where = (
+        f"at {o.band_nm:g} nm"
+        if o.range_nm is None
+        else f"mean of the windows in {o.range_nm[0]:g}-{o.range_nm[1]:g} nm"
+    )
     if o.kind == "snr":
         return f"SNR of {o.subject} {where}" + ("" if o.calibration_error else ", without calibration error")
     return f"radiance of {o.subject} {where} [{o.unit}]"
@@ -152,5 +166,6 @@ def _notes(plan: Plan) -> list[str]:
 
 
 def _reasons(table: StudyTable) -> list[tuple[str, int]]:
-    return Counter(table.reasons.values()).most_common(_MOST_REASONS)
-
+    """The reasons without their numbers, and how many points each has."""
+    plain = [re.sub(r"; it comes to [^;]*", "", text) for text in table.reasons.values()]
+    return Counter(plain).most_common(_MOST_REASONS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import matplotlib as mpl
@@ -27,12 +28,13 @@ def draw(study: Study, table: StudyTable, knees: list[FoundKnee]) -> list[Drawin
     found = []
     for number, plot in enumerate(study.plots, 1):
         name = f"{number:02d}-{plot.kind}-{plot.output}"
-        if plot.kind == "tornado":
-            found.append(_tornado(study, table, plot, name))
-        elif plot.kind == "heat":
-            found.append(_heat(study, table, plot, name))
-        else:
-            found.append(_lines(study, table, plot, name, knees))
+        with style.house_style():
+            if plot.kind == "tornado":
+                found.append(_tornado(study, table, plot, name))
+            elif plot.kind == "heat":
+                found.append(_heat(study, table, plot, name))
+            else:
+                found.append(_lines(study, table, plot, name, knees))
     return found
 
 
@@ -42,6 +44,15 @@ def _input(study: Study, name: str | None) -> Input:
 
 def _output_words(study: Study, name: str) -> str:
     return next(x.words for x in (*study.outputs, *study.required) if x.name == name)
+
+
+def _label(study: Study, name: str) -> str:
+    return next(x.label or x.name for x in (*study.outputs, *study.required) if x.name == name)
+
+
+def _folded(text: str, width: int = 22) -> str:
+    """Text in short lines, for the title of a legend."""
+    return "\n".join(style.plain(line) for line in textwrap.wrap(text, width))
 
 
 def _kept(study: Study, table: StudyTable, drawn: list[str]) -> tuple[npt.NDArray[np.bool_], dict[str, Any]]:
@@ -63,13 +74,15 @@ def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[F
     family = table.column(plot.family)[keep] if plot.family else np.zeros(x.size)
     members = _different(family)
     shown = [members[i] for i in _spread_out(len(members))]
-    figure = style.new_figure(8.6, 4.8, plot.title or f"{plot.output} along {item.name}", False)
+    figure = style.new_figure(
+        8.6, 4.8, plot.title or f"{_label(study, plot.output)} against {item.label or item.name}", False
+    )
     axes = figure.add_subplot()
     words, entries = [], []
     for k, member in enumerate(shown):
         here = np.array([v == member for v in family]) & np.isfinite(y)
         colour = _colour(k, len(shown), isinstance(member, float))
-        label = f"{_input(study, plot.family).label or plot.family} {_text(member)}" if plot.family else plot.output
+        label = _text(member) if plot.family else plot.output
         at, middle, low, high = _summarised(x[here], y[here], plot.scale == "log")
         line = axes.plot(
             at, middle, color=colour, marker=_MARKERS[k] if len(at) <= 40 else None, markersize=4, zorder=3
@@ -88,12 +101,15 @@ def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[F
     if plot.scale == "log":
         axes.set_xscale("log")
         style.log_ticks(axes.xaxis) if _decades(x) > 1.5 else None
-    _numeric_or_words(axes, item)
+    axes.set_xlabel(style.plain(item.words))
     axes.set_ylabel(style.plain(_output_words(study, plot.output)))
     if y.size and np.nanmin(y) >= 0 and np.nanmax(y) <= 1.0 and _is_probability(study, plot.output):
         axes.set_ylim(-0.03, 1.03)
     if plot.family:
-        style.add_legend(figure, entries, columns=3)
+        # The greatest first, as the lines mostly stand above each other.
+        handles, labels = zip(*reversed(entries), strict=True)
+        figure.legend(handles, [style.plain(t) for t in labels], loc="outside right center",
+                      title=_folded(_input(study, plot.family).words))  # fmt: skip
     notes = _notes(fixed, len(members), len(shown))
     if any(item.random for item in study.inputs):
         notes += "; line: median, band: 10 to 90 % of the points"
@@ -110,11 +126,18 @@ def _heat(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
     z = np.asarray(table.column(plot.output), float)[keep]
     edges = [_edges(table, i, v) for i, v in ((across, x), (up, y))]
     cells = np.full((edges[1].size - 1, edges[0].size - 1), np.nan)
-    column, row = (np.clip(np.searchsorted(e, v, "right") - 1, 0, e.size - 2) for e, v in zip(edges, (x, y), strict=True))
+    column, row = (
+        np.clip(np.searchsorted(e, v, "right") - 1, 0, e.size - 2) for e, v in zip(edges, (x, y), strict=True)
+    )
     for r, c in sorted(set(zip(row.tolist(), column.tolist(), strict=True))):
         inside = z[(row == r) & (column == c)]
         cells[r, c] = np.nanmedian(inside) if np.isfinite(inside).any() else np.nan
-    figure = style.new_figure(7.6, 5.4, plot.title or f"{plot.output} over {across.name} and {up.name}", False)
+    figure = style.new_figure(
+        7.6,
+        5.4,
+        plot.title or f"{_label(study, plot.output)} over {across.label or across.name} and {up.label or up.name}",
+        False,
+    )
     axes = figure.add_subplot()
     mesh = axes.pcolormesh(edges[0], edges[1], cells, cmap="cividis", rasterized=False, edgecolors="none")
     figure.colorbar(mesh, ax=axes, label=style.plain(_output_words(study, plot.output)))
@@ -124,8 +147,12 @@ def _heat(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
     axes.set_xlabel(style.plain(across.words))
     axes.set_ylabel(style.plain(up.words))
     finite = cells[np.isfinite(cells)]
-    told = f"from {number_text(float(finite.min()))} to {number_text(float(finite.max()))}" if finite.size else "empty"
-    title = (plot.title or f"{_output_words(study, plot.output)} over {across.words} and {up.words}") + _notes(fixed, 0, 0)
+    told = (
+        f"from {number_text(float(finite.min()))} to {number_text(float(finite.max()))}" if finite.size else "empty"
+    )
+    title = (plot.title or f"{_output_words(study, plot.output)} over {across.words} and {up.words}") + _notes(
+        fixed, 0, 0
+    )
     return Drawing(name, "study", title, f"Heat map, {told}.", style.svg_bytes(figure), "svg")
 
 
@@ -139,7 +166,9 @@ def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
             low, high = min(rows, key=lambda i: values[i]), max(rows, key=lambda i: values[i])
             bars.append((item, values[low], column[low], values[high], column[high]))
     bars.sort(key=lambda b: max(b[1], b[3], base) - min(b[1], b[3], base))
-    figure = style.new_figure(9.0, 1.7 + 0.45 * len(bars), plot.title or f"What {plot.output} depends on", False)
+    figure = style.new_figure(
+        9.0, 1.7 + 0.45 * len(bars), plot.title or f"{_label(study, plot.output)}: each input alone", False
+    )
     axes = figure.add_subplot()
     words = []
     for k, (item, low, at_low, high, at_high) in enumerate(bars):
@@ -149,7 +178,9 @@ def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
             axes.barh(k, end - base, left=base, height=0.62, color=colour)
             axes.annotate(_text(at), (end, k), xytext=(-4 if end < base else 4, 0), textcoords="offset points",
                           va="center", ha="right" if end < base else "left", fontsize=8.5)  # fmt: skip
-        words.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
+        words.append(
+            f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}"
+        )
     axes.axvline(base, color="#222222", linewidth=1.0)
     axes.margins(x=0.12)
     axes.set_yticks(range(len(bars)), [style.plain(b[0].words) for b in bars])
@@ -160,7 +191,9 @@ def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
     return Drawing(name, "study", title, f"Tornado. {'; '.join(reversed(words))}.", style.svg_bytes(figure), "svg")
 
 
-def _summarised(x: npt.NDArray[Any], y: Array, logarithmic: bool) -> tuple[list[Any], Array, Array | None, Array | None]:
+def _summarised(
+    x: npt.NDArray[Any], y: Array, logarithmic: bool
+) -> tuple[list[Any], Array, Array | None, Array | None]:
     """x and y of a line: as they are, or median and spread where several points share an x or x is drawn at random."""
     different = _different(x)
     if len(different) > 2 * _BINS and len(different) == x.size and not np.all(np.diff(x.astype(float)) > 0):
@@ -203,10 +236,6 @@ def _colour(k: int, count: int, ordered: bool) -> Any:
     if ordered and count > 1:
         return mpl.colormaps["viridis"](0.88 * k / (count - 1))
     return style.SOURCE_COLOURS[k % len(style.SOURCE_COLOURS)]
-
-
-def _numeric_or_words(axes: Any, item: Input) -> None:
-    axes.set_xlabel(style.plain(item.words))
 
 
 def _is_probability(study: Study, name: str) -> bool:

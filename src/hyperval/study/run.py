@@ -177,7 +177,11 @@ def _unpacked(digest: str, parcel: _Parcel) -> Any:
 
 def _refuse_foreign(output: Path) -> None:
     """Refuse an output folder that may not be replaced before hours are spent on it."""
-    if output.exists() and not (output / "results.json").is_file() and (not output.is_dir() or any(output.iterdir())):
+    if (
+        output.exists()
+        and not (output / "results.json").is_file()
+        and (not output.is_dir() or any(output.iterdir()))
+    ):
         with whole_folder(output, ours="results.json"):  # raises
             pass
 

@@ -212,6 +212,9 @@ class Knee(Model):
     output: str
     along: str = Field(description="name of an input with numbers")
     scale: Literal["linear", "log"] = Field("linear", description="of the input, in which the bend is looked for")
+    bend: Literal["any", "concave", "convex"] = Field(
+        "any", description="concave: where a rising curve levels off; convex: where it sets in"
+    )
 
 
 class Plot(Model):

@@ -57,7 +57,7 @@ def _knees(study: Study, table: StudyTable, asked: Knee) -> Iterator[FoundKnee]:
 
 def _knee(asked: Knee, x: Array, y: Array) -> KneePoint:
     order = np.argsort(x, kind="stable")
-    return knee(x[order], y[order], logarithmic=asked.scale == "log")
+    return knee(x[order], y[order], logarithmic=asked.scale == "log", bend=asked.bend)
 
 
 def words_of(values: dict[str, Any]) -> str:
@@ -74,7 +74,9 @@ def result_rows(plan: Plan, table: StudyTable, knees: list[FoundKnee]) -> Result
     study, rows = plan.study, ResultTable()
     kinds = {o.name: o for o in study.outputs}
 
-    def add(product: str, subject: str, method: str, metric: str, value: float, unit: str = "1", **more: Any) -> None:
+    def add(
+        product: str, subject: str, method: str, metric: str, value: float, unit: str = "1", **more: Any
+    ) -> None:
         rows.add(Result(study.name, product, subject, method, metric, float(value), unit, **more))
 
     for f in table.outputs:

@@ -63,12 +63,12 @@ class StudyTable:
 
 
 def input_fields(points: Points) -> list[Field]:
-    """The columns of the inputs."""
+    """The columns of the inputs; words and lists are text."""
     found = []
     for item in points.study.inputs:
-        text = points.stretch(0, len(points) if len(points) < STRETCH else STRETCH)[item.name].dtype == object
-        text = text and points.study.design.kind == "grid"
-        found.append(Field(item.name, item.label or item.name, item.unit, bool(text)))
+        values = points.values[item.name]
+        text = values is not None and values.dtype == object
+        found.append(Field(item.name, item.label or item.name, item.unit, text))
     return found
 
 
@@ -118,8 +118,12 @@ def _write_netcdf(table: StudyTable, path: Path) -> None:
         for start, columns in table.stretches():
             for f in (*table.inputs, *table.outputs):
                 column = columns[f.name]
-                values: Any = [str(v) for v in column] if f.text else _numbers(column)
+                values: Any = _texts(column) if f.text else _numbers(column)
                 held[f.name][start : start + len(column)] = values
+
+
+def _texts(column: npt.NDArray[Any]) -> list[str]:
+    return ["" if v is None else str(v) for v in column]
 
 
 def _numbers(column: npt.NDArray[Any]) -> Array:
@@ -138,6 +142,6 @@ def _write_parquet(table: StudyTable, path: Path) -> None:
             arrays = [pa.array(np.arange(start, start + count))]
             for f in (*table.inputs, *table.outputs):
                 column = columns[f.name]
-                arrays.append(pa.array([str(v) for v in column] if f.text else _numbers(column)))
+                arrays.append(pa.array(_texts(column) if f.text else _numbers(column)))
             arrays.append(pa.array([table.reasons.get(start + i, "") for i in range(count)]))
             writer.write_table(pa.Table.from_arrays(arrays, schema=schema))

@@ -1,0 +1,75 @@
+"""A scenario of few bands with a synthetic atmosphere, and studies of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperval.atmosphere import AtmosphericTable, write_table
+from hyperval.config import parse_yaml, validate
+from hyperval.scenario import Scenario, load_scenario
+from hyperval.study.schema import Study
+
+SCENARIO = """
+schema: 1
+name: small
+atmosphere: {engine: table, table: sky.nc, aot550: 0.2, water_vapour_g_cm2: 2.0, ozone_atm_cm: 0.3,
+             sensor_altitude_km: 1, solar_zenith_deg: 35, solar_azimuth_deg: 180, day_of_year: 210}
+sensor: prospectir-vs
+scene:
+  classes:
+    - {name: asphalt, fraction: 0.5, spectrum: {builtin: asphalt}}
+    - {name: grass, fraction: 0.3, spectrum: {builtin: grass}, tail_dof: 9}
+    - {name: soil, fraction: 0.2, spectrum: {builtin: soil}, gain: 1.5}
+  panels:
+    - {name: panel, spectrum: {builtin: white-panel}}
+  targets:
+    - {name: plank, spectrum: {builtin: yellow-paint-plank}, host: asphalt, fill: {fixed: 0.05}}
+processing: {detectors: [cem], bands: {ranges: [[450, 700]]}}
+"""
+
+
+@pytest.fixture(scope="session")
+def scenario_file(tmp_path_factory) -> Path:
+    """The scenario with its atmosphere table beside it."""
+    folder = tmp_path_factory.mktemp("scenario")
+    (folder / "small.yaml").write_text(SCENARIO)
+    w = np.arange(340.0, 2601.0, 20.0)
+    depth = np.linspace(0.0, 1.0, 5)[:, None]
+    haze = 1.0 - np.exp(-depth * 550.0 / w)
+    quantities = {
+        "path": 0.03 * (450.0 / w) ** 3 + 0.12 * haze,
+        "direct": 0.8 * np.exp(-1.2 * depth * 550.0 / w),
+        "adjacency": 0.15 * haze * np.exp(-0.4 * depth),
+        "spherical_albedo": 0.05 * (450.0 / w) ** 3 + 0.15 * haze,
+        "ground": 0.9 * np.exp(-0.2 * depth * 550.0 / w),
+        "gas": np.full((5, w.size), 0.95),
+        "diffuse": 0.1 + 0.5 * haze,
+    }
+    fixed = {"water_vapour_g_cm2": 2.0, "ozone_atm_cm": 0.3, "ground_altitude_km": 0.0, "sensor_altitude_km": 1.0,
+             "solar_zenith_deg": 35.0, "view_zenith_deg": 0.0}  # fmt: skip
+    write_table(AtmosphericTable(w, {"aot550": depth[:, 0]}, fixed, quantities), folder / "sky.nc")
+    return folder / "small.yaml"
+
+
+@pytest.fixture
+def scenario(scenario_file) -> Scenario:
+    return load_scenario(scenario_file)
+
+
+@pytest.fixture
+def make_study(scenario_file):
+    """From YAML text to a study of the small scenario, and the file that says it."""
+
+    def make(text: str) -> tuple[Study, Path]:
+        path = scenario_file.parent / "study.yaml"
+        whole = f"schema: 1\nname: trial\nscenario: small.yaml\n{text}"
+        path.write_text(whole)
+        data, lines = parse_yaml(whole)
+        study = validate(Study, data, lines, "study")
+        study._folder = scenario_file.parent
+        return study, path
+
+    return make

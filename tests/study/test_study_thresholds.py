@@ -1,0 +1,48 @@
+"""Thresholds and P_FA of many evaluations against those of one."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm, t
+
+from hyperval.processing.roc_model import ClassScore, false_alarm_grid, threshold_at
+from hyperval.study.thresholds import ClassScores, log_false_alarm, thresholds_at
+
+
+def random_scores(rng: np.random.Generator, rows: int, tails: bool) -> ClassScores:
+    fraction = rng.dirichlet(np.ones(4), rows)
+    fraction[::5, 2] = 0.0
+    fraction /= fraction.sum(axis=1, keepdims=True)
+    dof = np.where(rng.random((rows, 4)) < 0.5, rng.uniform(2.1, 40.0, (rows, 4)), np.inf)
+    mean, sd = rng.normal(0.0, 0.02, (rows, 4)), rng.uniform(0.004, 0.05, (rows, 4))
+    return ClassScores(fraction, mean, sd, dof if tails else np.full((rows, 4), np.inf))
+
+
+@pytest.mark.parametrize("tails", [False, True])
+def test_same_thresholds_as_one_by_one(tails):
+    scores = random_scores(np.random.default_rng(0), 12, tails)
+    pfa = false_alarm_grid(1e-9, 4)
+    found = thresholds_at(np.broadcast_to(pfa, (12, pfa.size)), scores)
+    for r in range(12):
+        columns = zip(scores.fraction[r], scores.mean[r], scores.sd[r], scores.dof[r], strict=True)
+        classes = [ClassScore(f, m, s, None if np.isinf(d) else d) for f, m, s, d in columns]
+        np.testing.assert_allclose(found[r], threshold_at(pfa, classes), rtol=0, atol=1e-10)
+
+
+def test_false_alarms_at_the_threshold_are_those_asked_for():
+    scores = random_scores(np.random.default_rng(1), 6, True)
+    pfa = np.full((6, 1), 1e-7)
+    value, _ = log_false_alarm(thresholds_at(pfa, scores)[:, 0], scores)
+    np.testing.assert_allclose(value, np.log(1e-7), rtol=0, atol=1e-11)
+
+
+def test_false_alarms_and_slope_by_another_route():
+    scores = random_scores(np.random.default_rng(2), 3, True)
+    x = np.array([0.05, 0.1, 0.15])
+    value, slope = log_false_alarm(x, scores)
+    for r in range(3):
+        total = density = 0.0
+        for f, m, s, d in zip(scores.fraction[r], scores.mean[r], scores.sd[r], scores.dof[r], strict=True):
+            law = norm(m, s) if np.isinf(d) else t(d, m, s * np.sqrt((d - 2.0) / d))
+            total, density = total + f * law.sf(x[r]), density + f * law.pdf(x[r])
+        assert value[r] == pytest.approx(np.log(total), rel=1e-10)
+        assert slope[r] == pytest.approx(-density / total, rel=1e-8)

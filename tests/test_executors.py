@@ -1,0 +1,94 @@
+"""One seam: here, in processes, on a cluster; what comes out is the same and in order."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from hyperval.errors import UsageError
+from hyperval.executors import SerialExecutor, WorkersLostError, in_order, worker_count, workers
+from hyperval.processing.blas import _openblas
+
+
+def square(x):
+    return x * x
+
+
+def fails_at_three(x):
+    if x == 3:
+        raise ValueError("three")
+    return x
+
+
+def blas_threads(_):
+    return [int(get()) for get, _ in _openblas()]
+
+
+def dies_once(piece):
+    flag, value = piece
+    if value == 2 and not flag.exists():
+        flag.write_text("died")
+        os._exit(9)
+    return value * value
+
+
+def dies(_):
+    os._exit(9)
+
+
+def test_results_come_in_the_order_of_the_pieces():
+    assert list(in_order(SerialExecutor(), square, range(7))) == [k * k for k in range(7)]
+    with ThreadPoolExecutor(3) as pool:
+        assert list(in_order(pool, square, range(50))) == [k * k for k in range(50)]
+
+
+def test_pieces_are_handed_out_as_they_are_needed():
+    handed = []
+
+    def pieces():
+        for k in range(100):
+            handed.append(k)
+            yield k
+
+    results = in_order(SerialExecutor(), square, pieces())
+    assert next(results) == 0
+    assert len(handed) <= 2
+
+
+def test_what_a_piece_raises_comes_out():
+    results = in_order(SerialExecutor(), fails_at_three, range(6))
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ValueError, match="three"):
+        next(results)
+
+
+def test_one_blas_thread_for_each_piece():
+    counts = next(in_order(SerialExecutor(), blas_threads, [0]))
+    assert all(n == 1 for n in counts)
+
+
+def test_a_process_that_dies_is_replaced(tmp_path):
+    pieces = [(tmp_path / "flag", k) for k in range(6)]
+    with workers(2) as where:
+        assert list(in_order(where, dies_once, pieces)) == [0, 1, 4, 9, 16, 25]
+    assert (tmp_path / "flag").exists()
+
+
+def test_processes_that_always_die_are_given_up(monkeypatch):
+    monkeypatch.setattr("hyperval.executors._RENEWALS", 0)
+    with pytest.raises(WorkersLostError, match="worker process died"), workers(2) as where:
+        list(in_order(where, dies, [1]))
+
+
+def test_number_of_workers(monkeypatch):
+    monkeypatch.setenv("HYPERVAL_WORKERS", "3")
+    assert (worker_count(), worker_count(2), worker_count(9)) == (3, 2, 3)
+    monkeypatch.setenv("HYPERVAL_WORKERS", "many")
+    with pytest.raises(UsageError, match="HYPERVAL_WORKERS"):
+        worker_count()
+
+
+def test_a_scheduler_that_is_not_there():
+    pytest.importorskip("distributed", reason="the extra dask is not installed")
+    with pytest.raises(UsageError, match="scheduler"), workers(scheduler="no-such-protocol://nowhere:1"):
+        pass
