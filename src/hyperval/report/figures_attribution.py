@@ -33,7 +33,7 @@ def attribution_figures(table: ResultTable, *, simulated: bool) -> list[Drawing]
         drawings.append(_bars(whole[:_MOST_INPUTS], table, simulated))
     single = [r for r in gains if r.subject != _ALL]
     if single:
-        drawings.append(_by_subject(single, simulated))
+        drawings += [d for d in (_by_subject(single, simulated),) if d is not None]
     moves = [r for r in table.where(product="sensitivity") if r.metric.endswith("_change")]
     if moves:
         drawings.append(_effects(moves, simulated))
@@ -77,12 +77,16 @@ def _bars(rows: Sequence[Result], table: ResultTable, simulated: bool) -> Drawin
     return Drawing("attribution-inputs", "attribution", title, alt, style.svg_bytes(figure), "svg")
 
 
-def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing:
+def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing | None:
     """A matrix of subjects by inputs: the area of a dot is the part of the greatest gain of its row."""
     title = "The same for each subject by itself"
-    every = list(dict.fromkeys(r.subject for r in rows))
-    subjects = every[:_MOST_GROUPS]
     by = {(r.subject, r.method): r.value for r in rows}
+    # A gain below 1 explains nothing; subjects without any greater one have nothing to explain.
+    telling = {r.subject for r in rows if r.value >= 1.0}
+    every = [s for s in dict.fromkeys(r.subject for r in rows) if s in telling]
+    if not every:
+        return None
+    subjects = every[:_MOST_GROUPS]
     best: dict[str, float] = {}
     for r in rows:
         best[r.method] = max(best.get(r.method, 0.0), r.value)
@@ -94,7 +98,7 @@ def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing:
         for j, name in enumerate(inputs):
             gain = by.get((subject, name), 0.0)
             if gain > 0.0 and top > 0.0:
-                first = gain == top
+                first = gain >= 0.999 * top
                 axes.scatter(j, i, s=120.0 * gain / top, color="#C2410C" if first else "#8aa4b8", linewidths=0)
                 if first:
                     axes.annotate(f"{gain:.2g}", (j, i), xytext=(9, 0), textcoords="offset points", fontsize=7,
@@ -108,7 +112,11 @@ def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing:
     tops = {s: max(inputs, key=lambda n: by.get((s, n), 0.0)) for s in subjects}
     alt = "For each subject the input that gains most: " + "; ".join(f"{s}: {n}" for s, n in tops.items()) + "."
     legend = "red: the greatest gain of a row, with its size 2 Δ ln L; grey: others as parts of it"
-    title += style.left_out([subjects], every)
+    quiet = len({r.subject for r in rows}) - len(every)
+    if quiet:
+        legend += f"; {quiet} subjects have nothing to explain"
+    if len(every) > len(subjects):
+        legend += f"; {len(subjects)} of {len(every)} are drawn, all are in results.csv"
     return Drawing("attribution-subjects", "attribution", title, alt, style.svg_bytes(figure), "svg", legend=legend)
 
 
@@ -143,7 +151,7 @@ def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
     )
     axes.set_yticks(
         range(len(shown)),
-        [style.plain(style.shortened(f"{q} (gap {gaps[q]:.2g})", 58)) for q in shown],
+        [style.plain(style.shortened(f"{q} (gap {gaps[q]:.2g})", 46)) for q in shown],
         fontsize=7.5,
     )
     figure.colorbar(image, ax=axes, label="change per unit [1]", shrink=0.8, extend="both")

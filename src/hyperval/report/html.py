@@ -22,6 +22,7 @@ from hyperval.results import Result, Status
 MAX_BYTES = 5_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 4_200_000  # of that, for figures
 _MOST_INFORMING = 40  # rows in the first table; more are moved to their sections
+_MOST_OPEN = 12  # of those, before the rest is folded
 _MOST_PASSES = 40  # in the first table; the others are folded below it
 _MOST_SKIPPED = 10
 _MOST_LISTED = 400  # per-band failures spelled out; results.csv has all
@@ -69,7 +70,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     failed_bands = [r for r in bands if r.status in (Status.FAIL, Status.ERROR)]
     informing = [r for r in rows if r.status is Status.INFO and not v.is_per_band(r)]
     first = informing if len(informing) <= _MOST_INFORMING else [r for r in informing if v.is_planned(r)]
-    first = sorted(first, key=lambda r: not v.informs_of_disagreement(r))
+    # What explains the whole comes first, then what disagrees.
+    first = sorted(first, key=lambda r: (not _explains_all(r), not v.informs_of_disagreement(r)))
     first = first[: max(_MOST_INFORMING, sum(v.informs_of_disagreement(r) for r in first))]
     shown = {id(r) for r in first}
     return environment().get_template("report.html.j2").render(
@@ -84,7 +86,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         failed_by_subject=_grouped(failed_bands),
         unlisted_bands=len(bands) - len(failed_bands),
         per_band=sum(v.is_per_band(r) for r in rows),
-        informing=first,
+        informing=first[:_MOST_OPEN],
+        folded_informing=first[_MOST_OPEN:],
         moved=len(informing) - len(first),
         sections=_sections(run, drawings, [r for r in informing if id(r) not in shown]),
         undone=_undone(gates),
@@ -94,6 +97,10 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         maps=len(run.score_maps),
         **common_words(),
     )  # fmt: skip
+
+
+def _explains_all(row: Result) -> bool:
+    return row.product == "attribution" and row.subject == "all" and row.metric == "reduced_chi_square"
 
 
 def index_page(runs: Sequence[RunReport], folders: Mapping[str, str]) -> str:
