@@ -49,9 +49,16 @@ def results_json(rows: Iterable[Result]) -> str:
         "hyperval_version": hyperval.__version__,
         "counts": status_counts(rows),
         "columns": list(COLUMNS),
-        "rows": [{column: json_value(getattr(row, column)) for column in COLUMNS} for row in rows],
+        "rows": [],
     }
-    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    head = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+    if not rows:
+        return head + "\n"
+    # The standard encoder is fast only without indentation: a row of single values gets it by its separator.
+    encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",\n   ", ": ")).encode
+    bodies = [encode({column: json_value(getattr(row, column)) for column in COLUMNS})[1:-1] for row in rows]
+    listed = ",\n".join(f"  {{\n   {body}\n  }}" for body in bodies)
+    return head.removesuffix("[]\n}") + f"[\n{listed}\n ]\n}}\n"
 
 
 def junit_xml(rows: Iterable[Result]) -> str:
