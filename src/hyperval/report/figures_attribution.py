@@ -125,8 +125,9 @@ def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
     title = "What one unit of each input moves"
 
     def label(r: Result) -> str:
-        way = r.method.partition(" / ")[2]
-        return f"{r.subject}, {r.metric.removesuffix('_change')}" + (f" {way}" if way else "")
+        what = r.metric.removesuffix("_change").replace("roc_pd@", "P_D ").removesuffix("_ratio_windows")
+        way = r.method.partition(" / ")[2].removesuffix("/pixel")
+        return f"{r.subject}, {what}" + (f" {way}" if way else "")
 
     every = list(dict.fromkeys(label(r) for r in rows))
     gaps = {label(r): _gap(r) for r in rows}
