@@ -152,7 +152,7 @@ def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
     )
     axes.set_yticks(
         range(len(shown)),
-        [style.plain(style.shortened(f"{q} (gap {gaps[q]:.2g})", 46)) for q in shown],
+        [style.plain(style.shortened(f"{q} (gap {gaps[q]:.2g})", 42)) for q in shown],
         fontsize=7.5,
     )
     figure.colorbar(image, ax=axes, label="change per unit [1]", shrink=0.8, extend="both")
