@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperval.compare.covariance import compare_distribution
 from hyperval.compare.roc import ALWAYS, IF_BACKGROUND_ALLOWS, LEAST_EXPECTED_ALARMS
 from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, joint_rows
 from hyperval.compare.roc_areas import area_rows
@@ -73,6 +74,12 @@ def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
                 n=area.n,
             )
         )
+    for subject, held in products.distribution.items():
+        rows += compare_distribution(None, held, campaign=campaign, subject=subject)
+    for (classes, features), found in products.classification.items():
+        make = RowMaker(campaign, "classification", classes, features)
+        rows.append(make.row("error", found.error, interval=(found.lower, found.upper), n=found.n))
+        rows.append(make.row("distance", found.distance, n=found.n))
     return rows
 
 

@@ -24,6 +24,13 @@ _SPECTRA = (  # name, long name, unit, unit of a covariance, covariances written
     ("reflectance", "surface reflectance", "1", "1", True),
     ("snr", "signal-to-noise ratio", "1", "1", False),
 )
+_TAILS = (
+    "tail_dof", "tail_lower", "tail_upper", "normality_p_value",
+    "leading_tail_dof", "leading_lower", "leading_upper", "dimension", "leading_dimension", "n",
+)  # fmt: skip
+_CLASS_ERROR = (
+    "error", "lower", "upper", "n", "effective_n", "distance", "approximation", "bound_lower", "bound_upper",
+)  # fmt: skip
 _PACKED = {"zlib": True, "complevel": 4, "shuffle": True, "dtype": "float32"}
 
 
@@ -61,7 +68,11 @@ def dataset(products: Products) -> xr.Dataset:
             _add_spectra(data, name, long_name, unit, squared, estimates, with_covariance)
     _add_curves(data, products)
     _add_scalars(data, "score", products.scores, {"mean": "1", "sd": "1", "n": "1"})
-    _add_scalars(data, "abundance", products.abundance, {"area_m2": "m2", "standard_uncertainty": "m2", "n": "1"})
+    areas = {"area_m2": "m2", "standard_uncertainty": "m2", "nominal_m2": "m2", "n": "1"}
+    _add_scalars(data, "abundance", products.abundance, areas)
+    tails = {(subject, "pixels"): held for subject, held in products.distribution.items()}
+    _add_scalars(data, "distribution", tails, dict.fromkeys(_TAILS, "1"))
+    _add_scalars(data, "classification", products.classification, dict.fromkeys(_CLASS_ERROR, "1"))
     return data
 
 
