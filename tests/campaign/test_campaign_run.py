@@ -84,7 +84,8 @@ def test_observe_alone_writes_what_the_collection_says(small, tmp_path, no_figur
     assert set(files_of(out)) >= CONTRACT | {"scores/yellow-cem.tif"}
     rows = rows_of(out)
     assert {r["status"] for r in rows} == {"INFO"}
-    assert {r["product"] for r in rows} == {"radiance", "snr", "reflectance", "scores", "roc", "abundance"}
+    expected = {"radiance", "snr", "reflectance", "covariance", "scores", "roc", "abundance"}
+    assert {r["product"] for r in rows} == expected
 
 
 def test_a_simulated_campaign_from_its_scene(small):
