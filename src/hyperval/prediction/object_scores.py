@@ -46,14 +46,17 @@ _REACH = 3.0
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A background, and for every target and linear detector the filter and the response to every target."""
+    """For every target and linear detector the filter, and the response to it and to what lies beside it."""
 
     filters: Mapping[Key, LinearFilter]
     responses: Mapping[tuple[str, str, str], TargetResponse]
 
 
-def evaluation(background: Background, task: Task) -> Evaluation:
-    """Filters by (looked for, detector), responses by (looked for, detector, seen) (3.22-3.28)."""
+def evaluation(background: Background, task: Task, seen_with: Mapping[str, set[str]]) -> Evaluation:
+    """Filters by (looked for, detector), responses by (looked for, detector, seen) (3.22-3.28).
+
+    ``seen_with`` : target that is looked for -> targets whose response its filter is asked for, itself besides
+    """
     base = filter_base(
         background,
         filter_populations(background, task),
@@ -67,7 +70,8 @@ def evaluation(background: Background, task: Task) -> Evaluation:
         )
         for name in (d for d in task.processing.detectors if d in LINEAR_DETECTORS):
             filters[target.name, name] = base.filter(name, spectrum)
-            for seen in task.targets:
+            wanted = {target.name, *seen_with.get(target.name, ())}
+            for seen in (t for t in task.targets if t.name in wanted):
                 responses[target.name, name, seen.name] = target_response(
                     background, seen, filters[target.name, name]
                 )
@@ -149,9 +153,13 @@ def predicted_object_scores(
     draws : of each object where no input is uncertain; default: as many as there would be with uncertain inputs
     """
     drawn = input_draws(background, task, uncertainty, axis, len(steps))
-    here = evaluation(background, task)
-    moved = [(evaluation(plus, task), evaluation(minus, task)) for plus, minus in steps]
     thesis = background.view.formulation == "thesis"
+    near = {
+        t.name: {other.name for p in t.populations for other, _ in neighbours_of(t, p, task.targets)}
+        for t in ([] if thesis else task.targets)
+    }
+    here = evaluation(background, task, near)
+    moved = [(evaluation(plus, task, {}), evaluation(minus, task, {})) for plus, minus in steps]
     found: dict[Key, ObjectScores] = {}
     for target in task.targets:
         for population in target.populations:

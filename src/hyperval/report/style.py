@@ -37,6 +37,7 @@ _RC: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
+    "axes.titley": 1.0,  # where it goes by itself, without measuring all tick labels for each title
     "axes.labelsize": 9.0,
     "axes.grid": True,
     "axes.axisbelow": True,
