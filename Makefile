@@ -6,6 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 REPORT ?= reports/validate
+# Processes that share the tests, whole files at a time: what a module sets up is set up once.
+TEST_WORKERS ?= auto
 SCORES ?= reports/scoreboard
 
 # One thread per matrix product: the last digits of a solve depend on the number of threads.
@@ -36,7 +38,7 @@ scoreboard: $(READY)  ## rank detectors, engines and formulations on every campa
 	$(BIN)/hyperval benchmark campaigns/*/campaign.yaml -o $(SCORES)
 
 test: $(READY)  ## run the tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
 
 coverage: $(READY)  ## how often the 95 % intervals hold, over simulated collections (minutes)
 	$(BIN)/python validation/coverage/study.py --output reports/coverage

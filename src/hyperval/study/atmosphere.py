@@ -1,6 +1,7 @@
 """Atmospheric terms at many values of a study's inputs: engine runs, or interpolation between engine runs.
 
-Interpolation is a tensor product of cubic splines in the logarithms of the terms (the spherical albedo and the share of
+Interpolation is a tensor product of cubic splines in the logarithms of the terms (the spherical albedo and the
+share of
 sky light as they are), on the sensor's bands.  A spline is linear in the values at its nodes, so that a batch of
 points is one product of matrices.
 """
@@ -28,7 +29,8 @@ TermsOf = Callable[[AtmosphericState], AtmosphericTerms]
 MOST_RUNS = 400  # of the engine, at about seven seconds each where nothing is cached
 _AS_THEY_ARE = ("spherical_albedo", "diffuse_fraction")
 _LEAST = 1e-300
-# What a value is taken as between nodes: the optical depth goes like 1/range, absorption like the root of the column.
+# What a value is taken as between nodes: the optical depth goes like 1/range, absorption like the root of the
+# column.
 _SCALES: dict[str, Callable[[Array], Array]] = {
     "meteorological_range_km": lambda x: 1.0 / x,
     "water_vapour_g_cm2": np.sqrt,
@@ -196,8 +198,11 @@ def table(
 
 def _stacked(terms: Sequence[AtmosphericTerms]) -> AtmosphericTerms:
     names = [f.name for f in fields(Terms) if f.name not in ("wavelength_nm", "fwhm_nm")]
-    arrays = {n: [getattr(t, n) for t in terms] for n in names if isinstance(getattr(terms[0], n), np.ndarray)}
-    return replace(terms[0], **{n: np.stack(v)[:, None, :] for n, v in arrays.items()})
+    arrays: dict[str, Any] = {
+        n: [getattr(t, n) for t in terms] for n in names if isinstance(getattr(terms[0], n), np.ndarray)
+    }
+    joined: dict[str, Any] = {n: np.stack(v)[:, None, :] for n, v in arrays.items()}
+    return replace(terms[0], **joined)
 
 
 def _each(terms: AtmosphericTerms, change: Callable[[Array], Array]) -> AtmosphericTerms:

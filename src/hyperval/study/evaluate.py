@@ -153,7 +153,7 @@ class Evaluator:
         self, found: Array, problems: dict[int, str], rows: Column, changes: Mapping[str, Any], columns: Columns,
         outputs: Sequence[Output],
     ) -> None:  # fmt: skip
-        """Evaluate some points; where they can not be evaluated together, the ones that can not be at all are found."""
+        """Evaluate some points; where they can not be evaluated together, those that can not at all are found."""
         try:
             ready = self.variant(changes)
             evaluate = self._one_by_one if ready.slow else self._together

@@ -1,7 +1,7 @@
 """Many evaluations of one prepared scenario: radiance, SNR, scores and ROC of a batch of points.
 
-Points that share atmosphere, sensor and background share their filter; everything else of a batch goes through arrays.
-The numbers are those of :func:`hyperval.predict.predict`, to rounding.
+Points that share atmosphere, sensor and background share their filter; everything else of a batch goes through
+arrays. The numbers are those of :func:`hyperval.predict.predict`, to rounding.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _OF_A_VIEW = ("atmosphere", "changes", "operation", "fraction", "gain", "kappa")
 
 @dataclass(frozen=True)
 class _Group:
-    """Settings of one set of detector bands: their numbers, the views on those bands, what is seen, the designer."""
+    """Settings of one set of detector bands: numbers, the views on those bands, what is seen, the designer."""
 
     settings: Index
     at: Views
@@ -251,7 +251,7 @@ class Batch:
             _within(values, 0.0, 1.0, "fill")
             return _Fills(values, np.ones((1, 1)), None)
         first, which = _distinct(list(moved.values()), self.n) if moved else (np.zeros(1, int), None)
-        each = []
+        each: list[tuple[Any, Any, Any]] = []
         for i in first:
             fill = _changed_fill(base.fill, {k: _plain(v[i]) for k, v in moved.items()})
             dist = moments(TargetSubject(name=base.name, fill=fill), thesis)

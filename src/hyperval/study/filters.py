@@ -1,7 +1,7 @@
 """Filters of many settings (3.21-3.25) and the scores of the classes (3.27, 3.29).
 
-For each setting the background's covariance is put together in the form that one factorisation needs, in memory that
-is used again; everything that goes through matrices that settings share goes through them together.
+For each setting the background's covariance is put together in the form that one factorisation needs, in memory
+that is used again; everything that goes through matrices that settings share goes through them together.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Designer:
     def design(
         self, at: Views, seen: SeenClasses, wanted: list[tuple[str, Array]]
     ) -> tuple[list[Filters], list[str]]:
-        """Filters for pairs of detector and spectrum as it is seen (U, F); and the problem of each setting, or ""."""
+        """Filters for pairs of detector and spectrum as seen (U, F); and the problem of each setting, or ""."""
         count, size = len(at), self.bands.size
         found = [Filters(np.full((count, size), np.nan), np.full(count, np.nan)) for _ in wanted]
         problems = [""] * count
@@ -135,8 +135,8 @@ class Designer:
         """Cholesky factor of the background matrix at unit diagonal, its scale, and what is wrong with it.
 
         Sum f_m [D_A g_m Sigma_m D_A + kappa g_m D_B Sigma_ave D_B + N_m + (mu_m - mu)(mu_m - mu)^T] with everything
-        divided by the gains of the empirical line (3.11, 3.16-3.21): the first part is one matrix under (a a^T), the
-        second Sigma_ave under the sum of (e_m e_m^T), element by element.
+        divided by the gains of the empirical line (3.11, 3.16-3.21): the first part is one matrix under (a a^T),
+        the second Sigma_ave under the sum of (e_m e_m^T), element by element.
         """
         fraction = at.fractions[u]
         mixed = self._mixture(fraction * at.gains[u])
@@ -166,8 +166,8 @@ class Designer:
         return factor, scale, ""
 
     def _lower(self, a: Array, e: Array, d: Array, mixed: Array, average: Array) -> Array:
-        """Lower triangle of (a a^T) mixed + (e^T e) average + d^T d with ones on its diagonal, in blocks that stay in
-        the processor's cache; above the blocks' diagonal the memory holds anything.
+        """Lower triangle of (a a^T) mixed + (e^T e) average + d^T d with ones on its diagonal, in blocks that stay
+        in the processor's cache; above the blocks' diagonal the memory holds anything.
         """
         matrix, size = self._matrix, a.size
         for start in range(0, size, _BLOCK):

@@ -17,7 +17,7 @@ _FLAT = 1e-6  # of the output: below it nothing bends
 
 @dataclass(frozen=True)
 class KneePoint:
-    """The knee of one curve: where it is, the curve there, the curvature there; NaN with a reason where there is none."""
+    """The knee of one curve: its place, the curve and its curvature there; NaN with a reason where none is."""
 
     x: float
     y: float
@@ -37,7 +37,8 @@ def knee(
     kappa = |v''| / (1 + v'^2)^(3/2) of v(u), u = (x - x_0)/(x_1 - x_0) (of log x where ``logarithmic``) and
     v = (y - y_min)/(y_max - y_min), along the cubic spline through the points.  That is the knee in the sense of
     Satopaa et al., "Finding a kneedle in a haystack", ICDCS Workshops 2011, section II: the curvature is made
-    independent of the units by the normalisation, and so depends on the ends of the range, which are stated with it.
+    independent of the units by the normalisation, and so depends on the ends of the range, which are stated with
+    it.
 
     Parameters
     ----------

@@ -20,7 +20,8 @@ class Lever:
 
     Attributes
     ----------
-    kind : atmosphere, changes, operation, fraction, gain, tail, kappa, target_gain, beam, sky, fill, pfa; or prepare,
+    kind : atmosphere, changes, operation, fraction, gain, tail, kappa, target_gain, beam, sky, fill, pfa; or
+    prepare,
         for entries after whose change everything is read anew
     item : number of the class or target that it belongs to
     subject : number of the target's population

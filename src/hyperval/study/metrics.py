@@ -114,7 +114,9 @@ def of_prediction(prediction: Prediction, scenario: Scenario, output: Output, pf
         return float(spectrum.mean[bands_of(output, prediction.axis)].mean())
     curve = prediction.roc[output.subject, detector_of(output, scenario), output.by]
     if output.kind == "pd":
-        return float(pd_at_pfa(curve, output.pfa if pfa is None else pfa))
+        at = output.pfa if pfa is None else pfa
+        assert at is not None  # noqa: S101 - the schema asks for it
+        return float(pd_at_pfa(curve, at))
     if output.kind == "log10-pfa":
         return _log10_pfa(curve, output.pd)
     if output.kind == "auc":

@@ -77,7 +77,7 @@ def _answer(table: StudyTable, name: str, question: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-_THREE = {"least": np.min, "median": np.median, "greatest": np.max}
+_THREE: dict[str, Any] = {"least": np.min, "median": np.median, "greatest": np.max}
 
 
 def _knee(item: FoundKnee) -> dict[str, str]:
@@ -138,7 +138,10 @@ def _meaning(plan: Plan, o: Output) -> str:
     if o.kind == "auc":
         return f"area under the ROC of {o.subject}, {detector}"
     if o.kind == "log-auc":
-        return f"mean P_D of {o.subject} over P_FA {o.pfa_range[0]:g} to {o.pfa_range[1]:g}, evenly in its logarithm, {detector}"
+        return (
+            f"mean P_D of {o.subject} over P_FA {o.pfa_range[0]:g} to {o.pfa_range[1]:g}, "
+            f"evenly in its logarithm, {detector}"
+        )
     where = (
         f"at {o.band_nm:g} nm"
         if o.range_nm is None

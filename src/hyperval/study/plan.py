@@ -102,7 +102,8 @@ def try_values(study: Study, scenario: Scenario) -> None:
 
     Limits of numbers are intervals, so that the ends speak for what lies between.
     """
-    for item in (*study.inputs, *study.required):
+    items: list[Input | Required] = [*study.inputs, *study.required]
+    for item in items:
         for value in _values_to_try(item):
             point = moved({item.name: _as_input(item)}, {item.name: _column([value])})
             changes = {p: _python(c[0]) for p, c in point.items()}
@@ -146,7 +147,8 @@ def _sky(study: Study, scenario: Scenario) -> tuple[Sky, frozenset[str]]:
     if scenario.atmosphere is None:
         return Sky(), frozenset()
     moving: list[tuple[Input | Required, Move, str]] = []
-    for item in (*study.inputs, *study.required):
+    items: list[Input | Required] = [*study.inputs, *study.required]
+    for item in items:
         for move in item.targets:
             lever = lever_of(scenario, move.path)
             if lever.kind == "atmosphere":
@@ -212,7 +214,8 @@ def _python(value: Any) -> Any:
 
 def _notes(plan: Plan) -> list[str]:
     notes = []
-    paths = [m.path for i in (*plan.study.inputs, *plan.study.required) for m in i.targets]
+    items: list[Input | Required] = [*plan.study.inputs, *plan.study.required]
+    paths = [m.path for i in items for m in i.targets]
     anew = [p for p in paths if plan.evaluator.lever(p).needs_preparation]
     if anew:
         notes.append(f"read anew for each value, as in predict: {', '.join(anew)}")
@@ -224,7 +227,7 @@ def _notes(plan: Plan) -> list[str]:
 
 
 def _tried(plan: Plan) -> list[dict[str, Any]]:
-    """The first, the middle and the last point, as dotted path -> value; with an answer in the middle of its range."""
+    """First, middle and last point, as dotted path -> value; with an answer in the middle of its range."""
     count = len(plan.points)
     found = []
     for number in sorted({0, count // 2, count - 1}):
@@ -256,8 +259,8 @@ def _references(scenario: Scenario) -> list[str]:
 def _sky_error(plan: Plan) -> dict[str, float]:
     """What the interpolation of the atmosphere costs at held-out states, drawn between the nodes (seeded).
 
-    Relative error of the radiance over ground of 0.3 where the two-way gas transmittance is above 0.1 (worst and rms),
-    and the absolute error of every output, the other inputs as at the first points of the design.
+    Relative error of the radiance over ground of 0.3 where the two-way gas transmittance is above 0.1 (worst and
+    rms), and the absolute error of every output, the other inputs as at the first points of the design.
     """
     study, evaluator = plan.study, plan.evaluator
     base, nodes = evaluator.base, evaluator.sky.nodes

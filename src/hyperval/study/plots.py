@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hyperval.report import style
 from hyperval.report.style import Drawing
 from hyperval.report.verdict import number_text
-from hyperval.study.schema import Input, Plot, Study
+from hyperval.study.schema import Input, Output, Plot, Required, Study
 from hyperval.study.summary import FoundKnee, words_of
 from hyperval.study.tables import StudyTable
 
@@ -43,11 +43,13 @@ def _input(study: Study, name: str | None) -> Input:
 
 
 def _output_words(study: Study, name: str) -> str:
-    return next(x.words for x in (*study.outputs, *study.required) if x.name == name)
+    asked: list[Output | Required] = [*study.outputs, *study.required]
+    return next(x.words for x in asked if x.name == name)
 
 
 def _label(study: Study, name: str) -> str:
-    return next(x.label or x.name for x in (*study.outputs, *study.required) if x.name == name)
+    asked: list[Output | Required] = [*study.outputs, *study.required]
+    return next(x.label or x.name for x in asked if x.name == name)
 
 
 def _folded(text: str, width: int = 22) -> str:
@@ -56,7 +58,7 @@ def _folded(text: str, width: int = 22) -> str:
 
 
 def _kept(study: Study, table: StudyTable, drawn: list[str]) -> tuple[npt.NDArray[np.bool_], dict[str, Any]]:
-    """Points that a figure shows: the listed inputs that it does not draw stand at the middle one of their values."""
+    """Points that a figure shows: listed inputs that it does not draw stand at the middle one of their values."""
     keep, fixed = np.ones(len(table.values), bool), {}
     for item in study.inputs:
         values = table.points.values[item.name]
@@ -87,7 +89,7 @@ def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[F
         line = axes.plot(
             at, middle, color=colour, marker=_MARKERS[k] if len(at) <= 40 else None, markersize=4, zorder=3
         )[0]
-        if low is not None:
+        if low is not None and high is not None:
             axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0)
         for found in knees:
             if _is_knee_of(found, plot, member, fixed) and np.isfinite(found.found.x):
@@ -96,7 +98,8 @@ def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[F
         entries.append((line, label))
         if len(at):
             words.append(
-                f"{label}: {_text(float(middle[0]))} at {_text(at[0])}, {_text(float(middle[-1]))} at {_text(at[-1])}"
+                f"{label}: {_text(float(middle[0]))} at {_text(at[0])}, {_text(float(middle[-1]))} at "
+                f"{_text(at[-1])}"
             )
     if plot.scale == "log":
         axes.set_xscale("log")
@@ -194,7 +197,7 @@ def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
 def _summarised(
     x: npt.NDArray[Any], y: Array, logarithmic: bool
 ) -> tuple[list[Any], Array, Array | None, Array | None]:
-    """x and y of a line: as they are, or median and spread where several points share an x or x is drawn at random."""
+    """x and y of a line: as they are, or median and spread where points share an x or x is drawn at random."""
     different = _different(x)
     if len(different) > 2 * _BINS and len(different) == x.size and not np.all(np.diff(x.astype(float)) > 0):
         at = x.astype(float)

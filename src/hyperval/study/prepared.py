@@ -34,7 +34,7 @@ _NOISE_ARRAYS = (
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Averages over the classes for one set of area fractions: rho_ave (B,) of (3.8), Sigma_ave (B, B) of (3.11)."""
+    """Averages over the classes for one set of fractions: rho_ave (B,) of (3.8), Sigma_ave (B, B) of (3.11)."""
 
     average: Array
     covariance: Array
@@ -58,6 +58,15 @@ class Prepared:
     surfaces: Mapping[str, SurfaceStatistics]
     looked_for: Mapping[str, Array]
     sensor: Sensor | None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What goes to other processes: no memory of earlier batches, and no covariance that nothing asks for."""
+        scene, state = self.scenario.scene, {f.name: getattr(self, f.name) for f in fields(self)}
+        needed = {s.name for s in (*scene.classes, *scene.targets)}
+        state["surfaces"] = {
+            n: s if n in needed else replace(s, covariance=np.empty((0, 0))) for n, s in self.surfaces.items()
+        }
+        return state
 
     @property
     def class_names(self) -> list[str]:
@@ -175,9 +184,9 @@ def stacked_noise(models: list[NoiseModel]) -> NoiseModel:
 
 def banded(value: Any, bands: Bands) -> Any:
     """A dataclass of arrays (..., B) with the bands that ``bands`` names; everything else as it is."""
-    changes = {}
+    changes: dict[str, Any] = {}
     for f in fields(value):
-        item = getattr(value, f.name)
+        item: Any = getattr(value, f.name)
         if isinstance(item, tuple) and item and isinstance(item[0], np.ndarray):
             changes[f.name] = tuple(x[..., bands] for x in item)
         elif isinstance(item, np.ndarray) and item.ndim:

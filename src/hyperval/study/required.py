@@ -47,8 +47,8 @@ def answers(evaluator: Evaluator, columns: Columns, question: Required, outputs:
 
     The output is looked at over the range; a change of sign between neighbours is a bracket, in which the root is
     found by Chandrupatla's method (Adv. Eng. Softw. 28, 145, 1997: inverse quadratic steps inside a bracket, as
-    Brent's), for all points together.  Without a bracket there is no solution, and the reason says how far the output
-    reaches.  With several the lowest is told, and that there are more.
+    Brent's), for all points together.  Without a bracket there is no solution, and the reason says how far the
+    output reaches.  With several the lowest is told, and that there are more.
     """
     asked = next(o for o in outputs if o.name == question.output)
     n = len(next(iter(columns.values())))

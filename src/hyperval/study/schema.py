@@ -128,8 +128,8 @@ class Design(Model):
 class Output(Model):
     """A number asked of every point.
 
-    ``pd``: P_D at a false-alarm probability; ``log10-pfa``: the logarithm of P_FA at a P_D; ``auc``; ``log-auc``: mean
-    P_D evenly in log P_FA; ``snr`` and ``radiance``: at a band or as the mean over a range of bands.
+    ``pd``: P_D at a false-alarm probability; ``log10-pfa``: the logarithm of P_FA at a P_D; ``auc``; ``log-auc``:
+    mean P_D evenly in log P_FA; ``snr`` and ``radiance``: at a band or as the mean over a range of bands.
     """
 
     name: Name
@@ -271,9 +271,8 @@ class Study(Model):
 
     @model_validator(mode="after")
     def _check(self) -> Study:
-        names = [x.name for x in (*self.inputs, *self.outputs, *self.required)] + [
-            f"{q.name}.{r}" for q in self.required for r in q.report
-        ]
+        named: list[Input | Output | Required] = [*self.inputs, *self.outputs, *self.required]
+        names = [x.name for x in named] + [f"{q.name}.{r}" for q in self.required for r in q.report]
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
             raise ValueError(f"names stand twice: {', '.join(twice)}")
@@ -286,8 +285,8 @@ class Study(Model):
 
         for q in self.required:
             known(q.output, outputs, f"required {q.name!r}")
-            for name in q.report:
-                known(name, outputs, f"required {q.name!r}: report")
+            for told in q.report:
+                known(told, outputs, f"required {q.name!r}: report")
         for k in self.knees:
             known(k.output, asked, "knees")
             known(k.along, set(inputs), "knees")

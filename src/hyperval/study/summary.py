@@ -68,8 +68,8 @@ def words_of(values: dict[str, Any]) -> str:
 def result_rows(plan: Plan, table: StudyTable, knees: list[FoundKnee]) -> ResultTable:
     """Least, median and greatest value of every output, answers, knees, and what the evaluation cost in exactness.
 
-    A study of few points has a row for every point and output too.  An output without a single value is SKIPPED with
-    the reason.
+    A study of few points has a row for every point and output too.  An output without a single value is SKIPPED
+    with the reason.
     """
     study, rows = plan.study, ResultTable()
     kinds = {o.name: o for o in study.outputs}

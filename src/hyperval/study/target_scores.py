@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -148,8 +149,8 @@ class PointScores:
     def auc(self) -> Array:
         """Area under the ROC (n,): the probability that a target pixel outscores a background pixel.
 
-        Two Gaussians: Phi((theta_T - theta_m) / sqrt(sigma_T^2 + sigma_m^2)).  A t score is a Gaussian whose variance
-        is divided by a chi-square over its degrees of freedom: 64 Gauss-Legendre nodes in its quantile.
+        Two Gaussians: Phi((theta_T - theta_m) / sqrt(sigma_T^2 + sigma_m^2)).  A t score is a Gaussian whose
+        variance is divided by a chi-square over its degrees of freedom: 64 Gauss-Legendre nodes in its quantile.
         """
         c = self.classes.rows(self.which)
         total = np.zeros(self.which.size)
@@ -175,7 +176,7 @@ class PointScores:
         return found
 
 
-def _known(solve, pfa: Array, classes: ClassScores) -> Array:  # type: ignore[no-untyped-def]
+def _known(solve: Any, pfa: Array, classes: ClassScores) -> Array:
     """Thresholds of the evaluations that have scores; NaN elsewhere."""
     good = np.isfinite(classes.mean).all(axis=1) & np.isfinite(classes.sd).all(axis=1)
     good &= np.all((pfa > 0) & (pfa <= 1), axis=1)

@@ -72,8 +72,8 @@ def log_false_alarm(threshold: Array, scores: ClassScores) -> tuple[Array, Array
 def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
     """Thresholds (R, K) at which the whole background gives ``pfa`` (R, K) (inverse of 3.33).
 
-    The bracket is that of :func:`hyperval.processing.roc_model.threshold_at`: at max_m x_m(P) no class exceeds P; at
-    the largest x_m(P / f_m) one class alone already gives P.
+    The bracket is that of :func:`hyperval.processing.roc_model.threshold_at`: at max_m x_m(P) no class exceeds P;
+    at the largest x_m(P / f_m) one class alone already gives P.
     """
     log_pfa = np.log(pfa)
     low, high = _bracket(log_pfa, scores)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -134,10 +135,10 @@ def line_of(at: Views) -> tuple[Array, Array]:
 
 def banded_noise(noise: NoiseModel, bands: Bands) -> NoiseModel:
     """The noise of some bands; numbers that serve all bands stay."""
-    return banded(noise, bands)  # type: ignore[no-any-return]
+    return banded(noise, bands)
 
 
-def _each(value, change):  # type: ignore[no-untyped-def]
+def _each(value: Any, change: Any) -> Any:
     from dataclasses import fields
 
     found = {}
