@@ -14,7 +14,9 @@ from hyperval.executors import WorkersLostError
 
 R = TypeVar("R")
 _START_S = 20.0  # for the scheduler to answer
-_PATIENCE_S = 8.0  # between looks at a piece that is under way, and for a result that is there to come
+# Between looks at a piece that is under way, and for a result that is there to come; doubled with each try, so that
+# a slow network is no loss.
+_PATIENCE_S = 4.0
 _CONNECT_S = 5.0  # a worker that is gone is not called for longer
 _TRIES = 5  # of a piece whose result was lost with its worker
 
@@ -77,7 +79,7 @@ class _Piece(Future[Any]):
         """
         while True:
             try:
-                return self._inner.result(timeout=_PATIENCE_S)
+                return self._inner.result(timeout=_PATIENCE_S * 2 ** (self._tries - 1))
             except TimeoutError as error:
                 if self._inner.status != "finished":
                     continue  # still under way: pieces take as long as they take
@@ -89,7 +91,9 @@ class _Piece(Future[Any]):
 
     def _again(self, error: BaseException) -> None:
         if self._tries >= _TRIES:
-            raise RuntimeError(f"a piece was lost with its worker {_TRIES} times") from error
+            raise WorkersLostError(
+                f"the result of a piece was lost {self._tries} times", mend="see the logs of the cluster's workers"
+            ) from error
         self._tries += 1
         self._inner = self._submit()
 
