@@ -234,8 +234,9 @@ def _tried(plan: Plan) -> list[dict[str, Any]]:
         columns = plan.columns(number, number + 1)
         point = {p: _python(c[0]) for p, c in columns.items() if c[0] is not None}
         for question in plan.study.required[:1]:
-            middle = 0.5 * sum(question.between)
-            point |= {m.path: m.offset + m.factor * middle for m in question.targets}
+            low, high = question.between
+            middle = np.sqrt(low * high) if question.spacing == "log" else 0.5 * (low + high)
+            point |= {m.path: float(m.offset + m.factor * middle) for m in question.targets}
         found.append(point)
     return found
 

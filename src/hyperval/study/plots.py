@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from hyperval.report import style
 from hyperval.report.style import Drawing
@@ -103,7 +104,7 @@ def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[F
             )
     if plot.scale == "log":
         axes.set_xscale("log")
-        style.log_ticks(axes.xaxis) if _decades(x) > 1.5 else None
+        _log_ticks(axes.xaxis, x)
     axes.set_xlabel(style.plain(item.words))
     axes.set_ylabel(style.plain(_output_words(study, plot.output)))
     if y.size and np.nanmin(y) >= 0 and np.nanmax(y) <= 1.0 and _is_probability(study, plot.output):
@@ -142,11 +143,12 @@ def _heat(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
         False,
     )
     axes = figure.add_subplot()
-    mesh = axes.pcolormesh(edges[0], edges[1], cells, cmap="cividis", rasterized=False, edgecolors="none")
+    mesh = axes.pcolormesh(edges[0], edges[1], cells, cmap="cividis", rasterized=True, edgecolors="none")
     figure.colorbar(mesh, ax=axes, label=style.plain(_output_words(study, plot.output)))
     axes.grid(False)
     if plot.scale == "log":
         axes.set_xscale("log")
+        _log_ticks(axes.xaxis, x)
     axes.set_xlabel(style.plain(across.words))
     axes.set_ylabel(style.plain(up.words))
     finite = cells[np.isfinite(cells)]
@@ -175,12 +177,25 @@ def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
     axes = figure.add_subplot()
     words = []
     for k, (item, low, at_low, high, at_high) in enumerate(bars):
-        for end, at, colour in ((low, at_low, "#0072B2"), (high, at_high, "#E69F00")):
+        inner = low if abs(low - base) < abs(high - base) else high
+        for end, at, colour in sorted(
+            ((low, at_low, "#0072B2"), (high, at_high, "#E69F00")), key=lambda e: e[0] == inner
+        ):
             if end == base:
                 continue
             axes.barh(k, end - base, left=base, height=0.62, color=colour)
-            axes.annotate(_text(at), (end, k), xytext=(-4 if end < base else 4, 0), textcoords="offset points",
-                          va="center", ha="right" if end < base else "left", fontsize=8.5)  # fmt: skip
+            # Where both ends lie on one side the label of the nearer one stands on the other.
+            crowded = end == inner and low != high and (low - base) * (high - base) > 0
+            left = (end < base) != crowded
+            axes.annotate(
+                _text(at),
+                (base if crowded else end, k),
+                xytext=(-4 if left else 4, 0),
+                textcoords="offset points",
+                va="center",
+                ha="right" if left else "left",
+                fontsize=8.5,
+            )
         words.append(
             f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}"
         )
@@ -255,6 +270,16 @@ def _is_knee_of(found: FoundKnee, plot: Plot, member: Any, fixed: dict[str, Any]
 def _notes(fixed: dict[str, Any], members: int, shown: int) -> str:
     notes = f"; at {words_of(fixed)}" if fixed else ""
     return notes + (f"; {shown} of {members} lines are drawn" if shown < members else "")
+
+
+def _log_ticks(axis: Any, x: npt.NDArray[Any]) -> None:
+    """Plain numbers at 1, 2, 5 of each decade where there are few decades; powers of ten where there are many."""
+    if _decades(x) > 2.5:
+        style.log_ticks(axis)
+        return
+    axis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def _decades(x: npt.NDArray[Any]) -> float:
