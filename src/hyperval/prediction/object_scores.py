@@ -7,8 +7,10 @@ place on the pixel grid; and what all objects have in common, from draws of the 
 from __future__ import annotations
 
 import zlib
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -163,18 +165,84 @@ def predicted_object_scores(
     found: dict[Key, ObjectScores] = {}
     for target in task.targets:
         for population in target.populations:
-            rng = np.random.default_rng([task.processing.seed, 11, zlib.crc32(population.name.encode())])
             beside = [] if thesis else neighbours_of(target, population, task.targets)
             columns = COLUMNS if drawn.rows > 1 else draws or ROWS * COLUMNS
-            fills, others = _drawn_fills(population, beside, uncertainty, drawn, columns, thesis, rng)
-            noise, tails = rng.standard_normal(fills.shape), _tail_factor(background, target, fills.shape, rng)
-            for name in (d for d in task.processing.detectors if d in LINEAR_DETECTORS):
+            dof = background.tail_of(next(c for c in background.classes if c.name == target.host))
+            linear = [d for d in task.processing.detectors if d in LINEAR_DETECTORS]
+            subjects = [s for _, s in beside]
+            asked = (population, subjects, uncertainty, columns, thesis, dof, len(linear), task.processing.seed)
+            again = draws is not None and drawn.rows == 1
+            numbers = _kept_numbers(drawn, *asked) if again else _numbers(drawn, *asked)
+            fills, others = numbers.fills, numbers.others
+            for name, more in zip(linear, numbers.more, strict=True):
                 mean, sd = _pixel_scores(
                     background, target, [t for t, _ in beside], here, moved, name, drawn, fills, others
                 )
                 host = (1.0 - fills - others.sum(axis=-1)) * _host_sd(here, target, name)
-                scores = _with_tails(mean, sd, host, noise, tails, rng)
+                scores = _with_tails(mean, sd, host, numbers.noise, numbers.tails, more)
                 found[population.name, name] = ObjectScores(scores.max(axis=2))
+    return found
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """What is drawn for the objects of one population, whatever their scores.
+
+    ``fills``, ``others``: of :func:`_drawn_fills`; ``noise``, ``tails``: (S, R, n), the tails None where the host
+    is normal; ``more``: for each detector the normal numbers of what is not of the host, None without tails.
+    """
+
+    fills: Array
+    others: Array
+    noise: Array
+    tails: Array | None
+    more: tuple[Array | None, ...]
+
+
+def _numbers(
+    drawn: InputDraws,
+    population: TargetSubject,
+    beside: Sequence[TargetSubject],
+    uncertainty: Uncertainty,
+    columns: int,
+    thesis: bool,
+    dof: float | None,
+    detectors: int,
+    seed: int,
+) -> _Numbers:
+    rng = np.random.default_rng([seed, 11, zlib.crc32(population.name.encode())])
+    fills, others = _drawn_fills(population, beside, uncertainty, drawn, columns, thesis, rng)
+    noise = rng.standard_normal(fills.shape)
+    # What turns normal departures of the host into those of a t of the same variance.
+    tails = None if dof is None else np.asarray(np.sqrt((dof - 2.0) / rng.chisquare(dof, fills.shape)))
+    more = [None if tails is None else rng.standard_normal(fills.shape) for _ in range(detectors)]
+    return _Numbers(fills, others, noise, tails, tuple(more))
+
+
+_KEPT: OrderedDict[tuple[object, ...], _Numbers] = OrderedDict()
+_MOST_KEPT = 64  # populations; those of few draws, some 0.1 to 1 MB each
+
+
+def _kept_numbers(
+    drawn: InputDraws,
+    population: TargetSubject,
+    beside: Sequence[TargetSubject],
+    uncertainty: Uncertainty,
+    *rest: Any,
+) -> _Numbers:
+    """The same numbers each time that a population is asked for with all inputs certain."""
+    key = (
+        population.model_dump_json(),
+        *(s.model_dump_json() for s in beside),
+        uncertainty.model_dump_json(),
+        *rest,
+    )
+    found = _KEPT.get(key)
+    if found is None:
+        found = _KEPT[key] = _numbers(drawn, population, beside, uncertainty, *rest)
+        if len(_KEPT) > _MOST_KEPT:
+            _KEPT.popitem(last=False)
+    _KEPT.move_to_end(key)
     return found
 
 
@@ -199,7 +267,7 @@ def neighbours_of(
 
 def _drawn_fills(
     population: TargetSubject,
-    beside: Sequence[tuple[Target, TargetSubject]],
+    beside: Sequence[TargetSubject],
     uncertainty: Uncertainty,
     drawn: InputDraws,
     columns: int,
@@ -222,7 +290,7 @@ def _drawn_fills(
             fills = fills_of_objects(population.fill, change)
             beside_fills = np.zeros((*fills.shape, 0))
         else:
-            placed = [_placed(population, subject, change) for _, subject in beside]
+            placed = [_placed(population, subject, change) for subject in beside]
             shifts = None
             if uncertainty.position_m is not None:
                 count = PHASES if geometry.phase == "random" else 1
@@ -296,23 +364,13 @@ def _host_sd(here: Evaluation, target: Target, name: str) -> float:
     return float(here.responses[target.name, name, target.name].at(0.0)[1])
 
 
-def _tail_factor(
-    background: Background, target: Target, shape: tuple[int, ...], rng: np.random.Generator
-) -> Array | None:
-    """What turns normal departures of the host into those of a t of the same variance; None where it is normal."""
-    dof = background.tail_of(next(c for c in background.classes if c.name == target.host))
-    if dof is None:
-        return None
-    return np.asarray(np.sqrt((dof - 2.0) / rng.chisquare(dof, shape)))
-
-
 def _with_tails(
-    mean: Array, sd: Array, host: Array, noise: Array, tails: Array | None, rng: np.random.Generator
+    mean: Array, sd: Array, host: Array, noise: Array, tails: Array | None, more: Array | None
 ) -> Array:
-    if tails is None:
+    if tails is None or more is None:
         return mean + sd * noise
     part = np.minimum(np.abs(host), sd)
-    return np.asarray(mean + part * noise * tails + np.sqrt(sd**2 - part**2) * rng.standard_normal(noise.shape))
+    return np.asarray(mean + part * noise * tails + np.sqrt(sd**2 - part**2) * more)
 
 
 def _pairs(rng: np.random.Generator, columns: int) -> Array:
