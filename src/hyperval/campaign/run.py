@@ -22,8 +22,15 @@ from hyperval.results import ResultTable
 from hyperval.scenario import load_scenario
 
 
-def validate(paths: Sequence[Path], output: Path, *, show_progress: bool | None = None) -> int:
+def validate(
+    paths: Sequence[Path], output: Path, *, scheduler: str | None = None, show_progress: bool | None = None
+) -> int:
     """Predict, observe and compare every campaign; write one folder, or one for each and an index.
+
+    Parameters
+    ----------
+    scheduler : address of a Dask scheduler whose workers run the campaigns, where there are several; they see the
+        output folder and the data under the same names
 
     Returns
     -------
@@ -42,7 +49,7 @@ def validate(paths: Sequence[Path], output: Path, *, show_progress: bool | None 
             run = run_campaign(jobs[0], show_progress=show_progress)
             write_outputs(run, folder)
             return run.table.exit_code()
-        done = run_jobs(jobs, folder, show_progress=show_progress)
+        done = run_jobs(jobs, folder, scheduler=scheduler, show_progress=show_progress)
         write_index([run for run, _ in done], folder)
         first_error = next((code for _, code in done if code is not None), None)
         return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code()

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from hyperval.cli.shared import Output, app, finished, note, print_table, settings
+from hyperval.cli.shared import Output, Scheduler, app, finished, note, print_table, settings
 from hyperval.errors import UsageError
 
 
@@ -48,6 +48,7 @@ def validate(
         bool, typer.Option("--dry-run", help="Run nothing: list files, values to fill in, comparisons.")
     ] = False,
     junit: Annotated[Path | None, typer.Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
+    scheduler: Scheduler = None,
 ) -> int:
     """Predict, observe, compare: the main job."""
     if dry_run:
@@ -57,7 +58,7 @@ def validate(
     from hyperval.campaign.run import validate as run
     from hyperval.files import write_text
 
-    code = run(campaigns, output, show_progress=settings.show_progress)
+    code = run(campaigns, output, scheduler=scheduler, show_progress=settings.show_progress)
     if junit is not None:
         write_text(junit, (output / "junit.xml").read_text("utf-8"))
     return finished(code, output)

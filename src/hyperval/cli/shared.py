@@ -41,6 +41,14 @@ settings = Settings()
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
 
 
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler", help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."
+    ),
+]
+
+
 def _show_version(wanted: bool) -> None:
     if wanted:
         print(f"hyperval {__version__}")

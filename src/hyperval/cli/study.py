@@ -7,19 +7,14 @@ from typing import Annotated
 
 import typer
 
-from hyperval.cli.shared import Output, app, finished, settings
+from hyperval.cli.shared import Output, Scheduler, app, finished, settings
 
 
 @app.command()
 def study(
     study_file: Annotated[Path, typer.Argument(metavar="STUDY", help="A study file.")],
     output: Output,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler", help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."
-        ),
-    ] = None,
+    scheduler: Scheduler = None,
 ) -> int:
     """Evaluate a trade-off study; an interrupted run goes on where it stopped."""
     from hyperval.study.run import study_to_folder

@@ -1,0 +1,125 @@
+"""Evaluations of a study in a second, beside a plain loop over ``predict``, on one worker and on two.
+
+    OPENBLAS_NUM_THREADS=1 python benchmarks/study_speed.py
+
+The scenario of predict_speed.py: 360 bands (ProSpecTIR-VS), 5 classes, cached atmosphere.  An evaluation is the
+radiance of every class and target, the SNR of every class with and without calibration error, and the ROC at 181
+false-alarm probabilities.
+Every point of a design differs from all others in everything that the design moves.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import pickle
+import sys
+import time
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from predict_speed import TEXT
+
+from hyperval.config import parse_yaml, validate
+from hyperval.executors import in_order, workers
+from hyperval.predict import predict
+from hyperval.processing.roc_model import false_alarm_grid
+from hyperval.scenario import Scenario
+from hyperval.settings import with_settings
+from hyperval.study.atmosphere import spaced
+from hyperval.study.evaluate import Evaluator, Sky, make_ready
+
+RANGE, FILL = "atmosphere.meteorological_range_km", "scene.targets.plank.fill.fixed"
+ERROR, SIGNAL = "sensor_changes.calibration_error_percent", "sensor_changes.signal_factor"
+GRASS, ASPHALT = "scene.classes.grass.fraction", "scene.classes.asphalt.fraction"
+BATCH, LOOP = 512, 24
+Columns = Mapping[str, np.ndarray]
+
+
+def designs(count: int) -> dict[str, Columns]:
+    """What moves in each design."""
+    rng = np.random.default_rng(1)
+    grass = rng.uniform(0.1, 0.6, count)
+    fill = rng.uniform(0.01, 0.5, count)
+    sensor = {ERROR: rng.uniform(0.0, 5.0, count), SIGNAL: rng.uniform(0.5, 2.0, count)}
+    return {
+        "fill": {FILL: fill},
+        "sensor, fill": {**sensor, FILL: fill},
+        "atmosphere, sensor, fill": {RANGE: rng.uniform(5.0, 50.0, count), **sensor, FILL: fill},
+        "area fractions, fill": {GRASS: grass, ASPHALT: 0.7 - grass, FILL: fill},
+    }
+
+
+@lru_cache(maxsize=2)
+def opened(shipped: bytes) -> Evaluator:
+    """The evaluator that was sent, once for each process."""
+    return pickle.loads(shipped)  # noqa: S301 - made here a moment ago
+
+
+def full(piece: tuple[bytes, Columns]) -> float:
+    """Evaluate some points in full; a number that follows from all of them."""
+    evaluator, columns = opened(piece[0]), piece[1]
+    size = len(next(iter(columns.values())))
+    batch = evaluator.batch(evaluator.base, columns, size)
+    names = evaluator.base.prepared.class_names
+    total = sum(float(batch.radiance(s).sum()) for s in (*names, "plank"))
+    total += sum(float(batch.snr(s, calibration).sum()) for s in names for calibration in (True, False))
+    return total + float(batch.scores("plank", "cem").detection(false_alarm_grid()[None, :]).sum())
+
+
+def parts(columns: Columns) -> list[Columns]:
+    """The design in batches."""
+    size = len(next(iter(columns.values())))
+    return [{p: c[k : k + BATCH] for p, c in columns.items()} for k in range(0, size, BATCH)]
+
+
+def rate(evaluator: Evaluator, columns: Columns, processes: int) -> tuple[float, float]:
+    """Evaluations in a second of wall time, and in a second of processor time (NaN with processes)."""
+    size = len(next(iter(columns.values())))
+    shipped = pickle.dumps(evaluator)
+    pieces = [(shipped, part) for part in parts(columns)]
+    with workers(processes) as where:
+        list(in_order(where, full, pieces[: 2 * processes]))  # processes start, memory is touched
+        start, busy = time.perf_counter(), time.process_time()
+        list(in_order(where, full, pieces))
+        wall, used = time.perf_counter() - start, time.process_time() - busy
+    return size / wall, size / used if processes == 1 else float("nan")
+
+
+def loop_rate(scenario: Scenario, columns: Columns) -> float:
+    """Evaluations in a second of processor time by a plain loop over predict, atmospheres known beforehand."""
+    points = [{p: float(c[i]) for p, c in columns.items() if p != RANGE} for i in range(LOOP)]
+    predict(with_settings(scenario, points[0]))
+    start = time.process_time()
+    for point in points:
+        predict(with_settings(scenario, point))
+    return LOOP / (time.process_time() - start)
+
+
+def main() -> None:
+    """Print rates, the ratio to a plain loop, and the scaling from one worker to two."""
+    data, lines = parse_yaml(TEXT)
+    scenario = validate(Scenario, data, lines, "benchmark")
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 8192
+    still = Evaluator(make_ready(scenario, Sky()), Sky())
+    sky = Sky(nodes={RANGE.split(".")[1]: tuple(spaced("meteorological_range_km", 5.0, 50.0, 7).tolist())})
+    hazy = Evaluator(make_ready(scenario, sky, show_progress=True), sky)
+    print("evaluations a second; 360 bands, 5 classes, radiance, SNR, ROC of 181 points; one BLAS thread a worker")
+    print(f"{'design':28s}{'predict':>9s}{'1, cpu':>9s}{'ratio':>7s}{'1, wall':>9s}{'2, wall':>9s}{'scaling':>9s}")
+    for name, columns in designs(count).items():
+        evaluator = hazy if RANGE in columns else still
+        plain = loop_rate(scenario, columns)
+        wall, cpu = rate(evaluator, columns, 1)
+        both, _ = rate(evaluator, columns, 2)
+        print(f"{name:28s}{plain:9.1f}{cpu:9.0f}{cpu / plain:7.1f}{wall:9.0f}{both:9.0f}{both / wall:9.2f}")
+
+
+if __name__ == "__main__":
+    main()
