@@ -63,15 +63,17 @@ def opened(shipped: bytes) -> Evaluator:
     return pickle.loads(shipped)  # noqa: S301 - made here a moment ago
 
 
-def full(piece: tuple[bytes, Columns]) -> float:
-    """Evaluate some points in full; a number that follows from all of them."""
+def full(piece: tuple[bytes, Columns]) -> tuple[float, float]:
+    """Evaluate some points in full; a number that follows from all of them, and the processor time that it took [s]."""
+    start = time.process_time()
     evaluator, columns = opened(piece[0]), piece[1]
     size = len(next(iter(columns.values())))
     batch = evaluator.batch(evaluator.base, columns, size)
     names = evaluator.base.prepared.class_names
     total = sum(float(batch.radiance(s).sum()) for s in (*names, "plank"))
     total += sum(float(batch.snr(s, calibration).sum()) for s in names for calibration in (True, False))
-    return total + float(batch.scores("plank", "cem").detection(false_alarm_grid()[None, :]).sum())
+    total += float(batch.scores("plank", "cem").detection(false_alarm_grid()[None, :]).sum())
+    return total, time.process_time() - start
 
 
 def parts(columns: Columns) -> list[Columns]:
@@ -81,16 +83,18 @@ def parts(columns: Columns) -> list[Columns]:
 
 
 def rate(evaluator: Evaluator, columns: Columns, processes: int) -> tuple[float, float]:
-    """Evaluations in a second of wall time, and in a second of processor time (NaN with processes)."""
+    """Evaluations in a second of wall time; and by the processor time of all pieces, as if every worker had a
+    processor of its own.
+    """
     size = len(next(iter(columns.values())))
     shipped = pickle.dumps(evaluator)
     pieces = [(shipped, part) for part in parts(columns)]
     with workers(processes) as where:
         list(in_order(where, full, pieces[: 2 * processes]))  # processes start, memory is touched
-        start, busy = time.perf_counter(), time.process_time()
-        list(in_order(where, full, pieces))
-        wall, used = time.perf_counter() - start, time.process_time() - busy
-    return size / wall, size / used if processes == 1 else float("nan")
+        start = time.perf_counter()
+        busy = sum(used for _, used in in_order(where, full, pieces))
+        wall = time.perf_counter() - start
+    return size / wall, processes * size / busy
 
 
 def loop_rate(scenario: Scenario, columns: Columns) -> float:
@@ -112,13 +116,17 @@ def main() -> None:
     sky = Sky(nodes={RANGE.split(".")[1]: tuple(spaced("meteorological_range_km", 5.0, 50.0, 7).tolist())})
     hazy = Evaluator(make_ready(scenario, sky, show_progress=True), sky)
     print("evaluations a second; 360 bands, 5 classes, radiance, SNR, ROC of 181 points; one BLAS thread a worker")
-    print(f"{'design':28s}{'predict':>9s}{'1, cpu':>9s}{'ratio':>7s}{'1, wall':>9s}{'2, wall':>9s}{'scaling':>9s}")
+    head = ("predict", "1, cpu", "ratio", "2, cpu", "scaling", "1, wall", "2, wall")
+    print(f"{'design':26s}" + "".join(f"{h:>9s}" for h in head))
     for name, columns in designs(count).items():
         evaluator = hazy if RANGE in columns else still
         plain = loop_rate(scenario, columns)
         wall, cpu = rate(evaluator, columns, 1)
-        both, _ = rate(evaluator, columns, 2)
-        print(f"{name:28s}{plain:9.1f}{cpu:9.0f}{cpu / plain:7.1f}{wall:9.0f}{both:9.0f}{both / wall:9.2f}")
+        both, both_cpu = rate(evaluator, columns, 2)
+        numbers = (
+            f"{plain:9.1f}{cpu:9.0f}{cpu / plain:9.1f}{both_cpu:9.0f}{both_cpu / cpu:9.2f}{wall:9.0f}{both:9.0f}"
+        )
+        print(f"{name:26s}{numbers}", flush=True)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
@@ -146,7 +147,8 @@ def _processes(count: int) -> Iterator[Workers]:
 
     def pool() -> Executor:
         # Spawned, not forked: this process may hold threads of the linear-algebra library.
-        made.append(ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")))
+        context = multiprocessing.get_context("spawn")
+        made.append(ProcessPoolExecutor(count, mp_context=context, initializer=_leave_interrupts))
         return made[-1]
 
     try:
@@ -157,6 +159,11 @@ def _processes(count: int) -> Iterator[Workers]:
         raise
     for each in made:
         each.shutdown()
+
+
+def _leave_interrupts() -> None:
+    """An interrupt from the keyboard reaches every process: this one leaves it to the one that hands out the pieces."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _dask(address: str) -> Iterator[Workers]:
