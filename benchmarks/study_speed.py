@@ -64,7 +64,7 @@ def opened(shipped: bytes) -> Evaluator:
 
 
 def full(piece: tuple[bytes, Columns]) -> tuple[float, float]:
-    """Evaluate some points in full; a number that follows from all of them, and the processor time that it took [s]."""
+    """Evaluate some points in full; a number that follows from all of them, and the processor time [s]."""
     start = time.process_time()
     evaluator, columns = opened(piece[0]), piece[1]
     size = len(next(iter(columns.values())))
