@@ -162,7 +162,7 @@ def _processes(count: int) -> Iterator[Workers]:
 
 
 def _leave_interrupts() -> None:
-    """An interrupt from the keyboard reaches every process: this one leaves it to the one that hands out the pieces."""
+    """An interrupt reaches every process: this one leaves it to the one that hands out the pieces."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
