@@ -104,18 +104,22 @@ def in_order(
     WorkersLostError : processes died again and again.
     """
     at = where if isinstance(where, Workers) else Workers(where, int(getattr(where, "_max_workers", 1)))
-    waiting: deque[tuple[T, Future[R]]] = deque()
+    waiting: deque[tuple[T, Future[R] | None]] = deque()
     left, most = _RENEWALS, ahead or (2 * at.width if at.width > 1 else 1)
     source = iter(pieces)
     try:
         while True:
             while len(waiting) < most and (piece := next(source, _END)) is not _END:
-                waiting.append((piece, at.executor.submit(_single_threaded, function, piece)))
+                waiting.append((piece, None))
             if not waiting:
                 return
-            piece, future = waiting[0]
-            try:
-                result = future.result()
+            try:  # handing a piece in can be what finds the pool broken
+                for k, (piece, future) in enumerate(waiting):
+                    if future is None:
+                        waiting[k] = piece, at.executor.submit(_single_threaded, function, piece)
+                first = waiting[0][1]
+                assert first is not None  # noqa: S101 - handed in above
+                result = first.result()
             except BrokenExecutor as error:
                 if at.renew is None or left == 0:
                     raise WorkersLostError(
@@ -123,14 +127,14 @@ def in_order(
                     ) from error
                 left -= 1
                 at.executor = at.renew()
-                again = [p for p, _ in waiting]
-                waiting = deque((p, at.executor.submit(_single_threaded, function, p)) for p in again)
+                waiting = deque((p, None) for p, _ in waiting)
                 continue
             waiting.popleft()
             yield result
     finally:
         for _, future in waiting:
-            future.cancel()
+            if future is not None:
+                future.cancel()
 
 
 _END: Any = object()
