@@ -64,7 +64,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
 @pytest.mark.parametrize("option", ["-o", "--output"])
 def test_each_command_calls_its_function(calls, arguments, function, first, option):
     assert cli.run([*arguments, option, "out"]) == 0
-    asked = {"show_progress": False} | ({"write_reflectance": None} if function == "observe" else {})
+    own = {"observe": {"write_reflectance": None}, "validate": {"scheduler": None}}
+    asked = {"show_progress": False} | own.get(function, {})
     assert calls[function] == ((first, Path("out")), asked)
 
 
