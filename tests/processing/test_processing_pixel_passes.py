@@ -13,7 +13,8 @@ from hyperval.processing import region_statistics as statistics_module
 from hyperval.processing.blas import _openblas, available_cores, single_blas_thread
 from hyperval.processing.detectors import pixel_detector, whitener_of
 from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.gram import Sums
+from hyperval.processing.gram import Directions, Sums
+from hyperval.processing.passes import MAX_THREADS, _segments
 from hyperval.processing.pixel_scores import score_cube
 from hyperval.processing.region_statistics import region_statistics
 
@@ -207,10 +208,50 @@ def test_large_cubes_are_fast_by_default_and_small_ones_exact(tmp_path, monkeypa
     assert np.array_equal(region_statistics(cube)["scene"].covariance, fast)
 
 
+def test_coordinates_come_from_some_bands_where_those_tell_them():
+    rng = np.random.default_rng(4)
+    spread = np.linalg.qr(rng.normal(size=(60, 5)))[0]
+    found = Directions.of(spread)
+    assert found.every == 3
+    y = rng.normal(size=(5, 9))
+    assert np.allclose(found.forward[:-1] @ (spread @ y)[::3], y, atol=1e-5)
+    assert not found.forward[-1].any()
+
+
+def test_a_direction_of_a_single_band_is_asked_in_every_band():
+    one = np.zeros((60, 1))
+    one[31] = 1.0  # not among every third
+    found = Directions.of(one)
+    assert found.every == 1
+    assert np.allclose(found.forward[0], one[:, 0])
+
+
+def test_a_single_bright_band_keeps_the_quiet_directions(tmp_path):
+    x = numbers(low=2000.0, spread=5.0, noise=1.0, lines=300)
+    x[..., 7] += np.random.default_rng(5).uniform(0, 20000, x.shape[:2]).round()
+    found = region_statistics(opened(write(tmp_path, x)), precision="fast")["scene"].covariance
+    expected = np.cov(x.reshape(-1, BANDS).T)
+    values, vectors = np.linalg.eigh(expected)
+    whiten = vectors / np.sqrt(values)
+    # Rounding of at most 2^-24 of the greatest number, as for bright scenes.
+    assert np.linalg.norm(whiten.T @ (found - expected) @ whiten, 2) < 2 * 2.0**-24 * 20000
+
+
+@pytest.mark.parametrize(("lines", "block"), [(1, 8), (7, 8), (130, 8), (2000, 8), (2001, 3), (10900, 8)])
+def test_segments_hold_every_line_once_and_are_alike(lines, block):
+    segments = _segments(lines, block)
+    firsts = [first for segment in segments for first in segment]
+    assert firsts == list(range(0, lines, block))
+    assert {segment.stop for segment in segments[:-1]} <= set(firsts)
+    assert segments[-1].stop == lines
+    sizes = [len(segment) for segment in segments]
+    assert max(sizes) - min(sizes) <= 1
+    assert len(segments) % MAX_THREADS == 0 or len(segments) == len(firsts)
+
+
 def test_sums_of_nothing_change_nothing():
     sums = Sums(3, True)
     sums.add(np.ones((3, 4)), np.zeros(4, bool))
-    sums.settle()
     assert sums.n == 0
     assert not sums.second.any()
     sums.merge(Sums(3, True))

@@ -33,6 +33,7 @@ _TAKEN = (
     "data ignore value", "description",
 )  # fmt: skip
 # Above these the 95th percentile of a cube says that its scale was not stated.
+CHECKED_SAMPLES = 64  # in each of 16 lines
 PLAUSIBLE_REFLECTANCE = 1.5
 PLAUSIBLE_RADIANCE = 200.0  # [uW cm-2 sr-1 nm-1]; a white surface under the zenith sun gives about 65
 
@@ -327,14 +328,20 @@ def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_ban
     )
 
 
+def _some_values(cube: Cube, line: int) -> npt.NDArray[Any]:
+    """(n,) values of valid pixels of a line, spread over its samples, in the good bands."""
+    rows = np.full(min(cube.samples, CHECKED_SAMPLES), line)
+    cols = np.linspace(0, cube.samples - 1, rows.size).astype(int)
+    return cube.spectra((rows, cols))[:, cube.axis.good].ravel()
+
+
 def _check_values(cube: Cube) -> None:
     """Raise InputError when the values are too large for the quantity: a scale that was not stated."""
     limit = {"reflectance": PLAUSIBLE_REFLECTANCE, "radiance": PLAUSIBLE_RADIANCE}.get(cube.quantity)
     if limit is None:
         return
     lines = np.unique(np.linspace(0, cube.lines - 1, 16).astype(int))
-    blocks = [cube.read(int(line), 1, np.float32) for line in lines]
-    found = np.concatenate([b.values[b.valid][:, cube.axis.good].ravel() for b in blocks])
+    found = np.concatenate([_some_values(cube, int(line)) for line in lines])
     if found.size == 0:
         return
     high = float(np.percentile(found, 95))

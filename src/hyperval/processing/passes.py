@@ -6,6 +6,7 @@ threads changes nothing.
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -22,6 +23,8 @@ Mask = npt.NDArray[np.bool_]
 Result = TypeVar("Result")
 
 BLOCKS_PER_SEGMENT = 16
+# NumPy asks for huge pages from 4 MiB on; with small ones the strided products wait for addresses.
+HUGE_PAGES_FROM = 1 << 22
 MAX_THREADS = 4  # more only wait for memory
 
 
@@ -68,7 +71,8 @@ class Workspace(local):
         """A flat array of at least ``size``, cut to it."""
         found = self._arrays.get(name)
         if found is None or found.size < size or found.dtype != np.dtype(dtype):
-            found = self._arrays[name] = np.empty(size, dtype)
+            least = HUGE_PAGES_FROM // np.dtype(dtype).itemsize
+            found = self._arrays[name] = np.empty(max(size, least), dtype)
         return found[:size]
 
     def columns(self, name: str, like: npt.NDArray[Any], bands: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
@@ -108,6 +112,15 @@ def lines_per_block(cube: StoredCube, pixels: int) -> int:
     return max(1, round(pixels / cube.samples))
 
 
+def _segments(lines: int, block_lines: int) -> list[range]:
+    """First lines of the blocks of each segment; as many segments for each thread, so that threads end together."""
+    blocks = -(-lines // block_lines)
+    count = -(-blocks // (BLOCKS_PER_SEGMENT * MAX_THREADS)) * MAX_THREADS
+    count = min(count, blocks)
+    edges = [block_lines * (blocks * i // count) for i in range(count)] + [lines]
+    return [range(a, b, block_lines) for a, b in itertools.pairwise(edges)]
+
+
 def by_segments(
     cube: StoredCube,
     block_lines: int,
@@ -120,8 +133,7 @@ def by_segments(
     With ``threads`` None as many are used as there are cores, at most four, and one where NumPy's BLAS cannot be
     kept to one thread.
     """
-    step = block_lines * BLOCKS_PER_SEGMENT
-    segments = [range(a, min(a + step, cube.lines), block_lines) for a in range(0, cube.lines, step)]
+    segments = _segments(cube.lines, block_lines)
     with single_blas_thread() as alone:
         count = threads if threads is not None else min(available_cores(), MAX_THREADS) if alone else 1
         if count <= 1:

@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Quadratic = Literal["distance", "length"]
 
-BLOCK_PIXELS = 1280
+BLOCK_PIXELS = 2560
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.processing.blas import single_blas_thread
-from hyperval.processing.gram import Sums
+from hyperval.processing.gram import Directions, Sums
 from hyperval.processing.passes import (
     StoredCube,
     Workspace,
@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Precision = Literal["auto", "exact", "fast"]
 
-BLOCK_PIXELS = 1280
+BLOCK_PIXELS = 2560
 # Up to so many stored numbers "auto" is exact.
 EXACT_VALUES = 100_000_000
 # Fewer pixels of one kind wait until there are so many: products of few columns cost as much as of many.
@@ -75,12 +75,12 @@ def region_statistics(
     large = cube.lines * cube.samples * cube.bands > EXACT_VALUES
     wanted = precision == "fast" or (precision == "auto" and large)
     single = wanted and (cube.dtype.itemsize <= 2 or cube.dtype == np.float32)
-    basis = _brightest_directions(cube) if single else None
+    directions = _brightest_directions(cube) if single else None
     step = block_lines or lines_per_block(cube, BLOCK_PIXELS)
     workspace = Workspace()
 
     def segment(firsts: range) -> tuple[dict[bytes, Sums], npt.NDArray[np.int64]]:
-        part = _Part(cube.bands, whole, basis)
+        part = _Part(cube.bands, whole, directions)
         left_out = np.zeros(len(regions.names), np.int64)
         for first in firsts:
             count = min(step, cube.lines - first)
@@ -93,41 +93,41 @@ def region_statistics(
             pixels = workspace.columns("pixels", stored, cube.bands, dtype)
             np.copyto(pixels, stored, casting="same_kind")
             work = None
-            if basis is not None:
-                work = as_columns(workspace.columns("work", stored, sum(basis.shape) + 1, dtype))
+            if directions is not None:
+                work = as_columns(workspace.columns("work", stored, directions.rows, dtype))
             part.add(as_columns(pixels), inside, work)
         part.finish()
         return part.sums, left_out
 
-    total: dict[bytes, Sums] = {}
-    left_out = np.zeros(len(regions.names), np.int64)
-    for _, (sums, missing) in watch(by_segments(cube, step, segment, threads=threads)):
-        left_out += missing
-        for key, value in sums.items():
-            if key in total:
-                total[key].merge(value)
-            else:
-                total[key] = value
-    out = {}
-    for i, name in enumerate(regions.names):
-        joined = Sums(cube.bands, whole, basis)
-        for key, value in total.items():
-            if key[i]:
-                joined.merge(value)
-        if joined.n < 2:
-            raise UsageError(
-                f"region {name!r} has {joined.n} valid pixels ({left_out[i]} left out as invalid)",
-                expected="two or more",
-            )
-        mean, covariance = joined.mean_and_covariance()
-        out[name] = SampleStatistics(
-            cube.gain * mean + cube.offset,
-            covariance * np.outer(cube.gain, cube.gain),
-            joined.n,
-            int(left_out[i]),
-            float("nan"),
+    # One BLAS thread to the end: a second one, woken for the small products there, would spin into the next pass.
+    with single_blas_thread():
+        total: dict[bytes, Sums] = {}
+        left_out = np.zeros(len(regions.names), np.int64)
+        for _, (sums, missing) in watch(by_segments(cube, step, segment, threads=threads)):
+            left_out += missing
+            for key, value in sums.items():
+                total.setdefault(key, Sums(cube.bands, whole, directions)).merge(value)
+        out = {}
+        for i, name in enumerate(regions.names):
+            joined = Sums(cube.bands, whole, directions)
+            for key, value in total.items():
+                if key[i]:
+                    joined.merge(value)
+            out[name] = _statistics(cube, name, joined, int(left_out[i]))
+        return out
+
+
+def _statistics(cube: StoredCube, name: str, sums: Sums, left_out: int) -> SampleStatistics:
+    """In the unit of the cube's values."""
+    if sums.n < 2:
+        raise UsageError(
+            f"region {name!r} has {sums.n} valid pixels ({left_out} left out as invalid)", expected="two or more"
         )
-    return out
+    mean, covariance = sums.mean_and_covariance()
+    gain = cube.gain
+    return SampleStatistics(
+        gain * mean + cube.offset, covariance * np.outer(gain, gain), sums.n, left_out, float("nan")
+    )
 
 
 def darkest_values(cube: StoredCube, *, threads: int | None = None) -> Array:
@@ -195,7 +195,7 @@ class _Part:
 
     bands: int
     whole: bool
-    basis: npt.NDArray[np.float32] | None
+    directions: Directions | None
     sums: dict[bytes, Sums] = field(default_factory=dict)
     waiting: dict[bytes, list[npt.NDArray[Any]]] = field(default_factory=dict)
 
@@ -223,11 +223,9 @@ class _Part:
             self._of(key).add(pixels, keep, work)
 
     def finish(self) -> None:
-        """Sum what still waits and settle every sum."""
+        """Sum what still waits."""
         for key in list(self.waiting):
             self._release(key)
-        for sums in self.sums.values():
-            sums.settle()
 
     def _release(self, key: bytes) -> None:
         held = self.waiting.pop(key)
@@ -235,7 +233,7 @@ class _Part:
 
     def _of(self, key: bytes) -> Sums:
         if key not in self.sums:
-            self.sums[key] = Sums(self.bands, self.whole, self.basis)
+            self.sums[key] = Sums(self.bands, self.whole, self.directions)
         return self.sums[key]
 
 
@@ -252,12 +250,14 @@ def _kinds(inside: Mask) -> list[tuple[bytes, Mask]]:
     return [(inside[:, i].tobytes(), which == k) for k, i in enumerate(at.tolist())]
 
 
-def _brightest_directions(cube: StoredCube) -> npt.NDArray[np.float32]:
-    """(B, K) orthonormal directions of the greatest variance of some lines."""
+def _brightest_directions(cube: StoredCube) -> Directions:
+    """Directions of the greatest variance of some lines."""
     found = []
     for line in np.unique(np.linspace(0, cube.lines - 1, SAMPLED_LINES).astype(int)).tolist():
         stored, usable = cube.read_stored(line, 1)
-        found.append(stored[:, usable].astype(np.float64)[:, : SAMPLED_PIXELS // SAMPLED_LINES])
+        rows, columns = np.nonzero(usable)
+        some = slice(None, None, -(-rows.size // (SAMPLED_PIXELS // SAMPLED_LINES)) or 1)
+        found.append(stored[:, rows[some], columns[some]].astype(np.float64))
     pixels = np.concatenate(found, axis=1)
     pixels -= pixels.sum(axis=1, keepdims=True) / max(pixels.shape[1], 1)
     # Subspace iteration: these need not be the very eigenvectors, only span what stands out.
@@ -266,4 +266,4 @@ def _brightest_directions(cube: StoredCube) -> npt.NDArray[np.float32]:
         covariance = pixels @ pixels.T
         for _ in range(4):
             directions = np.linalg.qr(covariance @ directions)[0]
-    return np.ascontiguousarray(directions, np.float32)
+        return Directions.of(directions)

@@ -1,4 +1,4 @@
-"""``products.nc``: both sides' spectra, covariances, scores and ROC curves as NetCDF-4.
+"""``products.nc``: everything that both sides hold, as NetCDF-4: spectra, covariances, noise, tails, detection.
 
 Groups ``predicted`` and ``observed``; absent sides have no group.  Spectra and curves are float64;
 covariances are float32 (24 bits of mantissa) and compressed, because they are most of the file.
@@ -16,7 +16,8 @@ import numpy as np
 import xarray as xr
 
 import hyperval
-from hyperval.products import Products, SpectralEstimate
+from hyperval.products import Prediction, Products, SpectralEstimate
+from hyperval.report.netcdf_detection import add_detection, add_entries, ragged
 from hyperval.units import RADIANCE_UNIT
 
 _SPECTRA = (  # name, long name, unit, unit of a covariance, covariances written
@@ -25,12 +26,33 @@ _SPECTRA = (  # name, long name, unit, unit of a covariance, covariances written
     ("snr", "signal-to-noise ratio", "1", "1", False),
 )
 _TAILS = (
-    "tail_dof", "tail_lower", "tail_upper", "normality_p_value",
-    "leading_tail_dof", "leading_lower", "leading_upper", "dimension", "leading_dimension", "n",
-)  # fmt: skip
+    ("tail_dof", "degrees of freedom of the multivariate t law of the pixels; inf for the normal law"),
+    ("tail_lower", "lower 95 % limit of tail_dof"),
+    ("tail_upper", "upper 95 % limit of tail_dof"),
+    ("normality_p_value", "p-value of the likelihood ratio of the normal law and the t law"),
+    ("leading_tail_dof", "degrees of freedom in the leading components"),
+    ("leading_lower", "lower 95 % limit of leading_tail_dof"),
+    ("leading_upper", "upper 95 % limit of leading_tail_dof"),
+    ("dimension", "bands in which distances were taken"),
+    ("leading_dimension", "number of leading components"),
+    ("n", "pixels of the sample; NaN for a definition"),
+)
+_TAIL_CURVES = (
+    ("distance", "distribution_point", "squared Mahalanobis distance in the leading components"),
+    ("exceedance", "distribution_point", "share of pixels beyond the distance"),
+    ("effective_n", "distribution_component", "independent pixels behind the variance along a leading component"),
+)
 _CLASS_ERROR = (
-    "error", "lower", "upper", "n", "effective_n", "distance", "approximation", "bound_lower", "bound_upper",
-)  # fmt: skip
+    ("error", "probability of a wrong class, classes equally likely"),
+    ("lower", "lower 95 % limit of the probability"),
+    ("upper", "upper 95 % limit of the probability"),
+    ("n", "pixels classified; NaN for a prediction"),
+    ("effective_n", "pixels that count as independent; NaN for a prediction"),
+    ("distance", "least Bhattacharyya distance of two of the classes"),
+    ("approximation", "probability estimated from the distances"),
+    ("bound_lower", "lower limit of the least error of normal classes with these distances"),
+    ("bound_upper", "upper limit of the least error of normal classes with these distances"),
+)
 _PACKED = {"zlib": True, "complevel": 4, "shuffle": True, "dtype": "float32"}
 
 
@@ -61,18 +83,21 @@ def dataset(products: Products) -> xr.Dataset:
         }
     )
     data["fwhm"] = ("band", axis.fwhm_nm, {"units": "nm", "long_name": "full width at half maximum"})
-    data["good_band"] = ("band", axis.good.astype(np.int8), {"units": "1", "long_name": "1 where usable"})
+    data["good_band"] = (
+        "band", axis.good.astype(np.int8),
+        {"units": "1", "long_name": "whether the band is used", "flag_values": np.array([0, 1], dtype=np.int8),
+         "flag_meanings": "not_used used"},
+    )  # fmt: skip
     for name, long_name, unit, squared, with_covariance in _SPECTRA:
         estimates: Mapping[str, SpectralEstimate] = getattr(products, name)
         if estimates:
             _add_spectra(data, name, long_name, unit, squared, estimates, with_covariance)
-    _add_curves(data, products)
-    _add_scalars(data, "score", products.scores, {"mean": "1", "sd": "1", "n": "1"})
-    areas = {"area_m2": "m2", "standard_uncertainty": "m2", "nominal_m2": "m2", "n": "1"}
-    _add_scalars(data, "abundance", products.abundance, areas)
-    tails = {(subject, "pixels"): held for subject, held in products.distribution.items()}
-    _add_scalars(data, "distribution", tails, dict.fromkeys(_TAILS, "1"))
-    _add_scalars(data, "classification", products.classification, dict.fromkeys(_CLASS_ERROR, "1"))
+    if isinstance(products, Prediction):
+        _add_noise(data, products)
+    add_detection(data, products)
+    _add_tails(data, products)
+    errors = [(name, "1", text) for name, text in _CLASS_ERROR]
+    add_entries(data, "classification", products.classification, errors, ("classes", "features"))
     return data
 
 
@@ -112,39 +137,37 @@ def _add_spectra(
             add("_pixel_covariance", square, np.stack(spread), squared, f"covariance of {name} from pixel to pixel")
 
 
-def _add_curves(data: xr.Dataset, products: Products) -> None:
-    if not products.roc:
-        return
-    curves = list(products.roc.values())
-    for part, label in enumerate(("subject", "detector", "unit")):
-        names = np.array([key[part] for key in products.roc], dtype=object)
-        data.coords[f"roc_{label}"] = ("roc_curve", names)
-    longest = max(len(curve.pfa) for curve in curves)
-    for name, text in (
-        ("pfa", "probability of false alarm"),
-        ("pd", "probability of detection"),
-        ("pd_lower", "lower 95 % limit of the probability of detection"),
-        ("pd_upper", "upper 95 % limit of the probability of detection"),
-        ("threshold", "detector score at the point"),
-    ):
-        values = np.full((len(curves), longest), np.nan)
-        for row, curve in zip(values, curves, strict=True):
-            row[: len(curve.pfa)] = getattr(curve, name)
-        data[f"roc_{name}"] = (("roc_curve", "roc_point"), values, {"units": "1", "long_name": text})
-    for name, unit in (("n_target", "1"), ("n_background", "1"), ("background_area_km2", "km2")):
-        values = _counts([getattr(curve, name) for curve in curves])
-        data[f"roc_{name}"] = ("roc_curve", values, {"units": unit, "long_name": name.replace("_", " ")})
+def _add_noise(data: xr.Dataset, prediction: Prediction) -> None:
+    """Variance by source of noise, and the part of full scale, by subject."""
+    if prediction.noise:
+        held = prediction.noise
+        data.coords["noise_subject"] = ("noise_subject", _names(held), {"long_name": "subjects of noise"})
+        for source in sorted({source for parts in held.values() for source in parts}):
+            empty = np.full(len(data["band"]), np.nan)
+            values = np.stack([np.asarray(parts.get(source, empty), dtype=float) for parts in held.values()])
+            data[f"noise_variance_{_identifier(source)}"] = (
+                ("noise_subject", "band"), values,
+                {"units": _SPECTRA[0][3], "long_name": f"variance of a pixel's radiance from {source.replace('_', ' ')}"},
+            )  # fmt: skip
+    if prediction.full_scale:
+        held_scale = prediction.full_scale
+        data.coords["full_scale_subject"] = (
+            "full_scale_subject", _names(held_scale), {"long_name": "subjects of full_scale"})  # fmt: skip
+        data["full_scale"] = (
+            ("full_scale_subject", "band"), np.stack([np.asarray(v, dtype=float) for v in held_scale.values()]),
+            {"units": "1", "long_name": "mean radiance as a part of full scale"},
+        )  # fmt: skip
 
 
-def _add_scalars(data: xr.Dataset, name: str, held: Mapping[tuple[str, str], Any], units: dict[str, str]) -> None:
-    if not held:
-        return
-    dim = f"{name}_entry"
-    for part, label in enumerate(("subject", "detector")):
-        data.coords[f"{name}_{label}"] = (dim, np.array([key[part] for key in held], dtype=object))
-    for attribute, unit in units.items():
-        values = _counts([getattr(item, attribute) for item in held.values()])
-        data[f"{name}_{attribute}"] = (dim, values, {"units": unit, "long_name": attribute.replace("_", " ")})
+def _add_tails(data: xr.Dataset, products: Products) -> None:
+    """How the pixels of each class are distributed about their mean."""
+    held = {(subject,): found for subject, found in products.distribution.items()}
+    add_entries(data, "distribution", held, [(name, "1", text) for name, text in _TAILS], ("subject",))
+    for name, dim, text in _TAIL_CURVES:
+        values = [getattr(found, name) for found in held.values()]
+        if any(value is not None for value in values):
+            data[f"distribution_{name}"] = (
+                ("distribution_entry", dim), ragged(values), {"units": "1", "long_name": text})  # fmt: skip
 
 
 def _counts(values: Sequence[float | int | None]) -> Any:
