@@ -279,3 +279,15 @@ def test_every_subject_of_either_side_has_rows():
     other = Observation(SpectralAxis(np.arange(451.0, 901.0, 10.0), 10.0))
     with pytest.raises(UsageError, match="not on the same spectral axis"):
         compare_products(predicted, other, campaign="c")
+
+
+@pytest.mark.parametrize("exponent", [-322.0, -308.0, -300.0, -200.0])
+def test_area_of_a_curve_that_rises_from_next_to_nothing_does_not_overflow(exponent):
+    # Warnings are errors here.  By hand: P_D = c P_FA^k up to its last point, and a line from there to (1, 1).
+    pfa = np.logspace(-6.0, -0.001, 120)
+    pd = 10.0 ** np.linspace(exponent, -2.0, 120)
+    k = (-2.0 - exponent) / (6.0 - 0.001)
+    by_hand = pd[-1] * pfa[-1] / (k + 1.0) + (1.0 - pfa[-1]) * 0.5 * (pd[-1] + 1.0)
+    with np.errstate(all="raise", under="ignore"):
+        found = curve_area(RocCurve(pfa, pd, pd, pd, -pfa, "object"), WHOLE)
+    assert found == pytest.approx(by_hand, abs=1e-3)  # a third of a step of the integration

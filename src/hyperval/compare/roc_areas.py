@@ -17,6 +17,7 @@ from hyperval.results import Result
 
 Array = npt.NDArray[np.float64]
 _POINTS = 4001
+_DECIMALS = 15  # of a P_D; what is below is rounding
 
 
 def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> float:
@@ -37,8 +38,8 @@ def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> f
         return math.nan
     if pfa[-1] < 1.0:
         pfa, pd = np.append(pfa, 1.0), np.append(pd, 1.0)
-    with np.errstate(over="ignore"):  # a rise of 1e-300 gives no slope, as it should
-        curve_of = PchipInterpolator(np.log(pfa), pd)
+    # A rise from 0 to 1e-300 has an inverse slope that overflows in the harmonic means of the cubic; it is no P_D.
+    curve_of = PchipInterpolator(np.log(pfa), np.round(pd, _DECIMALS))
     low = max(area.low, float(pfa[0]))
     u = np.linspace(math.log(low), math.log(area.high), _POINTS)
     if area.logarithmic:
