@@ -66,6 +66,25 @@ def test_a_study_writes_everything(make_study, tmp_path, quick):
     assert not (tmp_path / "out.partial").exists()
 
 
+def test_parquet_holds_the_table_of_the_csv(make_study, tmp_path, quick):
+    pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
+    _, path = make_study(TEXT)
+    study_to_folder(path, tmp_path / "out")
+    written = pd.read_csv(tmp_path / "out" / "table.csv", keep_default_na=False, na_values={"signal": [""]})
+    found = pd.read_parquet(tmp_path / "out" / "table.parquet")
+    assert list(found.columns) == list(written.columns)
+    for name in found.columns:
+        np.testing.assert_array_equal(found[name].to_numpy(), written[name].to_numpy())
+
+
+def test_without_pyarrow_there_is_no_parquet(make_study, tmp_path, quick, monkeypatch):
+    monkeypatch.setattr("hyperval.study.tables.find_spec", lambda name: None)
+    _, path = make_study(TEXT)
+    study_to_folder(path, tmp_path / "out")
+    assert not (tmp_path / "out" / "table.parquet").exists()
+    assert (tmp_path / "out" / "table.csv").is_file()
+
+
 def test_an_interrupted_run_goes_on_to_the_same_bytes(make_study, tmp_path, quick, monkeypatch):
     _, path = make_study(TEXT)
     study_to_folder(path, tmp_path / "whole")
