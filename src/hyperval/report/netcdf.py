@@ -145,10 +145,9 @@ def _add_noise(data: xr.Dataset, prediction: Prediction) -> None:
         for source in sorted({source for parts in held.values() for source in parts}):
             empty = np.full(len(data["band"]), np.nan)
             values = np.stack([np.asarray(parts.get(source, empty), dtype=float) for parts in held.values()])
+            text = f"variance of a pixel's radiance from {source.replace('_', ' ')}"
             data[f"noise_variance_{_identifier(source)}"] = (
-                ("noise_subject", "band"), values,
-                {"units": _SPECTRA[0][3], "long_name": f"variance of a pixel's radiance from {source.replace('_', ' ')}"},
-            )  # fmt: skip
+                ("noise_subject", "band"), values, {"units": _SPECTRA[0][3], "long_name": text})  # fmt: skip
     if prediction.full_scale:
         held_scale = prediction.full_scale
         data.coords["full_scale_subject"] = (
