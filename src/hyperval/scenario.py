@@ -102,7 +102,7 @@ class TargetSubject(Model):
     position_m: tuple[float, float] | None = Field(
         None,
         description="centre along lines and samples [m] in a frame common to all subjects: targets beside each "
-        "other then share pixels, in object scores",
+        "other then share pixels, in object scores and in mean spectra",
     )
 
 

@@ -90,10 +90,26 @@ def _rows(
         out += _summary(make, name, ratio, ratio_covariance, usable & region & np.isfinite(ratio))
     window = usable & regions(axis)["windows"]
     estimated = (*predicted.estimated, *observed.estimated)
+    leading = leading_source(predicted, observed, window)
     out += _consistency(
-        make, predicted.mean, observed.mean, covariance, window, (ratio, ratio_covariance), estimated
+        make, predicted.mean, observed.mean, covariance, window, (ratio, ratio_covariance), estimated, leading
     )
     return out
+
+
+def leading_source(predicted: SpectralEstimate, observed: SpectralEstimate, bands: npt.NDArray[np.bool_]) -> str:
+    """In words, the source that holds more than half of the variance of both sides in ``bands``; empty without one.
+
+    It bounds what a test can tell: a mixed pixel whose host varies more than the target shows tests the host.
+    """
+    parts = [
+        (name, float(np.nansum(u[bands] ** 2))) for side in (predicted, observed) for name, u in side.budget.items()
+    ]
+    total = sum(variance for _, variance in parts)
+    if not total > 0.0:
+        return ""
+    name, most = max(parts, key=lambda part: part[1])
+    return f"{100.0 * most / total:.0f} % of the variance: {name}" if most > 0.5 * total else ""
 
 
 def _summary(
@@ -121,6 +137,7 @@ def _consistency(
     window: npt.NDArray[np.bool_],
     relative: tuple[Array, Array],
     estimated: Sequence[tuple[Array, float]] = (),
+    leading: str = "",
 ) -> list[Result]:
     names = (
         "chi2_reduced_diagonal", "p_value_diagonal", "chi2_reduced_full", "p_value_full",
@@ -143,6 +160,7 @@ def _consistency(
         if math.isfinite(full.covariance_dof):
             words = f"covariance known by {full.covariance_dof:.0f} effective degrees of freedom"
             kept = f"{kept}; {words}" if kept else words
+        kept = "; ".join(part for part in (kept, leading) if part)
         out = [
             make.row(names[0], diagonal.reduced, n=diagonal.dof),
             make.row(names[1], diagonal.p_value, n=diagonal.dof),

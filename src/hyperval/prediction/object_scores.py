@@ -290,7 +290,7 @@ def _drawn_fills(
             fills = fills_of_objects(population.fill, change)
             beside_fills = np.zeros((*fills.shape, 0))
         else:
-            placed = [_placed(population, subject, change) for subject in beside]
+            placed = [placed_beside(population, subject, change) for subject in beside]
             shifts = None
             if uncertainty.position_m is not None:
                 count = PHASES if geometry.phase == "random" else 1
@@ -301,7 +301,8 @@ def _drawn_fills(
     return own, others
 
 
-def _placed(population: TargetSubject, subject: TargetSubject, change: float) -> Neighbour:
+def placed_beside(population: TargetSubject, subject: TargetSubject, change: float = 0.0) -> Neighbour:
+    """A neighbour as an object's pixels see it; ``change`` is added to the width of the blur [pixels]."""
     here, there, geometry = population.position_m, subject.position_m, population.fill.geometry
     if here is None or there is None or geometry is None:
         raise ValueError("a neighbour without a place")

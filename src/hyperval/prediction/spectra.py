@@ -10,6 +10,16 @@ import numpy.typing as npt
 
 from hyperval.prediction.fills import fill_distribution
 from hyperval.prediction.inputs import SurfaceStatistics
+from hyperval.prediction.placed_target import (
+    HOST,
+    PLACE,
+    Shares,
+    host_covariance,
+    mixed,
+    place_covariance,
+    shares_of,
+    spectra_covariance,
+)
 from hyperval.prediction.uncertainty import Perturbation, combined, spectral_errors
 from hyperval.prediction.view import View
 from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance
@@ -40,7 +50,10 @@ class SpectralProducts:
 
 @dataclass(frozen=True)
 class _Subject:
-    """What is seen of one subject: what it reflects, what meets light of the surroundings, its spread."""
+    """What is seen of one subject: what it reflects, what meets light of the surroundings, its spread.
+
+    ``error`` is that of its field spectra, ``others`` are error covariances (B, B) of its reflectance by source.
+    """
 
     name: str
     rho: Array
@@ -49,6 +62,7 @@ class _Subject:
     gain: float
     error: Array | None
     pure: bool  # a class, panel or site; target pixels have no SNR of their own
+    others: Mapping[str, Array] = field(default_factory=dict)
 
 
 def spectral_products(
@@ -76,6 +90,7 @@ def spectral_products(
         if view.terms is not None:
             changes = [(s.source, 0.5 * (s.plus.level(subject.rho) - s.minus.level(subject.rho))) for s in steps]
             shapes = spectral_errors(view, subject.rho, axis, scenario.uncertainty.engine, subject.error, sensor)
+            shapes |= _through(view, subject.others)
             total, budget = combined(changes, shapes, len(axis))
             out.radiance[subject.name] = SpectralEstimate(level, total, _known(seen), None, budget)
             _add_noise(out, subject, level, view, steps, shapes)
@@ -92,7 +107,7 @@ def spectral_products(
                 )
                 for s, up, down in lines
             ]
-            shapes = spectral_errors(view, subject.rho, axis, None, subject.error)
+            shapes = spectral_errors(view, subject.rho, axis, None, subject.error) | _through(view, subject.others)
             shapes = {source: retrieved_covariance(line, c) for source, c in shapes.items()}
             total, budget = combined(changes, shapes, len(axis))
             pixel = _known(seen if view.terms is None else retrieved_covariance(line, seen))
@@ -132,6 +147,11 @@ def _add_noise(
         out.snr[name] = SpectralEstimate(noise.snr(level, calibration=with_c), total, None, None, budget)
 
 
+def _through(view: View, errors: Mapping[str, Array]) -> dict[str, Array]:
+    """Errors of a reflectance as errors of the level, through D_A (3.11)."""
+    return {source: c * np.outer(view.slope(), view.slope()) for source, c in errors.items()}
+
+
 def _subjects(
     scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], view: View, errors: Mapping[str, Array]
 ) -> list[_Subject]:
@@ -153,6 +173,13 @@ def _subjects(
                 fill.mean, fill.variance, lit.mean, lit.covariance, host.mean, host.covariance,
                 target_gain=t.gain, host_gain=gain, formulation=scenario.formulation,
             )  # fmt: skip
+            shares = None
+            if scenario.formulation != "thesis":
+                position = scenario.uncertainty.position_m
+                shares = shares_of(t, population, scene.targets, position, scenario.processing.seed)
+            if shares is not None:
+                found.append(_placed(population.name, shares, scenario, surfaces, view, errors, t.host, covariance))
+                continue
             parts = []
             if t.name in errors:
                 shade = np.broadcast_to(lit.factor, own.mean.shape)
@@ -164,6 +191,45 @@ def _subjects(
             under_sky = target_pixel_reflectance(fill.mean, lit.under_sky, host.mean)
             found.append(_Subject(population.name, rho, under_sky, covariance, gain, error, False))
     return found
+
+
+def _placed(
+    name: str,
+    shares: Shares,
+    scenario: Scenario,
+    surfaces: Mapping[str, SurfaceStatistics],
+    view: View,
+    errors: Mapping[str, Array],
+    host: str,
+    covariance: Array,
+) -> _Subject:
+    """One object at its place, with what lies beside it."""
+    full, under_sky, own = {}, {}, {}
+    for t in scenario.scene.targets:
+        if t.name in shares.names:
+            s = surfaces[t.name]
+            lit = view.lit_surface(s.mean, s.covariance, t.illumination)
+            full[t.name], under_sky[t.name] = lit.mean, lit.under_sky
+            if t.name in errors:
+                shade = np.broadcast_to(lit.factor, s.mean.shape)
+                own[t.name] = errors[t.name] * np.outer(shade, shade)
+    ground, gain = surfaces[host], next(c.gain for c in scenario.scene.classes if c.name == host)
+    spectra = spectra_covariance(shares, own, ground.mean.size)
+    if host in errors:
+        spectra = spectra + shares.rest**2 * errors[host]
+    return _Subject(
+        name,
+        mixed(shares, full, ground.mean),
+        mixed(shares, under_sky, ground.mean),
+        covariance,
+        gain,
+        spectra,
+        False,
+        {
+            PLACE: place_covariance(shares, full, ground.mean),
+            HOST: host_covariance(shares, ground.covariance, gain),
+        },
+    )
 
 
 def _known(covariance: Array) -> Array:
