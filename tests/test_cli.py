@@ -16,6 +16,8 @@ import pytest
 import hyperval
 from hyperval import cli
 from hyperval.errors import EngineError, InputError, MissingDataError, UsageError
+from hyperval.report.tables import results_json
+from hyperval.results import Result, Status
 
 
 @pytest.fixture(autouse=True)
@@ -169,6 +171,24 @@ def test_notes_go_to_standard_error_and_quiet_leaves_them_out(calls, capsys):
     assert capsys.readouterr() == ("", "")
     cli.run(["observe", "c.yaml", "-o", "out"])
     assert capsys.readouterr().err != "", "the options of one run do not reach the next"
+
+
+def test_validate_says_the_verdict_of_each_campaign_and_errors_even_when_quiet(calls, capsys, tmp_path):
+    rows = [
+        Result("one", "radiance", "lawn", "sixs", "m", value=0.1, status=Status.PASS),
+        Result("two", "radiance", "turf", "*", "m", status=Status.ERROR, reason="turf.txt: no such file"),
+        Result("three", "radiance", "lot", "*", "m", status=Status.SKIPPED, reason="hyperval data fetch x"),
+    ]
+    (tmp_path / "results.json").write_text(results_json(rows), "utf-8")
+    cli.run(["validate", "a.yaml", "-o", str(tmp_path)])
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "one: Agrees within the stated limits" in err
+    assert "two: Nothing was checked" in err
+    assert "two: ERROR: turf.txt: no such file\n" in err
+    assert "three: SKIPPED: hyperval data fetch x\n" in err
+    cli.run(["-q", "validate", "a.yaml", "-o", str(tmp_path)])
+    assert capsys.readouterr() == ("", "two: ERROR: turf.txt: no such file\n")
 
 
 def test_data_list_is_tab_separated_for_programs(capsys):

@@ -13,7 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from hyperval.config import MAX_BYTES, MAX_DEPTH, Model, load_model, load_yaml, parse_yaml, validate
+from hyperval.config import (
+    MAX_BYTES,
+    MAX_DEPTH,
+    Model,
+    RadianceUnit,
+    WavelengthUnit,
+    load_model,
+    load_yaml,
+    parse_yaml,
+    validate,
+)
 from hyperval.errors import InputError, UsageError
 
 
@@ -225,6 +235,20 @@ def test_a_mistake_inside_a_union_is_placed_on_its_own_line():
     data, lines = parse_yaml("shapes:\n  - kind: square\n    side_m: 1\n  - kind: disc\n    radius_m: wide\n")
     with pytest.raises(UsageError, match=r"^c\.yaml:5: "):
         validate(Shapes, data, lines, "c.yaml")
+
+
+class Powered(Model):
+    unit: RadianceUnit
+    wavelength_unit: WavelengthUnit = "nm"
+
+
+def test_units_are_known_when_the_file_is_read():
+    assert validate(Powered, {"unit": "W/m^2/sr/um"}, {}, "a.yaml").unit == "W/m^2/sr/um"
+    data, lines = parse_yaml("unit: W/m2\nwavelength_unit: cm-1\n", "a.yaml")
+    with pytest.raises(UsageError) as caught:
+        validate(Powered, data, lines, "a.yaml")
+    assert "a.yaml:1: unit: unknown radiance unit 'W/m2'; one of uW cm-2 sr-1 nm-1" in str(caught.value)
+    assert "a.yaml:2: wavelength_unit: unknown wavelength unit 'cm-1'; one of nm" in str(caught.value)
 
 
 def test_models_are_frozen():

@@ -63,6 +63,27 @@ def test_unknown_unit_lists_what_is_known(factor, unit):
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.parametrize(
+    "unit",
+    [
+        "W/m^2/sr/um", "W/m2/um/sr", "W/(m2 sr um)", "W/(m^2*sr*µm)", "W m^-2 sr^-1 um^-1", "W·m⁻²·sr⁻¹·μm⁻¹",
+        "W m**-2 SR**-1 micron**-1", "W m−2 um-1 sr-1", "watts/meter2/sr/micrometer",
+    ],
+)  # fmt: skip
+def test_a_unit_may_be_spelled_in_many_ways(unit):
+    assert units.radiance_to_internal(unit) == units.radiance_to_internal("W m-2 sr-1 um-1")
+    assert units.irradiance_to_internal("µW/cm²/nm") == 1.0
+
+
+@pytest.mark.parametrize(
+    "unit",
+    ["W/m2", "W/m2/sr/um/um", "MW/m2/sr/nm", "mw/m2/sr/nm", "W/(m2 sr) um", "W/m2 sr um", "W m2 sr um", "/", "()"],
+)
+def test_a_unit_that_reads_in_two_ways_or_none_is_refused(unit):
+    with pytest.raises(UsageError, match="unknown radiance unit"):
+        units.radiance_to_internal(unit)
+
+
 def test_radiance_per_wavelength_conserves_the_integral():
     # The radiance between two wavenumbers is the same on either axis: 1 W cm-2 sr-1 / cm-1 over
     # 10000-10001 cm-1 is 1 W cm-2 sr-1 = 1e6 uW cm-2 sr-1 over that interval in nm.

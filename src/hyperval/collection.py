@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from hyperval.config import Model
+from hyperval.config import Model, RadianceUnit, WavelengthUnit
 from hyperval.processing.detectors import detector_names
 from hyperval.processing.local_scores import LOCAL_DETECTORS
 from hyperval.scenario import SpectrumSource
@@ -18,11 +18,13 @@ class CubeSource(Model):
     path: str
     header: str | None = Field(None, description="ENVI header that describes it, when it is not beside the cube")
     quantity: Literal["radiance", "reflectance"]
-    unit: str = Field("uW cm-2 sr-1 nm-1", description="unit of the scaled radiance; not used for reflectance")
+    unit: RadianceUnit = Field(
+        "uW cm-2 sr-1 nm-1", description="unit of the scaled radiance; not used for reflectance"
+    )
     scale: float | None = Field(
         None, gt=0, description="stored value times this is the quantity; None: the header's"
     )
-    wavelength_unit: str | None = Field(None, description="stated when the header does not say nm or um")
+    wavelength_unit: WavelengthUnit | None = Field(None, description="stated when the header does not say nm or um")
     glt: str | None = Field(
         None, description="geographic lookup table of a cube in scanner geometry: places regions and targets"
     )
@@ -34,7 +36,7 @@ class SpectrumCollection(Model):
     subject: str
     path: str
     record: str | int | None = Field(None, description="which spectrum of a file of several, as for reflectances")
-    unit: str | None = Field(None, description="of the radiance; None: the file's, else uW cm-2 sr-1 nm-1")
+    unit: RadianceUnit | None = Field(None, description="of the radiance; None: the file's, else uW cm-2 sr-1 nm-1")
     wavelength_unit: Literal["nm", "um"] = "nm"
     pixels: int | None = Field(None, ge=1, description="pixels averaged, when known")
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from hyperval.errors import InputError, UsageError
+from hyperval.units import radiance_to_internal, wavelength_to_nm
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
@@ -25,6 +27,22 @@ class Model(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+
+def _unit_known_to(factor: Callable[[str], float]) -> AfterValidator:
+    """Refuses an unknown unit when the file is read, so that a dry run tells and the line is known."""
+
+    def known(unit: str) -> str:
+        try:
+            factor(unit)
+        except UsageError as error:
+            raise ValueError(f"{error.what}; {error.expected}") from None
+        return unit
+
+    return AfterValidator(known)
+
+
+RadianceUnit = Annotated[str, _unit_known_to(radiance_to_internal)]
+WavelengthUnit = Annotated[str, _unit_known_to(wavelength_to_nm)]
 
 M = TypeVar("M", bound=BaseModel)
 Location = tuple[str | int, ...]
@@ -183,7 +201,9 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
                     at = (*at, part)
             line = lines.get(at, 1)
             key = ".".join(str(p) for p in item["loc"])
-            text = item["msg"]
+            text = item["msg"].removeprefix("Value error, ")
+            if item["type"] == "string_pattern_mismatch":
+                text = _spelled(item["ctx"]["pattern"]) or text
             if item["type"] == "extra_forbidden":
                 near = difflib.get_close_matches(str(item["loc"][-1]), _keys_of(model), n=1)
                 text = "unknown key" + (f"; did you mean {near[0]!r}?" if near else "")
@@ -191,6 +211,16 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
         found.sort()
         first, *rest = [text for _, text in found]
         raise UsageError("\n  ".join([first, *rest])) from error
+
+
+def _spelled(pattern: str) -> str:
+    """What a pattern of names allows, in words; empty for another pattern."""
+    allowed = {
+        "a-z0-9-": "small letters, digits and hyphens, a letter or digit first",
+        "A-Za-z0-9_.-": "letters, digits and _ . -, a letter or digit first",
+    }
+    found = re.findall(r"\[([^\]]*)\]\*\$$", pattern)
+    return f"a name of {allowed[found[0]]}" if found and found[0] in allowed else ""
 
 
 def load_model(model: type[M], path: Path) -> M:

@@ -6,6 +6,9 @@ reflectance as a fraction 0-1, angles in degrees at the interfaces.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -74,6 +77,55 @@ def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_c
 
 
 def _factor(table: dict[str, float], unit: str, quantity: str) -> float:
-    if unit not in table:
-        raise UsageError(f"unknown {quantity} unit {unit!r}", expected="one of " + ", ".join(table))
-    return table[unit]
+    if unit in table:
+        return table[unit]
+    wanted = _parts(unit)
+    for name, factor in table.items():
+        if wanted == _parts(name):
+            return factor
+    raise UsageError(f"unknown {quantity} unit {unit!r}", expected="one of " + ", ".join(table))
+
+
+def _parts(unit: str) -> frozenset[tuple[str, int]] | None:
+    """Names and powers of a unit: W/m^2/sr/um, W/(m2 sr um) and W m-2 sr-1 um-1 are one; None: not readable."""
+    text = unit.strip().replace("**", "^").translate(_SIGNS).replace("^", "")
+    grouped = re.fullmatch(r"[^()/]+/\s*\([^()/]*\)", text) is not None  # W/(m2 sr um): all are divided by
+    if not grouped and re.search(r"[()]", text):
+        return None
+    numerator, *divisors = re.sub(r"[()]", " ", text).split("/")
+    products: list[tuple[str, int]] = [(word, 1) for word in numerator.split()]
+    for divisor in divisors:
+        first, *rest = divisor.split() or [""]
+        products += [(first, -1), *((word, -1 if grouped else 1) for word in rest)]
+    read = [_named_power(word, sign) for word, sign in products]
+    found = [item for item in read if item is not None]
+    return frozenset(found) if len(found) == len(read) == len({name for name, _ in found}) else None
+
+
+def _named_power(word: str, sign: int) -> tuple[str, int] | None:
+    found = re.fullmatch(r"([A-Za-z]+)([+-]?\d)?", word)
+    if found is None:
+        return None
+    name = next((short for short, names in _SPELLINGS if found[1] in names or found[1].lower() in names), found[1])
+    return name, sign * int(found[2] or 1)
+
+
+def _spelled(*pairs: tuple[str, str]) -> Iterable[tuple[str, frozenset[str]]]:
+    return tuple((short, frozenset(names.split())) for short, names in pairs)
+
+
+# Micro, minus and dot have several characters; raised digits are digits.
+_SIGNS = str.maketrans({
+    "µ": "u", "μ": "u", "−": "-", "–": "-", "⁻": "-", "·": " ", "*": " ", "²": "2", "¹": "1",
+})  # fmt: skip
+
+_SPELLINGS = _spelled(
+    ("sr", "sr steradian steradians ster"),
+    ("W", "w watt watts"),
+    ("mW", "mW milliwatt milliwatts"),
+    ("uW", "uW uw microwatt microwatts"),
+    ("nm", "nm nanometer nanometers nanometre nanometres"),
+    ("um", "um micron microns micrometer micrometers micrometre micrometres"),
+    ("cm", "cm centimeter centimeters centimetre centimetres"),
+    ("m", "m meter meters metre metres"),
+)

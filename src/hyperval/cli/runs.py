@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from hyperval.cli.shared import Output, Scheduler, app, finished, note, print_table, settings
+from hyperval.cli.shared import Output, Scheduler, app, finished, note, print_table, say_verdicts, settings
 from hyperval.errors import UsageError
 
 
@@ -61,6 +61,7 @@ def validate(
     code = run(campaigns, output, scheduler=scheduler, show_progress=settings.show_progress)
     if junit is not None:
         write_text(junit, (output / "junit.xml").read_text("utf-8"))
+    say_verdicts(output)
     return finished(code, output)
 
 

@@ -80,6 +80,24 @@ def finished(code: int, output: Path) -> int:
     return code
 
 
+def say_verdicts(output: Path) -> None:
+    """A line for each campaign of a finished run; errors are said under --quiet too."""
+    from hyperval.report.stored import read_results
+    from hyperval.report.verdict import verdict
+    from hyperval.results import Status
+
+    if not (output / "results.json").is_file():
+        return
+    rows = list(read_results(output / "results.json"))
+    for name in dict.fromkeys(row.campaign for row in rows):
+        own = [row for row in rows if row.campaign == name]
+        note(f"{name}: {verdict(own)[1]}")
+        for status in (Status.ERROR, Status.SKIPPED):
+            for reason in dict.fromkeys(row.reason for row in own if row.status is status and row.reason):
+                line = f"{name}: {status}: {reason}"
+                print(line, file=sys.stderr) if status is Status.ERROR else note(line)
+
+
 def note(text: str) -> None:
     """A message that --quiet leaves out."""
     if not settings.quiet:
