@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from hyperval.observe.place import Place
 from hyperval.observe.spread import correlation_windows
+from hyperval.processing.few_pixels import factor_covariance
 from hyperval.processing.mean_error import components, independent_pixels, mean_error_covariance
 from hyperval.processing.sample import SampleStatistics
 from hyperval.processing.spatial_correlation import neighbour_shares
@@ -25,13 +26,22 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> tupl
     """Error covariance (B, B) of a region's mean, in the cube's values, and the degrees of freedom behind it.
 
     Correlation on the ground is measured along the leading components, and the rest together, in windows of the
-    image, at lags of up to 24 pixels; regions of fewer than 50 pixels count as independent ones.
+    image, at lags of up to 24 pixels; regions of fewer than 50 pixels count as independent ones.  Pixels that are
+    fewer than the bands have few common factors and independent bands
+    (:func:`~hyperval.processing.few_pixels.factor_covariance`).
     """
     n, covariance = statistics.n, statistics.covariance
-    known = np.flatnonzero(np.isfinite(np.diag(covariance)))
-    if n < FEWEST_PIXELS or known.size == 0 or not np.any(np.diag(covariance)[known] > 0):
+    variance = np.diag(covariance)
+    known = np.flatnonzero(np.isfinite(variance) & (variance > 0))
+    if known.size == 0:
         return covariance / n, float(n - 1)
-    inner = covariance[np.ix_(known, known)]
+    inner, known_by = covariance[np.ix_(known, known)], float(n - 1)
+    if n <= known.size:
+        inner, known_by = factor_covariance(inner, n)
+    if n < FEWEST_PIXELS:
+        out = covariance / n
+        out[np.ix_(known, known)] = inner / n
+        return out, known_by
     mean = statistics.mean[known]
     rng = np.random.default_rng(_SEED)
     along = components(inner, rng)
@@ -51,4 +61,4 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> tupl
     independent, of_variance = independent_pixels(windows(), neighbour_shares(region, reach, rng), n, reach)
     out = covariance / n
     out[np.ix_(known, known)] = mean_error_covariance(inner, along, independent)
-    return out, float(np.median(of_variance)) - 1.0
+    return out, (float(np.median(of_variance)) - 1.0) * known_by / (n - 1)
