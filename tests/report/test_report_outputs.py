@@ -335,7 +335,7 @@ def test_index_joins_campaigns(run, tmp_path):
     write_index([run, second], tmp_path)
     page = Page((tmp_path / "report.html").read_text())
     links = [attributes["href"] for tag, attributes in page.tags if tag == "a"]
-    assert links == ["invented/report.html", "second_b_/report.html"]
+    assert links == ["second_b_/report.html", "invented/report.html"], "collected imagery before simulated"
     assert "Does not agree" in page.text
     assert "too low" in page.text
     assert "SIMULATED collections among them: invented" in page.text

@@ -4,11 +4,13 @@ import math
 
 import pytest
 
+from hyperval.report.glossary import explained, meaning
 from hyperval.report.verdict import (
     informs_of_disagreement,
     interval_text,
     is_planned,
     number_text,
+    threshold_text,
     value_text,
     verdict,
 )
@@ -56,7 +58,7 @@ def test_a_falsified_pass_turns_the_verdict():
 def test_informing_disagreement_is_told_and_does_not_fail():
     tone, words = verdict([row(Status.PASS), row(Status.INFO, "disagrees: p = 0.001", "green planks")])
     assert tone == "mixed"
-    assert words.startswith("Passes its gates (the one gating comparison passed), and does not agree throughout.")
+    assert words.startswith("Passes its gates (the one gating comparison passed), but not everything agrees.")
     assert "Agrees" not in words
     assert "found a disagreement (radiance green planks 6S)" in words
 
@@ -100,3 +102,51 @@ def test_value_and_interval_share_their_digits():
     r = Result("c", "abundance", "t", "CEM", "area", 8.21234, "m2", lower=7.1, upper=9.4)
     assert value_text(r) == "8.2 m2"
     assert interval_text(r) == "7.1 to 9.4"
+
+
+def _full_test(value):
+    return Result(
+        "c", "reflectance", "panel", "statistics", "p_value_full", value, reason="144 of 163 directions kept"
+    )
+
+
+def test_a_spectrum_that_the_full_test_rejects_is_told_beside_passes():
+    assert verdict([row(Status.PASS), _full_test(0.0)])[0] == "mixed"
+    assert verdict([row(Status.PASS), _full_test(0.02)])[0] == "agree"
+    assert verdict([row(Status.PASS), _full_test(math.nan)])[0] == "agree"
+
+
+def test_many_disagreements_are_counted_by_product():
+    rows = [row(Status.INFO, "differs", f"field {i}") for i in range(8)]
+    _, words = verdict([row(Status.PASS), *rows, _full_test(0.0)])
+    assert "9 comparisons found a disagreement (8 of radiance, 1 of reflectance)" in words
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "< 1e−300"), (0.18472, "0.18"), (3.219e-7, "3.2e−07"), (0.99979, "> 0.999")]
+)
+def test_p_values_have_two_digits_and_are_never_nothing(value, text):
+    assert value_text(_full_test(value)) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "status", "reason", "text"),
+    [
+        (0.9, Status.PASS, "", "≥ 0.75"),
+        (0.6, Status.FAIL, "", "≥ 0.75"),
+        (0.6, Status.PASS, "", "≤ 0.75"),
+        (0.9, Status.INFO, "would not pass within 0.1 to 0.75; informs only: x", "≤ 0.75"),
+        (0.75, Status.INFO, "would pass at least 0.75; informs only: x", "≥ 0.75"),
+        (0.75, Status.PASS, "", "0.75"),
+        (math.nan, Status.ERROR, "", "0.75"),
+    ],
+)
+def test_the_side_of_a_threshold_is_told(value, status, reason, text):
+    one = Result("c", "abundance", "t", "cem", "area_ratio", value, threshold=0.75, status=status, reason=reason)
+    assert threshold_text(one) == text
+
+
+def test_metrics_are_explained_in_words():
+    assert "predicted over measured variance" in meaning("eigenvalue_ratio@3")
+    assert meaning("nobody's metric") == ""
+    assert explained([_full_test(0.5), _full_test(0.1)]) == [("p_value_full", meaning("p_value_full"))]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import datetime
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from markupsafe import Markup
 
 import hyperval
 from hyperval.report import verdict as v
+from hyperval.report.glossary import explained
 from hyperval.report.run import RunReport
 from hyperval.report.style import Drawing
 from hyperval.report.tables import row_name, status_counts
@@ -23,7 +25,7 @@ MAX_BYTES = 5_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 4_200_000  # of that, for figures
 _MOST_INFORMING = 40  # rows in the first table; more are moved to their sections
 _MOST_OPEN = 12  # of those, before the rest is folded
-_MOST_PASSES = 40  # in the first table; the others are folded below it
+_MOST_PASSES = 20  # in the first table; the others are folded below it
 _MOST_SKIPPED = 10
 _MOST_LISTED = 400  # per-band failures spelled out; results.csv has all
 _MOST_ROWS = 60  # informing rows of one section
@@ -95,6 +97,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
         facts=_facts(run),
         maps=len(run.score_maps),
+        metrics=explained([*whole, *first]),
         **common_words(),
     )  # fmt: skip
 
@@ -104,26 +107,35 @@ def _explains_all(row: Result) -> bool:
 
 
 def index_page(runs: Sequence[RunReport], folders: Mapping[str, str]) -> str:
-    """The page of several campaigns; ``folders`` maps a campaign to its folder beside the page."""
-    rows = [row for run in runs for row in run.table]
-    tone, words = v.verdict(rows)
+    """The page of several campaigns; ``folders`` maps a campaign to its folder beside the page.
+
+    Collected imagery and simulated collections have a verdict each: agreement of the latter tests the software.
+    """
+    verdicts = []
+    for kind, simulated in (("Collected imagery", False), ("Simulated collections", True)):
+        own = [row for run in runs if run.simulated == simulated for row in run.table]
+        if any(run.simulated == simulated for run in runs):
+            verdicts.append((kind, *v.verdict(own), v.status_words(own)))
     entries = []
-    for run in runs:
+    for run in sorted(runs, key=lambda r: r.simulated):
         own_tone, own_words = v.verdict(run.table)
         link = f"{folders[run.campaign]}/report.html"
         entries.append({"run": run, "tone": own_tone, "verdict": own_words, "link": link,
                         "counts": status_counts(run.table)})  # fmt: skip
-    notable = [r for r in rows if r.status in (Status.FAIL, Status.ERROR, Status.SKIPPED)]
-    notable += [r for r in rows if v.informs_of_disagreement(r)]
-    single = [r for r in sorted(notable, key=_severity) if not v.is_per_band(r)]
-    skipped = [r for r in single if r.status is Status.SKIPPED][_MOST_SKIPPED:]
-    hidden = {id(r) for r in skipped}
-    single = [r for r in single if id(r) not in hidden]
-    failed_bands = [r for r in notable if v.is_per_band(r) and r.status in (Status.FAIL, Status.ERROR)]
+    rows = [row for run in runs for row in run.table]
+    failed = [r for r in rows if r.status in (Status.FAIL, Status.ERROR)]
+    others = []
+    for run in sorted(runs, key=lambda r: r.simulated):
+        skipped = [r for r in run.table if r.status is Status.SKIPPED and not v.is_per_band(r)]
+        telling = [r for r in run.table if v.informs_of_disagreement(r) and not v.is_per_band(r)]
+        if skipped or telling:
+            shown = [*telling, *skipped[:_MOST_SKIPPED]]
+            others.append((run, len(telling), len(skipped), shown, max(len(skipped) - _MOST_SKIPPED, 0)))
+    single = [r for r in sorted(failed, key=_severity) if not v.is_per_band(r)]
     return environment().get_template("index.html.j2").render(
-        tone=tone, verdict=words, counts=v.status_words(rows), entries=entries, notable=single, hidden=len(skipped),
-        failed_by_subject=_grouped(failed_bands), simulated=[r.campaign for r in runs if r.simulated],
-        **common_words(),
+        verdicts=verdicts, entries=entries, failed=single, others=others,
+        failed_by_subject=_grouped([r for r in failed if v.is_per_band(r)]),
+        simulated=[r.campaign for r in runs if r.simulated], **common_words(),
     )  # fmt: skip
 
 
@@ -145,6 +157,7 @@ def environment() -> jinja2.Environment:
         row_name=row_name,
         nm=_band_text,
         breakable=_breakable,
+        subject=_subject_text,
     )
     return environment
 
@@ -192,8 +205,15 @@ def _breakable(text: str) -> Markup:
 
 
 def _metric_markup(row: Result) -> Markup:
-    """The metric's name with places where a long one may break."""
-    return Markup("_<wbr>").join(row.metric.split("_"))  # join escapes the parts
+    """The metric's name with places where a long one may break; what follows "@" stays together."""
+    base, at, where = row.metric.partition("@")
+    name = Markup("_<wbr>").join(base.split("_"))  # join escapes the parts
+    return name + (Markup('<wbr><span class="together">{}</span>').format(at + where) if at else "")
+
+
+def _subject_text(row: Result) -> str:
+    """The subject, a number kept beside its unit: "3 m"."""
+    return re.sub(r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0", row.subject)
 
 
 def _grouped(rows: Sequence[Result]) -> list[tuple[str, list[Result]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from hyperval.report.tables import status_counts
@@ -13,6 +14,9 @@ _DISAGREES = ("disagree", "differ", "inconsistent", "outside")
 # ... or tells what a gate would have made of it.
 _WOULD_NOT = ("would not pass", "would be an error")
 _MOST_NAMED = 6
+_P_VALUES = ("p_value", "p_value_full", "p_value_diagonal", "p_value_shape", "p_value_explained")
+# A full test of spectra that nothing was planned for: rejected beyond doubt, whatever else passed.
+_FULL_TEST, _REJECTED = "p_value_full", 1e-3
 _LONGEST_NAME = 70
 
 
@@ -37,7 +41,7 @@ def verdict(rows: Iterable[Result]) -> tuple[str, str]:
             words += f" {count['PASS']} passed."
     elif decided and not broken and telling:
         tone = "mixed"
-        words = f"Passes its gates ({_passed(decided)}), and does not agree throughout."
+        words = f"Passes its gates ({_passed(decided)}), but not everything agrees."
     elif decided and not broken:
         tone = "agree"
         where = "where it was checked" if count["SKIPPED"] else "within the stated limits"
@@ -62,9 +66,14 @@ def informs_of_disagreement(row: Result) -> bool:
     """True for an INFO row whose reason says that the two sides do not agree.
 
     It begins with "disagrees", "differs", "inconsistent" or "outside", or says that the row "would not pass".
+    A full test of two spectra (``p_value_full``) below 1e-3 says so without words.
     """
+    if row.status is not Status.INFO:
+        return False
     reason = row.reason.lower()
-    return row.status is Status.INFO and (reason.startswith(_DISAGREES) or any(w in reason for w in _WOULD_NOT))
+    if reason.startswith(_DISAGREES) or any(w in reason for w in _WOULD_NOT):
+        return True
+    return row.metric == _FULL_TEST and row.value < _REJECTED
 
 
 def is_planned(row: Result) -> bool:
@@ -108,9 +117,18 @@ def number_text(value: float, spread: float = math.nan) -> str:
 
 
 def value_text(row: Result) -> str:
-    """The value of a row with its unit."""
+    """The value of a row with its unit; of a p-value two digits, and never nothing at all."""
+    if row.metric.partition("@")[0].endswith(_P_VALUES) and math.isfinite(row.value):
+        return _p_value_text(row.value)
     text = number_text(row.value, _half_width(row))
     return text if row.unit in ("1", "") or math.isnan(row.value) else f"{text} {row.unit}"
+
+
+def _p_value_text(value: float) -> str:
+    """A probability to two digits: no test knows more; one that the computer cannot tell from 0 is not 0."""
+    if value < 1e-300:
+        return "< 1e−300"
+    return "> 0.999" if value > 0.999 else f"{value:.2g}".replace("-", "−")
 
 
 def interval_text(row: Result) -> str:
@@ -122,8 +140,20 @@ def interval_text(row: Result) -> str:
 
 
 def threshold_text(row: Result) -> str:
-    """The threshold of a row, empty when it has none."""
-    return "" if math.isnan(row.threshold) else number_text(row.threshold)
+    """The threshold of a row with the side on which a value passes, empty when it has none."""
+    return "" if math.isnan(row.threshold) else f"{_side(row)}{number_text(row.threshold)}"
+
+
+def _side(row: Result) -> str:
+    """ "≥ " or "≤ ", as the reason says or as value and status tell; empty where neither does."""
+    for words, sign in (("at least", "≥ "), ("at most", "≤ ")):
+        if words in row.reason:
+            return sign
+    fails = row.status is Status.FAIL or "would not pass" in row.reason
+    passes = row.status is Status.PASS or "would pass" in row.reason
+    if fails == passes or math.isnan(row.value) or row.value == row.threshold:
+        return ""
+    return "≥ " if (row.value > row.threshold) == passes else "≤ "
 
 
 def _half_width(row: Result) -> float:
@@ -135,8 +165,10 @@ def _named(rows: Sequence[Result]) -> str:
     parts = ((row.campaign if several else "", row.product, row.subject, row.method) for row in rows)
     texts = (" ".join(part for part in each if part) for each in parts)
     names = list(dict.fromkeys(t if len(t) <= _LONGEST_NAME else f"{t[: _LONGEST_NAME - 1]}…" for t in texts))
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return "; ".join(names[:_MOST_NAMED]) + more
+    if len(names) <= _MOST_NAMED:
+        return "; ".join(names)
+    kinds = Counter(row.campaign if several else row.product for row in rows)
+    return ", ".join(f"{count} of {kind}" for kind, count in kinds.most_common())
 
 
 def _things(count: int, thing: str) -> str:
