@@ -69,12 +69,15 @@ class RegionSource(Model):
         None, description="first line, first sample, lines, samples (0-based pixels)"
     )
     normalized_difference: NormalizedDifference | None = None
+    whole_image: Literal[True] | None = Field(
+        None, description="true: every pixel; the statistics leave out targets, as those of every region do"
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> RegionSource:
-        given = [k for k in ("file", "rectangle", "normalized_difference") if getattr(self, k) is not None]
-        if len(given) != 1:
-            raise ValueError("give exactly one of file, rectangle, normalized_difference")
+        sources = ("file", "rectangle", "normalized_difference", "whole_image")
+        if sum(getattr(self, source) is not None for source in sources) != 1:
+            raise ValueError("give exactly one of " + ", ".join(sources))
         if self.name is None and self.file is None:
             raise ValueError("a region that is not read from a file needs a name")
         return self
@@ -88,27 +91,42 @@ class TargetRasters(Model):
     side_m: dict[int, float] = Field(description="raster value: side of the square target [m]")
 
 
+class TargetRegions(Model):
+    """Target objects of one material as regions of a file: polygons, points, pixels, or a mask."""
+
+    material: str
+    file: str = Field(description="any file of regions: ENVI ROI, GeoJSON, Shapefile, mask or class raster, ...")
+    coordinates: Literal["pixel", "map", "lonlat"] | None = Field(None, description="of a GeoJSON file")
+    regions: list[str] = Field(
+        default_factory=list,
+        description="which regions of the file; * and ? stand for any characters; empty: all of them",
+    )
+    objects: Literal["patches", "regions"] = Field(
+        "patches", description="what one object is: a group of touching pixels, or a region of the file"
+    )
+    side_m: float | None = Field(None, gt=0, le=10_000, description="side of these square targets [m], where known")
+
+
 class TargetTruth(Model):
     """Where the target objects are."""
 
+    regions: list[TargetRegions] = Field(default_factory=list)
     rasters: TargetRasters | None = None
     csv: str | None = None
     pixels: Literal["touched", "centre"] = Field(
         "touched", description="pixels of an object: all it may touch, or the one that holds its centre (csv only)"
     )
     pixel_size_m: float | None = Field(
-        None, gt=0, le=1000, description="ground size of a pixel, where the cube has no map position (csv only)"
+        None, gt=0, le=1000, description="ground size of a pixel, where the cube has no map position"
     )
     guard_pixels: int = Field(1, ge=0, description="pixels around every target left out of the background")
 
     @model_validator(mode="after")
     def _one_source(self) -> TargetTruth:
-        if (self.rasters is None) == (self.csv is None):
-            raise ValueError("give exactly one of rasters, csv")
-        if self.rasters is not None and self.pixels == "centre":
-            raise ValueError("rasters do not say where a target's centre is: pixels must be 'touched'")
-        if self.rasters is not None and self.pixel_size_m is not None:
-            raise ValueError("pixel_size_m belongs to a list of targets (csv)")
+        if sum((bool(self.regions), self.rasters is not None, self.csv is not None)) != 1:
+            raise ValueError("give exactly one of regions, rasters, csv")
+        if self.csv is None and self.pixels == "centre":
+            raise ValueError("only a list (csv) says where a target's centre is: pixels must be 'touched'")
         return self
 
 

@@ -127,7 +127,7 @@ def test_each_field_has_its_error(world, change, error, message):
         ({"spectra": [{"subject": "a", "path": "a.txt"}]}, "give exactly one of cube, spectra"),
         ({"regions": [{"name": "a"}]}, "give exactly one of file, rectangle"),
         ({"regions": [{"rectangle": [0, 0, 1, 1]}]}, "needs a name"),
-        ({"targets": {}}, "give exactly one of rasters, csv"),
+        ({"targets": {}}, "give exactly one of regions, rasters, csv"),
         ({"empirical_line": {"panels": []}}, "at least 1 item"),
         ({"calibration": {}}, "give exactly one of relative, file"),
     ],

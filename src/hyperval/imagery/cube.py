@@ -347,8 +347,11 @@ def _check_values(cube: Cube) -> None:
     high = float(np.percentile(found, 95))
     if high > limit:
         raise InputError(
-            f"95 % of the {cube.quantity} values reach up to {high:.4g} {cube.unit}",
+            f"95 % of the {cube.quantity} values reach up to {high:.4g} {cube.unit}".removesuffix(" 1"),
             where=str(cube.raster.path),
             expected=f"at most {limit:g}",
-            mend="state scale: (what multiplies the stored values) or unit:",
+            mend="state scale: (what multiplies the stored values) or unit:"
+            if cube.quantity == "radiance"
+            else "state scale: what multiplies the stored values (0.01 where they are percent, 0.0001 where they "
+            "are reflectance times 10000)",
         )

@@ -38,6 +38,7 @@ class Drawing:
     points: int = 0
     points_outside: int = 0
     _bounds: list[Array] = field(default_factory=list)
+    _polygons: list[list[Array]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.mask = np.zeros(self.shape, bool)
@@ -58,13 +59,15 @@ class Drawing:
         if all(inside_image(r, self.shape) for r in rings):
             self.mask |= burned(rings, self.shape)
             self.area_inside += whole
+            self._polygons.append(rings)
             return
         self._bounds.append(rings[0])
         self.area_inside += _net_area([clipped(r, self.shape) for r in rings])
         # A frame of one pixel: what runs along the cut lies on no pixel's centre.
         framed = [clipped(r, self.shape, margin=1.0) for r in rings]
         if len(framed[0]) >= 3:
-            self.mask |= burned([r for r in framed if len(r) >= 3], self.shape)
+            self._polygons.append([r for r in framed if len(r) >= 3])
+            self.mask |= burned(self._polygons[-1], self.shape)
 
     def add_points(self, points: npt.ArrayLike, *, where: str) -> None:
         """Add the pixels that hold points (sample, line) in continuous coordinates."""
@@ -82,6 +85,14 @@ class Drawing:
     def add_pixels(self, rows: npt.ArrayLike, cols: npt.ArrayLike, *, where: str) -> None:
         """Add pixels named by 0-based whole numbers, which must be in the image."""
         self.mask |= pixel_mask(rows, cols, self.shape, where=where)
+
+    @property
+    def touched(self) -> Mask:
+        """(lines, samples) the pixels of the region and all others that its polygons touch."""
+        out = self.mask.copy()
+        for rings in self._polygons:
+            out |= burned(rings, self.shape, touched=True)
+        return out
 
     def notes(self) -> tuple[str, ...]:
         """What is to be said, after the region's name, of the part outside the image; empty without one."""

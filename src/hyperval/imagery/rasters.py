@@ -7,6 +7,7 @@ a GeoTIFF is read by rasterio in windows.
 from __future__ import annotations
 
 import os
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,6 +33,17 @@ Index = npt.NDArray[np.intp]
 MAX_TILE_BYTES = 1 << 30
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
 TIFF_SUFFIXES = (".tif", ".tiff")
+_CONTAINERS = {
+    b"MATLAB 7.3": "MATLAB 7.3 (HDF5)",
+    b"MATLAB": "MATLAB",
+    b"\x89HDF\r\n\x1a\n": "HDF5 or NetCDF-4",
+    b"CDF\x01": "NetCDF-3",
+    b"CDF\x02": "NetCDF-3",
+    b"\x0e\x03\x13\x01": "HDF4",
+    b"\x93NUMPY": "NumPy",
+}
+_PER_UM = {"nanometers": 1e-3, "nanometer": 1e-3, "nm": 1e-3, "micrometers": 1.0, "micrometer": 1.0, "um": 1.0}
+_OPENING = threading.Lock()
 _PACKED = {
     b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ\x00": "xz",
     b"(\xb5/\xfd": "zstandard", b"7z\xbc\xaf": "7-zip",
@@ -210,6 +222,14 @@ def open_raster(path: Path | str, *, header: Path | str | None = None, root: Pat
         raise UsageError("the cube is a header file", where=str(data), mend="name the data file")
     found = Path(header) if header is not None else header_beside(data)
     if found is None:
+        container = container_of(data)
+        if container is not None:
+            raise InputError(
+                f"a {container} file, which is not read as a cube",
+                where=str(data),
+                expected="an ENVI cube with its header, or a GeoTIFF",
+                mend="save its array as an ENVI cube, wavelengths in the header (docs/formats.md, Other formats)",
+            )
         raise InputError(
             "no header beside the data file",
             where=str(data),
@@ -260,6 +280,13 @@ def check_size(data: Path, header: EnviHeader) -> None:
     raise InputError(what, where=str(data), expected=described, mend=mend)
 
 
+def container_of(path: Path) -> str | None:
+    """What other kind of file of arrays this is, by its first bytes; None when it is none that is known."""
+    with open(path, "rb") as stream:
+        head = stream.read(16)
+    return next((name for mark, name in _CONTAINERS.items() if head.startswith(mark)), None)
+
+
 def packing_of(path: Path) -> str | None:
     """How a file is compressed, by its first bytes; None when it is not."""
     with open(path, "rb") as stream:
@@ -293,9 +320,7 @@ def _open_tiff(path: Path, header: Path | str | None, root: Path | None) -> Tiff
                 f"one block of the file needs more than {MAX_TILE_BYTES >> 20} MiB", where=str(path),
                 mend="rewrite it with smaller strips or tiles",
             )  # fmt: skip
-        imagery = [dataset.tags(i, ns="IMAGERY") for i in dataset.indexes]
-        waves = [tags.get("CENTRAL_WAVELENGTH_UM") for tags in imagery]
-        widths = [tags.get("FWHM_UM") for tags in imagery]
+        waves, widths = _band_wavelengths_um(dataset, path)
         raster = TiffRaster(
             path=path,
             lines=dataset.height,
@@ -307,8 +332,8 @@ def _open_tiff(path: Path, header: Path | str | None, root: Path | None) -> Tiff
             nodata=dataset.nodata,
             gains=tuple(dataset.scales),
             offsets=tuple(dataset.offsets),
-            wavelength_um=tuple(float(w) for w in waves) if all(waves) else (),
-            fwhm_um=tuple(float(w) for w in widths) if all(widths) else (),
+            wavelength_um=waves,
+            fwhm_um=widths,
             bad_bands=tuple(i - 1 for i in dataset.indexes if dataset.tags(i).get("GOOD_BAND") == "0"),
         )
     found = Path(header) if header is not None else header_beside(path)
@@ -324,14 +349,42 @@ def _open_tiff(path: Path, header: Path | str | None, root: Path | None) -> Tiff
     return TiffRaster(**{**raster.__dict__, "header": parsed, "transform": transform, "crs": crs})
 
 
+def _band_wavelengths_um(dataset: Any, path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Band centres and widths [um] in the tags of the bands; empty where a band has none, or where no unit stands.
+
+    Either in GDAL's own domain for them (CENTRAL_WAVELENGTH_UM, FWHM_UM), or as its ENVI driver hands them to other
+    formats: ``wavelength`` and ``wavelength_units``, at times with ``fwhm``.
+    """
+    imagery = [dataset.tags(i, ns="IMAGERY") for i in dataset.indexes]
+    plain = [{key.lower(): value for key, value in dataset.tags(i).items()} for i in dataset.indexes]
+    units = {tags.get("wavelength_units", "").strip().lower() for tags in plain}
+    per_um = {_PER_UM.get(unit) for unit in units}
+    factor = per_um.pop() if len(per_um) == 1 else None
+
+    def listed(domain_key: str, key: str) -> tuple[float, ...]:
+        own = [tags.get(domain_key) for tags in imagery]
+        factors, texts = (1.0, own) if all(own) else (factor, [tags.get(key) for tags in plain])
+        if factors is None or not all(texts):
+            return ()
+        try:
+            return tuple(factors * float(str(text)) for text in texts)
+        except ValueError:
+            raise InputError(f"tags {key!r} of the bands that are no numbers", where=str(path)) from None
+
+    return listed("CENTRAL_WAVELENGTH_UM", "wavelength"), listed("FWHM_UM", "fwhm")
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     # No auxiliary files and no listing of the folder: neither .aux.xml, .msk nor .ovr can change what is read.
     options = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.Env(**options), rasterio.open(path, driver="GTiff") as dataset:
+        with rasterio.Env(**options):
+            # One at a time: the list of ignored warnings belongs to the process, and blocks are read by threads.
+            with _OPENING, warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+                opened = rasterio.open(path, driver="GTiff")
+            with opened as dataset:
                 yield dataset
     except RasterioError as error:
         raise InputError(f"not a readable GeoTIFF: {error}", where=str(path)) from error

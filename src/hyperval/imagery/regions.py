@@ -72,6 +72,7 @@ def read_regions(
     crs: CRS | None = None,
     names: Mapping[str | int, str] | Sequence[str] | None = None,
     coordinates: str | None = None,
+    touched: bool = False,
     root: Path | None = None,
 ) -> dict[str, Region]:
     """Read the regions of a file, whatever its format.
@@ -89,6 +90,7 @@ def read_regions(
         class raster) in the file to the name wanted; None reads all
     coordinates : "pixel", "map" (the cube's own system) or "lonlat", for GeoJSON, which must be told, and for a
         GeoPackage or Shapefile without a coordinate system
+    touched : take every pixel that a polygon touches, for targets smaller than a pixel
     root : folder that the file must lie in
 
     Raises
@@ -126,14 +128,15 @@ def read_regions(
             where=str(path),
             expected="GeoJSON, GeoPackage, Shapefile, ENVI ROI (XML, ASCII, binary), CSV pixel list, class raster",
         )
-    return {name: _region(name, made, str(path)) for name, made in _named(drawn, names, str(path)).items()}
+    named = _named(drawn, names, str(path))
+    return {name: _region(name, made, str(path), touched) for name, made in named.items()}
 
 
-def _region(name: str, made: Mask | Drawing, source: str) -> Region:
+def _region(name: str, made: Mask | Drawing, source: str, touched: bool) -> Region:
     if not isinstance(made, Drawing):
         return Region(name, made, source)
     made.check(f"{source}: region {name!r}")
-    return Region(name, made.mask, source, made.notes())
+    return Region(name, made.touched if touched else made.mask, source, made.notes())
 
 
 def polygon_region(

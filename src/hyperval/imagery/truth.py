@@ -1,20 +1,21 @@
-"""Truth: the target objects of a collection, from a list or from class rasters."""
+"""Truth: the target objects of a collection, from a list, from regions or from class rasters."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from affine import Affine
+from scipy import ndimage
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.lookup_table import LookupTable
-from hyperval.imagery.polygons import Position, map_to_pixel, polygon_mask
-from hyperval.imagery.regions import guard
+from hyperval.imagery.polygons import Position, inside_image, map_to_pixel, point_mask, polygon_mask
+from hyperval.imagery.regions import Region, guard, objects
 from hyperval.imagery.regions_files import read_table
 from hyperval.paths import checked_file
 
@@ -123,7 +124,8 @@ def read_targets(
     ``side_m`` or ``width_m`` with ``length_m``; optionally ``area_m2``, ``heading_deg`` (of the length, clockwise
     from the direction of decreasing line; from grid north for ``easting,northing`` with a lookup table) and
     ``position_uncertainty_m``, which widens the mask.
-    The mask holds every pixel that the target's rectangle touches.
+    The mask holds every pixel that the target's rectangle touches.  Where no size is known the uncertainty of the
+    position stands alone: the mask holds every pixel whose centre is that near to the centre of the target's pixel.
 
     Parameters
     ----------
@@ -163,9 +165,18 @@ def read_targets(
         width = number.get("width_m", number.get("side_m", math.nan))
         length = number.get("length_m", width)
         area = number.get("area_m2", math.nan)
-        area = width * length if math.isnan(area) else area
-        if not width > 0 or not length > 0:
-            raise InputError("no size", where=where, expected="side_m, or width_m and length_m, above 0")
+        doubt = number.get("position_uncertainty_m", math.nan)
+        if math.isnan(width) and math.isnan(length) and doubt > 0:
+            width = length = 0.0  # a place known to so many metres, of a target whose size nobody states
+        elif not width > 0 or not length > 0:
+            raise InputError(
+                "no size",
+                where=where,
+                expected="side_m, or width_m and length_m, above 0",
+                mend="where no size is known, state position_uncertainty_m: the target is looked for within it",
+            )
+        if math.isnan(area) and width > 0:
+            area = width * length
         first, second = number[place[0]], number[place[1]]
         if math.isnan(first) or math.isnan(second):
             raise InputError(f"no {place[0]}, {place[1]}", where=where)
@@ -183,11 +194,22 @@ def read_targets(
             corners = map_to_pixel(on_map, transform, where=where)
         else:
             corners = _rectangle(x, y, width / pixel_size_m, length / pixel_size_m, heading)
-        placed = cut_out(polygon_mask(corners, shape, where=where, touched=True))
-        doubt = number.get("position_uncertainty_m", math.nan)
+        if not inside_image(corners, shape):
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            raise InputError(
+                f"the target {name!r} leaves the image: it takes lines {low[1]:.1f} to {high[1]:.1f}, "
+                f"samples {low[0]:.1f} to {high[0]:.1f}",
+                where=where,
+                expected=f"lines 0 to {shape[0]}, samples 0 to {shape[1]} (continuous pixel coordinates)",
+                mend="check what kind its coordinates are; a target that the image cuts is taken out of the list",
+            )
+        if width > 0:
+            placed = cut_out(polygon_mask(corners, shape, where=where, touched=True))
+        else:
+            placed = cut_out(point_mask([(x, y)], shape, where=where))
         if doubt > 0:
             placed = _grown(placed, doubt / pixel_size_m, shape)
-        side = width if width == length else math.nan
+        side = width if width == length and width > 0 else math.nan
         centre = (math.floor(y), math.floor(x))
         out.append(TargetObject(name, material, side, area, shape, *placed, centre, dict(row)))
     if not out:
@@ -229,6 +251,39 @@ def intersected_objects(
             name, area = f"{material} {side:g} m", float(side) ** 2
             size = (here.shape[0], here.shape[1])
             out.append(TargetObject(name, material, float(side), area, size, *cut_out(here), attributes=attributes))
+    return out
+
+
+def region_objects(
+    regions: Iterable[Region], material: str, *, patches: bool = True, side_m: float | None = None
+) -> list[TargetObject]:
+    """Objects of one material drawn as regions.
+
+    Parameters
+    ----------
+    patches : each connected group of pixels (8 neighbours) is an object; False: each region is one
+    side_m : side of the square targets [m], None where their size is not known
+
+    Returns
+    -------
+    Objects named by their region, with a number where it falls into several, lines first.  The column ``region``
+    holds the region's name.
+    """
+    out = []
+    known = {} if side_m is None else {"side_m": f"{side_m:g}"}
+    side = math.nan if side_m is None else side_m
+    for region in regions:
+        labels, count = objects(region.mask) if patches else (region.mask.astype(np.int32), 1)
+        shape = (labels.shape[0], labels.shape[1])
+        for number, window in enumerate(ndimage.find_objects(labels), start=1):
+            name = region.name if count == 1 else f"{region.name} {number}"
+            corner = (int(window[0].start), int(window[1].start))
+            attributes = {"material": material, "region": region.name, **known}
+            out.append(
+                TargetObject(
+                    name, material, side, side**2, shape, corner, labels[window] == number, attributes=attributes
+                )
+            )
     return out
 
 

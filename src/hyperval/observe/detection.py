@@ -334,5 +334,7 @@ def _areas(
         out[subject, check.detector] = Abundance(
             total / len(members) * area, float(np.sqrt(variance)) / len(members) * area, pixels
         )
-        nominal[subject, check.detector] = float(np.mean([o.area_m2 for o in members]))
+        stated = float(np.mean([o.area_m2 for o in members]))
+        if np.isfinite(stated):  # a truth may say where the objects are and not how large
+            nominal[subject, check.detector] = stated
     return out, nominal

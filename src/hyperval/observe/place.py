@@ -4,18 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.collection import Collection, CubeSource, NormalizedDifference, RegionSource, TargetTruth
+from hyperval.collection import (
+    Collection,
+    CubeSource,
+    NormalizedDifference,
+    RegionSource,
+    TargetRegions,
+    TargetTruth,
+)
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.acquisition import acquisition_notes
 from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.regions import Region, guard, holes, overlaps, read_regions, rectangle_region
-from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets
+from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.progress import track
 
 Mask = npt.NDArray[np.bool_]
@@ -94,7 +102,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     cube = open_source(collection.cube, resolve)
     table = _lookup_table(cube, collection.cube, resolve)
     regions = _regions(cube, table, collection.regions, resolve, show_progress)
-    targets = _targets(cube, table, collection.targets, resolve) if collection.targets else []
+    targets, remarks = _targets(cube, table, collection.targets, resolve) if collection.targets else ([], [])
     near = all_pixels(targets, cube.shape)
     if targets and collection.targets and collection.targets.guard_pixels:
         near = guard(near, collection.targets.guard_pixels)
@@ -108,7 +116,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
         notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
     by_rule = frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None)
-    notes += region_notes(regions.values(), by_rule)
+    notes += [*region_notes(regions.values(), by_rule), *remarks]
     notes += target_overlaps(regions.values(), targets, near)
     return Place(
         cube,
@@ -257,10 +265,13 @@ def _regions(
             new = {
                 name: rectangle_region(name, (line, line + lines - 1), (sample, sample + samples - 1), cube.shape)
             }
+        elif source.whole_image:
+            name = str(source.name)
+            new = {name: Region(name, np.ones(cube.shape, bool), "the whole image")}
         else:
             name = str(source.name)
             rule = source.normalized_difference
-            assert rule is not None  # noqa: S101 - one of the three is given
+            assert rule is not None  # noqa: S101 - one of the four is given
             new = {name: Region(name, normalized_difference(cube, rule, show=show), "normalised difference")}
         twice = sorted(set(new) & set(found))
         if twice:
@@ -269,17 +280,21 @@ def _regions(
     return found
 
 
-def _targets(cube: Cube, table: LookupTable | None, truth: TargetTruth, resolve: Resolve) -> list[TargetObject]:
+def _targets(
+    cube: Cube, table: LookupTable | None, truth: TargetTruth, resolve: Resolve
+) -> tuple[list[TargetObject], list[str]]:
+    """The target objects, and what is to be said of how they were drawn."""
+    if truth.pixel_size_m is not None and (cube.transform is not None or table is not None):
+        raise UsageError("the cube has a map position, and 'targets.pixel_size_m' is stated", mend="take it out")
     if truth.csv is not None:
-        if truth.pixel_size_m is not None and (cube.transform is not None or table is not None):
-            raise UsageError(
-                "the cube has a map position, and 'targets.pixel_size_m' is stated", mend="take it out"
-            )
-        return read_targets(
+        listed = read_targets(
             resolve(truth.csv), cube.shape, transform=table or cube.transform, pixel_size_m=truth.pixel_size_m
         )
+        return listed, []
+    if truth.regions:
+        return _drawn_targets(cube, table, truth.regions, resolve)
     rasters = truth.rasters
-    assert rasters is not None  # noqa: S101 - one of the two is given
+    assert rasters is not None  # noqa: S101 - one of the three is given
     masks = {}
     for material, reference in rasters.materials.items():
         union = np.zeros(cube.shape, bool)
@@ -293,4 +308,46 @@ def _targets(cube: Cube, table: LookupTable | None, truth: TargetTruth, resolve:
         path, cube.shape, transform=cube.transform, crs=cube.crs, names=wanted
     ).items():
         sizes[region.mask] = int(name)
-    return intersected_objects(masks, sizes, rasters.side_m)
+    return intersected_objects(masks, sizes, rasters.side_m), []
+
+
+def _drawn_targets(
+    cube: Cube, table: LookupTable | None, sources: Sequence[TargetRegions], resolve: Resolve
+) -> tuple[list[TargetObject], list[str]]:
+    """Objects drawn as regions: every pixel that a polygon touches, as targets may be smaller than a pixel."""
+    out: list[TargetObject] = []
+    remarks: list[str] = []
+    for source in sources:
+        path = resolve(source.file)
+        found = read_regions(
+            path,
+            cube.shape,
+            transform=table or cube.transform,
+            crs=table.crs if table else cube.crs,
+            coordinates=source.coordinates,
+            touched=True,
+        )
+        for pattern in source.regions:
+            if not any(fnmatchcase(name, pattern) for name in found):
+                raise UsageError(
+                    f"no region {pattern!r}", where=str(path), expected="one of " + ", ".join(sorted(found))
+                )
+        chosen = [
+            region
+            for name, region in found.items()
+            if not source.regions or any(fnmatchcase(name, pattern) for pattern in source.regions)
+        ]
+        remarks += [f"{remark} (targets)" for region in chosen for remark in region.remarks]
+        new = region_objects(chosen, source.material, patches=source.objects == "patches", side_m=source.side_m)
+        # A class raster for each material, of one name: the material tells the objects apart.
+        taken = {o.name for o in out if o.material != source.material}
+        out += [replace(o, name=f"{o.material} {o.name}") if o.name in taken else o for o in new]
+    names = [o.name for o in out]
+    double = sorted({name for name in names if names.count(name) > 1})
+    if double:
+        raise UsageError(
+            f"two targets are named {double[0]!r}",
+            where="targets.regions",
+            mend="name a region under one material only",
+        )
+    return out, remarks

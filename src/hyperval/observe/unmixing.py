@@ -99,11 +99,17 @@ def unmix(
         (item, target, *found) for item, target in chosen for found in _subjects(place, detection, item, target)
     ]
     for item, target, subject, population, members in track(work, "unmixing", show=show_progress):
+        nominal = float(np.mean([o.area_m2 for o in members]))
+        if not np.isfinite(nominal):
+            raise UsageError(
+                f"the truth does not say how large the targets of {subject!r} are, which unmixing is compared with",
+                where="detection.unmixing",
+                mend="state side_m in collection.targets, or leave unmixing out",
+            )
         for o in members:
             if o.name not in held:
                 held[o.name] = _surroundings(place, o, region, task, elm, bands, rng)
         around = [held[o.name] for o in members]
-        nominal = float(np.mean([o.area_m2 for o in members]))
         spectrum = spectra[target.name][bands]
         for method, factor in noise.items():
             areas[subject, labelled(method, item.endmembers)] = _area(

@@ -151,8 +151,9 @@ class Sources:
         if region not in self.measured:
             raise UsageError(
                 f"{name!r} takes the measured statistics of region {region!r}, which were not handed in",
-                expected="one of " + (", ".join(self.measured) or "none"),
-                mend="run it from a campaign whose collection has that region, or name another spectrum",
+                expected="one of " + ", ".join(self.measured) if self.measured else "a region of the collection",
+                mend="run it from a campaign whose collection has that region "
+                f"(such as collection.regions: [{{name: {region}, whole_image: true}}]), or name another spectrum",
             )
         found = self.measured[region]
         if not found.axis.matches(self.nominal or self.axis):

@@ -1,0 +1,84 @@
+"""Files as other providers write them: wavelengths in tags, percent, containers that are no cubes."""
+
+from __future__ import annotations
+
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning
+from scipy.io import savemat
+
+from hyperval.errors import InputError
+from hyperval.imagery.cube import open_cube
+from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.rasters import open_raster
+
+CENTRE = (450.0, 550.0, 650.0, 850.0)
+
+
+def tagged(path: Path, values: np.ndarray, tags: list[dict[str, str]]) -> Path:
+    """A GeoTIFF without a map position, with tags for each band."""
+    lines, samples, bands = values.shape
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(
+            path, "w", driver="GTiff", height=lines, width=samples, count=bands, dtype="float32"
+        ) as out:
+            out.write(values.astype(np.float32).transpose(2, 0, 1))
+            for band, entries in enumerate(tags, start=1):
+                out.update_tags(band, **entries)
+    return path
+
+
+@pytest.mark.parametrize(("unit", "per_nm"), [("Nanometers", 1.0), ("Micrometers", 1e-3), ("um", 1e-3)])
+def test_wavelengths_in_the_tags_of_the_bands(tmp_path: Path, values, unit: str, per_nm: float):
+    tags = [{"wavelength": f"{w * per_nm:.6g}", "wavelength_units": unit} for w in CENTRE]
+    cube = open_cube(tagged(tmp_path / "c.tif", values, tags), quantity="reflectance")
+    assert cube.axis.centre_nm == pytest.approx(CENTRE, rel=1e-12)
+    assert any("no fwhm" in note for note in cube.notes)
+    widths = [{**entry, "fwhm": f"{9.5 * per_nm:.6g}"} for entry in tags]
+    cube = open_cube(tagged(tmp_path / "w.tif", values, widths), quantity="reflectance")
+    assert cube.axis.fwhm_nm == pytest.approx([9.5] * 4)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [({"wavelength_units": ""}, "lists no wavelengths"), ({"wavelength": "blue"}, "that are no numbers")],
+)
+def test_tags_without_unit_or_number_are_not_believed(tmp_path: Path, values, spoil, message):
+    tags = [{"wavelength": f"{w}", "wavelength_units": "nm", **spoil} for w in CENTRE]
+    with pytest.raises(InputError, match=message):
+        open_cube(tagged(tmp_path / "c.tif", values, tags), quantity="reflectance")
+
+
+def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path: Path, values):
+    raster = open_raster(tagged(tmp_path / "c.tif", np.tile(values, (40, 8, 1)), []))
+    with warnings.catch_warnings(record=True) as seen, ThreadPoolExecutor(8) as pool:
+        warnings.simplefilter("always")
+        blocks = list(pool.map(lambda line: raster.read_lines(line, 1), range(raster.lines)))
+    assert not seen
+    assert np.array_equal(np.concatenate(blocks), raster.read_lines(0, raster.lines))
+
+
+def test_percent_is_named_with_the_scale_that_mends_it(tmp_path: Path, axis, values):
+    path = write_cube(tmp_path / "pct.img", 100.0 * values, data_type=4, axis=axis)
+    with pytest.raises(InputError) as caught:
+        open_cube(path, quantity="reflectance")
+    assert "0.01 where they are percent" in str(caught.value.mend)
+    assert not caught.value.what.endswith(" 1")
+    read = open_cube(path, quantity="reflectance", scale=0.01).pixels(np.ones((6, 5), bool))
+    assert read == pytest.approx(values.reshape(-1, 4), rel=1e-6)
+
+
+def test_files_of_arrays_are_called_what_they_are(tmp_path: Path, values):
+    savemat(tmp_path / "scene.mat", {"cube": values})
+    np.save(tmp_path / "scene.npy", values)
+    (tmp_path / "scene.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(64))
+    for name, kind in (("scene.mat", "MATLAB"), ("scene.npy", "NumPy"), ("scene.h5", "HDF5")):
+        with pytest.raises(InputError, match=f"{kind}.*not read as a cube") as caught:
+            open_raster(tmp_path / name)
+        assert "Other formats" in str(caught.value.mend)
