@@ -151,3 +151,12 @@ def test_a_limit_that_no_area_can_break_is_refused():
     rows = compare_roc(model_curve(4.5), measured_curve(2.5), **NAMES)
     judged = apply_gates(rows, [Gate(product="roc", metric="auc_difference", within=(-0.01, 0.01), reason="why")])
     assert by_metric(judged)["auc_difference"].status is Status.FAIL
+
+
+def test_no_area_exceeds_one_and_a_perfect_curve_has_one():
+    pfa = np.geomspace(1e-9, 1.0, 200)
+    perfect = np.ones(200)
+    for area in (RocArea(), RocArea(0, 0.1), RocArea(1e-3, 1e-1, logarithmic=True)):
+        found = curve_area(RocCurve(pfa, perfect, perfect, perfect, -pfa, "object"), area)
+        assert found == pytest.approx(1.0, abs=1e-12)
+        assert found <= 1.0 + 1e-14

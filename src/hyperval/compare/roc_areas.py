@@ -45,8 +45,8 @@ def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> f
     if area.logarithmic:
         return float(np.trapezoid(curve_of(u), u) / (u[-1] - u[0]))
     x = np.exp(u)
-    # dP_FA = P_FA d(log P_FA)
-    inside = float(np.trapezoid(curve_of(u) * x, u)) + (low - area.low) * float(pd[0])
+    # Over P_FA itself: the trapezoids of a P_D of 1 then add up to the range, and no area exceeds it.
+    inside = float(np.trapezoid(curve_of(u), x)) + (low - area.low) * float(pd[0])
     return inside / (area.high - area.low)
 
 
