@@ -25,6 +25,7 @@ class CubeSource(Model):
         None, gt=0, description="stored value times this is the quantity; None: the header's"
     )
     wavelength_unit: WavelengthUnit | None = Field(None, description="stated when the header does not say nm or um")
+    sort_bands: bool = Field(False, description="sort bands whose wavelengths fall, as where detectors overlap")
     glt: str | None = Field(
         None, description="geographic lookup table of a cube in scanner geometry: places regions and targets"
     )

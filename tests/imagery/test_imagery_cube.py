@@ -301,6 +301,27 @@ def test_overlapping_detectors_are_sorted_on_request(edit, values: np.ndarray):
     assert np.allclose(cube.pixels((np.array([3]), np.array([2]))), values[3, 2, [0, 2, 1, 3]], atol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("listed", "sorted_centre", "widths"),
+    [
+        ("{450, 950, 945, 1045}", [450, 945, 950, 1045], [500, 100, 500, 100]),  # two detectors of two bands each
+        ("{1050, 950, 700, 450}", [450, 700, 950, 1050], [250, 250, 175, 100]),  # falling: one detector
+        ("{450, 950, 940, 930}", [450, 930, 940, 950], [480, 245, 10, 10]),  # a detector of one band has no spacing
+    ],
+)
+def test_widths_from_the_spacing_are_those_of_each_detector(edit, listed, sorted_centre, widths):
+    path = edit(wavelength=listed, fwhm=None)
+    cube = open_cube(path, quantity="reflectance", sort_bands=True)
+    assert cube.axis.centre_nm.tolist() == sorted_centre
+    assert cube.axis.fwhm_nm.tolist() == pytest.approx(widths)
+
+
+def test_bands_of_one_wavelength_cannot_be_sorted(edit):
+    with pytest.raises(InputError, match="two bands share a wavelength") as caught:
+        open_cube(edit(wavelength="{450, 950, 950, 1050}"), quantity="reflectance", sort_bands=True)
+    assert "state sort_bands" not in str(caught.value)
+
+
 def test_extra_entries_are_kept(tmp_path: Path, axis: SpectralAxis, values: np.ndarray):
     extra = {"gain file": "line_0920.gain", "gps start time": "16:31:02.5", "co2 shift": "0.35"}
     path = write_cube(tmp_path / "s.img", values, axis=axis, extra=extra, description="flight line 3")

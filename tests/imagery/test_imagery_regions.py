@@ -214,6 +214,13 @@ def test_holes_and_united_features(tmp_path: Path):
     assert np.array_equal(read_regions(path, SHAPE, coordinates="pixel")["a"].mask, mask)
 
 
+@pytest.mark.parametrize("key", ["name", "Name", "NAME", "Region", "class"])
+def test_names_of_features_in_any_case(tmp_path: Path, key: str):
+    path = tmp_path / "n.geojson"
+    path.write_text(collection(feature(polygon(SQUARE), **{"fid": 7, key: "lawn"})))
+    assert list(read_regions(path, SHAPE, coordinates="pixel")) == ["lawn"]
+
+
 def test_duplicate_points_count_once_and_a_single_pixel_is_a_region(tmp_path: Path):
     path = tmp_path / "one.csv"
     path.write_text("line,sample\n4,5\n4,5\n")

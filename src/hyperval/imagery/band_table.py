@@ -12,6 +12,8 @@ from hyperval.errors import InputError, UsageError
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 from hyperval.units import wavelength_to_nm
 
+Array = npt.NDArray[np.float64]
+
 # A band centre outside this range is a sign of the wrong unit [nm].
 PLAUSIBLE_NM = (100.0, 100_000.0)
 _UNSTATED = ("", "unknown", "none")
@@ -78,22 +80,43 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
     if np.any(steps <= 0):
         at = int(np.flatnonzero(steps <= 0)[0])
         if not sort_bands or np.unique(centre).size < centre.size:
-            same = " (two bands share a wavelength)" if np.unique(centre).size < centre.size else ""
+            same = np.unique(centre).size < centre.size
             raise InputError(
                 f"wavelengths do not increase: band {at + 2} ({centre[at + 1]:g} nm) follows band {at + 1} "
-                f"({centre[at]:g} nm){same}",
+                f"({centre[at]:g} nm){' (two bands share a wavelength)' if same else ''}",
                 where=header.where("wavelength"),
-                mend="where two detectors overlap, state sort_bands: true",
+                mend="give the bands of one wavelength their own centres, in a header that collection.cube names"
+                if same
+                else "where detectors overlap or bands stand in falling order, state sort_bands: true "
+                "under collection.cube",
             )
         order = np.argsort(centre, kind="stable")
         notes.append(f"{int(np.sum(order != np.arange(order.size)))} bands were moved to sort the wavelengths")
+    spacing = None if width is not None else _spacing_by_detector(centre)[order]
     centre, good = centre[order], good[order]
-    if width is None:
-        fwhm = fwhm_from_spacing(centre)
+    if spacing is not None:
+        fwhm = spacing
         notes.append("the header lists no fwhm: band widths are taken as the band spacing")
     else:
+        assert width is not None  # noqa: S101 - one of the two
         fwhm = width[order] * wavelength_to_nm(unit)
     return BandTable(SpectralAxis(centre, fwhm, good), order, tuple(notes))
+
+
+def _spacing_by_detector(centre: Array) -> Array:
+    """Spacing (B,) of bands [nm] in the order of the file: a detector ends where the wavelength jumps back.
+
+    Once sorted, the bands of two detectors that overlap lie closer to each other than either's own.
+    """
+    if np.all(np.diff(centre) < 0):
+        return fwhm_from_spacing(centre[::-1])[::-1]
+    detectors = np.split(centre, np.flatnonzero(np.diff(centre) <= 0) + 1)
+    if min(d.size for d in detectors) < 2:
+        order = np.argsort(centre, kind="stable")
+        out = np.empty_like(centre)
+        out[order] = fwhm_from_spacing(centre[order])
+        return out
+    return np.concatenate([fwhm_from_spacing(d) for d in detectors])
 
 
 def stated_unit(in_file: str | None, given: str | None, where: str) -> str:

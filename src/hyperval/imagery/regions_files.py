@@ -223,7 +223,7 @@ def _features(data: Any, path: Path) -> list[tuple[str, dict[str, Any]]]:
         if not isinstance(geometry, dict):
             raise InputError("a feature without geometry", where=f"{path}: feature {number}")
         properties = feature.get("properties")
-        properties = properties if isinstance(properties, dict) else {}
+        properties = {str(k).lower(): v for k, v in properties.items()} if isinstance(properties, dict) else {}
         given = next((properties[c] for c in _REGION_COLUMNS if properties.get(c) is not None), feature.get("id"))
         out.append((str(given) if given is not None else (path.stem if len(items) == 1 else str(number)), geometry))
     return out

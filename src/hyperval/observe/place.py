@@ -214,6 +214,7 @@ def open_source(source: CubeSource, resolve: Resolve) -> Cube:
         scale=source.scale,
         wavelength_unit=source.wavelength_unit,
         header=resolve(source.header) if source.header else None,
+        sort_bands=source.sort_bands,
     )
 
 
