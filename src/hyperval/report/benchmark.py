@@ -11,6 +11,7 @@ from typing import Any
 from hyperval.report.figures_benchmark import agreement_figures, detector_figures, rank_figures
 from hyperval.report.html import common_words, environment
 from hyperval.report.style import Drawing, house_style
+from hyperval.report.verdict import number_text
 from hyperval.results import Result, ResultTable, Status
 
 EVERY_OBJECT = "all objects"
@@ -163,19 +164,16 @@ def _factor(metric: str) -> float:
 
 
 def _number(row: Result | None, factor: float = 1.0) -> str:
-    return "–" if row is None or not math.isfinite(row.value) else _text(factor * row.value)
+    if row is None or not math.isfinite(row.value):
+        return "–"
+    return number_text(factor * row.value, factor * (row.upper - row.lower) / 2)
 
 
 def _span(row: Result | None, factor: float = 1.0) -> str:
     if row is None or not math.isfinite(row.lower):
         return ""
-    return f"{_text(factor * row.lower)} to {_text(factor * row.upper)}"
-
-
-def _text(value: float) -> str:
-    """Three digits: intervals are what limits them."""
-    words = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-    return words.replace("-", "−", 1) if words.startswith("-") else words
+    spread = factor * (row.upper - row.lower) / 2  # two digits of it are all that value and ends are worth
+    return f"{number_text(factor * row.lower, spread)} to {number_text(factor * row.upper, spread)}"
 
 
 def _embedded(drawing: Drawing) -> str:

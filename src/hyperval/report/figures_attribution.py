@@ -18,8 +18,10 @@ from hyperval.results import Result, ResultTable
 _MOST_INPUTS = 14
 _MOST_GROUPS = 26
 _MOST_QUANTITIES = 26
+_CLOSER, _FARTHER = "<", ">"  # told apart without colour
 _STATED, _UNSTATED = "#0072B2", "#E69F00"
 _ALL = "all"
+_LONGEST = 40  # characters of an input's name
 # Twice a log-likelihood of 10.8 has one chance in a thousand by luck, for one direction.
 _TELLING = 10.8
 
@@ -58,8 +60,8 @@ def _bars(rows: Sequence[Result], table: ResultTable, simulated: bool) -> Drawin
             continue  # it explains nothing, however far it moves
         words = r.reason.partition("; ")[0].partition(": ")[2]
         axes.annotate(
-            style.plain(words), (max(r.value, 0.1), y), xytext=(4, 0), textcoords="offset points", va="center",
-            fontsize=7.5,
+            style.plain(words).replace("-", "−"), (max(r.value, 0.1), y), xytext=(4, 0), textcoords="offset points",
+            va="center", fontsize=7.5, bbox={"facecolor": "white", "linewidth": 0, "pad": 0.8},
         )  # fmt: skip
     axes.set_yticks(at, [style.plain(style.shortened(n, 40)) for n in names])
     axes.set_xscale("log")
@@ -74,7 +76,8 @@ def _bars(rows: Sequence[Result], table: ResultTable, simulated: bool) -> Drawin
     best = rows[0]
     alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
     alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
-    return Drawing("attribution-inputs", "attribution", title, alt, style.svg_bytes(figure), "svg")
+    legend = "a number in brackets is one of several independent shapes of an error" if _numbered(names) else ""
+    return Drawing("attribution-inputs", "attribution", title, alt, style.svg_bytes(figure), "svg", legend=legend)
 
 
 def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing | None:
@@ -101,10 +104,10 @@ def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing | None:
                 first = gain >= 0.999 * top
                 axes.scatter(j, i, s=120.0 * gain / top, color="#C2410C" if first else "#8aa4b8", linewidths=0)
                 if first:
-                    axes.annotate(f"{gain:.2g}", (j, i), xytext=(9, 0), textcoords="offset points", fontsize=7,
+                    axes.annotate(_short(gain), (j, i), xytext=(9, 0), textcoords="offset points", fontsize=7,
                                   va="center")  # fmt: skip
     axes.set_xticks(
-        range(len(inputs)), [style.plain(style.shortened(n, 30)) for n in inputs], rotation=35, ha="right"
+        range(len(inputs)), [style.plain(style.shortened(n, _LONGEST)) for n in inputs], rotation=35, ha="right"
     )
     axes.set_yticks(range(len(subjects)), [style.plain(style.shortened(s, 30)) for s in subjects])
     axes.set_xlim(-0.6, len(inputs) - 0.1)
@@ -148,18 +151,20 @@ def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
             shade = "white" if abs(value) > 0.65 * size else "black"
             axes.text(j, i, f"{value:+.2g}", ha="center", va="center", fontsize=6.5, color=shade)
     axes.set_xticks(
-        range(len(names)), [style.plain(style.shortened(n, 30)) for n in names], rotation=35, ha="right"
+        range(len(names)), [style.plain(style.shortened(n, _LONGEST)) for n in names], rotation=35, ha="right"
     )
     axes.set_yticks(
         range(len(shown)),
-        [style.plain(style.shortened(f"{q} (gap {gaps[q]:.2g})", 42)) for q in shown],
+        [style.plain(style.shortened(f"{q} (gap {gaps[q]:.2g})", 56)) for q in shown],
         fontsize=7.5,
     )
     figure.colorbar(image, ax=axes, label="change per unit [1]", shrink=0.8, extend="both")
     largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
     alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
     alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
-    legend = "spectra as a part of the collected mean, P_D as it stands; those with the largest gap are shown"
+    legend = "one unit: the stated standard uncertainty of an input, or a usual step where none is stated; "
+    legend += "gap: predicted less measured; spectra as a part of the collected mean, P_D as it stands; "
+    legend += "the largest gaps are shown"
     return Drawing("attribution-effects", "sensitivity", title, alt, style.svg_bytes(figure), "svg", legend=legend)
 
 
@@ -173,7 +178,7 @@ def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
         better = r.value < before
         axes.plot([before, r.value], [y, y], color="#17643a" if better else "#9b1c1c", linewidth=2.0)
         axes.plot(before, y, "o", color="white", markeredgecolor="#333333")
-        axes.plot(r.value, y, "s", color="#17643a" if better else "#9b1c1c")
+        axes.plot(r.value, y, _CLOSER if better else _FARTHER, color="#17643a" if better else "#9b1c1c")
         told.append(f"{r.method} from {before:.3g} to {r.value:.3g}")
         axes.annotate(
             f"{r.value:.3g}", (r.value, y), xytext=(0, 6), textcoords="offset points", fontsize=7.5, ha="center"
@@ -191,12 +196,21 @@ def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
         figure,
         [
             (Line2D([], [], marker="o", color="white", markeredgecolor="#333333"), "as the campaign has it"),
-            (Line2D([], [], marker="s", color="#17643a"), "after, closer"),
-            (Line2D([], [], marker="s", color="#9b1c1c"), "after, farther"),
+            (Line2D([], [], marker=_CLOSER, color="#17643a"), "after, closer"),
+            (Line2D([], [], marker=_FARTHER, color="#9b1c1c"), "after, farther"),
         ],
     )
     alt = "Reduced chi-square of all residuals before and after each what-if: " + "; ".join(reversed(told)) + "."
     return Drawing("what-ifs", "what-if", title, alt, style.svg_bytes(figure), "svg")
+
+
+def _short(gain: float) -> str:
+    """Two digits, without a power of ten."""
+    return f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}"
+
+
+def _numbered(names: Sequence[str]) -> bool:
+    return any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
 
 
 def _stated(table: ResultTable) -> set[str]:

@@ -24,7 +24,9 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """P_D against P_FA on a logarithmic axis, a panel for each subject, detector and unit."""
     predicted, measured = _held(sides[0], "roc"), _held(sides[1], "roc")
     every = both_first(predicted, measured)
-    found = style.pages(_best_counted(every, measured))
+    # Where anything can be compared, what only one side holds is left to products.nc.
+    pairs = [key for key in every if key in predicted and key in measured]
+    found = style.pages(_best_counted(pairs or every, measured))
     drawings = []
     for number, keys in enumerate(found, start=1):
         columns = style.column_count(len(keys))

@@ -214,7 +214,8 @@ def _overlay(
         w = side.axis.centre_nm
         half = _COVERAGE * estimate.standard_uncertainty
         axes.fill_between(w, estimate.mean - half, estimate.mean + half, color=look.colour, alpha=0.2, linewidth=0)
-        axes.plot(w, estimate.mean, color=look.colour, linestyle=look.line)
+        # Dashes on top of the solid line, so that neither hides the other where they agree.
+        axes.plot(w, estimate.mean, color=look.colour, linestyle=look.line, zorder=3 if look is PREDICTED else 2)
         keep = _keep(w)
         inside += [estimate.mean[keep], (estimate.mean - half)[keep], (estimate.mean + half)[keep]]
     _wavelength_axis(axes, w, style.robust_limits(inside, zero=True))

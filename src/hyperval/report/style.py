@@ -50,6 +50,7 @@ _RC: dict[str, Any] = {
     "lines.linewidth": 1.4,
     "figure.facecolor": "white",
     "savefig.facecolor": "white",
+    "text.hinting": "none",  # hinted letters are measured narrower than they are drawn, which cuts long labels
     "svg.hashsalt": "hyperval",
     "svg.fonttype": "path",
     "path.simplify": True,

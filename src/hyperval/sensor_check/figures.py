@@ -28,7 +28,7 @@ _SOURCES = {
     "fixed": "fixed",
     "quantisation": "quantisation",
     "bit_errors": "bit errors",
-    "calibration": "C_R",
+    "calibration": "C_R (calibration error)",
     "fit": "rest of the fit",
 }
 
@@ -103,7 +103,7 @@ def snr_figure(check: SensorCheck) -> Drawing:
         _curve(axes, axis, held, colour, "--")
         highest.append(free[_shown(axis) if len(axis) >= 30 else axis.good])
         entries.append((Line2D([], [], color=colour, marker=_marker(axis)), f"reflectance {level:g}"))
-    entries.append((Line2D([], [], color="#444444"), "without C_R"))
+    entries.append((Line2D([], [], color="#444444"), "without calibration error C_R"))
     entries.append((Line2D([], [], color="#444444", linestyle="--"), "with C_R"))
     _wavelength_axis(axes, axis, style.robust_limits(highest, zero=True))
     axes.set_ylabel("signal-to-noise ratio [1]")

@@ -40,7 +40,7 @@ def datasheet_page(check: SensorCheck, drawings: Sequence[Drawing], provenance: 
         .render(
             sensor=check.sensor.specification,
             tone=_tone(rows),
-            verdict=_verdict(rows),
+            verdict=_verdict(rows, sum(n.assumed for n in listed), len(listed)),
             counts=v.status_words(rows),
             failed=failed,
             known=[r for r in rows if v.informs_of_disagreement(r)],
@@ -62,7 +62,7 @@ def _tone(rows: Sequence[Result]) -> str:
     return "mixed" if any(v.informs_of_disagreement(r) for r in rows) else "agree"
 
 
-def _verdict(rows: Sequence[Result]) -> str:
+def _verdict(rows: Sequence[Result], assumed: int, numbers_in_all: int) -> str:
     failed = sum(r.status in (Status.FAIL, Status.ERROR) for r in rows)
     decided = failed + sum(r.status is Status.PASS for r in rows)
     if failed:
@@ -71,6 +71,9 @@ def _verdict(rows: Sequence[Result]) -> str:
     words = f"Accepted: all {decided} checks passed."
     if known:
         words += f" {known} more do not, for reasons that the file states."
+    if assumed:
+        words += f" {assumed} of {numbers_in_all} numbers are assumed: the file holds together, which says"
+        words += " nothing of the instrument itself."
     return words
 
 

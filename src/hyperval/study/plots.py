@@ -205,7 +205,8 @@ def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
     axes.grid(axis="y", visible=False)
     axes.set_xlabel(style.plain(_output_words(study, plot.output)))
     title = plot.title or f"{_output_words(study, plot.output)}: each input alone over its values"
-    title += f"; line: as the scenario stands, {number_text(float(base))}"
+    title += f"; line: as the scenario stands, {number_text(float(base))}; at the ends the input's values, "
+    title += "blue where the output is lowest, orange where it is highest"
     return Drawing(name, "study", title, f"Tornado. {'; '.join(reversed(words))}.", style.svg_bytes(figure), "svg")
 
 
