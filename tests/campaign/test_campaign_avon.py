@@ -213,13 +213,15 @@ def test_filled_in_it_runs_through(no_data, tmp_path):
         for r in rows
         if r.metric == "p_value_full" and r.product in ("radiance", "reflectance") and r.subject in decided
     }
-    assert explained.pop(("reflectance", "white-panel")) != explained.pop(("reflectance", "black-panel"))  # NaN
+    assert all(math.isnan(explained.pop(("reflectance", f"{panel}-panel"))) for panel in ("white", "black"))
     assert len(explained) == 6
     # One seed; a right model falls below this once in a thousand runs.
     assert all(p > 1e-3 / 6 for p in explained.values())
     curves = {key[0] for key in run.observation.roc} & {key[0] for key in run.prediction.roc}
     assert {"yellow-planks", "green-planks"} <= curves
-    # The small scene has too few background pixels for the lowest false-alarm rate, and says so.
     assert not [r for r in rows if r.status.name == "ERROR"]
-    assert all("alarms at P_FA 1e-3" in r.reason for r in rows if r.status.name == "SKIPPED")
+    # The small scene has too few background pixels for the lowest false-alarm rate, and the two panels of the line
+    # give themselves back: both are said.
+    known = ("alarms", "no evidence")
+    assert not [r for r in rows if r.status.name == "SKIPPED" and not any(k in r.reason for k in known)]
     assert run.campaign == "share2012-avon-0920-1631"
