@@ -108,6 +108,17 @@ def test_message_says_what_where_and_how_to_mend(calls, capsys):
     )
 
 
+def test_a_full_disk_is_called_so_without_a_log(calls, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    calls["result"] = OSError(28, "No space left on device", "out/products.nc")
+    assert cli.run(["predict", "panels", "-o", "out"]) == 4
+    err = capsys.readouterr().err
+    assert err.startswith(
+        "hyperval: [Errno 28] No space left on device: 'out/products.nc'\n  to mend it: free space"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_internal_error_says_where_its_traceback_is(calls, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     calls["result"] = ZeroDivisionError("a bug")

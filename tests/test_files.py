@@ -137,6 +137,15 @@ def test_a_file_in_place_of_the_folder(tmp_path: Path):
     assert (tmp_path / "report").read_text() == "x"
 
 
+def test_a_place_where_no_folder_can_be_made_is_the_users_to_mend(tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with (
+        pytest.raises(UsageError, match=r"notes\.txt/out: no folder can be made here"),
+        whole_folder(tmp_path / "notes.txt" / "out"),
+    ):
+        pytest.fail("never entered")
+
+
 def test_first_folder_fails_and_leaves_nothing(tmp_path: Path):
     with pytest.raises(Broken), whole_folder(tmp_path / "report"):
         raise Broken

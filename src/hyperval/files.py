@@ -49,7 +49,8 @@ def whole_folder(path: Path, *, ours: str | None = None) -> Iterator[Path]:
 
     Raises
     ------
-    UsageError : ``path`` is a file, or a folder that holds something but not ``ours``.
+    UsageError : ``path`` is a file, or a folder that holds something but not ``ours``, or nothing can be written
+        there.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():
@@ -60,8 +61,7 @@ def whole_folder(path: Path, *, ours: str | None = None) -> Iterator[Path]:
             where=str(path),
             mend="name a new folder, or an empty one",
         )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    temporary = _folder_beside(path)
     try:
         yield temporary
         os.chmod(temporary, 0o777 & ~_umask())
@@ -79,6 +79,16 @@ def whole_folder(path: Path, *, ours: str | None = None) -> Iterator[Path]:
             os.replace(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _folder_beside(path: Path) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    except OSError as error:
+        raise UsageError(
+            f"no folder can be made here: {error.strerror}", where=str(path), mend="name another folder"
+        ) from error
 
 
 def sha256_of(path: Path) -> str:

@@ -97,20 +97,19 @@ def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | 
     """Run the forward model alone and write its products."""
     scenario = load_scenario(name_or_path)
     log = InputLog(scenario.folder or Path())
-    prediction = predict(scenario, resolve=log.resolve, show_progress=show_progress)
-    rows = product_rows(scenario.name, prediction, "predicted")
-    run = RunReport(
-        campaign=scenario.name,
-        title=scenario.title or scenario.name,
-        description=scenario.description,
-        simulated=False,
-        table=ResultTable(rows),
-        prediction=prediction,
-        provenance=record_of(
-            log, [scenario], None, {"scenario": scenario.model_dump(mode="json", by_alias=True)}, [prediction]
-        ),
-        notes=prediction.notes,
-    )
-    with whole_folder(output, ours="results.json") as folder:
+    with whole_folder(output, ours="results.json") as folder:  # first of all: it may not be writable
+        prediction = predict(scenario, resolve=log.resolve, show_progress=show_progress)
+        run = RunReport(
+            campaign=scenario.name,
+            title=scenario.title or scenario.name,
+            description=scenario.description,
+            simulated=False,
+            table=ResultTable(product_rows(scenario.name, prediction, "predicted")),
+            prediction=prediction,
+            provenance=record_of(
+                log, [scenario], None, {"scenario": scenario.model_dump(mode="json", by_alias=True)}, [prediction]
+            ),
+            notes=prediction.notes,
+        )
         write_outputs(run, folder)
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -22,6 +23,7 @@ INTERNAL_ERROR = 4
 INTERRUPTED = 130
 TERMINATED = 143
 OUTPUT_CLOSED = 141
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class _Terminated(BaseException):
@@ -79,6 +81,12 @@ def _internal(error: Exception) -> int:
     if settings.debug:
         traceback.print_exc()
         _error(what)
+        return INTERNAL_ERROR
+    if isinstance(error, OSError) and error.errno in _FULL:
+        _error(
+            f"{error}\n  to mend it: free space there, or name another folder with --output; "
+            f"temporary files stand in {tempfile.gettempdir()} (TMPDIR)"
+        )
         return INTERNAL_ERROR
     try:
         handle, name = tempfile.mkstemp(prefix="hyperval-", suffix=".log")
