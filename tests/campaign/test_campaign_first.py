@@ -1,0 +1,39 @@
+"""The page for newcomers is a campaign that runs and passes, as it stands there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from hyperval.cli import run
+from hyperval.report.stored import read_run
+from hyperval.results import Status
+
+PAGE = Path(__file__).parents[2] / "docs" / "first-campaign.md"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    found = tmp_path_factory.mktemp("first")
+    for name, text in re.findall(r"<!-- file: (\S+) -->\n```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL):
+        (found / name).write_text(text)
+    assert {p.name for p in found.iterdir()} == {"scene.yaml", "campaign.yaml"}
+    return found
+
+
+def test_the_first_campaign_runs_and_passes(folder, no_figures):
+    campaign, out = str(folder / "campaign.yaml"), folder / "first"
+    assert run(["-q", "validate", "--dry-run", campaign]) == 0
+    assert run(["-q", "validate", campaign, "-o", str(out)]) == 0
+    table = read_run(out).table
+    passed = table.where(status=Status.PASS)
+    assert {r.subject for r in passed} == {"field", "court", "white-panel", "black-panel"}
+    assert "would pass" in next(r.reason for r in table if r.metric == "pd_inside_interval@1e-2")
+
+
+def test_marks_of_the_file_and_of_the_table_are_the_same():
+    text = PAGE.read_text()
+    marks = set(re.findall(r"# \(([a-z])\)", text))
+    assert marks == set(re.findall(r"^\| ([a-z]) \|", text, re.MULTILINE))
