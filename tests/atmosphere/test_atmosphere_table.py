@@ -22,6 +22,7 @@ from hyperval.atmosphere.modtran import read_chn_blocks
 from hyperval.atmosphere.modtran_runs import terms_from_blocks
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.atmosphere.table import AXES, QUANTITIES, coordinates, interpolated, leave_one_out
+from hyperval.atmosphere.visibility import fraction_below
 from hyperval.errors import InputError, UsageError
 
 NM = np.arange(400.0, 1001.0, 10.0)
@@ -149,16 +150,19 @@ def test_at_nadir_the_azimuth_does_not_matter_and_without_aerosol_its_kind_does_
 
 
 def test_error_of_a_node_left_out_is_that_of_the_doubled_step():
-    # Linear interpolation of exp(-x) from 0.1 and 0.4 at 0.2: known in closed form.
+    # exp(-x) of all quantities from 0.1 and 0.4 at 0.2.  In closed form: the path is straight over the depth below
+    # the sensor, ground and direct (their ratio is 1) are exact, the sum of both is twice the ground: exact too.
     table = made_up({"aot550": [0.1, 0.2, 0.4]}, lambda nm, aot550: np.exp(-aot550) + 0 * nm)
     (error,) = leave_one_out(table).values()
     exact = np.exp(-0.2)
-    guess = np.exp(-0.1) + (np.exp(-0.4) - np.exp(-0.1)) / 3.0
+    low, here, high = (x * fraction_below(x, 0.35, 2.3) for x in (0.1, 0.2, 0.4))
+    guess = np.exp(-0.1) + (np.exp(-0.4) - np.exp(-0.1)) * (here - low) / (high - low)
+    albedo = 0.1 * (np.exp(-0.1) + (np.exp(-0.4) - np.exp(-0.1)) / 3.0)  # straight over the whole depth
 
-    def total(v):
-        return v + 2 * v * 0.3 / (1 - 0.1 * v * 0.3)
+    def total(path, albedo):
+        return path + 2 * exact * 0.3 / (1 - albedo * 0.3)
 
-    assert error["worst"] == pytest.approx(total(guess) / total(exact) - 1, abs=1e-6)
+    assert error["worst"] == pytest.approx(total(guess, albedo) / total(exact, 0.1 * exact) - 1, abs=1e-6)
     assert leave_one_out(made_up({"aot550": [0.1, 0.2]}, lambda nm, aot550: aot550 + 0 * nm)) == {"aot550": None}
     assert table.terms(state()).provenance["leave_one_out_error"]["aot550"] == error
 
@@ -369,4 +373,4 @@ def test_grids_that_cannot_be_built_are_refused():
 
 
 def test_every_axis_has_a_rule_that_is_known():
-    assert {rule for rule, _ in AXES.values()} <= {"linear", "log", "water", "pchip", "cubic"}
+    assert {rule for rule, _ in AXES.values()} <= {"aerosol", "log", "water", "pchip", "cubic"}

@@ -10,6 +10,7 @@ import pytest
 
 from hyperval.atmosphere import AtmosphericTable, atmospheric_terms, read_table, write_table
 from hyperval.atmosphere.table import QUANTITIES
+from hyperval.atmosphere.table_aerosol import PATH_ERROR
 from hyperval.errors import InputError, UsageError
 from hyperval.predict import predict
 from hyperval.scenario import load_scenario
@@ -66,6 +67,11 @@ def test_a_table_beside_the_scenario_gives_its_radiance(tmp_path):
     want = terms.path_radiance + (terms.direct + terms.adjacency) * 0.3 / (1 - 0.1 * 0.3)
     np.testing.assert_allclose(got, want, rtol=1e-12)
     assert found.provenance["atmosphere"]["engine"] == "table"
+    # The state lies between two nodes, so that the path has an error by interpolation.
+    part = found.provenance["atmosphere"]["interpolation_path_relative"]
+    assert 0.0 < part <= PATH_ERROR
+    budget = found.radiance["grey"].budget["interpolation of the table"]
+    np.testing.assert_allclose(budget, part * terms.path_radiance, rtol=1e-9)
     assert found.provenance["atmosphere"]["leave_one_out_error"] == {"aot550": None}
     # A table that changes is read again.
     brighter = flat_table(np.arange(340.0, 2601.0, 2.5))

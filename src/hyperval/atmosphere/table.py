@@ -5,9 +5,10 @@ A table holds what does not depend on the strength of the sun, at the resolution
     path = L_a / F, direct = A / F, adjacency = B / F, S, ground = E_ground / (pi F), gas: two-way
     transmittance, and diffuse: the sky's part of E_ground, where the engine tells it
 
-Interpolated are these products, before any band is averaged.  The rules: aerosol depth linear (a range as depth);
-altitudes by monotone cubic (Fritsch & Carlson, SIAM J. Numer. Anal. 17, 1980); angles by cubic spline; water
-logarithms of the transmittances, linear in the square root of the column; ozone likewise, linear in the column.
+Interpolated are these products, before any band is averaged.  The rules: aerosol by
+:mod:`hyperval.atmosphere.table_aerosol` (a range as depth); altitudes by monotone cubic (Fritsch & Carlson, SIAM J.
+Numer. Anal. 17, 1980); angles by cubic spline; water logarithms of the transmittances, linear in the square root of
+the column; ozone likewise, linear in the column.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.profiles import OZONE_G_CM2_PER_ATM_CM, column_g_cm2, standard_profile
 from hyperval.atmosphere.state import SPACE_KM, AtmosphericState
+from hyperval.atmosphere.table_aerosol import between_aerosols, path_error
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 
@@ -31,9 +33,10 @@ Array = npt.NDArray[np.float64]
 QUANTITIES = ("path", "direct", "adjacency", "spherical_albedo", "ground", "gas")
 OPTIONAL = ("diffuse",)
 _NO_TRANSMITTANCE = ("spherical_albedo", "diffuse")  # interpolated without logarithm
+AEROSOL_RULE = "aerosol"  # all quantities together
 # Rule of each axis, and by how much a state may miss a value that the table holds only once.
 AXES: dict[str, tuple[str, float]] = {
-    "aot550": ("linear", 1e-3),
+    "aot550": (AEROSOL_RULE, 1e-3),
     "water_vapour_g_cm2": ("water", 5e-3),
     "ozone_atm_cm": ("log", 2e-3),
     "ground_altitude_km": ("pchip", 0.02),
@@ -86,10 +89,17 @@ class AtmosphericTable:
         """
         at = coordinates(state)
         self._check_fixed(state, at)
-        values = {name: array for name, array in self.quantities.items()}
-        for name, nodes in self.axes.items():
-            x = _inside(name, nodes, at[name])
-            values = {q: interpolated(nodes, v, x, name, q) for q, v in values.items()}
+        values = dict(self.quantities)
+        left = list(self.axes)
+        # Aerosol last: its rule needs the altitudes, which may be axes themselves.
+        for name in sorted(self.axes, key=lambda axis: AXES[axis][0] == AEROSOL_RULE):
+            x, number = _inside(name, self.axes[name], at[name]), left.index(name)
+            values = _along(self.axes[name], {q: np.moveaxis(v, number, 0) for q, v in values.items()}, x, name, at)
+            left.remove(name)
+        path_relative = 0.0
+        if "aot550" in self.axes:
+            places = at["ground_altitude_km"], at["sensor_altitude_km"]
+            path_relative = path_error(self.axes["aot550"], at["aot550"], *places)
         irradiance = self.solar_irradiance
         if irradiance is None:
             irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, self.wavelength_nm, 1.0)
@@ -107,6 +117,7 @@ class AtmosphericTable:
                 "source": self.source,
                 "solar_spectrum": "of the table" if self.solar_irradiance is not None else state.solar_spectrum,
                 "axes": {name: [float(v) for v in nodes] for name, nodes in self.axes.items()},
+                "interpolation_path_relative": round(path_relative, 9),
                 "leave_one_out_error": self.errors if self.errors is not None else leave_one_out(self),
                 "state": state.model_dump(mode="json"),
             },
@@ -156,14 +167,23 @@ def coordinates(state: AtmosphericState) -> dict[str, float]:
     }
 
 
+def _along(
+    nodes: Array, values: Mapping[str, Array], x: float, axis: str, at: Mapping[str, float]
+) -> dict[str, Array]:
+    """All quantities (k, ...) at ``x`` along their first dimension."""
+    if AXES[axis][0] == AEROSOL_RULE:
+        return between_aerosols(nodes, values, x, at["ground_altitude_km"], at["sensor_altitude_km"])
+    return {q: interpolated(nodes, v, x, axis, q) for q, v in values.items()}
+
+
 def interpolated(nodes: Array, values: Array, x: float, axis: str, quantity: str) -> Array:
-    """Values (k, ...) of one quantity at ``x`` along their first dimension, by the rule of the axis."""
+    """Values (k, ...) of one quantity at ``x`` along their first dimension, by the rule of an axis but aerosol."""
     rule = AXES[axis][0]
     if rule == "pchip":
         return np.asarray(PchipInterpolator(nodes, values, axis=0)(x))
     if rule == "cubic":
         return np.asarray(CubicSpline(nodes, values, axis=0)(x))
-    if rule == "linear" or quantity in _NO_TRANSMITTANCE:
+    if quantity in _NO_TRANSMITTANCE:
         return _linear(nodes, values, x)
     if rule == "water":
         nodes, x = np.sqrt(nodes), float(np.sqrt(x))
@@ -179,12 +199,20 @@ def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]
     None for an axis of two nodes.
     """
     found: dict[str, dict[str, float] | None] = {}
-    for number, (name, nodes) in enumerate(table.axes.items()):
+    for name, nodes in table.axes.items():
         errors = []
+        quantities, axes, at = dict(table.quantities), list(table.axes), {}
+        for level in ("ground_altitude_km", "sensor_altitude_km") if AXES[name][0] == AEROSOL_RULE else ():
+            at[level] = table.fixed.get(level, 0.0 if level.startswith("ground") else SPACE_KM)
+            if level in table.axes:  # the haze below the sensor is asked for at the middle altitude
+                middle = table.axes[level].size // 2
+                at[level] = float(table.axes[level][middle])
+                quantities = {q: np.take(v, middle, axis=axes.index(level)) for q, v in quantities.items()}
+                axes.remove(level)
+        moved = {q: np.moveaxis(v, axes.index(name), 0) for q, v in quantities.items()}
         for i in range(1, nodes.size - 1):
             keep = np.delete(np.arange(nodes.size), i)
-            moved = {q: np.moveaxis(v, number, 0) for q, v in table.quantities.items()}
-            predicted = {q: interpolated(nodes[keep], v[keep], float(nodes[i]), name, q) for q, v in moved.items()}
+            predicted = _along(nodes[keep], {q: v[keep] for q, v in moved.items()}, float(nodes[i]), name, at)
             exact = {q: v[i] for q, v in moved.items()}
             seen = exact["gas"] > _LEAST_GAS
             errors.append((_total(predicted)[seen] / np.maximum(_total(exact)[seen], _LEAST)) - 1.0)

@@ -20,7 +20,7 @@ from hyperval.prediction.placed_target import (
     shares_of,
     spectra_covariance,
 )
-from hyperval.prediction.uncertainty import Perturbation, combined, spectral_errors
+from hyperval.prediction.uncertainty import Perturbation, combined, interpolation_errors, spectral_errors
 from hyperval.prediction.view import View
 from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance
 from hyperval.products import SpectralEstimate
@@ -90,7 +90,7 @@ def spectral_products(
         if view.terms is not None:
             changes = [(s.source, 0.5 * (s.plus.level(subject.rho) - s.minus.level(subject.rho))) for s in steps]
             shapes = spectral_errors(view, subject.rho, axis, scenario.uncertainty.engine, subject.error, sensor)
-            shapes |= _through(view, subject.others)
+            shapes |= _through(view, subject.others) | interpolation_errors(view, axis)
             total, budget = combined(changes, shapes, len(axis))
             out.radiance[subject.name] = SpectralEstimate(level, total, _known(seen), None, budget)
             _add_noise(out, subject, level, view, steps, shapes)

@@ -27,12 +27,13 @@ from hyperval.prediction.forms import form_covariance
 from hyperval.prediction.view import View
 from hyperval.products import Prediction, RocCurve, SpectralEstimate
 from hyperval.scenario import Scenario
-from hyperval.scenario_uncertainty import EngineUncertainty
+from hyperval.scenario_uncertainty import EngineUncertainty, SpectralForm
 from hyperval.sensor.specification import Sensor
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Z95 = 1.959963984540054
+TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
 MOST_DIRECTIONS = 24  # of one input over wavelength; the rest of a short correlation length moves little
 
 
@@ -148,6 +149,18 @@ def spectral_errors(
     if spectrum is not None:
         errors["field spectrum"] = spectrum * np.outer(view.slope(), view.slope())
     return errors
+
+
+def interpolation_errors(view: View, axis: SpectralAxis) -> dict[str, Array]:
+    """Error covariance (B, B) of the path radiance by interpolation between the nodes of a table; none without one.
+
+    Its size is :func:`hyperval.atmosphere.table_aerosol.path_error`; it is smooth over wavelength.
+    """
+    part = view.terms.provenance.get("interpolation_path_relative", 0.0) if view.terms is not None else 0.0
+    if not isinstance(part, float) or part <= 0.0 or view.terms is None:
+        return {}
+    form = SpectralForm(correlation_nm=INTERPOLATION_NM)
+    return {TABLE: form_covariance(part * view.terms.path_radiance, form, axis)}
 
 
 def combined(
