@@ -56,13 +56,18 @@ class Geometry(Model):
     side_m: float | None = Field(None, gt=0)
     length_m: float | None = Field(None, gt=0)
     width_m: float | None = Field(None, gt=0)
-    heading_deg: float | Literal["random"] = 0.0
-    gsd_m: float = Field(gt=0)
+    heading_deg: float | Literal["random"] = Field(
+        0.0, description="of the length, from the direction of the lines"
+    )
+    gsd_m: float = Field(gt=0, description="ground side of a pixel")
     psf_fwhm_pixels: BlurWidth | tuple[BlurWidth, BlurWidth] | None = Field(
         None, description="Gaussian blur besides the square aperture, or (along, across); None: the sensor's, or 0"
     )
-    phase: Literal["random", "centred"] = "random"
-    pixels: Literal["best", "ranked"] = "best"
+    phase: Literal["random", "centred"] = Field("random", description="where in its pixel the target's centre lies")
+    pixels: Literal["best", "ranked"] = Field(
+        "best",
+        description="the fullest pixel of an object alone, or its n fullest, as a truth that counts so many has",
+    )
     n: int | None = Field(None, ge=1, le=400, description="pixels of an object, with ranked")
 
     @model_validator(mode="after")
@@ -80,8 +85,8 @@ class Geometry(Model):
 class Fill(Model):
     """Part of a pixel that the target fills: fixed, by moments, or from geometry."""
 
-    fixed: Fraction | None = None
-    mean: Fraction | None = None
+    fixed: Fraction | None = Field(None, description="the same in every pixel")
+    mean: Fraction | None = Field(None, description="with sd: a beta distribution")
     sd: float | None = Field(None, gt=0, lt=0.5)
     geometry: Geometry | None = None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -38,6 +39,7 @@ _POSITIVE = (
 # A ratio may be larger than 1, but a limit of 1 (100 %) or more is a slip of the pen.
 _RATIO = ("difference_ratio", "bias_ratio")
 _CHI2_SLIP = 100.0
+_NAMED = 6  # rows that a message lists
 
 
 class Gate(Model):
@@ -59,16 +61,28 @@ class Gate(Model):
     """
 
     product: Literal["radiance", "snr", "reflectance", "covariance", "classification", "scores", "roc", "abundance"]
-    metric: str = Field(min_length=1)
-    subjects: tuple[str, ...] = Field(default=("*",), min_length=1)
-    method: str = "*"
-    bands_nm: tuple[float, float] | None = None
-    at_most: float | None = None
+    metric: str = Field(
+        min_length=1,
+        description="as in results.csv (docs/campaigns.md lists them); * and ? allowed; without @P for every P",
+    )
+    subjects: tuple[str, ...] = Field(
+        default=("*",), min_length=1, description="names or patterns with * and ?; each must be met by a row"
+    )
+    method: str = Field("*", description="name or pattern, such as cem/object")
+    bands_nm: tuple[float, float] | None = Field(
+        None, description="for metrics by band: band centres from, to [nm]"
+    )
+    at_most: float | None = Field(None, description="the limit: one of at_most, at_least, within")
     at_least: float | None = None
     within: tuple[float, float] | None = None
-    fraction_at_least: float | None = Field(default=None, gt=0.0, le=1.0)
-    gate: bool = True
-    reason: str = Field(min_length=1)
+    fraction_at_least: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=1.0,
+        description="share of all matching rows that must meet the limit, judged together",
+    )
+    gate: bool = Field(True, description="false: informs, and does not decide")
+    reason: str = Field(min_length=1, description="why the limit, or why it does not decide")
 
     @model_validator(mode="after")
     def _can_fail(self) -> Gate:
@@ -218,12 +232,24 @@ def _unmet(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
             reason = f"planned but absent: no {gate.product} row of subject {pattern!r} has metric {gate.metric!r}"
             if gate.method != "*":
                 reason += f" and method {gate.method!r}"
+            reason += _nearest(rows, alone)
             out.append(
                 Result(
                     campaign, gate.product, pattern, gate.method, gate.metric, status=Status.ERROR, reason=reason
                 )
             )
     return out
+
+
+def _nearest(rows: Sequence[Result], gate: Gate) -> str:
+    """What comes near to what a gate names: subjects with that metric, else metrics of that name."""
+    own = [row for row in rows if row.product == gate.product and row.metric != COMPARISON]
+    anywhere = gate.model_copy(update={"subjects": ("*",), "method": "*", "bands_nm": None})
+    held = list(dict.fromkeys(f"{row.subject!r} ({row.method})" for row in own if anywhere.covers(row)))
+    if held:
+        return "; rows with it: " + ", ".join(held[:_NAMED]) + (", ..." if len(held) > _NAMED else "")
+    near = difflib.get_close_matches(gate.metric, sorted({row.metric for row in own}), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def _pooled(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from hyperval.compare.abundance import compare_abundance, compare_area_errors
@@ -23,6 +24,7 @@ SPECTRAL = {"radiance": compare_radiance, "snr": compare_snr, "reflectance": com
 PRODUCTS = (*SPECTRAL, "covariance", "classification", "scores", "roc", "abundance")
 # Quantities in which pixels of a class spread.
 SPREAD = ("radiance", "reflectance")
+MOST_NAMED = 6
 
 K = TypeVar("K")
 
@@ -91,7 +93,7 @@ def compare_products(
         rows += compare_exceedance(curve, measured, campaign=campaign, subject=subject, method=detector)
     for subject, detector, unit in _keys(predicted.roc, observed.roc):
         key_of_curve = (subject, detector, unit)
-        rows += compare_roc(
+        made = compare_roc(
             predicted.roc.get(key_of_curve),
             observed.roc.get(key_of_curve),
             campaign=campaign,
@@ -100,6 +102,10 @@ def compare_products(
             pfa=pfa,
             equivalence_margin=equivalence_margin,
         )
+        lacking = next((side for side in (predicted, observed) if key_of_curve not in side.roc), None)
+        if lacking is not None:
+            made = [replace(row, reason=f"{row.reason}{_held_instead(lacking, subject)}") for row in made]
+        rows += made
     for subject, detector in _keys(predicted.abundance, observed.abundance):
         key = (subject, detector)
         rows += compare_abundance(
@@ -110,6 +116,18 @@ def compare_products(
             method=detector,
         )
     return rows + compare_area_errors(predicted.abundance, observed.abundance, campaign=campaign)
+
+
+def _held_instead(side: Products, subject: str) -> str:
+    """What a side has that lacks a curve: other detectors of the subject, else other subjects."""
+    detectors = list(dict.fromkeys(d for s, d, _ in side.roc if s == subject))
+    if detectors:
+        return ", which has it by " + ", ".join(detectors)
+    subjects = list(dict.fromkeys(s for s, _, _ in side.roc))
+    if not subjects:
+        return ", which has no roc at all"
+    more = f" and {len(subjects) - MOST_NAMED} more" if len(subjects) > MOST_NAMED else ""
+    return ", which has " + ", ".join(repr(s) for s in subjects[:MOST_NAMED]) + more
 
 
 def _covariance_rows(predicted: Products, observed: Products, campaign: str) -> list[Result]:
