@@ -44,8 +44,8 @@ def percent(small: SmallCampaign) -> None:
     """The panel spectra times 100, the wavelengths as they are."""
 
     def scaled(text: str) -> str:
-        first, *rows = text.splitlines()
-        out = [first]
+        comment, titles, *rows = text.splitlines()
+        out = [comment, titles]
         for row in rows:
             wavelength, *values = row.split(",")
             out.append(",".join([wavelength, *(f"{100.0 * float(v):.4f}" for v in values)]))

@@ -24,6 +24,7 @@ from hyperval.simulate.inputs import SimulationInputs
 from hyperval.simulate.layout import lay_out
 from hyperval.simulate.radiometry import detector
 from hyperval.simulate.surface import SurfaceRenderer
+from hyperval.spectra.readers import read_spectrum
 
 
 def stored(found) -> np.ndarray:
@@ -126,7 +127,9 @@ def test_the_average_is_that_of_the_rendered_scene(scene, inputs, tmp_path):
 
 def test_panel_spectra_are_those_of_the_panels_with_their_scatter(make_scene, inputs, tmp_path):
     noisy = make_scene(field_spectra={"readings": 25, "relative_noise": 0.02})
-    table = pd.read_csv(simulate(noisy, tmp_path / "a", inputs=inputs).panel_spectra)
+    path = simulate(noisy, tmp_path / "a", inputs=inputs).panel_spectra
+    table = pd.read_csv(path, comment="#")
+    assert read_spectrum(path, wavelength_unit="nm", reflectance_unit="fraction").n == 25
     assert table["wavelength_nm"].iloc[[0, -1]].tolist() == [350.0, 2500.0]
     relative = table["white"] / builtin_class("white-panel", collection.truth.field_axis()).mean - 1.0
     # 5 standard errors of a standard deviation of 2151 values.

@@ -71,7 +71,7 @@ ADMIXTURE = {"host": "grass", "surface": "soil", "mean": 0.05, "sd": 0.02}
         ({"mode": "broken", "broken": {"heavy_tails": {"dof": 2.0}}}, "greater than 2"),
         ({"mode": "broken", "broken": {"admixtures": [ADMIXTURE | {"sd": 0.4}]}}, "no share between 0 and 1"),
         ({"seed": -1}, "greater than or equal to 0"),
-        ({"name": "../escape"}, "pattern"),
+        ({"name": "../escape"}, "a name of letters"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_named_with_its_file_and_line(make_scene_data, tmp_path, changes, words):

@@ -66,15 +66,15 @@ def empirical_line(
 def _field(panel: PanelReference, cube: Cube, resolve: Callable[[str], Path]) -> tuple[Array, Array]:
     """Reflectance (B,) of a panel as measured on the ground, and its error covariance (B, B).
 
-    What replicate spectra say, or the standard error that the file carries, common to all bands; and the stated
-    relative uncertainty with its correlation length.
+    What replicate spectra say, or the standard error that the file carries, and the stated relative uncertainty;
+    the latter two with the stated correlation length, common to all bands without one.
     """
     field = Sources(cube.axis, {}, resolve).spectrum(panel.spectrum, panel.region)
-    stated = panel.relative_uncertainty * field.mean
-    covariance = np.outer(stated, stated) * correlation(cube.axis, panel.correlation_nm)
+    stated, together = panel.relative_uncertainty * field.mean, correlation(cube.axis, panel.correlation_nm)
+    covariance = np.outer(stated, stated) * together
     if field.mean_error is not None:
         covariance = covariance + field.mean_error
     elif field.standard_deviation is not None:
         spread = field.standard_deviation / np.sqrt(field.n or 1)
-        covariance = covariance + np.outer(spread, spread)
+        covariance = covariance + np.outer(spread, spread) * together
     return field.mean, covariance

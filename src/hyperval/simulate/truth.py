@@ -125,10 +125,15 @@ def panel_readings(
 def write_panel_spectra(
     path: Path, scene: SceneFile, spectra: Callable[[str, SpectralAxis], ClassStatistics]
 ) -> None:
-    """CSV: wavelength_nm, then NAME and NAME_sd of every panel, reflectance as a fraction."""
+    """CSV: wavelength_nm, then NAME and NAME_sd of every panel, reflectance as a fraction.
+
+    Above it a comment says how many readings are behind the means, where there is more than one.
+    """
     axis, readings = panel_readings(scene, spectra)
     columns = ["wavelength_nm"] + [c for name in readings for c in (name, f"{name}_sd")]
     values = [axis.centre_nm] + [v for pair in readings.values() for v in pair]
-    lines = [",".join(columns)]
+    count = scene.field_spectra.readings
+    lines = [f"# means of N = {count} readings and their standard deviations"] if count > 1 else []
+    lines += [",".join(columns)]
     lines += [f"{row[0]:.1f}," + ",".join(f"{v:.6f}" for v in row[1:]) for row in np.stack(values, axis=1)]
     write_text(path, "\n".join(lines) + "\n")
