@@ -62,6 +62,10 @@ def test_ratio_covariance_by_monte_carlo():
     assert np.cov(draws.T) == pytest.approx(difference_ratio_covariance(p, c), rel=0.05)
 
 
+def test_without_any_stated_error_there_is_no_interval():
+    assert all(np.isnan(median_interval(np.array([0.1, 0.2, 0.3]), np.zeros((3, 3)))))
+
+
 def test_median_interval_covers():
     # 41 bands, errors half common, half of each band: 2000 draws, sd of the share 0.005; the interval of
     # the mean is used for the median, a little narrow for the independent part: 0.93 to 0.97.

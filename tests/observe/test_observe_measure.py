@@ -49,6 +49,20 @@ def test_without_detection_there_are_only_spectra(world):
     assert seen.observation.provenance["quantity"] == "reflectance"
 
 
+def test_a_single_pixel_has_a_spectrum_without_sampling_error_and_gives_no_statistics(make_radiance):
+    made = make_radiance()
+    made.world.collection["regions"].append({"name": "dot", "rectangle": [4, 7, 1, 1]})
+    made.world.collection["calibration"] = {"relative": 0.03}
+    seen = made.world.observe()
+    dot = seen.observation.radiance["dot"]
+    assert dot.mean == pytest.approx(made.world.values[4, 7], rel=1e-12)
+    assert (dot.n, set(dot.budget), dot.pixel_covariance) == (1, {"calibration"}, None)
+    assert set(seen.observation.reflectance["dot"].budget) == {"empirical line"}
+    assert "dot" not in seen.statistics
+    assert "corner" in seen.statistics
+    assert any("region 'dot' is a single pixel" in note for note in seen.observation.notes)
+
+
 def test_the_empirical_line_recovers_gain_offset_and_reflectance(make_radiance):
     made = make_radiance()
     seen = made.world.observe()

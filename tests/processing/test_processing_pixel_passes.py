@@ -184,14 +184,25 @@ def test_nan_is_left_out_and_counted(tmp_path):
         assert np.isfinite(found.covariance).all()
 
 
+def test_a_single_pixel_is_its_own_mean_without_a_spread(tmp_path):
+    cube = opened(write(tmp_path, numbers()))
+    for at in ((0, 4), (LINES - 1, 2)):
+        mask = np.zeros((LINES, SAMPLES), bool)
+        mask[at] = True
+        found = region_statistics(cube, {"a": mask})["a"]
+        assert found.n == 1
+        assert found.mean == pytest.approx(cube.pixels(tuple(np.array([i]) for i in at))[0], rel=1e-12)
+        assert not found.covariance.any()
+
+
 def test_masks_that_do_not_fit_and_empty_regions_are_refused(tmp_path):
     cube = opened(write(tmp_path, numbers()))
     with pytest.raises(UsageError, match="'a' has shape"):
         region_statistics(cube, {"a": np.ones((LINES + 1, SAMPLES), bool)})
     with pytest.raises(UsageError, match="of int64"):
         region_statistics(cube, {"a": np.ones((LINES, SAMPLES), np.int64)})
-    with pytest.raises(UsageError, match="'a' has 1 valid pixels"):
-        region_statistics(cube, {"a": np.arange(LINES * SAMPLES).reshape(LINES, SAMPLES) == 4})
+    with pytest.raises(UsageError, match="'a' has no valid pixel"):
+        region_statistics(cube, {"a": np.zeros((LINES, SAMPLES), bool)})
     with pytest.raises(UsageError, match="kept for the whole"):
         region_statistics(cube, {"scene": np.ones((LINES, SAMPLES), bool)})
     found = region_statistics(cube)["scene"]

@@ -88,8 +88,11 @@ def median_interval(ratio: Array, covariance: Array) -> tuple[float, float]:
     """95 % interval of the median over bands of a signed ratio.
 
     The error of the median is taken as that of the mean over the same bands, 1^T C 1/B^2: errors common
-    to the bands, which are what is left after averaging, move both alike.
+    to the bands, which are what is left after averaging, move both alike.  NaN where neither side states an error:
+    an interval of no width would claim to know the value.
     """
+    if not np.any(covariance):
+        return math.nan, math.nan
     centre = float(np.median(ratio))
     half = Z95 * float(np.sqrt(max(float(np.mean(covariance)), 0.0)))
     return centre - half, centre + half

@@ -64,6 +64,7 @@ def _rows(
     ratio = difference_ratio(predicted.mean, observed.mean)
     ratio_covariance = difference_ratio_covariance(predicted, observed)
     half = Z95 * np.sqrt(np.clip(np.diag(ratio_covariance), 0.0, None))
+    half = np.where(half > 0.0, half, np.nan)  # no error is stated: no interval
     difference = predicted.mean - observed.mean
     covariance = predicted.error_covariance + observed.error_covariance
     z = z_scores(difference, covariance)

@@ -135,6 +135,11 @@ def observe(
         for name in track(list(place.regions), "tails", show=show_progress)
     }
     notes = list(place.notes)
+    notes += [
+        f"warning: region {name!r} is a single pixel: how far pixels differ is not known and in no interval"
+        for name, sample in regions.items()
+        if sample.n == 1
+    ]
     if elm is not None:
         notes.append(f"empirical line through {', '.join(elm.panels)}: usable in {int(elm.usable.sum())} bands")
     observation = Observation(
@@ -182,28 +187,37 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[
 def _radiance(
     sample: SampleStatistics, sampling: Sampling, collection: Collection, axis: SpectralAxis, resolve: Resolve
 ) -> SpectralEstimate:
-    parts = {"sampling": sampling[0]}
+    parts, dof = _sampling_part(sample, sampling)
     if collection.calibration is not None:
         parts["calibration"] = calibration_covariance(sample.mean, axis, collection.calibration, resolve)
-    dof = {"sampling": sampling[1]}
-    return spectral_estimate(sample.mean, parts, pixel_covariance=sample.covariance, n=sample.n, dof=dof)
+    return spectral_estimate(sample.mean, parts, pixel_covariance=_spread(sample), n=sample.n, dof=dof)
+
+
+def _sampling_part(sample: SampleStatistics, sampling: Sampling) -> tuple[dict[str, Array], dict[str, float]]:
+    """The error of the mean by name, and what it is known by; none where there is a single pixel."""
+    return ({"sampling": sampling[0]}, {"sampling": sampling[1]}) if sample.n > 1 else ({}, {})
+
+
+def _spread(sample: SampleStatistics) -> Array | None:
+    return sample.covariance if sample.n > 1 else None
 
 
 def _reflectance(name: str, sample: SampleStatistics, sampling: Sampling, error: LineError) -> SpectralEstimate:
     """After the empirical line, whose error is common to all pixels and hangs together between bands."""
     elm = error.line
     mean, covariance = in_reflectance(sample, elm)
-    parts = {"sampling": sampling[0] / np.outer(elm.gain, elm.gain)}
+    parts, dof = _sampling_part(sample, (sampling[0] / np.outer(elm.gain, elm.gain), sampling[1]))
     parts["empirical line"] = error.covariance(sample.mean, own=name)
-    dof = {"sampling": sampling[1]}
     if name in elm.panels:  # its pixels made the line: what they are off by is in the line's error
-        del parts["sampling"], dof["sampling"]
-    return spectral_estimate(mean, parts, pixel_covariance=covariance, n=sample.n, dof=dof)
+        parts.pop("sampling", None)
+        dof.pop("sampling", None)
+    spread = covariance if sample.n > 1 else None
+    return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, dof=dof)
 
 
 def _sampled(sample: SampleStatistics, sampling: Sampling) -> SpectralEstimate:
-    parts, dof = {"sampling": sampling[0]}, {"sampling": sampling[1]}
-    return spectral_estimate(sample.mean, parts, pixel_covariance=sample.covariance, n=sample.n, dof=dof)
+    parts, dof = _sampling_part(sample, sampling)
+    return spectral_estimate(sample.mean, parts, pixel_covariance=_spread(sample), n=sample.n, dof=dof)
 
 
 def _some_pixels(place: Place, name: str) -> Array:
@@ -225,6 +239,8 @@ def _classes(
         return {}
     out = {}
     for name, sample in regions.items():
+        if sample.n < 2:
+            continue  # a spectrum is no statistics
         mean, covariance = in_reflectance(sample, elm)
         known = np.isfinite(mean)
         if not known.all():

@@ -52,7 +52,7 @@ def region_statistics(
 
     Pixels that belong to the same regions are summed once and the sums added, so that regions which overlap
     cost little more than the scene alone.  The unit is that of the cube's values; the shrinkage intensity is not
-    known (``fourth`` is NaN).
+    known (``fourth`` is NaN).  The covariance of a single pixel is zero: nothing is known of it.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def region_statistics(
 
     Raises
     ------
-    UsageError : a mask that does not fit the cube, or a region with fewer than two valid pixels.
+    UsageError : a mask that does not fit the cube, or a region without a valid pixel.
     """
     regions = _Regions.of(cube, masks or {}, exclude)
     whole = cube.dtype.kind in "iu"
@@ -119,11 +119,14 @@ def region_statistics(
 
 def _statistics(cube: StoredCube, name: str, sums: Sums, left_out: int) -> SampleStatistics:
     """In the unit of the cube's values."""
-    if sums.n < 2:
+    if sums.n == 0 or sums.reference is None:
         raise UsageError(
-            f"region {name!r} has {sums.n} valid pixels ({left_out} left out as invalid)", expected="two or more"
+            f"region {name!r} has no valid pixel ({left_out} left out as invalid)", expected="one or more"
         )
-    mean, covariance = sums.mean_and_covariance()
+    if sums.n == 1:  # a spectrum; nothing is known of its spread
+        mean, covariance = sums.reference + sums.first, np.zeros((cube.bands, cube.bands))
+    else:
+        mean, covariance = sums.mean_and_covariance()
     gain = cube.gain
     return SampleStatistics(
         gain * mean + cube.offset, covariance * np.outer(gain, gain), sums.n, left_out, float("nan")
