@@ -150,3 +150,10 @@ def test_metrics_are_explained_in_words():
     assert "predicted over measured variance" in meaning("eigenvalue_ratio@3")
     assert meaning("nobody's metric") == ""
     assert explained([_full_test(0.5), _full_test(0.1)]) == [("p_value_full", meaning("p_value_full"))]
+
+
+def test_a_campaign_without_gates_does_not_say_that_nothing_was_found():
+    tone, words = verdict([row(Status.INFO, "differs")])
+    assert tone == "undecided"
+    assert words.startswith("Nothing was checked by a gate: every comparison of this campaign only informs. ")
+    assert "1 comparison found a disagreement" in words

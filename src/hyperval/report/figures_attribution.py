@@ -149,7 +149,8 @@ def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
     for (i, j), value in np.ndenumerate(values):
         if np.isfinite(value) and abs(value) >= 0.0005:
             shade = "white" if abs(value) > 0.65 * size else "black"
-            axes.text(j, i, f"{value:+.2g}", ha="center", va="center", fontsize=6.5, color=shade)
+            words = f"{value:+.2g}" if abs(value) >= 0.001 else f"{value:+.1g}"
+            axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color=shade)
     axes.set_xticks(
         range(len(names)), [style.plain(style.shortened(n, _LONGEST)) for n in names], rotation=35, ha="right"
     )

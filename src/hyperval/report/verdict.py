@@ -49,6 +49,9 @@ def verdict(rows: Iterable[Result]) -> tuple[str, str]:
     elif decided:
         tone = "undecided"
         words = f"Not decided: {count['PASS']} passed, but not every planned comparison could be made."
+    elif telling and not count["SKIPPED"] and not broken:
+        tone = "undecided"
+        words = "Nothing was checked by a gate: every comparison of this campaign only informs."
     else:
         tone = "undecided"
         words = "Nothing was checked: no gating comparison was decided."
