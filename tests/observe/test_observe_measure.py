@@ -10,6 +10,7 @@ from hyperval.collection import CalibrationUncertainty, Collection
 from hyperval.errors import InputError, UsageError
 from hyperval.observe import observe
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
+from hyperval.processing.mean_error import small_sample_factor
 
 
 def test_mean_and_covariance_of_a_region_equal_numpy(world):
@@ -19,7 +20,8 @@ def test_mean_and_covariance_of_a_region_equal_numpy(world):
     covariance = np.cov(pixels, rowvar=False)
     assert corner.mean == pytest.approx(pixels.mean(axis=0), rel=1e-12)
     assert corner.pixel_covariance == pytest.approx(covariance, rel=1e-9, abs=1e-16)
-    assert corner.error_covariance == pytest.approx(covariance / 200, rel=1e-9, abs=1e-18)
+    widened = small_sample_factor(200.0) / 200
+    assert corner.error_covariance == pytest.approx(covariance * widened, rel=1e-9, abs=1e-18)
     assert set(corner.budget) == {"sampling"}
     assert corner.n == 200
     assert seen.observation.radiance == {}

@@ -10,7 +10,12 @@ import numpy.typing as npt
 from hyperval.observe.place import Place
 from hyperval.observe.spread import correlation_windows
 from hyperval.processing.few_pixels import factor_covariance
-from hyperval.processing.mean_error import components, independent_pixels, mean_error_covariance
+from hyperval.processing.mean_error import (
+    components,
+    independent_pixels,
+    mean_error_covariance,
+    small_sample_factor,
+)
 from hyperval.processing.sample import SampleStatistics
 from hyperval.processing.spatial_correlation import neighbour_shares
 
@@ -26,8 +31,9 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> tupl
     """Error covariance (B, B) of a region's mean, in the cube's values, and the degrees of freedom behind it.
 
     Correlation on the ground is measured along the leading components, and the rest together, in windows of the
-    image, at lags of up to 24 pixels; regions of fewer than 50 pixels count as independent ones.  Pixels that are
-    fewer than the bands have few common factors and independent bands
+    image, at lags of up to 24 pixels, and few independent pixels widen the error
+    (:func:`~hyperval.processing.mean_error.small_sample_factor`); regions of fewer than 50 pixels count as
+    independent ones.  Pixels that are fewer than the bands have few common factors and independent bands
     (:func:`~hyperval.processing.few_pixels.factor_covariance`).
     """
     n, covariance = statistics.n, statistics.covariance
@@ -60,5 +66,6 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> tupl
     reach = min(REACH, max(*region.shape) - 1)
     independent, of_variance = independent_pixels(windows(), neighbour_shares(region, reach, rng), n, reach)
     out = covariance / n
+    independent = independent / small_sample_factor(independent)
     out[np.ix_(known, known)] = mean_error_covariance(inner, along, independent)
     return out, (float(np.median(of_variance)) - 1.0) * known_by / (n - 1)

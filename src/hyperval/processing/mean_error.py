@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from hyperval.processing.spatial_correlation import lag_correlation
 
@@ -15,6 +16,8 @@ Mask = npt.NDArray[np.bool_]
 
 COMPONENTS = 24  # leading ones whose correlation on the ground is measured one by one
 _RING_NOISE = 2.0  # standard errors
+MOST_TAKEN = 0.5  # of the correlation, by the region's own mean; more cannot be put back
+Z95 = 1.959963984540054
 MIXTURES = 4  # of all the others, which are measured together
 
 
@@ -59,7 +62,9 @@ def independent_pixels(
     correlation is summed ring by ring outwards and stops at the first ring whose mean is not above two standard
     errors of uncorrelated pixels: beyond it there is noise (the initial positive sequence of Geyer, Stat. Sci. 7,
     473-483, 1992, is the same on a line).  The mean of a correlated region takes a part of its own variance away,
-    1 of so many independent pixels: the number for the mean is less by it.
+    1 of so many independent pixels: the number for the mean is less by it.  It takes the same part from the
+    correlation at every lag, rho = (1 - q) rho_found + q with q = total/n, which is put back: with S the sum found
+    and M the sum of shares, total = S + (total/n) (M - S).
 
     Parameters
     ----------
@@ -73,7 +78,7 @@ def independent_pixels(
     pairs, share = found.pairs.ravel(), shares.ravel()
     for_mean, for_variance = [], []
     for rho in found.value.reshape(found.value.shape[0], -1):
-        total = squares = 0.0
+        total = squares = summed = 0.0
         for r in range(reach + 1):
             here = ring == r
             behind = max(float(pairs[here].sum()), 1e-12)
@@ -82,11 +87,25 @@ def independent_pixels(
                 break
             total += mean * float(share[here].sum())
             squares += mean**2 * float(share[here].sum())
+            summed += float(share[here].sum())
+        total = max(total, 1.0)
+        total /= 1.0 - min(max(summed - total, 0.0) / n, MOST_TAKEN)
         total = min(max(total, 1.0), 0.5 * n)
         # E[s^2] = sigma^2 (1 - total/n) n/(n - 1) of s^2 with divisor n - 1, var(mean) = sigma^2 total/n.
         for_mean.append(max((n / total - 1.0) * n / (n - 1.0), 1.0))
         for_variance.append(n / min(max(squares, 1.0), 0.5 * n))
     return np.array(for_mean), np.array(for_variance)
+
+
+def small_sample_factor(independent: npt.ArrayLike) -> Array:
+    """(t/1.96)^2, at least 1: widens the variance of a mean so that +-1.96 u is its 95 % interval [1].
+
+    Few independent pixels know neither their spread nor their correlation well.  t is the 97.5 % point of Student's
+    t with half of them, less 1, as degrees of freedom, 1 at least; that half is what simulated regions of 8 to 60
+    pixels ask for (docs/statistics.md).  Source of the form: JCGM 100:2008 (GUM), G.3.
+    """
+    dof = np.maximum(0.5 * np.asarray(independent, dtype=float) - 1.0, 1.0)
+    return np.asarray((stats.t.ppf(0.975, dof) / Z95) ** 2)
 
 
 def mean_error_covariance(covariance: Array, found: Components, independent: Array) -> Array:
