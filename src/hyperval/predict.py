@@ -30,7 +30,7 @@ from hyperval.prediction.departure import (
 from hyperval.prediction.detection import Background, Detection, Task, detect, seen_background
 from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, class_tail, cut, filled
-from hyperval.prediction.notes import saturation_notes, sensor_notes
+from hyperval.prediction.notes import saturation_notes, sensor_notes, unstated_notes
 from hyperval.prediction.object_scores import predicted_object_scores
 from hyperval.prediction.setup import Instrument, instrument, refuse_gaps, with_sensor_blur
 from hyperval.prediction.spectra import SpectralProducts, spectral_products, without_calibration_error
@@ -152,7 +152,7 @@ def predict(
         )  # fmt: skip
 
     moves = moved_predictions(inputs, again)
-    notes = [f"formulation: {scenario.formulation}"]
+    notes = [f"formulation: {scenario.formulation}", *unstated_notes(scenario.atmosphere, scenario.uncertainty)]
     detection = _detection(
         scenario, on, surfaces, looked_for, with_retrieval(view, truth), steps, errors, spectra, notes, objects,
         object_curves,

@@ -33,6 +33,10 @@ def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> O
         raise UsageError("collected spectra need a band table")
     axis = read_band_table(resolve(collection.bands.path), collection.bands)
     radiance, notes = {}, []
+    if collection.bands.fwhm_column is None:
+        notes.append(
+            "the band table's widths are not named (fwhm_column): band widths are taken as the band spacing"
+        )
     for site in collection.spectra:
         path = resolve(site.path)
         read = read_spectrum(
@@ -97,7 +101,9 @@ def read_band_table(path: Path, table: BandTable) -> SpectralAxis:
         try:
             rows.append([float(w) for w in words])
         except ValueError as error:
-            raise InputError("not a row of numbers", where=f"{path}:{number}") from error
+            raise InputError(
+                "not a row of numbers", where=f"{path}:{number}", expected="numbers; a heading begins with #"
+            ) from error
         if len(words) <= needed:
             raise InputError(f"{len(words)} columns", where=f"{path}:{number}", expected=f"{needed + 1} or more")
     if not rows:

@@ -1,4 +1,4 @@
-"""What a prediction says of its sensor in words."""
+"""What a prediction says of its sensor, and of what was not stated, in words."""
 
 from __future__ import annotations
 
@@ -7,11 +7,31 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.atmosphere.profiles import OZONE_G_CM2_PER_ATM_CM, column_g_cm2, standard_profile
+from hyperval.atmosphere.state import AtmosphericState
 from hyperval.prediction.setup import Instrument
+from hyperval.scenario_uncertainty import Uncertainty
 from hyperval.sensor.mtf import mtf_at_nyquist
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+
+
+def unstated_notes(state: AtmosphericState | None, uncertainty: Uncertainty) -> list[str]:
+    """Gas columns that come from the standard atmosphere, and a scenario that states no uncertainty at all."""
+    notes = []
+    if state is not None and state.engine == "sixs":
+        profile, ground = standard_profile(state.model), state.ground_altitude_km
+        words = f"that of the standard atmosphere {state.model} is taken"
+        if state.water_vapour_g_cm2 is None:
+            water = column_g_cm2(profile, profile.water_g_m3, ground)
+            notes.append(f"water vapour is not stated: {words}, {water:.2f} g cm-2")
+        if state.ozone_atm_cm is None:
+            ozone = column_g_cm2(profile, profile.ozone_g_m3, ground) / OZONE_G_CM2_PER_ATM_CM
+            notes.append(f"ozone is not stated: {words}, {ozone:.3f} atm cm")
+    if uncertainty == Uncertainty():
+        notes.append("the scenario states no uncertainty: intervals and tests hold little but the collection's own")
+    return notes
 
 
 def sensor_notes(used: Instrument) -> list[str]:
