@@ -9,7 +9,7 @@ from synthetic_run import make_run
 from hyperval import cli
 from hyperval.errors import InputError
 from hyperval.report import write_outputs
-from hyperval.report.side_by_side import compare_runs, difference_table, paired
+from hyperval.report.side_by_side import _names, compare_runs, difference_table, paired
 from hyperval.report.stored import read_results, read_run
 from hyperval.results import Result, ResultTable, Status
 
@@ -63,6 +63,20 @@ def test_differences_count_in_half_intervals():
     assert pair.difference == pytest.approx(0.3)
     assert pair.size == pytest.approx(3.0)
     assert not pair.verdict_changed
+
+
+def test_rounding_beside_an_interval_of_no_width_is_no_news():
+    def area(value):
+        return dataclasses.replace(_row(value=value), lower=value - 1e-16, upper=value + 1e-16)
+
+    (pair,) = paired(ResultTable([area(1.0)]), ResultTable([area(1.000001)]))
+    assert 0.0 < pair.size < 0.01
+
+
+def test_runs_in_folders_of_one_name_are_told_apart(tmp_path):
+    assert _names(tmp_path / "old" / "hysu", tmp_path / "new" / "hysu") == ("old/hysu", "new/hysu")
+    assert _names(tmp_path / "a", tmp_path / "b") == ("a", "b")
+    assert _names(tmp_path / "a", tmp_path / "a") == ("a", "a")
 
 
 def test_a_gate_that_one_run_lacks_is_a_changed_verdict():

@@ -20,6 +20,7 @@ from hyperval.results import Result, ResultTable, Status
 
 _FIGURE_BYTES = 4_200_000
 _MOST_MOVED = 60
+_LEAST_WIDTH = 1e-3  # half width of an interval, as a part of the value
 _MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
 _RANK = {Status.FAIL: 0, Status.ERROR: 1, Status.SKIPPED: 2, Status.INFO: 3, Status.PASS: 4}
 
@@ -62,11 +63,15 @@ class Pair:
 
     @property
     def size(self) -> float:
-        """Difference over the half width of the wider interval; over the value where there is none; 0 if equal."""
+        """Difference over the half width of the wider interval; over the value where there is none; 0 if equal.
+
+        An interval of next to no width counts as a thousandth of the value: rounding is no news.
+        """
         if not self.a or not self.b or not self.difference:
             return 0.0
         halves = [(r.upper - r.lower) / 2 for r in (self.a, self.b)]
-        scale = max((h for h in halves if h > 0), default=max(abs(self.a.value), abs(self.b.value)))
+        value = max(abs(self.a.value), abs(self.b.value))
+        scale = max((max(h, _LEAST_WIDTH * value) for h in halves if h > 0), default=value)
         return abs(self.difference) / scale if scale > 0 else 0.0
 
 
@@ -116,9 +121,10 @@ def side_by_side_page(a: StoredRun, b: StoredRun, pairs: Sequence[Pair]) -> str:
     changed = sorted((p for p in pairs if p.verdict_changed), key=lambda p: _RANK[(p.b or p.either).status])
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
+    labels = zip("AB", (a, b), _names(a.folder, b.folder), strict=True)
     return environment().get_template("pair.html.j2").render(
-        runs=[{"label": label, "folder": run.folder.name or str(run.folder), "verdict": v.verdict(run.table),
-               "counts": v.status_words(run.table)} for label, run in (("A", a), ("B", b))],
+        runs=[{"label": label, "folder": name, "verdict": v.verdict(run.table),
+               "counts": v.status_words(run.table)} for label, run, name in labels],
         changed=changed,
         moved=whole[:_MOST_MOVED],
         more=max(len(whole) - _MOST_MOVED, 0),
@@ -130,6 +136,15 @@ def side_by_side_page(a: StoredRun, b: StoredRun, pairs: Sequence[Pair]) -> str:
         number=v.number_text,
         **common_words(),
     )  # fmt: skip
+
+
+def _names(a: Path, b: Path) -> tuple[str, str]:
+    """Last parts of two paths, as many as tell them apart."""
+    first, second = a.resolve().parts, b.resolve().parts
+    for most in range(1, max(len(first), len(second))):
+        if first[-most:] != second[-most:]:
+            return "/".join(first[-most:]), "/".join(second[-most:])
+    return a.name or str(a), b.name or str(b)
 
 
 def provenance_differences(a: StoredRun, b: StoredRun) -> list[tuple[str, str, str]]:
