@@ -22,6 +22,7 @@ from hyperval.campaign.reasons import reasons
 from hyperval.campaign.references import check_names, missing_sets
 from hyperval.campaign.schema import Campaign
 from hyperval.campaign.template import filled
+from hyperval.campaign.truth_check import truth_notes
 from hyperval.compare import apply_gates, compare_products
 from hyperval.config import load_yaml, validate
 from hyperval.datasets import InputLog
@@ -257,6 +258,7 @@ def _report(
     else:
         table = ResultTable(product_rows(campaign.name, observed.observation, "observed"))
     notes = [*campaign.assumptions, *observed.observation.notes, *scenario_notes(observed.place, scenarios)]
+    notes += truth_notes(observed.place, campaign.detection, scenarios)
     if prediction is not None:
         notes += prediction.notes
     return RunReport(
