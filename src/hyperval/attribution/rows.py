@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+from hyperval.attribution.false_alarms import AlarmRatio, reason_for
 from hyperval.attribution.likelihood import closing_change
 from hyperval.attribution.ranking import ENOUGH, Ranking, told
 from hyperval.attribution.run import Attribution
@@ -20,11 +22,36 @@ def attribution_rows(found: Attribution, campaign: str) -> list[Result]:
     then for each input ``likelihood_gain`` (twice the log-likelihood gained when it may be less well known) and
     ``needed_uncertainty`` (in units of its stated one, or of a usual step).  sensitivity: for each number of the
     comparison the change per unit of each input, with the units that would close the gap, and its total share.
-    what-if: ``reduced_chi_square`` after the experiment, and each summary gap after it.
+    what-if: ``reduced_chi_square`` after the experiment, each summary gap after it, and ``pfa_ratio`` of every
+    background.  attribution of a background: its ``pfa_ratio``, and which experiment explains it if any.
     """
     rows = [row for r in found.rankings for row in _ranking_rows(r, campaign)]
     rows += _sensitivity_rows(found, campaign)
-    return rows + [row for o in found.what_ifs for row in _outcome_rows(o, campaign)]
+    rows += [row for o in found.what_ifs for row in _outcome_rows(o, campaign)]
+    return rows + _alarm_rows(found.what_ifs, campaign)
+
+
+def _alarm_rows(outcomes: Sequence[Outcome], campaign: str) -> list[Result]:
+    """Every ratio of false alarms with its reason, then the ratio after each experiment."""
+    before: dict[tuple[str, str, str], AlarmRatio] = {}
+    tried: dict[tuple[str, str, str], list[tuple[str, AlarmRatio]]] = {}
+    for o in outcomes:
+        for first, after in o.alarms:
+            key = (first.subject, first.detector, first.metric)
+            before[key] = first
+            tried.setdefault(key, []).append((o.name, after))
+
+    def row(product: str, method: str, r: AlarmRatio, reason: str) -> Result:
+        return Result(
+            campaign, product, r.subject, method, r.metric, r.value, lower=r.lower, upper=r.upper, reason=reason
+        )
+
+    rows = [row("attribution", r.detector, r, reason_for(r, tried[key])) for key, r in before.items()]
+    for key, first in before.items():
+        for name, after in tried[key]:
+            told = f"{first.value:.3g} before ({first.lower:.2g} to {first.upper:.2g})"
+            rows.append(row("what-if", f"{name} / {first.detector}", after, told))
+    return rows
 
 
 def _ranking_rows(r: Ranking, campaign: str) -> list[Result]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from hyperval.attribution.false_alarms import AlarmRatio, alarm_ratios
 from hyperval.attribution.likelihood import Whitened
 from hyperval.attribution.model import Model
 from hyperval.attribution.quantities import Quantity
@@ -34,6 +35,7 @@ class Outcome:
     dof : number of residuals
     p_value : of the residuals after
     gaps : name of a gap -> (before, after)
+    alarms : predicted over measured false alarms (before, after), filter by filter
     """
 
     name: str
@@ -43,6 +45,7 @@ class Outcome:
     dof: int
     p_value: float
     gaps: Mapping[str, tuple[float, float]]
+    alarms: Sequence[tuple[AlarmRatio, AlarmRatio]] = field(default_factory=tuple)
 
     @property
     def gain(self) -> float:
@@ -90,6 +93,7 @@ def run_what_ifs(
         gaps = {
             name: (value, gaps_of(asked_after, predicted)[name]) for name, value in gaps_of(asked, base).items()
         }
+        ratios, there = alarm_ratios(base, observed), alarm_ratios(predicted, seen)
         out.append(
             Outcome(
                 item.name,
@@ -99,6 +103,7 @@ def run_what_ifs(
                 first.dof,
                 float(stats.chi2.sf(second.chi_square, second.dof)),
                 gaps,
+                tuple((ratio, there[key]) for key, ratio in ratios.items() if key in there),
             )
         )
     return sorted(out, key=lambda o: o.after)
