@@ -226,7 +226,7 @@ GATES = [
 ]
 
 
-def sides(mean=1.0, pd=0.7, observed_mean=1.0, width=0.15):
+def sides(mean=1.001, pd=0.7, observed_mean=1.0, width=0.15):  # equal sides would be no evidence
     spectrum = lambda m: SpectralEstimate(np.full(len(AXIS), m), 1e-4 * np.eye(len(AXIS)), n=50)  # noqa: E731
     pfa = np.array([1e-3, 1e-2, 1e-1, 1.0])
 
