@@ -9,8 +9,11 @@ import pytest
 import yaml
 
 from hyperval.errors import UsageError
+from hyperval.scene.builtin import BUILTIN_NAMES
 from hyperval.simulate import load_scene
+from hyperval.simulate.inputs import load_inputs
 from hyperval.simulate.layout import lay_out, regions
+from hyperval.simulate.schema import PaintedArea
 
 TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
 
@@ -88,3 +91,19 @@ def test_the_small_scene_itself_is_valid(make_scene_data, tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_text(yaml.safe_dump(make_scene_data(), sort_keys=False), encoding="utf-8")
     assert load_scene(path).name == "small"
+
+
+def test_a_surface_that_is_none_is_told_before_the_engine_runs(tmp_path, monkeypatch):
+    def engine(*_, **__):
+        raise AssertionError("the engine ran")
+
+    monkeypatch.setattr("hyperval.atmosphere.atmospheric_terms", engine)
+    scene = load_scene(TWIN / "scene.yaml")
+    painted = [scene.layout[0].model_copy(update={"surface": "gras"}), *scene.layout[1:]]
+    with pytest.raises(UsageError, match="unknown built-in surface 'gras'"):
+        load_inputs(scene.model_copy(update={"layout": painted}), tmp_path)
+
+
+def test_the_key_says_which_surfaces_there_are():
+    told = PaintedArea.model_fields["surface"].description or ""
+    assert all(name in told for name in BUILTIN_NAMES)

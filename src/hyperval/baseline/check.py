@@ -116,7 +116,7 @@ def _against(run: Run, folder: Path) -> Checked:
         found = compare(run.owner, baseline.metrics, run.metrics)
         return Checked(run, found, ResultTable(d.row() for d in found), path)
     if run.broken:
-        words = f"no baseline ({path}), and the run is none: {run.broken[0]}"
+        words = f"no baseline ({path}), and this run cannot become one: {run.broken[0]}"
         return Checked(run, [], ResultTable([_one(run, Status.FAIL, words)]), path)
     candidate = candidate_path(folder, run.kind, run.name)
     write_baseline(candidate, run.kind, run.name, "", run.versions, accepted_of(run.metrics, {}), candidate=True)

@@ -34,6 +34,11 @@ class Instrument:
     noise: NoiseModel | None
 
 
+def _names_a_file(sensor: str) -> bool:
+    """False for names of the library, and for words that can only be meant as one."""
+    return sensor not in library_names() and (":" in sensor or Path(sensor).suffix != "" or Path(sensor).exists())
+
+
 def instrument(
     scenario: Scenario,
     axis: SpectralAxis | None,
@@ -50,10 +55,13 @@ def instrument(
     operation = scenario.sensor_operation
     sensor = given
     if sensor is None and scenario.sensor is not None:
-        sensor = load_sensor(scenario.sensor if scenario.sensor in library_names() else find(scenario.sensor))
+        sensor = load_sensor(find(scenario.sensor) if _names_a_file(scenario.sensor) else scenario.sensor)
     on = axis or (sensor.axis if sensor else None) or measured_axis
     if on is None:
-        raise UsageError("the scenario has no bands", mend="name a sensor, or hand in an axis")
+        raise UsageError(
+            "the scenario has no bands",
+            mend="name a sensor (sensor:), or run it from a campaign, whose image has bands (hyperval validate)",
+        )
     if sensor is None:
         return Instrument(None, on, on, None)
     noise = sensor.noise(on, operation)

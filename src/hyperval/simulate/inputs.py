@@ -115,6 +115,8 @@ def load_inputs(scene: SceneFile, beside: Path) -> SimulationInputs:
 
     path = beside / scene.sensor
     sensor = sensor_numbers(str(path) if path.is_file() else scene.sensor)
+    # Before the engine, which may take a minute: a name that no surface has is told at once.
+    classes = {name: class_source(name, sensor.axis) for name in scene.materials()}
     resolve = partial(datasets.resolve, base=beside)
     terms = atmospheric_terms(scene.atmosphere, resolve=resolve).at_bands(sensor.axis)
-    return SimulationInputs(sensor, terms, {name: class_source(name, sensor.axis) for name in scene.materials()})
+    return SimulationInputs(sensor, terms, classes)

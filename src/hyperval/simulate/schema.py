@@ -36,7 +36,10 @@ class Area(Model):
 class PaintedArea(Area):
     """A rectangle covered by one surface class; later ones cover earlier ones."""
 
-    surface: str = Field(description="name of a surface class")
+    surface: str = Field(
+        description="a built-in surface: grass, asphalt, soil, yellow-paint-plank, green-paint-plank, white-panel, "
+        "black-panel, grey-panel-NN (percent)"
+    )
 
 
 class Panel(PaintedArea):
@@ -50,8 +53,8 @@ class TargetGroup(Model):
     """Square planks of one material and size on a grid in one area."""
 
     name: Name
-    material: str = Field(description="surface class of the planks")
-    host: str = Field(description="surface class they lie on")
+    material: str = Field(description="built-in surface of the planks")
+    host: str = Field(description="built-in surface they lie on")
     fill: float | None = Field(
         default=None,
         gt=0.0,
