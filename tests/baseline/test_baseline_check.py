@@ -121,7 +121,7 @@ def test_a_run_that_fails_its_gates_is_no_baseline(small, place, no_figures, cap
     assert cli.run(["-q", "baseline", "accept", *given, "--reason", "Anyway"]) == 2
     assert "is no baseline" in capsys.readouterr().err
     assert cli.run(["-q", "check", *given]) == 1
-    assert "the run is none" in capsys.readouterr().err
+    assert "this run cannot become one" in capsys.readouterr().err
     assert [*place.rglob("*.yaml")] == []
 
 
