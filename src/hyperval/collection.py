@@ -192,7 +192,9 @@ class Collection(Model):
     )
     cube: CubeSource | None = None
     spectra: list[SpectrumCollection] = Field(default_factory=list)
-    bands: BandTable | None = Field(None, description="needed with spectra")
+    bands: BandTable | None = Field(
+        None, description="needed with spectra; for a cube, takes the place of its wavelengths and bad-band list"
+    )
     regions: list[RegionSource] = Field(default_factory=list)
     targets: TargetTruth | None = None
     leave_out: list[str] = Field(

@@ -161,7 +161,8 @@ CASES: dict[str, tuple[Callable[[SmallCampaign], None], int, tuple[str, ...]]] =
         settings(lambda d: d["collection"]["cube"].update(unit="photons")), 2, ("unknown radiance unit 'photons'",),
     ),
     "unknown sensor": (
-        settings(lambda d: d["scenarios"][0].update(sensor="no-sensor")), (2, 3), ("no-sensor",),
+        settings(lambda d: d["scenarios"][0].update(sensor="no-sensor")), 2,
+        ("unknown sensor 'no-sensor'", "aviris-ng"),
     ),
     "unknown surface": (
         settings(lambda d: d["scenarios"][0]["scene"]["classes"][0]["spectrum"].update(builtin="gras")), 2,

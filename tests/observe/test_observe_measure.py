@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from small_world import AXIS, BANDS, PLANTED, SAMPLES, World
@@ -49,6 +51,20 @@ def test_without_detection_there_are_only_spectra(world):
     assert set(seen.observation.reflectance) == {"corner"}
     assert seen.observation.roc == {}
     assert seen.observation.provenance["quantity"] == "reflectance"
+
+
+def test_a_table_of_bands_stands_for_a_header_without_wavelengths(world):
+    world.detection = None
+    header = world.folder / "cube.hdr"
+    header.write_text(re.sub(r"(wavelength|fwhm|bbl)[a-z ]*= (\{[^}]*\}|.*)\n", "", header.read_text()))
+    with pytest.raises(InputError, match=r"collection\.bands"):
+        world.observe()
+    rows = [f"{1e-3 * c:.4f} {1e-3 * w:.4f}" for c, w in zip(AXIS.centre_nm, AXIS.fwhm_nm, strict=True)]
+    world.text("bands.txt", "\n".join(["# centre width", *rows]) + "\n")
+    world.collection["bands"] = {"path": "bands.txt", "wavelength_unit": "um", "fwhm_column": 1}
+    axis = world.observe().observation.axis
+    assert axis.centre_nm == pytest.approx(AXIS.centre_nm)
+    assert axis.fwhm_nm == pytest.approx(AXIS.fwhm_nm)
 
 
 def test_a_single_pixel_has_a_spectrum_without_sampling_error_and_gives_no_statistics(make_radiance):

@@ -309,7 +309,7 @@ def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_ban
     if axis is not None:
         if len(axis) != raster.bands:
             raise UsageError(f"the given axis has {len(axis)} bands, the cube {raster.bands}", where=where)
-        return BandTable(axis, np.arange(raster.bands), ("wavelengths as given by the caller",))
+        return BandTable(axis, np.arange(raster.bands), ("wavelengths as given beside the cube",))
     if raster.header is not None and raster.header.text("wavelength") is not None:
         return band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
     if isinstance(raster, TiffRaster) and raster.wavelength_um:
@@ -324,7 +324,7 @@ def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_ban
         "the file lists no wavelengths",
         where=where,
         expected=f"'wavelength = {{...}}' with {raster.bands} values in an ENVI header",
-        mend="give the header that lists them (header:)",
+        mend="give the header that lists them (cube.header), or a table of the bands (collection.bands)",
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import (
+    BandTable,
     Collection,
     CubeSource,
     NormalizedDifference,
@@ -24,6 +25,7 @@ from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.regions import Region, guard, holes, overlaps, read_regions, rectangle_region
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
+from hyperval.observe.site_spectra import read_band_table
 from hyperval.progress import track
 
 Mask = npt.NDArray[np.bool_]
@@ -99,7 +101,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     """
     if collection.cube is None:
         raise UsageError("the collection has no cube")
-    cube = open_source(collection.cube, resolve)
+    cube = open_source(collection.cube, resolve, collection.bands)
     table = _lookup_table(cube, collection.cube, resolve)
     regions = _regions(cube, table, collection.regions, resolve, show_progress)
     targets, remarks = _targets(cube, table, collection.targets, resolve) if collection.targets else ([], [])
@@ -205,10 +207,11 @@ def _between(targets: Sequence[TargetObject]) -> str:
     return ": " + ", ".join(f"{n} of {a!r} and {b!r}" for a, b, n in pairs) if pairs else ""
 
 
-def open_source(source: CubeSource, resolve: Resolve) -> Cube:
-    """Open the cube that a campaign names."""
+def open_source(source: CubeSource, resolve: Resolve, bands: BandTable | None = None) -> Cube:
+    """Open the cube that a campaign names, with its bands from a table where the campaign names one."""
     return open_cube(
         resolve(source.path),
+        axis=None if bands is None else read_band_table(resolve(bands.path), bands),
         quantity=source.quantity,
         unit=source.unit if source.quantity == "radiance" else None,
         scale=source.scale,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import PurePath
 
 import numpy as np
 
-from hyperval.errors import UsageError
+from hyperval.errors import InputError, UsageError
 from hyperval.prediction.inputs import Resolve, SurfaceStatistics
 from hyperval.scenario import Fill, Scenario, Target
 from hyperval.sensor.changes import changed_noise
@@ -34,9 +35,19 @@ class Instrument:
     noise: NoiseModel | None
 
 
-def _names_a_file(sensor: str) -> bool:
-    """False for names of the library, and for words that can only be meant as one."""
-    return sensor not in library_names() and (":" in sensor or Path(sensor).suffix != "" or Path(sensor).exists())
+def _sensor(name: str, find: Resolve) -> Sensor:
+    """A sensor of the library, or of a file beside the scenario."""
+    if name in library_names():
+        return load_sensor(name)
+    try:
+        path = find(name)
+    except InputError:
+        if PurePath(name).suffix or ":" in name:  # meant as a file
+            raise
+        raise UsageError(
+            f"unknown sensor {name!r}", expected="a sensor file or one of " + ", ".join(library_names())
+        ) from None
+    return load_sensor(path)
 
 
 def instrument(
@@ -55,7 +66,7 @@ def instrument(
     operation = scenario.sensor_operation
     sensor = given
     if sensor is None and scenario.sensor is not None:
-        sensor = load_sensor(find(scenario.sensor) if _names_a_file(scenario.sensor) else scenario.sensor)
+        sensor = _sensor(scenario.sensor, find)
     on = axis or (sensor.axis if sensor else None) or measured_axis
     if on is None:
         raise UsageError(
