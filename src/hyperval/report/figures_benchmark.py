@@ -139,7 +139,7 @@ def agreement_figures(name: str, rows: Sequence[Result], *, simulated: bool) -> 
                 told.append(f"{label} {metric} {row.value:.3g}")
         _rows_of(axes, labels if k == 0 else [""] * len(labels))
         axes.set_xlabel(title, fontsize=8.0)
-        axes.set_xlim(left=0.0)
+        axes.set_xlim(0.0, 1.05 * axes.get_xlim()[1])  # a dot on the border would be cut in half
     title = f"{name}: how well engines and formulations predict, with 95 % intervals"
     return [
         Drawing(f"{name}-variants", name, title, f"{title}. {'; '.join(told)}.", style.svg_bytes(figure), "svg")
