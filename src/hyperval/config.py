@@ -200,7 +200,9 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
                 if (*at, part) in lines:
                     at = (*at, part)
             line = lines.get(at, 1)
-            key = ".".join(str(p) for p in item["loc"])
+            key = ".".join(str(p) for p in item["loc"] if not str(p).endswith(("]", ")")))
+            if item["type"] == "string_type" and item["loc"][-1] == "str" and isinstance(item["input"], dict):
+                continue  # a name or the thing itself: it is the thing, and the rest tells its mistake
             text = item["msg"].removeprefix("Value error, ")
             if item["type"] == "string_pattern_mismatch":
                 text = _spelled(item["ctx"]["pattern"]) or text
@@ -209,6 +211,8 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
                 text = "unknown key" + (f"; did you mean {near[0]!r}?" if near else "")
             found.append((line, f"{name}:{line}: {key}: {text}"))
         found.sort()
+        if not found:
+            raise UsageError(f"{name}: {error}") from error
         first, *rest = [text for _, text in found]
         raise UsageError("\n  ".join([first, *rest])) from error
 
