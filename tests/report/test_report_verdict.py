@@ -1,6 +1,7 @@
 """The verdict says "agrees" only when something passed and nothing failed."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -61,6 +62,13 @@ def test_informing_disagreement_is_told_and_does_not_fail():
     assert words.startswith("Passes its gates (the one gating comparison passed), but not everything agrees.")
     assert "Agrees" not in words
     assert "found a disagreement (radiance green planks 6S)" in words
+
+
+def test_a_full_test_that_rejects_is_told_but_not_planned():
+    rejected = replace(row(Status.INFO, ""), metric="p_value_full", value=1e-9)
+    assert informs_of_disagreement(rejected)
+    assert not informs_of_disagreement(replace(rejected, value=0.5))
+    assert not is_planned(rejected)
 
 
 @pytest.mark.parametrize(

@@ -71,17 +71,23 @@ def informs_of_disagreement(row: Result) -> bool:
     It begins with "disagrees", "differs", "inconsistent" or "outside", or says that the row "would not pass".
     A full test of two spectra (``p_value_full``) below 1e-3 says so without words.
     """
-    if row.status is not Status.INFO:
-        return False
-    reason = row.reason.lower()
-    if reason.startswith(_DISAGREES) or any(w in reason for w in _WOULD_NOT):
-        return True
-    return row.metric == _FULL_TEST and row.value < _REJECTED
+    rejected = row.metric == _FULL_TEST and row.value < _REJECTED
+    return row.status is Status.INFO and (rejected or _says_so(row))
 
 
 def is_planned(row: Result) -> bool:
-    """True for an INFO row that a campaign asked for, with what it would have to meet."""
-    return math.isfinite(row.threshold) or "informs only" in row.reason or informs_of_disagreement(row)
+    """True for an INFO row that a campaign asked for, with what it would have to meet.
+
+    Which rows are planned does not follow from their values: accepted numbers are kept of these.
+    """
+    told = row.status is Status.INFO and _says_so(row)
+    return math.isfinite(row.threshold) or "informs only" in row.reason or told
+
+
+def _says_so(row: Result) -> bool:
+    """True where the reason says that the two sides do not agree."""
+    reason = row.reason.lower()
+    return reason.startswith(_DISAGREES) or any(w in reason for w in _WOULD_NOT)
 
 
 def status_words(rows: Iterable[Result]) -> str:
