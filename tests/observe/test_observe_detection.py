@@ -205,8 +205,12 @@ def test_few_pixels_shrink_the_covariance_and_say_so(world):
     target = world.on_bands("library.csv", "paint")
     expected = matched_filter(world.values, target, pixels.mean(axis=0), shrunk)
     assert seen.detected.score_maps["paint-cem"] == pytest.approx(expected, rel=1e-8, abs=1e-10)
+    # The model's filter is made of the same covariance.
+    assert seen.statistics["patch"].covariance == pytest.approx(shrunk, rel=1e-9, abs=1e-12)
     world.detection["background"] = ["scene"]
-    assert not any("shrunk" in n for n in world.observe().observation.notes)
+    seen = world.observe()
+    assert not any("shrunk" in n for n in seen.observation.notes)
+    assert seen.statistics["patch"].covariance == pytest.approx(unbiased, rel=1e-9, abs=1e-12)
 
 
 def test_invalid_pixels_have_no_score_and_count_nowhere(world):

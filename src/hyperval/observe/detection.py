@@ -67,6 +67,7 @@ class Detected:
     bands : (B,) the bands that the filters use
     nominal_area_m2 : area of the targets as the truth states it, by the keys of ``abundance``
     object_scores, exceedance : products by their keys
+    shrinkage : of the background's covariance, 0 where there were pixels enough
     """
 
     score_maps: Mapping[str, Array]
@@ -80,6 +81,7 @@ class Detected:
     notes: tuple[str, ...] = field(default=())
     object_scores: Mapping[tuple[str, str], ObjectScores] = field(default_factory=dict)
     exceedance: Mapping[tuple[str, str], ExceedanceCurve] = field(default_factory=dict)
+    shrinkage: float = 0.0
 
 
 def usable_bands(choice: str, axis: SpectralAxis, spectra: Sequence[Array], elm: EmpiricalLine | None) -> Mask:
@@ -132,12 +134,12 @@ def detect(
     spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
     bands = usable_bands(detection.bands, axis, list(spectra.values()), elm)
     notes = [f"detectors use {int(bands.sum())} of {len(axis)} bands"]
-    background = measured[BACKGROUND]
+    background, shrinkage = measured[BACKGROUND], 0.0
     if background.n < FEW_PIXELS_PER_BAND * int(bands.sum()):
         # Few, so they fit in memory; the pass has not summed the fourth moment.
         few = statistics_of(_complete(place.cube.pixels(place.background(detection.background))))
-        background = replace(background, covariance=few.shrunk_covariance)
-        notes.append(f"{background.n} background pixels are few: covariance shrunk by {few.shrinkage:.3g}")
+        background, shrinkage = replace(background, covariance=few.shrunk_covariance), few.shrinkage
+        notes.append(f"{background.n} background pixels are few: covariance shrunk by {shrinkage:.3g}")
     mean, covariance = in_reflectance(background, elm)
     with single_blas_thread():  # small matrices: more threads only wait for each other
         inverted = None
@@ -239,8 +241,9 @@ def detect(
         nominal.update(known)
     outlines = {key: TargetMasks(list(objects.values())) for key, objects in outlined.items()}
     return Detected(
-        maps, outlines, scores, roc, areas, detectors, bands, nominal, tuple(notes), of_objects, exceedance
-    )
+        maps, outlines, scores, roc, areas, detectors, bands, nominal, tuple(notes), of_objects, exceedance,
+        shrinkage,
+    )  # fmt: skip
 
 
 def scored_pixels(target: TargetObject, place: Place) -> Placed:

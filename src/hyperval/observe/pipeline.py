@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from dataclasses import field as attribute
 from pathlib import Path
 
@@ -159,7 +159,11 @@ def observe(
     )
     # Of the surface itself: over all bands noise dilutes what makes false alarms.
     tails = {n: d.leading_tail_dof for n, d in observation.distribution.items() if np.isfinite(d.leading_tail_dof)}
-    classes = _classes(regions, cube.axis, elm, cube.quantity, tails)
+    # The filter of the model is to be made of the covariance that the filter of the image was made of.
+    shrunk = {}
+    if detection is not None and detected is not None and detected.shrinkage > 0.0:
+        shrunk = {n: _shrunk(s, detected.shrinkage) for n, s in regions.items() if n in detection.background}
+    classes = _classes(regions | shrunk, cube.axis, elm, cube.quantity, tails)
     return Observed(observation, classes, place, detected, elm, unmixed)
 
 
@@ -225,6 +229,13 @@ def _some_pixels(place: Place, name: str) -> Array:
     lines, samples = np.nonzero(place.region(name))
     step = -(-lines.size // MAX_SNR_PIXELS)
     return place.cube.spectra((lines[::step], samples[::step]))
+
+
+def _shrunk(sample: SampleStatistics, intensity: float) -> SampleStatistics:
+    """With the covariance shrunk towards the same variance in every band (Ledoit & Wolf 2004)."""
+    bands = sample.covariance.shape[0]
+    level = float(np.trace(sample.covariance)) / bands
+    return replace(sample, covariance=(1.0 - intensity) * sample.covariance + intensity * level * np.eye(bands))
 
 
 def _classes(
