@@ -77,9 +77,11 @@ def _judged(owner: str, key: str, old: Accepted | None, new: Measured | None) ->
 
 def _objection(key: str, old: Accepted | None, new: Measured | None) -> str:
     if old is None:
-        return "not accepted: the baseline does not hold this number"
+        return f"{split_key(key)[-1]} is not accepted: the baseline does not hold this number"
     if new is None:
-        return f"missing: the run does not give this number (accepted {_text(old.accepted)})"
+        return (
+            f"{split_key(key)[-1]} is missing: the run does not give this number (accepted {_text(old.accepted)})"
+        )
     told = f" ({new.reason})" if new.reason and new.status is not Status.INFO else ""
     value = new.value if math.isfinite(new.value) else None
     words = ""
