@@ -117,12 +117,13 @@ class AtmosphericTable:
                 "source": self.source,
                 "solar_spectrum": "of the table" if self.solar_irradiance is not None else state.solar_spectrum,
                 "axes": {name: [float(v) for v in nodes] for name, nodes in self.axes.items()},
-                "interpolation_path_relative": round(path_relative, 9),
+                "interpolation_path_relative": path_relative,
                 "leave_one_out_error": self.errors if self.errors is not None else leave_one_out(self),
                 "state": state.model_dump(mode="json"),
             },
             fwhm_nm=self.fwhm_nm,
             diffuse_fraction=values.get("diffuse"),
+            path_uncertainty=path_relative * unit * values["path"],
         )
 
     def _check_fixed(self, state: AtmosphericState, at: Mapping[str, float]) -> None:

@@ -37,6 +37,8 @@ class AtmosphericTerms:
     fwhm_nm : widths of the channels over which the terms are averaged already [nm]; None: samples of a spectrum
     diffuse_fraction : part of ``ground_irradiance`` that comes from the sky [1]; None where the engine does not
         tell it from the sun's beam
+    path_uncertainty : standard uncertainty of ``path_radiance`` by interpolation between the nodes of a table,
+        common to neighbouring wavelengths [uW cm-2 sr-1 nm-1]; None where nothing was interpolated
     """
 
     wavelength_nm: Array
@@ -49,6 +51,7 @@ class AtmosphericTerms:
     provenance: dict[str, Any] = field(default_factory=dict)
     fwhm_nm: Array | None = None
     diffuse_fraction: Array | None = None
+    path_uncertainty: Array | None = None
 
     def at_bands(self, axis: SpectralAxis) -> AtmosphericTerms:
         """The terms averaged over the band responses of ``axis``.

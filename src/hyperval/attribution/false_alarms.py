@@ -6,13 +6,11 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
-from hyperval.processing.exceedance import exceedance_at
-from hyperval.products import ExceedanceCurve, Products, background_of
+from hyperval.compare.rows import scientific
+from hyperval.processing.exceedance import LEAST_EXPECTED_ALARMS, false_alarm_ratio
+from hyperval.products import Products, background_of
 
 LEVELS = (1e-2, 1e-3)
-LEAST_ALARMS = 10.0  # expected at a level; below it nothing is said
 FACTOR = 2.0  # a ratio within it is good
 
 
@@ -51,22 +49,11 @@ def alarm_ratios(predicted: Products, observed: Products) -> dict[tuple[str, str
     for (name, detector), measured in observed.exceedance.items():
         model = predicted.exceedance.get((name, detector))
         for level in LEVELS if model is not None and (measured.n or 0) > 0 else ():
-            if level * (measured.n or 0) >= LEAST_ALARMS and model is not None:
-                metric = f"pfa_ratio@{level:.0e}".replace("e-0", "e-")
-                key = (background_of(name), detector, metric)
-                found[key] = AlarmRatio(*key, *_ratio(model, measured, level))
+            if level * (measured.n or 0) >= LEAST_EXPECTED_ALARMS and model is not None:
+                key = (background_of(name), detector, f"pfa_ratio@{scientific(level)}")
+                ratio = false_alarm_ratio(model, measured, level)
+                found[key] = AlarmRatio(*key, ratio.value, ratio.lower, ratio.upper)
     return found
-
-
-def _ratio(model: ExceedanceCurve, measured: ExceedanceCurve, level: float) -> tuple[float, float, float]:
-    """The ratio of the comparison (:mod:`hyperval.compare.exceedance`) with its interval."""
-    at = int(np.argmin(np.abs(np.log(measured.probability.clip(1e-300)) - math.log(level))))
-    p = exceedance_at(model, float(measured.threshold[at]))
-    return (
-        p / float(measured.probability[at]),
-        p / float(measured.upper[at]),
-        p / float(measured.lower[at]),
-    )
 
 
 def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> str:
@@ -76,7 +63,7 @@ def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> s
     --------
     >>> r = [AlarmRatio("b", "cem", "m", v, v / 2, v * 2) for v in (6.0, 1.5, 4.0)]
     >>> reason_for(r[0], [("local", r[1]), ("tails", r[2])])
-    "off by a factor of 6; 'local' leaves 1.5: it explains it"
+    "off by a factor of 6; 'local' leaves 1.5: it would explain it"
     >>> reason_for(r[1], [("tails", r[2])])
     'within a factor of two'
     """
@@ -88,5 +75,5 @@ def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> s
     best = min(tried, key=lambda item: item[1].off, default=None)
     if best is None or best[1].off >= before.off:
         return f"{size}; no what-if brings it nearer"
-    end = "it explains it" if best[1].good else "the nearest, and not enough"
+    end = "it would explain it" if best[1].good else "the nearest, and not enough"
     return f"{size}; {best[0]!r} leaves {best[1].value:.2g}: {end}"

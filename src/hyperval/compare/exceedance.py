@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
 from hyperval.compare.rows import RowMaker, scientific
-from hyperval.processing.exceedance import exceedance_at
+from hyperval.processing.exceedance import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import ExceedanceCurve, background_of
 from hyperval.results import Result
 
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4)
-LEAST_EXPECTED_ALARMS = 10.0
 
 
 def compare_exceedance(
@@ -42,14 +37,14 @@ def compare_exceedance(
                 if level >= 1e-3:
                     out.append(make.skipped(f"{observed.n} background pixels expect {expected:.3g} alarms", name))
                 continue
-            at = int(np.argmin(np.abs(np.log(observed.probability.clip(1e-300)) - math.log(level))))
+            ratio = false_alarm_ratio(predicted, observed, level)
+            at, model = ratio.at, ratio.predicted
             measured, threshold = float(observed.probability[at]), float(observed.threshold[at])
-            model = exceedance_at(predicted, threshold)
-            low, high = model / float(observed.upper[at]), model / float(observed.lower[at])
             beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
             told = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{model:.3g}, "
             told += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
-            out.append(make.row(name, model / measured, interval=(low, high), n=observed.n, reason=told))
+            interval = ratio.lower, ratio.upper
+            out.append(make.row(name, ratio.value, interval=interval, n=observed.n, reason=told))
         return out
 
     return make.compared(predicted, observed, rows)

@@ -248,14 +248,7 @@ def _regions(
         new: dict[str, Region]
         if source.file is not None:
             path = resolve(source.file)
-            new = read_regions(
-                path,
-                cube.shape,
-                transform=table or cube.transform,
-                crs=table.crs if table else cube.crs,
-                coordinates=source.coordinates,
-                names=None,
-            )
+            new = _read(cube, table, path, source.coordinates)
             if source.name is not None:
                 if len(new) == 1:
                     new = {source.name: replace(next(iter(new.values())), name=source.name)}
@@ -282,6 +275,20 @@ def _regions(
             raise UsageError(f"two regions are named {twice[0]!r}")
         found.update(new)
     return found
+
+
+def _read(
+    cube: Cube, table: LookupTable | None, path: Path, coordinates: str | None, *, touched: bool = False
+) -> dict[str, Region]:
+    """Regions of a file, placed by the lookup table where there is one, else as the cube lies."""
+    return read_regions(
+        path,
+        cube.shape,
+        transform=table or cube.transform,
+        crs=table.crs if table else cube.crs,
+        coordinates=coordinates,
+        touched=touched,
+    )
 
 
 def _targets(
@@ -323,14 +330,7 @@ def _drawn_targets(
     remarks: list[str] = []
     for source in sources:
         path = resolve(source.file)
-        found = read_regions(
-            path,
-            cube.shape,
-            transform=table or cube.transform,
-            crs=table.crs if table else cube.crs,
-            coordinates=source.coordinates,
-            touched=True,
-        )
+        found = _read(cube, table, path, source.coordinates, touched=True)
         for pattern in source.regions:
             if not any(fnmatchcase(name, pattern) for name in found):
                 raise UsageError(

@@ -156,11 +156,11 @@ def interpolation_errors(view: View, axis: SpectralAxis) -> dict[str, Array]:
 
     Its size is :func:`hyperval.atmosphere.table_aerosol.path_error`; it is smooth over wavelength.
     """
-    part = view.terms.provenance.get("interpolation_path_relative", 0.0) if view.terms is not None else 0.0
-    if not isinstance(part, float) or part <= 0.0 or view.terms is None:
+    sigma = None if view.terms is None else view.terms.path_uncertainty
+    if sigma is None or not np.any(sigma):
         return {}
     form = SpectralForm(correlation_nm=INTERPOLATION_NM)
-    return {TABLE: form_covariance(part * view.terms.path_radiance, form, axis)}
+    return {TABLE: form_covariance(sigma, form, axis)}
 
 
 def combined(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
@@ -18,6 +21,26 @@ _SMALLEST_SIDE = 4
 _PER_DECADE = 10
 _LEAST_ALARMS = 5
 FEWEST_FOR_A_CURVE = 20
+# With fewer alarms expected at a level nothing is said of it.
+LEAST_EXPECTED_ALARMS = 10.0
+
+
+@dataclass(frozen=True)
+class FalseAlarmRatio:
+    """P_FA predicted over measured at the threshold that was measured to give one level.
+
+    Attributes
+    ----------
+    value, lower, upper : the ratio and its interval, which is that of the measured P_FA [1]
+    at : which point of the measured curve it is
+    predicted : P_FA of the model at that threshold
+    """
+
+    value: float
+    lower: float
+    upper: float
+    at: int
+    predicted: float
 
 
 def exceedance_curve(score_map: npt.ArrayLike, counted: npt.ArrayLike, side: int | None = None) -> ExceedanceCurve:
@@ -82,3 +105,11 @@ def exceedance_at(curve: ExceedanceCurve, threshold: float) -> float:
     keep = curve.probability > 0
     x, p = curve.threshold[keep], curve.probability[keep]
     return float(np.exp(np.interp(threshold, x, np.log(p))))
+
+
+def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, level: float) -> FalseAlarmRatio:
+    """The ratio at the point of the measured curve whose P_FA is nearest to ``level`` in its logarithm."""
+    at = int(np.argmin(np.abs(np.log(measured.probability.clip(1e-300)) - math.log(level))))
+    p = exceedance_at(predicted, float(measured.threshold[at]))
+    low, high = p / float(measured.upper[at]), p / float(measured.lower[at])
+    return FalseAlarmRatio(p / float(measured.probability[at]), low, high, at, p)
