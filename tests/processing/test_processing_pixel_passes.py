@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
+from hyperval.imagery import stored_file
 from hyperval.imagery.cube import open_cube
 from hyperval.processing import region_statistics as statistics_module
 from hyperval.processing.blas import _openblas, available_cores, single_blas_thread
@@ -260,11 +261,40 @@ def test_segments_hold_every_line_once_and_are_alike(lines, block):
     assert len(segments) % MAX_THREADS == 0 or len(segments) == len(firsts)
 
 
+@pytest.mark.parametrize("precision", ["exact", "fast"])
+@pytest.mark.parametrize("interleave", ["bil", "bip", "bsq"])
+@pytest.mark.parametrize("centre", [-32000, -9000, 0, 9000, 32000])
+def test_differences_that_need_more_than_16_bits_do_not_wrap(tmp_path, precision, interleave, centre):
+    """Numbers at both ends of their range, about a reference anywhere in it."""
+    rng = np.random.default_rng(11)
+    x = np.rint(centre + 300.0 * rng.standard_normal((40, SAMPLES, BANDS))).clip(-32768, 32767)
+    ends = rng.choice([-32768.0, 32767.0], size=x.shape)
+    x[25:] = np.where(rng.random(x[25:].shape) < 0.02, ends[25:], x[25:])
+    found = region_statistics(opened(write(tmp_path, x, interleave)), precision=precision, block_lines=8)["scene"]
+    flat = x.reshape(-1, BANDS)
+    assert np.allclose(found.mean, flat.mean(axis=0), rtol=0, atol=1e-3)
+    assert relative(found.covariance, np.cov(flat.T)) < (1e-12 if precision == "exact" else 1e-5)
+
+
+def test_the_file_is_opened_once_for_a_pass(tmp_path, monkeypatch):
+    cube = opened(write(tmp_path, numbers()))
+    opens = []
+
+    def counted(path, *rest, **options):
+        opens.append(path)
+        return open(path, *rest, **options)
+
+    monkeypatch.setattr(stored_file, "open", counted, raising=False)
+    region_statistics(cube, block_lines=2)
+    assert opens == [cube.source_files[0]]
+
+
 def test_sums_of_nothing_change_nothing():
     sums = Sums(3, True)
-    sums.add(np.ones((3, 4)), np.zeros(4, bool))
+    sums.add(np.ones((3, 2, 2)), np.zeros((2, 2), bool))
     assert sums.n == 0
-    assert not sums.second.any()
+    assert sums.second is None
+    assert not sums.total.any()
     sums.merge(Sums(3, True))
     with pytest.raises(UsageError, match="0 pixels have no covariance"):
         sums.mean_and_covariance()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -158,6 +159,10 @@ class Cube:
             raise UsageError(f"lines_per_block is {lines_per_block}", expected="1 or more")
         for first in range(0, self.lines, step):
             yield self.read(first, min(step, self.lines - first), dtype)
+
+    def kept_open(self) -> AbstractContextManager[object]:
+        """Inside, an ENVI file is opened once for all reads."""
+        return self.raster.kept_open()
 
     def read_stored(
         self, first_line: int, count: int, needed: Mask | None = None, buffer: npt.NDArray[Any] | None = None

@@ -6,11 +6,10 @@ a GeoTIFF is read by rasterio in windows.
 
 from __future__ import annotations
 
-import os
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,6 +26,7 @@ from rasterio.windows import Window
 from hyperval.envi_header import EnviHeader, read_header
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.georeference import crs_of, transform_of
+from hyperval.imagery.stored_file import StoredFile
 from hyperval.paths import checked_file
 
 Index = npt.NDArray[np.intp]
@@ -93,6 +93,14 @@ class EnviRaster:
         """The files that were read."""
         return (self.path, self.header.path)
 
+    @cached_property
+    def _file(self) -> StoredFile:
+        return StoredFile(self.path)
+
+    def kept_open(self) -> AbstractContextManager[object]:
+        """Inside, the file is opened once for all reads."""
+        return self._file.kept_open()
+
     def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
         """(count, samples, bands) stored numbers of consecutive lines."""
         return self.read_bands(first, count).transpose(1, 2, 0)
@@ -107,16 +115,14 @@ class EnviRaster:
             raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
         wanted = count * samples * bands
         flat = np.empty(wanted, self.dtype) if buffer is None else buffer[:wanted]
-        with open(self.path, "rb", buffering=0) as stream:
-            if hasattr(os, "posix_fadvise"):
-                os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
-            if self.header.interleave == "bsq":
-                by_band = flat.reshape(bands, count, samples)
+        if self.header.interleave == "bsq":
+            by_band = flat.reshape(bands, count, samples)
+            with self._file.kept_open():
                 for band in range(bands):
                     offset = self.header.header_offset + (band * self.lines + first) * samples * size
-                    self._fill(stream, by_band[band], offset)
-                return by_band
-            self._fill(stream, flat, self.header.header_offset + first * samples * bands * size)
+                    self._file.fill(by_band[band], offset)
+            return by_band
+        self._file.fill(flat, self.header.header_offset + first * samples * bands * size)
         if self.header.interleave == "bil":
             return flat.reshape(count, bands, samples).transpose(1, 0, 2)
         return flat.reshape(count, samples, bands).transpose(2, 0, 1)
@@ -133,16 +139,6 @@ class EnviRaster:
         if self.header.interleave == "bil":
             return np.array(stored[rows, :, cols])
         return np.array(stored[rows, cols])
-
-    def _fill(self, stream: Any, out: npt.NDArray[Any], offset: int) -> None:
-        stream.seek(offset)
-        view = memoryview(out.reshape(-1).view("u1").data)  # contiguous, so this is no copy
-        done = 0
-        while done < len(view):
-            step = stream.readinto(view[done:])
-            if not step:
-                raise InputError("the file became shorter while it was read", where=str(self.path))
-            done += step
 
 
 @dataclass(frozen=True)
@@ -168,6 +164,10 @@ class TiffRaster:
     def source_files(self) -> tuple[Path, ...]:
         """The files that were read."""
         return (self.path,) if self.header is None else (self.path, self.header.path)
+
+    def kept_open(self) -> AbstractContextManager[object]:
+        """Nothing: each read opens the file, since a data set of GDAL serves one thread only."""
+        return nullcontext()
 
     def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
         """(count, samples, bands) stored numbers of consecutive lines."""

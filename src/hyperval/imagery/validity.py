@@ -49,8 +49,11 @@ def usable_pixels(
     if stored.dtype.kind == "f":
         usable &= np.isfinite(stored[some]).all(axis=0)
     if zero_is_fill:
-        # Few pixels hold a 0 in the first, middle and last band; only those are looked at in full.
-        dark = ~(stored[0].astype(bool) | stored[stored.shape[0] // 2].astype(bool) | stored[-1].astype(bool))
-        if dark.any():
-            usable[dark] &= stored[:, dark].any(axis=0)
+        # Few pixels hold a 0 in each of three bands; only those are looked at in full.
+        dark = stored[-1] == 0
+        for band in (0, stored.shape[0] // 2):
+            if not dark.any():
+                return usable
+            dark &= stored[band] == 0
+        usable[dark] &= stored[:, dark].any(axis=0)
     return usable

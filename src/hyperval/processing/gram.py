@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
+from hyperval.processing.passes import Workspace, as_columns, by_pixel
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -62,6 +63,21 @@ class Directions:
         """B + K + 1: the rest, the coordinates and the weight of a pixel."""
         return sum(self.basis.shape) + 1
 
+    def split(self, pixels: npt.NDArray[Any], out: npt.NDArray[Any]) -> None:
+        """Put the rest z - P y and the coordinates y of each column z (B, N) into ``out`` (B + K + 1, N).
+
+        The last row is left undefined.
+        """
+        bands = pixels.shape[0]
+        rest, y = out[:bands], out[bands:-1]
+        if not pixels.flags.c_contiguous:  # stored by pixel: the same with lines for columns
+            np.matmul(pixels.T, self.basis, out=y.T)
+            np.matmul(y.T, self.basis.T, out=rest.T)
+        else:
+            np.matmul(self.forward, pixels[:: self.every], out=out[bands:])
+            np.matmul(self.basis, y, out=rest)
+        np.subtract(pixels, rest, out=rest)
+
 
 @dataclass
 class Sums:
@@ -75,8 +91,8 @@ class Sums:
     reference : (B,) point that the sums are about, near the pixels: the mean of some of the first batch, so that
         a set of equal pixels has no variance, not even one of rounding
     n : pixels
-    first : (B,) sum of x - reference
-    second : (B, B) sum of products about the reference, without what ``split`` holds
+    first : (B,) sum of x - reference, without what ``split`` holds
+    second : (B, B) sum of products about the reference, without what ``split`` holds; None where that is all
     split : (B + K + 1, B + K + 1) sum of products of (z - P y, y, 1), with directions
     """
 
@@ -86,48 +102,74 @@ class Sums:
     reference: Array | None = None
     n: int = 0
     first: Array = field(init=False)
-    second: Array = field(init=False)
+    second: Array | None = None
     split: Array = field(init=False)
     _product: npt.NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0), np.float32), repr=False)
 
     def __post_init__(self) -> None:
         bands = self.bands
         both = 0 if self.directions is None else self.directions.rows
-        self.first, self.second, self.split = np.zeros(bands), np.zeros((bands, bands)), np.zeros((both, both))
+        self.first, self.split = np.zeros(bands), np.zeros((both, both))
 
-    def add(self, pixels: npt.NDArray[Any], keep: Mask | None = None, work: npt.NDArray[Any] | None = None) -> None:
-        """Add a batch (B, N), float32 with directions else float64; its content is lost.
+    def add(self, stored: npt.NDArray[Any], keep: Mask | None = None, space: Workspace | None = None) -> None:
+        """Add stored numbers (B, lines, samples), whose content is lost.
 
-        ``keep`` (N,) says which columns count; the others must be finite.  ``work`` (B + K + 1, N), used with
-        directions, has the order of memory of ``pixels``.
+        ``keep`` (lines, samples) says which pixels count, all with None; ``space`` is used for the arrays.
         """
-        weight = np.ones(pixels.shape[1], pixels.dtype) if keep is None else keep.astype(pixels.dtype)
-        count = pixels.shape[1] if keep is None else int(np.count_nonzero(keep))
+        count = stored[0].size if keep is None else int(np.count_nonzero(keep))
         if count == 0:
             return
         if self.reference is None:
-            step = max(1, count // CENTRED_ON)
-            some = slice(None, None, step) if keep is None else np.flatnonzero(keep)[::step]
-            centre = pixels[:, some].mean(axis=1)
-            # In the type of the pixels, so that what is subtracted is what is recorded.
-            self.reference = (np.rint(centre) if self.whole else centre).astype(np.float64)
-        pixels -= self.reference.astype(pixels.dtype)[:, None]
-        if count < pixels.shape[1]:
-            pixels[:, weight == 0] = 0
+            self.reference = self._near(stored, keep, count)
         self.n += count
+        space = space or Workspace()
+        pixels = self._about_reference(stored, space)
+        if keep is not None:
+            pixels[:, ~keep] = 0
+        columns = as_columns(pixels)
         # NumPy makes the product of an array and its transpose a symmetric rank-k update: half the work.
         if self.directions is None:
-            self.second += pixels @ pixels.T
-            self.first += pixels @ weight
+            self._add_products(columns @ columns.T)
+            self.first += columns @ np.ones(columns.shape[1])
         else:
-            bands, last = self.bands, self.split.shape[0] - 1
-            both = _split(pixels, self.directions, weight, work)
+            both = as_columns(space.columns("both", stored, self.directions.rows, np.float32))
+            self.directions.split(columns, both)
+            both[-1] = 1.0 if keep is None else keep.ravel()
             if self._product.shape != self.split.shape:
                 self._product = np.empty(self.split.shape, np.float32)
             np.matmul(both, both.T, out=self._product)
             self.split += self._product
-            sums = self._product[last].astype(np.float64)
-            self.first += sums[:bands] + self.directions.basis @ sums[bands:last]
+
+    def _near(self, stored: npt.NDArray[Any], keep: Mask | None, count: int) -> Array:
+        """A point (B,) near the pixels, exact in the type that it is subtracted in."""
+        lines, samples = np.nonzero(np.ones(stored.shape[1:], bool) if keep is None else keep)
+        some = slice(None, None, max(1, count // CENTRED_ON))
+        centre = stored[:, lines[some], samples[some]].mean(axis=1, dtype=np.float64)
+        if self.whole:
+            return np.asarray(np.rint(centre))
+        return centre if self.directions is None else centre.astype(np.float32).astype(np.float64)
+
+    def _about_reference(self, stored: npt.NDArray[Any], space: Workspace) -> npt.NDArray[Any]:
+        """(B, lines, samples) differences from the reference."""
+        assert self.reference is not None  # noqa: S101 - add has set it
+        reference = self.reference[:, None, None]
+        pixels = space.columns("pixels", stored, self.bands, np.float64 if self.directions is None else np.float32)
+        if stored.dtype == np.int16 and _differences_fit(stored, self.reference):
+            # In 16 bits, which halves the bytes; a row as long as those of the numbers is subtracted faster.
+            row = np.broadcast_to(reference.astype(np.int16), (self.bands, 1, stored.shape[2]))
+            stored -= row if by_pixel(stored) else np.ascontiguousarray(row)
+            np.copyto(pixels, stored)
+        else:
+            np.copyto(pixels, stored, casting="same_kind")
+            pixels -= reference.astype(pixels.dtype)
+        return pixels
+
+    @property
+    def total(self) -> Array:
+        """(B,) sum of x - reference."""
+        if self.directions is None:
+            return self.first
+        return self.first + self.split[-1, : self.bands] + self.directions.basis @ self.split[-1, self.bands : -1]
 
     def merge(self, other: Sums) -> None:
         """Add the sums of another set of pixels."""
@@ -136,46 +178,47 @@ class Sums:
         if self.reference is None:
             self.reference = other.reference
         e = other.reference - self.reference
-        mixed = np.outer(e, other.first + 0.5 * other.n * e)
+        if e.any():
+            half = other.total + 0.5 * other.n * e
+            self._add_products(np.column_stack([e, half]) @ np.stack([half, e]))  # and its transpose
         self.n += other.n
         self.first += other.first + other.n * e
-        self.second += other.second + (mixed + mixed.T)
         self.split += other.split
+        if other.second is not None:
+            self._add_products(other.second)
+
+    def _add_products(self, products: Array) -> None:
+        if self.second is None:
+            self.second = products.copy()
+        else:
+            self.second += products
 
     def mean_and_covariance(self) -> tuple[Array, Array]:
         """Mean (B,) and unbiased covariance (B, B) of the pixels, n >= 2."""
         if self.reference is None or self.n < 2:
             raise UsageError(f"{self.n} pixels have no covariance", expected="two or more")
         # First to a whole number c beside the mean, which is exact for whole numbers, then the rest of the way.
-        c = np.rint(self.first / self.n)
-        mixed = np.outer(c, self.first - 0.5 * self.n * c)
-        e = (self.first - self.n * c) / self.n
-        central = self.second - (mixed + mixed.T) - self.n * np.outer(e, e)
+        first = self.total
+        c = np.rint(first / self.n)
+        mixed = np.outer(c, first - 0.5 * self.n * c)
+        e = (first - self.n * c) / self.n
+        central = -(mixed + mixed.T)
+        if self.second is not None:
+            central += self.second
+        central -= self.n * np.outer(e, e)
         if self.directions is not None:
-            back = np.hstack([np.eye(e.size), self.directions.basis.astype(np.float64)])  # z = (z - P y) + P y
-            central += back @ self.split[:-1, :-1] @ back.T
+            # z = (z - P y) + P y, first on one side and then on the other
+            basis, b = self.directions.basis.astype(np.float64), self.bands
+            half = self.split[:b, :-1] + basis @ self.split[b:-1, :-1]
+            central += half[:, :b] + half[:, b:] @ basis.T
         covariance = central / (self.n - 1)
         return self.reference + c + e, (covariance + covariance.T) / 2.0
 
 
-def _split(
-    pixels: npt.NDArray[Any],
-    directions: Directions,
-    weight: npt.NDArray[Any],
-    work: npt.NDArray[Any] | None,
-) -> npt.NDArray[Any]:
-    """(B + K + 1, N): the rest z - P y, the coordinates y of each column z, and its weight."""
-    basis, bands = directions.basis, pixels.shape[0]
-    if not pixels.flags.c_contiguous:  # stored by pixel: the same with lines for columns
-        both = np.empty((pixels.shape[1], directions.rows), np.float32) if work is None else work.T
-        np.matmul(pixels.T, basis, out=both[:, bands:-1])
-        np.matmul(both[:, bands:-1], basis.T, out=both[:, :bands])
-        np.subtract(pixels.T, both[:, :bands], out=both[:, :bands])
-        both[:, -1] = weight
-        return both.T
-    both = np.empty((directions.rows, pixels.shape[1]), np.float32) if work is None else work
-    np.matmul(directions.forward, pixels[:: directions.every], out=both[bands:])
-    np.matmul(basis, both[bands:-1], out=both[:bands])
-    np.subtract(pixels, both[:bands], out=both[:bands])
-    both[-1] = weight
-    return both
+def _differences_fit(stored: npt.NDArray[Any], reference: Array) -> bool:
+    """Whether numbers of 16 bits less a reference need no more than 16."""
+    least, most = reference.min(), reference.max()
+    return bool(
+        (most <= 0 or int(stored.min()) - most >= -(1 << 15))
+        and (least >= 0 or int(stored.max()) - least < 1 << 15)
+    )

@@ -10,6 +10,7 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from threading import local
 from typing import Any, Protocol, TypeVar
 
@@ -22,6 +23,8 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Result = TypeVar("Result")
 
+# Smaller blocks stay nearer to the core, but each costs its calls; larger ones take more memory.
+BLOCK_PIXELS = 1920
 BLOCKS_PER_SEGMENT = 16
 # NumPy asks for huge pages from 4 MiB on; with small ones the strided products wait for addresses.
 HUGE_PAGES_FROM = 1 << 22
@@ -54,6 +57,9 @@ class StoredCube(Protocol):
     @property
     def offset(self) -> Array:
         """(B,) value of a stored 0."""
+
+    def kept_open(self) -> AbstractContextManager[object]:
+        """Inside, the file may be opened once for all reads."""
 
     def read_stored(
         self, first_line: int, count: int, needed: Mask | None = None, buffer: npt.NDArray[Any] | None = None
@@ -107,9 +113,9 @@ def runs(bands: Mask) -> list[tuple[slice, slice]]:
     return out
 
 
-def lines_per_block(cube: StoredCube, pixels: int) -> int:
-    """Lines of a block of about ``pixels`` pixels."""
-    return max(1, round(pixels / cube.samples))
+def lines_per_block(cube: StoredCube) -> int:
+    """Lines of a block."""
+    return max(1, round(BLOCK_PIXELS / cube.samples))
 
 
 def _segments(lines: int, block_lines: int) -> list[range]:
@@ -134,7 +140,7 @@ def by_segments(
     kept to one thread.
     """
     segments = _segments(cube.lines, block_lines)
-    with single_blas_thread() as alone:
+    with cube.kept_open(), single_blas_thread() as alone:
         count = threads if threads is not None else min(available_cores(), MAX_THREADS) if alone else 1
         if count <= 1:
             for segment in segments:

@@ -24,8 +24,6 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Quadratic = Literal["distance", "length"]
 
-BLOCK_PIXELS = 2560
-
 
 @dataclass(frozen=True, eq=False)
 class PixelDetector:
@@ -107,7 +105,7 @@ def score_cube(
     slope, level = stored_to_spectra(cube, elm, used)
     rows, constants, at = _stack(detectors, whitener, slope, level)
     with_length = any(d.quadratic == "length" for d in detectors.values())
-    step = block_lines or lines_per_block(cube, BLOCK_PIXELS)
+    step = block_lines or lines_per_block(cube)
     stretches, workspace = runs(used), Workspace()
     maps = {name: np.full((cube.lines, cube.samples), np.nan) for name in detectors}
 

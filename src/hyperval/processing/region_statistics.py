@@ -15,7 +15,6 @@ from hyperval.processing.gram import Directions, Sums
 from hyperval.processing.passes import (
     StoredCube,
     Workspace,
-    as_columns,
     by_segments,
     lines_per_block,
 )
@@ -25,7 +24,6 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Precision = Literal["auto", "exact", "fast"]
 
-BLOCK_PIXELS = 2560
 # Up to so many stored numbers "auto" is exact.
 EXACT_VALUES = 100_000_000
 # Fewer pixels of one kind wait until there are so many: products of few columns cost as much as of many.
@@ -76,7 +74,7 @@ def region_statistics(
     wanted = precision == "fast" or (precision == "auto" and large)
     single = wanted and (cube.dtype.itemsize <= 2 or cube.dtype == np.float32)
     directions = _brightest_directions(cube) if single else None
-    step = block_lines or lines_per_block(cube, BLOCK_PIXELS)
+    step = block_lines or lines_per_block(cube)
     workspace = Workspace()
 
     def segment(firsts: range) -> tuple[dict[bytes, Sums], npt.NDArray[np.int64]]:
@@ -86,16 +84,9 @@ def region_statistics(
             count = min(step, cube.lines - first)
             buffer = workspace.flat("stored", cube.bands * count * cube.samples, cube.dtype)
             stored, usable = cube.read_stored(first, count, None, buffer)
-            inside = regions.inside(slice(first, first + count))
-            left_out += np.count_nonzero(inside & ~usable.ravel(), axis=1)
-            inside &= usable.ravel()
-            dtype = np.float32 if single else np.float64
-            pixels = workspace.columns("pixels", stored, cube.bands, dtype)
-            np.copyto(pixels, stored, casting="same_kind")
-            work = None
-            if directions is not None:
-                work = as_columns(workspace.columns("work", stored, directions.rows, dtype))
-            part.add(as_columns(pixels), inside, work)
+            kinds, missing = regions.kinds(slice(first, first + count), usable)
+            left_out += missing
+            part.add(stored, kinds, workspace)
         part.finish()
         return part.sums, left_out
 
@@ -106,7 +97,10 @@ def region_statistics(
         for _, (sums, missing) in watch(by_segments(cube, step, segment, threads=threads)):
             left_out += missing
             for key, value in sums.items():
-                total.setdefault(key, Sums(cube.bands, whole, directions)).merge(value)
+                if key in total:
+                    total[key].merge(value)
+                else:
+                    total[key] = value
         out = {}
         for i, name in enumerate(regions.names):
             joined = Sums(cube.bands, whole, directions)
@@ -124,7 +118,7 @@ def _statistics(cube: StoredCube, name: str, sums: Sums, left_out: int) -> Sampl
             f"region {name!r} has no valid pixel ({left_out} left out as invalid)", expected="one or more"
         )
     if sums.n == 1:  # a spectrum; nothing is known of its spread
-        mean, covariance = sums.reference + sums.first, np.zeros((cube.bands, cube.bands))
+        mean, covariance = sums.reference + sums.total, np.zeros((cube.bands, cube.bands))
     else:
         mean, covariance = sums.mean_and_covariance()
     gain = cube.gain
@@ -140,7 +134,7 @@ def darkest_values(cube: StoredCube, *, threads: int | None = None) -> Array:
     ------
     UsageError : no pixel holds data.
     """
-    step = lines_per_block(cube, BLOCK_PIXELS)
+    step = lines_per_block(cube)
 
     def segment(firsts: range) -> Array:
         least = np.full(cube.bands, np.inf)
@@ -161,35 +155,46 @@ def darkest_values(cube: StoredCube, *, threads: int | None = None) -> Array:
 
 @dataclass(frozen=True)
 class _Regions:
-    """Names and masks; the first is the scene."""
+    """Names and masks; the first is the scene, whose mask says what is left out of it.
+
+    ``plain`` (lines,) is True where a line lies in the scene and in no other region.
+    """
 
     names: tuple[str, ...]
     masks: tuple[Mask | None, ...]
-    shape: tuple[int, int]
-    inverted: Mask | None
+    plain: Mask
 
     @classmethod
     def of(cls, cube: StoredCube, masks: Mapping[str, Mask], exclude: Mask | None) -> _Regions:
         if SCENE in masks:
             raise UsageError(f"the region name {SCENE!r} is kept for the whole image")
-        shape = (cube.lines, cube.samples)
+        shape, plain = (cube.lines, cube.samples), np.ones(cube.lines, bool)
         for name, mask in (*masks.items(), *([(SCENE, exclude)] if exclude is not None else [])):
             if np.shape(mask) != shape or np.asarray(mask).dtype != bool:
                 raise UsageError(
                     f"the mask of {name!r} has shape {np.shape(mask)} of {np.asarray(mask).dtype}",
                     expected=f"{shape} of bool",
                 )
-        return cls((SCENE, *masks), (None, *masks.values()), shape, exclude)
+            plain &= ~mask.any(axis=1)
+        return cls((SCENE, *masks), (exclude, *masks.values()), plain)
 
-    def inside(self, rows: slice) -> Mask:
-        """(regions, pixels of the lines)."""
-        size = (rows.stop - rows.start) * self.shape[1]
-        out = np.empty((len(self.names), size), bool)
-        out[0] = True if self.inverted is None else ~self.inverted[rows].ravel()
-        for i, mask in enumerate(self.masks[1:], start=1):
-            assert mask is not None  # noqa: S101 - only the scene has none
-            out[i] = mask[rows].ravel()
-        return out
+    def kinds(self, rows: slice, usable: Mask) -> tuple[list[tuple[bytes, Mask]], npt.NDArray[np.int64]]:
+        """The usable pixels (lines, samples) by the regions they lie in, and how many others each region holds.
+
+        The regions are one byte each.
+        """
+        left_out = np.zeros(len(self.names), np.int64)
+        if self.plain[rows].all():
+            left_out[0] = usable.size - np.count_nonzero(usable)
+            return [(bytes([1] + [0] * (len(self.names) - 1)), usable)], left_out
+        inside = np.zeros((len(self.names), usable.size), bool)
+        for row, mask in zip(inside, self.masks, strict=True):
+            if mask is not None:
+                row[:] = mask[rows].ravel()
+        np.logical_not(inside[0], out=inside[0])
+        left_out += np.count_nonzero(inside & ~usable.ravel(), axis=1)
+        inside &= usable.ravel()
+        return [(key, members.reshape(usable.shape)) for key, members in _kinds(inside)], left_out
 
 
 @dataclass
@@ -202,28 +207,21 @@ class _Part:
     sums: dict[bytes, Sums] = field(default_factory=dict)
     waiting: dict[bytes, list[npt.NDArray[Any]]] = field(default_factory=dict)
 
-    def add(self, pixels: npt.NDArray[Any], inside: Mask, work: npt.NDArray[Any] | None) -> None:
-        """Add columns (B, N), which are overwritten, by what regions (R, N) they lie in."""
-        kinds = _kinds(inside)
-        kinds = [(key, members) for key, members in kinds if any(key)]
-        if not kinds:
-            return
-        # The most frequent kind stays where it is, the others are copied out.
-        kinds.sort(key=lambda item: int(np.count_nonzero(item[1])), reverse=True)
-        key, keep = kinds[0]
-        few = int(np.count_nonzero(keep)) < min(WAITING_PIXELS, pixels.shape[1])
-        for other, members in kinds if few else kinds[1:]:
-            held = self.waiting.setdefault(other, [])
-            held.append(pixels[:, members])
-            if sum(h.shape[1] for h in held) >= WAITING_PIXELS:
-                self._release(other)
-        if few:
-            return
-        if keep.all():
-            self._of(key).add(pixels, None, work)
-        else:
-            pixels[:, ~keep] = 0
-            self._of(key).add(pixels, keep, work)
+    def add(self, stored: npt.NDArray[Any], kinds: list[tuple[bytes, Mask]], space: Workspace) -> None:
+        """Add stored numbers (B, lines, samples), whose content is lost, by the regions that they lie in."""
+        sizes = [int(np.count_nonzero(members)) if any(key) else 0 for key, members in kinds]
+        most = max(range(len(sizes)), key=sizes.__getitem__)
+        # The most frequent kind stays where it is, unless it is rare itself; the others are copied out.
+        few = sizes[most] < min(WAITING_PIXELS, stored[0].size)
+        for i, (key, members) in enumerate(kinds):
+            if sizes[i] and (few or i != most):
+                held = self.waiting.setdefault(key, [])
+                held.append(stored[:, members])
+                if sum(h.shape[1] for h in held) >= WAITING_PIXELS:
+                    self._release(key)
+        if not few:
+            key, keep = kinds[most]
+            self._of(key).add(stored, None if sizes[most] == keep.size else keep, space)
 
     def finish(self) -> None:
         """Sum what still waits."""
@@ -232,7 +230,7 @@ class _Part:
 
     def _release(self, key: bytes) -> None:
         held = self.waiting.pop(key)
-        self._of(key).add(np.concatenate(held, axis=1))
+        self._of(key).add(np.concatenate(held, axis=1)[:, None])
 
     def _of(self, key: bytes) -> Sums:
         if key not in self.sums:
@@ -266,7 +264,6 @@ def _brightest_directions(cube: StoredCube) -> Directions:
     # Subspace iteration: these need not be the very eigenvectors, only span what stands out.
     directions = np.random.default_rng(0).normal(size=(cube.bands, min(DIRECTIONS, cube.bands)))
     with single_blas_thread():
-        covariance = pixels @ pixels.T
         for _ in range(4):
-            directions = np.linalg.qr(covariance @ directions)[0]
+            directions = np.linalg.qr(pixels @ (pixels.T @ directions))[0]
         return Directions.of(directions)
