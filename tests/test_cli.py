@@ -189,6 +189,7 @@ def test_validate_says_the_verdict_of_each_campaign_and_errors_even_when_quiet(c
         Result("one", "radiance", "lawn", "sixs", "m", value=0.1, status=Status.PASS),
         Result("two", "radiance", "turf", "*", "m", status=Status.ERROR, reason="turf.txt: no such file"),
         Result("three", "radiance", "lot", "*", "m", status=Status.SKIPPED, reason="hyperval data fetch x"),
+        Result("four", "radiance", "lot", "*", "m", status=Status.SKIPPED, reason="hyperval data fetch x"),
     ]
     (tmp_path / "results.json").write_text(results_json(rows), "utf-8")
     cli.run(["validate", "a.yaml", "-o", str(tmp_path)])
@@ -197,7 +198,7 @@ def test_validate_says_the_verdict_of_each_campaign_and_errors_even_when_quiet(c
     assert "one: Agrees within the stated limits" in err
     assert "two: Nothing was checked" in err
     assert "two: ERROR: turf.txt: no such file\n" in err
-    assert "three: SKIPPED: hyperval data fetch x\n" in err
+    assert "\nthree, four: SKIPPED: hyperval data fetch x\n" in err
     cli.run(["-q", "validate", "a.yaml", "-o", str(tmp_path)])
     assert capsys.readouterr() == ("", "two: ERROR: turf.txt: no such file\n")
 

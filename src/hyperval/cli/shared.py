@@ -81,7 +81,10 @@ def finished(code: int, output: Path) -> int:
 
 
 def say_verdicts(output: Path) -> None:
-    """A line for each campaign of a finished run; errors are said under --quiet too."""
+    """A line for each campaign of a finished run, then one for each reason of an error or a skipped comparison.
+
+    Errors are said under --quiet too.
+    """
     from hyperval.report.stored import read_results
     from hyperval.report.verdict import verdict
     from hyperval.results import Status
@@ -90,12 +93,15 @@ def say_verdicts(output: Path) -> None:
         return
     rows = list(read_results(output / "results.json"))
     for name in dict.fromkeys(row.campaign for row in rows):
-        own = [row for row in rows if row.campaign == name]
-        note(f"{name}: {verdict(own)[1]}")
-        for status in (Status.ERROR, Status.SKIPPED):
-            for reason in dict.fromkeys(row.reason for row in own if row.status is status and row.reason):
-                line = f"{name}: {status}: {reason}"
-                print(line, file=sys.stderr) if status is Status.ERROR else note(line)
+        note(f"{name}: {verdict([row for row in rows if row.campaign == name])[1]}")
+    for status in (Status.ERROR, Status.SKIPPED):
+        concerned: dict[str, dict[str, None]] = {}
+        for row in rows:
+            if row.status is status and row.reason:
+                concerned.setdefault(row.reason, {})[row.campaign] = None
+        for reason, campaigns in concerned.items():
+            line = f"{', '.join(campaigns)}: {status}: {reason}"
+            print(line, file=sys.stderr) if status is Status.ERROR else note(line)
 
 
 def note(text: str) -> None:
