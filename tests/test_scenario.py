@@ -71,8 +71,8 @@ def test_the_three_names_of_the_contract():
         (
             "schema: 1\n",
             "schema: 1\nuncertainty: {field_spectra: [{subject: x, relative: 0.1}]}\n",
-            1,
-            "no such class",
+            2,
+            "no class, panel, site or target .x.",
         ),
     ],
 )

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import Model, load_model
@@ -291,15 +291,23 @@ class Scenario(Model):
             raise ValueError("sensor_operation needs a sensor")
         if self.sensor_changes is not None and self.sensor is None:
             raise ValueError("sensor_changes needs a sensor")
-        known = {s.name for s in (*self.scene.classes, *self.scene.panels, *self.scene.sites, *self.scene.targets)}
         classes = {c.name for c in self.scene.classes}
         for name in self.processing.filter_classes:
             if name not in classes:
                 raise ValueError(f"filter_classes: {name!r} is none of {sorted(classes)}")
-        for item in self.uncertainty.field_spectra:
-            if item.subject not in known:
-                raise ValueError(f"uncertainty of {item.subject!r}: no such class, panel, site or target")
         return self
+
+    @field_validator("uncertainty")
+    @classmethod
+    def _is_of_what_is_stated(cls, value: Uncertainty, info: ValidationInfo) -> Uncertainty:
+        atmosphere, scene = info.data.get("atmosphere"), info.data.get("scene")
+        if atmosphere is not None:
+            value.check_atmosphere(atmosphere)
+        if scene is not None:
+            surfaces = {s.name for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
+            targets = {name for t in scene.targets for name in (t.name, *(p.name for p in t.populations))}
+            value.check_subjects(surfaces, targets, {c.name for c in scene.classes})
+        return value
 
     @property
     def folder(self) -> Path | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, GetCoreSchemaHandler, PlainSerializer, PlainValidator, model_validator
@@ -248,3 +249,21 @@ class Uncertainty(Model):
             if len(set(subjects)) < len(subjects):
                 raise ValueError(f"{name}: a subject stands twice")
         return self
+
+    def check_atmosphere(self, atmosphere: object) -> None:
+        """Raise ValueError for an uncertainty of a number that the atmosphere leaves to the engine."""
+        for name in ("meteorological_range_km", "water_vapour_g_cm2", "ozone_atm_cm"):
+            if getattr(self, name) is not None and getattr(atmosphere, name) is None:
+                raise ValueError(f"{name} is given, but atmosphere.{name} is not: state it there, too")
+
+    def check_subjects(self, surfaces: Collection[str], targets: Collection[str], classes: Collection[str]) -> None:
+        """Raise ValueError for an uncertainty of a subject that the scene does not have."""
+        for key, known, what in (
+            ("field_spectra", surfaces, "no class, panel, site or target"),
+            ("sampled_statistics", surfaces, "no class, panel, site or target"),
+            ("fills", targets, "no target or subject"),
+            ("fractions", classes, "no class"),
+        ):
+            for item in getattr(self, key):
+                if item.subject not in known:
+                    raise ValueError(f"{key}: {what} {item.subject!r}; there are {', '.join(sorted(known))}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
@@ -159,6 +161,11 @@ def test_plain_numbers_mean_what_they_meant():
         ("sensor_gain: {relative: 0.1, correlation: groups}", "groups_nm goes with"),
         ("solar_irradiance_relative: 1.5", "below 1"),
         ("fills: [{subject: tenth, absolute: 0.1}, {subject: tenth, absolute: 0.1}]", "stands twice"),
+        ("{fills: [{subject: nobody, absolute: 0.1}]}", "no target or subject 'nobody'; there are .*tenth"),
+        ("{fractions: [{subject: nobody, absolute: 0.1}]}", "no class 'nobody'; there are"),
+        ("{sampled_statistics: [{subject: nobody, effective_n: 50}]}", "no class, panel, site or target 'nobody'"),
+        ("{field_spectra: [{subject: nobody, relative: 0.1}]}", "no class, panel, site or target 'nobody'"),
+        ("{meteorological_range_km: 3}", "uncertainty: meteorological_range_km is given, but atmosphere.met"),
     ],
 )
 def test_mistakes_are_refused_when_the_scenario_is_read(text, match):
@@ -167,16 +174,14 @@ def test_mistakes_are_refused_when_the_scenario_is_read(text, match):
         scenario(ATMOSPHERE + f"uncertainty: {inner}\n")
 
 
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("{fills: [{subject: nobody, absolute: 0.1}]}", "no target or subject"),
-        ("{fractions: [{subject: nobody, absolute: 0.1}]}", "no class"),
-        ("{sampled_statistics: [{subject: grass}]}", "does not say how many"),
-        ("{sampled_statistics: [{subject: nobody, effective_n: 50}]}", "no surface"),
-        ("{meteorological_range_km: 3}", "meteorological_range_km is given"),
-    ],
-)
-def test_what_the_scenario_does_not_have_is_refused(text, match):
-    with pytest.raises(UsageError, match=match):
-        inputs(scenario(ATMOSPHERE + f"uncertainty: {text}\n"))
+@pytest.mark.parametrize("name", ["ozone_atm_cm", "water_vapour_g_cm2"])
+def test_an_amount_of_gas_that_is_left_to_the_engine_has_no_uncertainty(name):
+    without = re.sub(rf"{name}: [\d.]+, ", "", ATMOSPHERE)
+    assert without != ATMOSPHERE
+    with pytest.raises(UsageError, match=f"uncertainty: {name} is given, but atmosphere.{name} is not"):
+        scenario(without + f"uncertainty: {{{name}: 0.02}}\n")
+
+
+def test_statistics_of_unknown_samples_have_no_sampling_error():
+    with pytest.raises(UsageError, match="does not say how many"):
+        inputs(scenario(ATMOSPHERE + "uncertainty: {sampled_statistics: [{subject: grass}]}\n"))

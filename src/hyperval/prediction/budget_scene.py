@@ -81,8 +81,6 @@ def _fill(item: NamedSpread, given: Given) -> BudgetInput:
         for p in t.populations:
             if item.subject in (t.name, p.name):
                 fills[p.name] = fill_distribution(p.fill).mean
-    if not fills:
-        raise UsageError(f"uncertainty: fills: no target or subject {item.subject!r}")
 
     def at(z: float) -> Departure:
         moved = {name: float(np.clip(value_at(f, item.absolute, z), 0.0, 1.0)) - f for name, f in fills.items()}
@@ -94,8 +92,6 @@ def _fill(item: NamedSpread, given: Given) -> BudgetInput:
 def _fraction(item: NamedSpread, given: Given) -> BudgetInput:
     classes = given.scenario.scene.classes
     stated = {c.name: c.fraction for c in classes}
-    if item.subject not in stated:
-        raise UsageError(f"uncertainty: fractions: no class {item.subject!r}", expected=", ".join(stated))
     own = stated[item.subject]
     if len(classes) < 2 or own >= 1.0:
         raise UsageError(f"uncertainty: fractions: {item.subject!r} is the only class with an area")
@@ -114,11 +110,7 @@ def _sampled(item: SampledStatistics, given: Given) -> list[BudgetInput]:
     distributed as its pivot says, (n - 1) d^T Sigma^-1 d / d^T S^-1 d ~ chi-square(n - B) (Muirhead, Aspects of
     Multivariate Statistical Theory, 1982, theorem 3.2.12).  Below n = 2 B + 2 the covariance moves by one factor.
     """
-    surface = given.surfaces.get(item.subject)
-    if surface is None:
-        raise UsageError(
-            f"uncertainty: sampled_statistics: no surface {item.subject!r}", expected=", ".join(given.surfaces)
-        )
+    surface = given.surfaces[item.subject]
     n = item.effective_n or surface.n
     if n is None:
         raise UsageError(
