@@ -6,6 +6,12 @@ command line prints the message alone; the Python API raises the exception.
 
 from __future__ import annotations
 
+import traceback
+from pathlib import Path
+
+_OWN = Path(__file__).parent
+_CALLS = 4
+
 
 class HypervalError(Exception):
     """Base class: something the user can mend."""
@@ -44,3 +50,16 @@ class EngineError(HypervalError):
     """An external engine (6S, MODTRAN) that is missing or failed (exit code 3)."""
 
     exit_code = 3
+
+
+def internal_error(error: Exception) -> str:
+    """Words for an error that nobody foresaw: what it is, and where it arose, the innermost place first."""
+    places = []
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = Path(frame.filename)
+        if path.is_relative_to(_OWN):
+            places.append(f"{path.relative_to(_OWN.parent).as_posix()}:{frame.lineno}")
+        elif not places:
+            places.append(f"{path.name}:{frame.lineno}")
+    where = f" (at {', called from '.join(places[:_CALLS])})" if places else ""
+    return f"internal error: {type(error).__name__}: {error}{where}"

@@ -14,6 +14,7 @@ from hyperval.campaign.provenance import command_without_output
 from hyperval.campaign.schema import load_campaign
 from hyperval.errors import MissingDataError, UsageError
 from hyperval.results import COLUMNS, Status
+from hyperval.units import wavelength_to_nm
 from small_campaign import SmallCampaign, scene_data, write_yaml
 
 CONTRACT = {"results.csv", "results.json", "report.html", "products.nc", "provenance.json", "junit.xml"}
@@ -125,6 +126,21 @@ def test_observe_without_its_data_set_is_an_input_error(small, tmp_path, no_data
     assert cli.run(["-q", "observe", str(data_only(small).write()), "-o", str(tmp_path / "out")]) == 3
     assert "hyperval data fetch hysu" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_fault_of_ours_is_named_with_its_place_in_the_rows_of_its_campaign(make_small, tmp_path, monkeypatch):
+    def faulty(*_, **__):
+        return wavelength_to_nm(None)
+
+    monkeypatch.setattr("hyperval.campaign.jobs.run_campaign", faulty)
+    monkeypatch.setenv("HYPERVAL_WORKERS", "1")
+    one, two = make_small("one"), make_small("two")
+    two.data["name"] = "other"
+    out = tmp_path / "out"
+    assert cli.run(["-q", "validate", str(one.write()), str(two.write()), "-o", str(out)]) == 4
+    rows = rows_of(out)
+    assert {r["status"] for r in rows} == {"ERROR"}
+    assert all("AttributeError" in r["reason"] and "(at hyperval/units.py:" in r["reason"] for r in rows)
 
 
 def test_a_skipped_campaign_beside_a_passing_one_passes(make_small, tmp_path, no_data, no_figures):

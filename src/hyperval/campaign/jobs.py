@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hyperval.campaign.draft import Waiting
 from hyperval.campaign.one import Job, run_campaign, unfinished
-from hyperval.errors import HypervalError
+from hyperval.errors import HypervalError, internal_error
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.progress import track
 from hyperval.report import RunReport, write_outputs
@@ -72,7 +72,7 @@ def _run_into(job: AnyJob, folder: Path, show_progress: bool | None) -> Done:
 
 def _stopped(job: AnyJob, folder: Path, error: Exception) -> Done:
     known = isinstance(error, HypervalError)
-    words = str(error) if known else f"internal error: {type(error).__name__}: {error}"
+    words = str(error) if known else internal_error(error)
     run = unfinished(job, Status.ERROR, words)
     folder.mkdir(exist_ok=True)
     write_outputs(run, folder)

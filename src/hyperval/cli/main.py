@@ -17,7 +17,7 @@ from typer.exceptions import Abort, TyperException
 from hyperval import __version__
 from hyperval.cli import baseline, check, compare, data, runs, scoreboard, sensor, study  # noqa: F401  (each adds its commands to the application)  # noqa: F401
 from hyperval.cli.shared import app, settings
-from hyperval.errors import HypervalError
+from hyperval.errors import HypervalError, internal_error
 
 INTERNAL_ERROR = 4
 INTERRUPTED = 130
@@ -77,7 +77,7 @@ def _usage(error: TyperException) -> int:
 
 
 def _internal(error: Exception) -> int:
-    what = f"internal error: {type(error).__name__}: {error}"
+    what = internal_error(error)
     if settings.debug:
         traceback.print_exc()
         _error(what)

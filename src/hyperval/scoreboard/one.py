@@ -11,7 +11,7 @@ from hyperval.campaign.draft import Waiting
 from hyperval.campaign.one import Inputs, Job, collected, record_of
 from hyperval.campaign.schema import Campaign
 from hyperval.datasets import InputLog
-from hyperval.errors import HypervalError, MissingDataError, UsageError
+from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error
 from hyperval.observe.place import open_place
 from hyperval.results import Result, Status
 from hyperval.scenario import Scenario
@@ -70,7 +70,7 @@ def benchmark_campaign(entry: Entry, *, show_progress: bool | None = False) -> B
     except HypervalError as error:
         return _stopped(entry, Status.ERROR, str(error), error.exit_code)
     except Exception as error:  # one broken campaign must not hide what the others say
-        return _stopped(entry, Status.ERROR, f"internal error: {type(error).__name__}: {error}", INTERNAL_ERROR)
+        return _stopped(entry, Status.ERROR, internal_error(error), INTERNAL_ERROR)
 
 
 def _run(entry: Entry, job: Job, show_progress: bool | None) -> Benchmarked:
