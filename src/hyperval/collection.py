@@ -118,7 +118,7 @@ class TargetTruth(Model):
         "touched", description="pixels of an object: all it may touch, or the one that holds its centre (csv only)"
     )
     pixel_size_m: float | None = Field(
-        None, gt=0, le=1000, description="ground size of a pixel, where the cube has no map position"
+        None, gt=0, le=1000, description="ground size of a pixel, where the cube's map does not give it"
     )
     guard_pixels: int = Field(1, ge=0, description="pixels around every target left out of the background")
 

@@ -116,6 +116,7 @@ class EnviHeader:
                 f"{key!r} has {out.size} values for {count} bands",
                 where=self.where(key),
                 expected=f"{count} values",
+                mend="list one value for each band, or delete the entry where it may be left out",
             )
         return out
 
@@ -127,7 +128,11 @@ class EnviHeader:
         try:
             return _number(value.split(";")[0].strip())
         except ValueError:
-            raise InputError(f"{key!r} is not a number: {value[:40]!r}", where=self.where(key)) from None
+            raise InputError(
+                f"{key!r} is not a number: {value[:40]!r}",
+                where=self.where(key),
+                mend="correct it, or delete the entry",
+            ) from None
 
 
 def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
@@ -245,7 +250,11 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int]]:
             key = " ".join(key.split()).lower()
             value = value.strip()
             if not equals or not key:
-                raise InputError(f"not of the form 'key = value': {stripped[:60]!r}", where=f"{name}:{number}")
+                raise InputError(
+                    f"not of the form 'key = value': {stripped[:60]!r}",
+                    where=f"{name}:{number}",
+                    expected="a list opens its brace on the line of its key",
+                )
             if key in entries:
                 raise InputError(
                     f"the key {key!r} stands twice (first on line {line_of[key]})",

@@ -444,3 +444,34 @@ def test_what_cannot_be_stored_is_refused(tmp_path: Path, block, options, messag
     ):
         writer.write(block)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("code", [14, 15])
+def test_the_largest_64_bit_number_as_ignore_value(tmp_path: Path, axis: SpectralAxis, code: int):
+    largest = int(np.iinfo(DATA_TYPES[code]).max)  # no float holds it
+    stored = np.ones((2, 2, 4), DATA_TYPES[code])
+    stored[0, 1, 2] = largest
+    extra = {"data ignore value": str(largest)}
+    path = write_cube(tmp_path / "c.img", stored, data_type=code, axis=axis, extra=extra)
+    block = open_cube(path, quantity="other").read(0, 2)
+    assert block.valid.tolist() == [[True, False], [True, True]]
+    assert np.isnan(block.values[0, 1, 2])
+
+
+@pytest.mark.parametrize("ignore", ["1e39", "-1.7976931348623157e+308"])
+def test_an_ignore_value_beyond_single_precision_warns_of_nothing(edit, ignore: str):
+    path = edit(**{"data type": "4", "data ignore value": ignore})
+    data = np.arange(path.stat().st_size // 2, dtype="<f4")
+    path.write_bytes(data.tobytes())
+    assert open_cube(path, quantity="other").read(0, 1).valid.all()
+
+
+@pytest.mark.parametrize(
+    ("units", "widths"), [("Micrometers", "10, 10, 10, 10"), ("Nanometers", "0.01, 0.01, 0.01, 0.01")]
+)
+def test_widths_in_another_unit_than_the_wavelengths_are_refused(edit, units: str, widths: str):
+    centres = "{0.4, 0.5, 0.6, 0.7}" if units == "Micrometers" else "{400, 500, 600, 700}"
+    path = edit(**{"wavelength units": units, "wavelength": centres, "fwhm": f"{{{widths}}}"})
+    with pytest.raises(InputError, match="in the unit of the wavelengths") as caught:
+        open_cube(path, quantity="other")
+    assert "cube.hdr:" in str(caught.value)

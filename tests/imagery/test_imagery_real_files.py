@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import itertools
 
 import numpy as np
 import pytest
 import rasterio
 import spectral
 
+from hyperval.envi_header import DATA_TYPES
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.rasters import open_raster
@@ -131,3 +133,33 @@ def test_envi_ascii_export(data_dir):
     assert overlaps(regions.values()) == []
     with pytest.raises(InputError, match="made for 349 lines x 1905 samples"):
         read_regions(path, (348, 1905))
+
+
+def test_the_published_cube_in_every_type_and_layout(data_dir, tmp_path):
+    published = open_cube(
+        data_dir("hysu/published/full/DLR_HySU_HS_full.tif"), quantity="reflectance", wavelength_unit="um"
+    )
+    stored = published.raster.read_lines(0, 20)
+    expected = published.read(0, 20)
+    waves = ", ".join(repr(w) for w in published.axis.centre_nm.tolist())
+    mask = np.zeros((20, 123), bool)
+    mask[::3, ::5] = True
+    for code in sorted(set(DATA_TYPES) - {1}):  # a byte does not hold its numbers
+        for order, (interleave, axes) in itertools.product(
+            (0, 1), {"bsq": (2, 0, 1), "bil": (0, 2, 1), "bip": (0, 1, 2)}.items()
+        ):
+            offset = 13 * (code % 2)
+            path = tmp_path / "c.img"
+            kind = "<>"[order] + DATA_TYPES[code]
+            path.write_bytes(b"\xff" * offset + stored.transpose(axes).astype(kind).tobytes())
+            path.with_suffix(".hdr").write_text(
+                f"ENVI\nsamples = 123\nlines = 20\nbands = 135\nheader offset = {offset}\ndata type = {code}\n"
+                f"interleave = {interleave}\nbyte order = {order}\nwavelength units = nm\n"
+                f"wavelength = {{{waves}}}\nreflectance scale factor = 10000\ndata ignore value = 15000\n"
+            )
+            cube = open_cube(path, quantity="reflectance")
+            block = cube.read(0, 20)
+            assert np.array_equal(block.values, expected.values, equal_nan=True), (code, order, interleave)
+            assert np.array_equal(block.valid, expected.valid)
+            assert np.array_equal(cube.pixels(mask), expected.values[mask], equal_nan=True)
+            assert np.array_equal(cube.read_stored(3, 5)[0].transpose(1, 2, 0), stored[3:8])

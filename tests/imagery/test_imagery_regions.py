@@ -478,3 +478,117 @@ def test_the_header_of_a_class_raster_must_lie_in_the_root(tmp_path: Path):
     with pytest.raises(UsageError, match="outside the data root"):
         read_regions(inside / "classes.img", SHAPE, root=inside)
     assert read_regions(inside / "classes.img", SHAPE, root=tmp_path)["classes"].n == SHAPE[0] * SHAPE[1]
+
+
+def raster(path: Path, bands: np.ndarray, **options) -> Path:
+    with rasterio.open(
+        path, "w", driver="GTiff", height=10, width=12, count=len(bands), dtype=bands.dtype, transform=TRANSFORM,
+        **options,
+    ) as out:  # fmt: skip
+        out.write(bands)
+    return path
+
+
+@pytest.mark.parametrize("fill", [255.0, -9999.0, np.nan])
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_a_mask_marks_as_no_data_is_no_region(tmp_path: Path, fill: float, count: int):
+    bands = np.repeat(expected()[None].astype("f4"), count, axis=0)
+    bands[:, 0] = fill
+    if fill == 255.0:
+        bands = bands.astype("u1")
+    found = read_regions(raster(tmp_path / "m.tif", bands, nodata=fill), SHAPE)
+    assert list(found) == (["m"] if count == 1 else ["band-1", "band-2"])
+    assert all(np.array_equal(region.mask, expected()) for region in found.values())
+
+
+def test_the_ignore_value_of_an_envi_mask_cube_is_no_region(tmp_path: Path):
+    bands = np.repeat(expected()[:, :, None].astype(float), 2, axis=2)
+    bands[0] = 255
+    write_cube(tmp_path / "m.img", bands, data_type=1, interleave="bsq", extra={"data ignore value": "255"})
+    found = read_regions(tmp_path / "m.img", SHAPE)
+    assert all(np.array_equal(region.mask, expected()) for region in found.values())
+
+
+@pytest.mark.parametrize("zone", [32617, 32618, 4326])
+def test_a_geojson_that_states_its_system_needs_no_other_word(tmp_path: Path, zone: int):
+    own = CRS.from_epsg(zone)
+    x, y = zip(*on_map(SQUARE), strict=True)
+    data = json.loads(collection(feature(polygon(list(zip(*reproject(UTM18, own, x, y), strict=True))), name="a")))
+    data["crs"] = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{zone}"}}
+    if zone == 4326:  # longitude first, as GeoJSON has it
+        data["crs"]["properties"]["name"] = "urn:ogc:def:crs:OGC:1.3:CRS84"
+    (tmp_path / "r.geojson").write_text(json.dumps(data))
+    found = read_regions(tmp_path / "r.geojson", SHAPE, transform=TRANSFORM, crs=UTM18)
+    assert np.array_equal(found["a"].mask, expected())
+    if zone != 4326:
+        with pytest.raises(InputError, match="not in longitude and latitude"):
+            read_regions(tmp_path / "r.geojson", SHAPE, transform=TRANSFORM, crs=UTM18, coordinates="lonlat")
+
+
+def test_places_that_cannot_be_are_one_clear_error(tmp_path: Path):
+    text = collection(feature(polygon([[500.0, 500.0], [600.0, 500.0], [600.0, 600.0]]), name="a"))
+    (tmp_path / "r.geojson").write_text(text)
+    with pytest.raises(InputError, match="cannot be places in") as caught:
+        read_regions(tmp_path / "r.geojson", SHAPE, transform=TRANSFORM, crs=UTM18, coordinates="lonlat")
+    assert "feature 1 (a)" in str(caught.value)
+
+
+def test_only_the_wanted_regions_must_lie_in_the_image(tmp_path: Path):
+    away = [(x + 100.0, y) for x, y in SQUARE]
+    text = collection(feature(polygon(SQUARE), name="grass [1]"), feature(polygon(away), name="road"))
+    (tmp_path / "r.geojson").write_text(text)
+    options = {"coordinates": "pixel"}
+    found = read_regions(tmp_path / "r.geojson", SHAPE, patterns=["grass [1]"], **options)
+    assert list(found) == ["grass [1]"]
+    assert list(read_regions(tmp_path / "r.geojson", SHAPE, patterns=["gr*"], **options)) == ["grass [1]"]
+    for patterns in ([], ["road"], ["sea"]):
+        with pytest.raises(InputError, match="leaves the image"):
+            read_regions(tmp_path / "r.geojson", SHAPE, patterns=patterns, **options)
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows"),
+    [
+        ("ID    X    Y      MapX      MapY    Lat    Lon   B1", "{n} {x} {y} 300001.5 4699999.5 42 -77 7"),
+        ("ID X Y Map X Map Y", "{n} {x} {y} 300001.5 4699999.5"),
+        ("X Y B1 B2", "{x} {y} 12.5 13"),
+    ],
+)  # fmt: skip
+def test_an_ascii_export_with_other_columns(tmp_path: Path, columns: str, rows: str):
+    lines = roi_ascii(expected()).replace("ID    X    Y", columns).split("\r\n")
+    head = [line for line in lines if line.startswith(";")]
+    body = [rows.format(n=n, x=x, y=y) for n, x, y in (line.split() for line in lines if not line.startswith(";"))]
+    (tmp_path / "r.txt").write_text("\r\n".join([*head, *body]))
+    assert np.array_equal(read_regions(tmp_path / "r.txt", SHAPE)["grass"].mask, expected())
+
+
+def test_an_ascii_export_without_pixel_numbers_says_how_to_export_it(tmp_path: Path):
+    text = roi_ascii(expected()).replace("ID    X    Y", "ID   MapX   MapY")
+    (tmp_path / "r.txt").write_text(text)
+    with pytest.raises(InputError, match="no pixel numbers among the columns") as caught:
+        read_regions(tmp_path / "r.txt", SHAPE)
+    assert "r.txt:8" in str(caught.value)
+
+
+def test_an_xml_threshold_is_called_that(tmp_path: Path):
+    (tmp_path / "r.xml").write_text(
+        '<RegionsOfInterest><Region name="t"><ThresholdDef/></Region></RegionsOfInterest>'
+    )
+    with pytest.raises(InputError, match="a threshold is not evaluated"):
+        read_regions(tmp_path / "r.xml", SHAPE)
+
+
+@pytest.mark.parametrize("text", ["Region;Row0;Col0\ngrass;{r};{c}\n", "region\trow0\tcol0\ngrass\t{r}\t{c}\n"])
+def test_pixel_lists_as_spreadsheets_write_them(tmp_path: Path, text: str):
+    head, row, _ = text.split("\n")
+    rows = "".join(row.format(r=r, c=c) + "\n" for r, c in np.argwhere(expected()))
+    (tmp_path / "r.csv").write_text(f"{head}\n{rows}")
+    assert np.array_equal(read_regions(tmp_path / "r.csv", SHAPE)["grass"].mask, expected())
+
+
+@pytest.mark.parametrize("number", ["9" * 30, "1_0", "1.0"])
+def test_pixel_numbers_that_are_none(tmp_path: Path, number: str):
+    (tmp_path / "r.csv").write_text(f"row0,col0\n1,{number}\n")
+    with pytest.raises(InputError, match="no whole numbers") as caught:
+        read_regions(tmp_path / "r.csv", SHAPE)
+    assert "r.csv:2" in str(caught.value)

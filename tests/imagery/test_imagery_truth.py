@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -125,3 +126,47 @@ def test_the_window_of_nothing_holds_nothing():
     corner, part = cut_out(np.zeros(SHAPE, bool))
     assert corner == (0, 0)
     assert not part.any()
+
+
+def test_a_round_target_has_the_area_of_its_circle(tmp_path: Path):
+    path = tmp_path / "t.csv"
+    path.write_text(
+        "name,material,row0,col0,side_m,width_m,length_m,shape\nround,wood,10,10,8,,,circle\n"
+        "square,wood,10,10,8,,,square\nlong,wood,10,10,,1,8,ellipse\n"
+    )
+    found = {t.name: t for t in read_targets(path, (21, 21), pixel_size_m=1.0)}
+    assert found["round"].area_m2 == pytest.approx(16.0 * math.pi)
+    assert found["long"].area_m2 == pytest.approx(2.0 * math.pi)
+    assert math.isnan(found["round"].side_m)
+    assert found["square"].side_m == 8.0
+    # Of the square's pixels those are left that the circle reaches: nearest corner within 4 pixels.
+    line, sample = np.indices((21, 21))
+    near = np.hypot(np.maximum(abs(line - 10) - 0.5, 0.0), np.maximum(abs(sample - 10) - 0.5, 0.0))
+    assert np.array_equal(found["round"].mask, near < 4.0)
+    assert found["round"].mask.sum() < found["square"].mask.sum()
+    assert found["long"].mask.sum(axis=0).max() == 9
+
+
+@pytest.mark.parametrize(
+    ("columns", "row", "message"),
+    [
+        ("side_m,shape", "1,star", "shape is 'star'"),
+        ("width_m,length_m,shape", "1,2,circle", "a circle of 1 m by 2 m"),
+        ("side_m,area_m2", "1,-4", "area_m2 is -4"),
+        ("side_m,position_uncertainty_m", "1,-2", "position_uncertainty_m is -2"),
+    ],
+)
+def test_sizes_that_cannot_be(tmp_path: Path, columns: str, row: str, message: str):
+    (tmp_path / "t.csv").write_text(f"material,row0,col0,{columns}\nwood,5,5,{row}\n")
+    with pytest.raises(InputError, match=message) as caught:
+        read_targets(tmp_path / "t.csv", (10, 10), pixel_size_m=1.0)
+    assert "t.csv:2" in str(caught.value)
+
+
+def test_a_list_as_a_spreadsheet_writes_it(tmp_path: Path):
+    (tmp_path / "a.csv").write_text("name,material,row0,col0,side_m\np,wood,5.5,5,1.5\n")
+    (tmp_path / "b.csv").write_bytes("\ufeffName;Material;Row0;Col0;Side_m\r\np;wood;5,5;5;1,5\r\n".encode())
+    a, b = (read_targets(tmp_path / n, (10, 10), pixel_size_m=1.0)[0] for n in ("a.csv", "b.csv"))
+    assert np.array_equal(a.mask, b.mask)
+    assert a.area_m2 == b.area_m2 == 2.25
+    assert a.attributes == b.attributes

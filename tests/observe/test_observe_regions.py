@@ -250,3 +250,58 @@ def test_a_lookup_table_places_regions_and_targets_of_a_raw_line(world):
     world.collection["targets"]["pixel_size_m"] = 2.0
     with pytest.raises(UsageError, match="has a map position"):
         opened(world)
+
+
+def test_a_map_in_feet_gives_targets_of_the_same_size(world):
+    from affine import Affine
+    from rasterio.crs import CRS
+
+    world.text("targets.csv", "material,row0,col0,side_m\npaint,10,10,7\n")  # 3.5 pixels
+    in_metres = opened(world)
+    foot = 1200.0 / 3937.0  # [m] US survey foot
+    grid = Affine(2.0 / foot, 0, 500000.0, 0, -2.0 / foot, 1000000.0)
+    world.write(transform=grid, crs=CRS.from_epsg(2261))
+    place = opened(world)
+    assert place.pixel_area_m2 == pytest.approx(4.0)
+    assert np.array_equal(place.targets[0].mask, in_metres.targets[0].mask)
+    assert place.targets[0].mask.sum() == 25
+
+
+def test_a_map_in_degrees_takes_the_stated_pixel_size(world):
+    from affine import Affine
+    from rasterio.crs import CRS
+
+    placed = opened(world)
+    world.write(transform=Affine(2e-5, 0, -77.0, 0, -2e-5, 43.0), crs=CRS.from_epsg(4326))
+    with pytest.raises(UsageError, match=r"degrees have no ground size.*\n.*targets\.pixel_size_m"):
+        opened(world)
+    world.collection["targets"]["pixel_size_m"] = 2.0
+    place = opened(world)
+    assert place.pixel_area_m2 == 4.0
+    assert [t.mask.sum() for t in place.targets] == [t.mask.sum() for t in placed.targets]
+
+
+def test_a_file_of_regions_of_the_whole_site_serves_a_line_that_holds_some(world):
+    import json
+
+    def square(x: float, y: float) -> dict:
+        ring = [[x, y], [x + 4, y], [x + 4, y + 4], [x, y + 4], [x, y]]
+        return {"type": "Polygon", "coordinates": [ring]}
+
+    features = [
+        {"type": "Feature", "properties": {"name": name}, "geometry": square(*at)}
+        for name, at in {"court": (10, 20), "far": (1000, 20), "plank 1": (30, 10), "plank 2": (900, 10)}.items()
+    ]
+    world.text("site.geojson", json.dumps({"type": "FeatureCollection", "features": features}))
+    site = {"file": "site.geojson", "coordinates": "pixel"}
+    world.collection |= {
+        "regions": [{"name": "court", **site}],
+        "targets": {"regions": [{"material": "paint", "regions": ["plank 1"], **site}]},
+    }
+    place = opened(world)
+    assert place.region("court").sum() == 16
+    assert [t.name for t in place.targets] == ["plank 1"]
+    for wanted in ("far", None):
+        world.collection["regions"] = [{"name": wanted, **site}]
+        with pytest.raises(InputError, match="leaves the image"):
+            opened(world)

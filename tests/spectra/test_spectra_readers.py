@@ -181,6 +181,13 @@ def test_svc_joins_three_detectors_and_converts_percent(tmp_path: Path):
     assert any("990.0, 1895.0" in note for note in found.notes)
 
 
+def test_svc_header_with_an_empty_line(tmp_path: Path):
+    wave, rho = overlapping()
+    body = rows(wave, wave * 0 + 9, rho * 9, rho * 100, sep="  ", end="\r\n")
+    plain, gapped = (spectrum(tmp_path, head + body, "a.sig") for head in (SVC, SVC.replace("comm=", "\r\ncomm=")))
+    assert np.array_equal(plain.values, gapped.values)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -407,3 +414,66 @@ def test_any_bytes_give_spectra_or_a_clear_error(tmp_path_factory, data: bytes, 
     except HypervalError:  # anything else fails the test
         found = []
     assert all(np.all(np.diff(f.wavelength_nm) > 0) for f in found)
+
+
+@pytest.mark.parametrize("version", [b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8"])
+@pytest.mark.parametrize("kind", [0, 1])
+def test_asd_of_every_version_with_a_reference(tmp_path: Path, version: bytes, kind: int):
+    assert np.allclose(spectrum(tmp_path, asd(kind, version=version), "a.asd").values, RHO, rtol=1e-6)
+
+
+def test_asd_version_1_stores_the_reflectance_itself(tmp_path: Path):
+    raw = bytearray(asd(kind=1, version=b"ASD", code=2)[:484])
+    raw += RHO.astype("<f8").tobytes()
+    assert spectrum(tmp_path, bytes(raw), "a.asd").values.tolist() == RHO.tolist()
+
+
+@pytest.mark.parametrize("entry", ["data ignore value = -9999", "bbl = {1, 0, 1, 1}"])
+def test_channels_of_a_library_without_a_value_are_left_out(tmp_path: Path, entry: str):
+    path = library(tmp_path)
+    values = np.stack([RHO, RHO * 2]).astype("<f4")
+    values[:, 1] = -9999
+    path.write_bytes(values.tobytes())
+    header = path.with_suffix(".hdr")
+    header.write_text(header.read_text() + entry + "\n")
+    for found, rho in zip(read_records(path), (RHO, RHO * 2), strict=True):
+        assert found.wavelength_nm.tolist() == [400.0, 600.0, 700.0]
+        assert np.allclose(found.values, rho[[0, 2, 3]])
+        assert "1 channels without a value left out" in found.notes
+
+
+def test_a_library_with_a_header_offset_is_refused(tmp_path: Path):
+    path = library(tmp_path)
+    path.write_bytes(bytes(12) + path.read_bytes())
+    header = path.with_suffix(".hdr")
+    header.write_text(header.read_text().replace("header offset = 0", "header offset = 12"))
+    with pytest.raises(InputError, match="header offset of 12") as caught:
+        read_records(path)
+    assert "lib.hdr:5" in str(caught.value)
+
+
+@pytest.mark.parametrize("mark", [-9999, -999, -32768])
+def test_a_mark_of_a_missing_value_is_no_reflectance(tmp_path: Path, mark: int):
+    text = f"wavelength nm,r\n400,0.1\n500,{mark}\n600,0.3\n"
+    with pytest.raises(InputError, match="marks a missing value"):
+        spectrum(tmp_path, text, "a.csv")
+
+
+def test_deleted_standard_deviations(tmp_path: Path):
+    head = "Wavelength in microns   reflectance   standard deviation\n"
+    part = spectrum(
+        tmp_path, head + "0.3 0.5 0.01\n0.4 0.6 -1.23e34\n0.5 0.7 0.02\n", "a.txt", wavelength_unit="um"
+    )
+    assert part.wavelength_nm.tolist() == [300.0, 500.0]
+    assert part.standard_deviation.tolist() == [0.01, 0.02]
+    none = spectrum(tmp_path, head + "0.3 0.5 -1.23e34\n0.4 0.6 -1.23e34\n", "b.txt", wavelength_unit="um")
+    assert none.values.tolist() == [0.5, 0.6]
+    assert none.standard_deviation is None
+
+
+@pytest.mark.parametrize("quantity", ["Transmittance (percent)", "Emissivity", "Absorbance"])
+def test_another_quantity_in_a_library_file_is_no_reflectance(tmp_path: Path, quantity: str):
+    text = f"Name: x\nX Units: Wavelength (micrometers)\nY Units: {quantity}\n\n0.6\t0.2\n0.5\t0.1\n"
+    with pytest.raises(InputError, match=f"the file holds {quantity.split()[0].lower()}, not reflectance"):
+        spectrum(tmp_path, text, "a.txt")
+    assert spectrum(tmp_path, text, "a.txt", quantity="other").wavelength_nm.tolist() == [500.0, 600.0]

@@ -16,6 +16,7 @@ Array = npt.NDArray[np.float64]
 
 # A band centre outside this range is a sign of the wrong unit [nm].
 PLAUSIBLE_NM = (100.0, 100_000.0)
+LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNSTATED = ("", "unknown", "none")
 
 
@@ -100,7 +101,19 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
     else:
         assert width is not None  # noqa: S101 - one of the two
         fwhm = width[order] * wavelength_to_nm(unit)
+        _check_widths(fwhm, centre, unit, header.where("fwhm"))
     return BandTable(SpectralAxis(centre, fwhm, good), order, tuple(notes))
+
+
+def _check_widths(fwhm: Array, centre: Array, unit: str, where: str) -> None:
+    """Raise InputError for widths [nm] that are plainly not in the unit of the wavelengths."""
+    if np.any(fwhm >= centre) or np.median(fwhm) < LEAST_FWHM_NM:
+        raise InputError(
+            f"band widths (fwhm) from {fwhm.min():g} to {fwhm.max():g} nm, read in {unit} as the wavelengths are",
+            where=where,
+            expected="widths in the unit of the wavelengths, smaller than these",
+            mend="convert the widths in a copy of the header, or give a table of the bands (collection.bands)",
+        )
 
 
 def _spacing_by_detector(centre: Array) -> Array:
@@ -134,7 +147,12 @@ def stated_unit(in_file: str | None, given: str | None, where: str) -> str:
     try:
         factor = wavelength_to_nm(text)
     except UsageError:
-        raise InputError(f"wavelengths in {text!r} cannot be used", where=where, expected="nm or um") from None
+        raise InputError(
+            f"wavelengths in {text!r} cannot be used",
+            where=where,
+            expected="nm or um",
+            mend="give a table of the bands (collection.bands)",
+        ) from None
     if given is not None and wavelength_to_nm(given) != factor:
         raise UsageError(
             f"the file states wavelengths in {text}, the campaign in {given}",

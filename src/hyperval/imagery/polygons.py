@@ -125,11 +125,31 @@ def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where
     """(n, 2) map coordinates in ``target`` of points in ``source`` (longitude first)."""
     xy = np.asarray(points, dtype=float).reshape(-1, 2)
     if target is None:
-        raise InputError("the coordinate system of the cube is unknown", where=where)
+        raise InputError(
+            "the coordinate system of the cube is unknown",
+            where=where,
+            mend="give it in the header (coordinate system string), or the coordinates in pixels",
+        )
     if source == target:
         return xy
-    east, north = reproject(source, target, xy[:, 0].tolist(), xy[:, 1].tolist())[:2]
-    return np.column_stack([east, north])
+    try:
+        placed = reproject(source, target, xy[:, 0].tolist(), xy[:, 1].tolist())[:2]
+    except Exception as error:  # such as a latitude beyond the pole; its class has no public name
+        placed, why = None, f" ({error})"
+    else:
+        why = ""
+    if placed is None or not np.all(np.isfinite(placed)):
+        raise InputError(
+            f"coordinates from {_pair(xy.min(axis=0))} to {_pair(xy.max(axis=0))} cannot be places in "
+            f"{source}{why}",
+            where=where,
+            mend="check which coordinate system they are in",
+        )
+    return np.column_stack(placed)
+
+
+def _pair(xy: Array) -> str:
+    return f"({xy[0]:.6g}, {xy[1]:.6g})"
 
 
 def ring_of(ring: Ring, where: str) -> Array:

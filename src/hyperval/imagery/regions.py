@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ class Region:
             raise InputError(
                 f"the region {self.name!r} holds no pixel",
                 where=self.source,
-                mend="a polygon holds a pixel by its centre",
+                mend="a polygon holds a pixel by its centre; an empty region is taken out of its file",
             )
 
     @property
@@ -72,6 +73,7 @@ def read_regions(
     crs: CRS | None = None,
     names: Mapping[str | int, str] | Sequence[str] | None = None,
     coordinates: str | None = None,
+    patterns: Sequence[str] = (),
     touched: bool = False,
     root: Path | None = None,
 ) -> dict[str, Region]:
@@ -90,6 +92,8 @@ def read_regions(
         class raster) in the file to the name wanted; None reads all
     coordinates : "pixel", "map" (the cube's own system) or "lonlat", for GeoJSON, which must be told, and for a
         GeoPackage or Shapefile without a coordinate system
+    patterns : where names of the file match one of them (* and ? stand for any characters), only those are read;
+        a region that is not wanted may then lie outside the image
     touched : take every pixel that a polygon touches, for targets smaller than a pixel
     root : folder that the file must lie in
 
@@ -129,6 +133,8 @@ def read_regions(
             expected="GeoJSON, GeoPackage, Shapefile, ENVI ROI (XML, ASCII, binary), CSV pixel list, class raster",
         )
     named = _named(drawn, names, str(path))
+    wanted = {n: made for n, made in named.items() if any(n == p or fnmatchcase(n, p) for p in patterns)}
+    named = wanted or named
     return {name: _region(name, made, str(path), touched) for name, made in named.items()}
 
 

@@ -75,6 +75,13 @@ def xml_drawings(
                     raise InputError(
                         f"geometry {child.tag!r} has no area", where=where, expected="Polygon, Point or MultiPoint"
                     )
+        if not any(True for _ in region.iter("GeometryDef")):
+            raise InputError(
+                "a region without geometry",
+                where=where,
+                expected="polygons or points; a threshold is not evaluated here",
+                mend="turn it into pixels before it is exported, or take it out of the file",
+            )
         drawings[name] = drawing
     return drawings
 
@@ -120,6 +127,13 @@ def ascii_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
             elif not value and {"x", "y"} <= set(text.lstrip("; ").lower().split()):
                 titles = text.lstrip("; ").lower().split()
                 columns = titles.index("x"), titles.index("y")
+            elif not value and re.search(r"(?i)\b(map\s?[xy]|lat|lon)\b", text):
+                raise InputError(
+                    f"no pixel numbers among the columns: {text.lstrip('; ')[:60]!r}",
+                    where=where,
+                    expected="ID X Y ...",
+                    mend="export it again with the pixel location (X, Y)",
+                )
             continue
         parts = text.split()
         if len(parts) <= max(columns):

@@ -7,6 +7,7 @@ import gzip
 import io
 import json
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,14 @@ from rasterio.errors import CRSError
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.drawing import Drawing
 from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
-from hyperval.imagery.rasters import open_raster
+from hyperval.imagery.rasters import TiffRaster, open_raster
+from hyperval.imagery.validity import equals
 
 Mask = npt.NDArray[np.bool_]
 MAX_TEXT_BYTES = 32 << 20
 MAX_CLASSES = 1000
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")
 _REGION_COLUMNS = ("region", "name", "class")
 
 
@@ -61,11 +64,19 @@ def _plain_head(path: Path) -> bytes:
         return stream.read(2)
 
 
-def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """Column names of a CSV file, and its rows with their line numbers; short rows are filled with ""."""
-    reader = csv.reader(io.StringIO(read_text(path)), skipinitialspace=True)
+def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """Column names of a CSV file, and its rows with their line numbers; short rows are filled with "".
+
+    Columns are divided by commas, or by semicolons (then a comma may be the decimal sign) or tabs where the first
+    line holds no comma.  The ``known`` columns may be written in any case.
+    """
+    text = read_text(path)
+    first = text.split("\n", 1)[0]
+    divider = next((d for d in ",;\t" if d in first), ",")
+    reader = csv.reader(io.StringIO(text), delimiter=divider, skipinitialspace=divider != "\t")
     try:
         fields = [f.strip() for f in next(reader, [])]
+        fields = [f.lower() if f.lower() in known else f for f in fields]
         if len(set(fields)) < len(fields):
             raise InputError("two columns have the same name", where=f"{path}:1")
         rows = []
@@ -74,6 +85,8 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
                 raise InputError(f"{len(cells)} cells for {len(fields)} columns", where=f"{path}:{reader.line_num}")
             if any(cell.strip() for cell in cells):
                 padded = [cell.strip() for cell in cells] + [""] * (len(fields) - len(cells))
+                if divider == ";":
+                    padded = [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in padded]
                 rows.append((reader.line_num, dict(zip(fields, padded, strict=True))))
     except csv.Error as error:
         raise InputError(f"not a CSV file: {error}", where=f"{path}:{reader.line_num}") from error
@@ -84,19 +97,27 @@ def geojson_drawings(
     path: Path, shape: tuple[int, int], *, coordinates: str | None, transform: Position, crs: CRS | None
 ) -> dict[str, Drawing]:
     """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united."""
-    if coordinates not in ("pixel", "map", "lonlat"):
-        raise UsageError(
-            "a GeoJSON file does not say what its coordinates are",
-            where=str(path),
-            mend="state coordinates: pixel, map (the cube's own system) or lonlat",
-        )
     try:
         data = json.loads(read_text(path), object_pairs_hook=_once, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
         raise InputError(f"not valid GeoJSON: {error}", where=str(path)) from error
     stated = _stated_crs(data, path)
+    if coordinates is None and stated is None:
+        raise UsageError(
+            "a GeoJSON file does not say what its coordinates are",
+            where=str(path),
+            mend="state coordinates: pixel, map (the cube's own system) or lonlat",
+        )
     if coordinates == "map" and stated is not None and crs is not None and stated != crs:
-        raise InputError(f"the file is in {stated}, the cube in {crs}", where=str(path))
+        raise InputError(
+            f"the file is in {stated}, the cube in {crs}", where=str(path), mend="leave coordinates out"
+        )
+    if coordinates == "lonlat" and stated is not None and not stated.is_geographic:
+        raise InputError(
+            f"the file is in {stated}, not in longitude and latitude",
+            where=str(path),
+            mend="leave coordinates out",
+        )
 
     def place(points: Any, where: str, ring: bool) -> npt.NDArray[np.float64]:
         try:
@@ -105,8 +126,8 @@ def geojson_drawings(
             raise InputError("coordinates that are not pairs of numbers", where=where) from None
         if coordinates == "pixel":
             return xy
-        if coordinates == "lonlat":
-            xy = reprojected(xy, CRS.from_epsg(4326), crs, where=where)
+        if coordinates != "map":
+            xy = reprojected(xy, stated or CRS.from_epsg(4326), crs, where=where)
         return map_to_pixel(xy, transform, where=where, ring=ring)
 
     drawings: dict[str, Drawing] = {}
@@ -134,7 +155,7 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
     Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
     ``name`` or ``class`` where the file holds more than one region.
     """
-    fields, rows = read_table(path)
+    fields, rows = read_table(path, {*_REGION_COLUMNS, *(name for p in _COLUMNS for name in p)})
     pair = next((p for p in _COLUMNS if p[0] in fields and p[1] in fields), None)
     if pair is None:
         raise InputError(
@@ -145,13 +166,12 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
     column = next((c for c in _REGION_COLUMNS if c in fields), None)
     pixels: dict[str, list[tuple[int, int]]] = {}
     for number, row in rows:
-        try:
-            place = int(row[pair[0]]) - _COLUMNS[pair], int(row[pair[1]]) - _COLUMNS[pair]
-        except (TypeError, ValueError):
+        if not all(re.fullmatch(r"[+-]?[0-9]{1,12}", row[key]) for key in pair):
             raise InputError(
                 f"no whole numbers in {pair[0]}, {pair[1]}: {row[pair[0]]!r}, {row[pair[1]]!r}",
                 where=f"{path}:{number}",
-            ) from None
+            )
+        place = int(row[pair[0]]) - _COLUMNS[pair], int(row[pair[1]]) - _COLUMNS[pair]
         name = row[column] if column else path.stem
         if not name:
             raise InputError(f"no name in column {column!r}", where=f"{path}:{number}")
@@ -171,7 +191,7 @@ def raster_masks(
 
     One band: a class for every whole number but 0 and the ignore value, under the class name of the
     header, else under the file's name (a single class) or ``name-value``; under the number itself with
-    ``by_value``.  Several bands: a mask of what is not 0, under the band name.
+    ``by_value``.  Several bands: a mask of what is not 0, nor NaN, nor the ignore value, under the band name.
     """
     raster = open_raster(path, root=root)
     if (raster.lines, raster.samples) != shape:
@@ -182,19 +202,22 @@ def raster_masks(
         )
     stored = raster.read_lines(0, raster.lines)
     header = raster.header
+    ignore = header.number("data ignore value") if header else None
+    if ignore is None and isinstance(raster, TiffRaster):
+        ignore = raster.nodata
+    held = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
     if raster.bands > 1:
         names = (header.strings("band names") if header else None) or ()
         if len(names) != raster.bands or len(set(names)) != len(names):
             names = tuple(f"band-{i + 1}" for i in range(raster.bands))
-        return {name: stored[:, :, i] != 0 for i, name in enumerate(names)}
+        return {name: (stored[:, :, i] != 0) & held[:, :, i] for i, name in enumerate(names)}
     classes = stored[:, :, 0]
-    values = np.unique(classes[np.isfinite(classes)])
+    values = np.unique(classes[held[:, :, 0]])
     if np.any(values != np.round(values)) or values.size > MAX_CLASSES:
         raise InputError(
             "values that are no class numbers", where=str(path), expected=f"up to {MAX_CLASSES} classes"
         )
-    ignore = header.number("data ignore value") if header else None
-    found = [int(v) for v in values if v != 0 and v != ignore]
+    found = [int(v) for v in values if v != 0]
     if by_value:
         return {value: classes == value for value in found}
     listed = (header.strings("class names") if header else None) or ()

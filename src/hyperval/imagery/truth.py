@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -121,22 +121,23 @@ def read_targets(
     or ``row1,col1`` (whole or fractional pixel numbers, an integer meaning the pixel centre), ``line,sample``
     (continuous, (0.5, 0.5) the centre of the first pixel) or ``easting,northing`` (the cube's map system, or that
     of its lookup table);
-    ``side_m`` or ``width_m`` with ``length_m``; optionally ``area_m2``, ``heading_deg`` (of the length, clockwise
+    ``side_m`` or ``width_m`` with ``length_m``; optionally ``shape`` (``square``, ``rectangle``, or ``circle`` and
+    ``ellipse``, whose side, width and length are diameters), ``area_m2``, ``heading_deg`` (of the length, clockwise
     from the direction of decreasing line; from grid north for ``easting,northing`` with a lookup table) and
     ``position_uncertainty_m``, which widens the mask.
-    The mask holds every pixel that the target's rectangle touches.  Where no size is known the uncertainty of the
+    The mask holds every pixel that the target's outline touches.  Where no size is known the uncertainty of the
     position stands alone: the mask holds every pixel whose centre is that near to the centre of the target's pixel.
 
     Parameters
     ----------
-    pixel_size_m : ground size of a pixel where the cube has no transform
+    pixel_size_m : ground size of a pixel; None takes the unit of the transform for metres
 
     Raises
     ------
     InputError : missing columns, numbers that are none, targets outside the image.
     """
     path = checked_file(path, root=root, what="target list")
-    fields, rows = read_table(path)
+    fields, rows = read_table(path, {"name", "material", "shape", *_NUMERIC})
     place = next((p for p in _PLACES if p[0] in fields and p[1] in fields), None)
     if place is None or "material" not in fields:
         raise InputError(
@@ -144,7 +145,7 @@ def read_targets(
             where=f"{path}:1",
             expected="material and one of " + "; ".join(",".join(p) for p in _PLACES),
         )
-    if isinstance(transform, Affine):
+    if pixel_size_m is None and isinstance(transform, Affine):
         pixel_size_m = math.sqrt(abs(transform.determinant))
     elif isinstance(transform, LookupTable) and transform.pixel_area_m2 is not None:
         pixel_size_m = math.sqrt(transform.pixel_area_m2)
@@ -162,10 +163,14 @@ def read_targets(
         if not material or name in names:
             raise InputError("no material, or a name that stands twice", where=where)
         names.add(name)
-        width = number.get("width_m", number.get("side_m", math.nan))
-        length = number.get("length_m", width)
+        side_m, width, length = (number.get(key, math.nan) for key in ("side_m", "width_m", "length_m"))
+        width = side_m if math.isnan(width) else width  # a list may hold squares and rectangles
+        length = width if math.isnan(length) else length
         area = number.get("area_m2", math.nan)
         doubt = number.get("position_uncertainty_m", math.nan)
+        for key, value in (("area_m2", area), ("position_uncertainty_m", doubt)):
+            if value < 0:
+                raise InputError(f"{key} is {value:g}", where=where, expected="0 or more, or an empty cell")
         if math.isnan(width) and math.isnan(length) and doubt > 0:
             width = length = 0.0  # a place known to so many metres, of a target whose size nobody states
         elif not width > 0 or not length > 0:
@@ -175,8 +180,9 @@ def read_targets(
                 expected="side_m, or width_m and length_m, above 0",
                 mend="where no size is known, state position_uncertainty_m: the target is looked for within it",
             )
+        outline = _outline_of(row, width, length, where)
         if math.isnan(area) and width > 0:
-            area = width * length
+            area = width * length * (math.pi / 4 if outline is _ellipse else 1.0)
         first, second = number[place[0]], number[place[1]]
         if math.isnan(first) or math.isnan(second):
             raise InputError(f"no {place[0]}, {place[1]}", where=where)
@@ -189,11 +195,11 @@ def read_targets(
         heading = 0.0 if math.isnan(heading) else heading
         if shift is None and isinstance(transform, LookupTable):
             unit = transform.metres_per_unit
-            around = _rectangle(0.0, 0.0, width / unit, length / unit, heading)
+            around = outline(0.0, 0.0, width / unit, length / unit, heading)
             on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
             corners = map_to_pixel(on_map, transform, where=where)
         else:
-            corners = _rectangle(x, y, width / pixel_size_m, length / pixel_size_m, heading)
+            corners = outline(x, y, width / pixel_size_m, length / pixel_size_m, heading)
         if not inside_image(corners, shape):
             low, high = corners.min(axis=0), corners.max(axis=0)
             raise InputError(
@@ -209,7 +215,7 @@ def read_targets(
             placed = cut_out(point_mask([(x, y)], shape, where=where))
         if doubt > 0:
             placed = _grown(placed, doubt / pixel_size_m, shape)
-        side = width if width == length and width > 0 else math.nan
+        side = width if width == length and width > 0 and outline is _rectangle else math.nan
         centre = (math.floor(y), math.floor(x))
         out.append(TargetObject(name, material, side, area, shape, *placed, centre, dict(row)))
     if not out:
@@ -304,6 +310,37 @@ def _rectangle(x: float, y: float, width: float, length: float, heading_deg: flo
     along, across = np.array([math.sin(h), -math.cos(h)]), np.array([math.cos(h), math.sin(h)])
     half = [(-1, -1), (-1, 1), (1, 1), (1, -1)]
     return np.array([np.array([x, y]) + a * length / 2 * along + b * width / 2 * across for a, b in half])
+
+
+def _ellipse(x: float, y: float, width: float, length: float, heading_deg: float) -> npt.NDArray[np.float64]:
+    """(72, 2) points (sample, line) around an ellipse of these diameters, its length along the heading."""
+    h, turn = math.radians(heading_deg), np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)[:, None]
+    along, across = np.array([math.sin(h), -math.cos(h)]), np.array([math.cos(h), math.sin(h)])
+    return np.array([x, y]) + np.cos(turn) * length / 2 * along + np.sin(turn) * width / 2 * across
+
+
+_OUTLINES = {"": _rectangle, "square": _rectangle, "rectangle": _rectangle, "circle": _ellipse, "ellipse": _ellipse}
+
+
+def _outline_of(
+    row: Mapping[str, str], width: float, length: float, where: str
+) -> Callable[[float, float, float, float, float], npt.NDArray[np.float64]]:
+    """How the outline of a target is drawn; InputError for a shape that is none or that its sizes contradict."""
+    shape = row.get("shape", "").lower()
+    if shape not in _OUTLINES:
+        raise InputError(
+            f"shape is {shape[:40]!r}",
+            where=where,
+            expected="square, rectangle, circle or ellipse (or an empty cell)",
+            mend="any other outline can be drawn as a region (targets.regions)",
+        )
+    if shape in ("square", "circle") and width != length:
+        raise InputError(
+            f"a {shape} of {width:g} m by {length:g} m",
+            where=where,
+            expected="side_m, or equal width_m and length_m",
+        )
+    return _OUTLINES[shape]
 
 
 def _number(text: str | None, key: str, where: str) -> float:

@@ -21,10 +21,13 @@ def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
 def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:
     """The ignore value as a stored value, None where the type cannot hold it."""
     if dtype.kind == "f":
-        return dtype.type(ignore)
+        beyond = np.isfinite(ignore) and abs(ignore) > 1.0000001 * float(np.finfo(dtype).max)
+        return None if beyond else dtype.type(ignore)
     if not float(ignore).is_integer():
         return None
     limits = np.iinfo(dtype)
+    if float(ignore) == float(limits.max):  # as a float, the largest 64-bit number is the next power of two
+        return dtype.type(limits.max)
     if not limits.min <= int(ignore) <= limits.max:
         return None
     return dtype.type(int(ignore))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from glob import escape
 from pathlib import Path
 
 import numpy as np
@@ -150,7 +152,7 @@ def _pixel_area_m2(cube: Cube, table: LookupTable | None, truth: TargetTruth | N
     """Ground area of a pixel [m2]: of the map grid or lookup table, else as the campaign states its size."""
     if table is not None:
         return table.pixel_area_m2
-    if cube.transform is None and truth is not None and truth.pixel_size_m is not None:
+    if cube.pixel_area_m2 is None and truth is not None and truth.pixel_size_m is not None:
         return truth.pixel_size_m**2
     return cube.pixel_area_m2
 
@@ -248,7 +250,8 @@ def _regions(
         new: dict[str, Region]
         if source.file is not None:
             path = resolve(source.file)
-            new = _read(cube, table, path, source.coordinates)
+            only = [] if source.name is None else [escape(source.name)]
+            new = _read(cube, table, path, source.coordinates, patterns=only)
             if source.name is not None:
                 if len(new) == 1:
                     new = {source.name: replace(next(iter(new.values())), name=source.name)}
@@ -278,7 +281,13 @@ def _regions(
 
 
 def _read(
-    cube: Cube, table: LookupTable | None, path: Path, coordinates: str | None, *, touched: bool = False
+    cube: Cube,
+    table: LookupTable | None,
+    path: Path,
+    coordinates: str | None,
+    *,
+    patterns: Sequence[str] = (),
+    touched: bool = False,
 ) -> dict[str, Region]:
     """Regions of a file, placed by the lookup table where there is one, else as the cube lies."""
     return read_regions(
@@ -287,6 +296,7 @@ def _read(
         transform=table or cube.transform,
         crs=table.crs if table else cube.crs,
         coordinates=coordinates,
+        patterns=patterns,
         touched=touched,
     )
 
@@ -295,11 +305,19 @@ def _targets(
     cube: Cube, table: LookupTable | None, truth: TargetTruth, resolve: Resolve
 ) -> tuple[list[TargetObject], list[str]]:
     """The target objects, and what is to be said of how they were drawn."""
-    if truth.pixel_size_m is not None and (cube.transform is not None or table is not None):
+    if truth.pixel_size_m is not None and (cube.pixel_area_m2 is not None or table is not None):
         raise UsageError("the cube has a map position, and 'targets.pixel_size_m' is stated", mend="take it out")
     if truth.csv is not None:
+        area = _pixel_area_m2(cube, table, truth)
+        if area is None and table is None and cube.crs is not None and cube.crs.is_geographic:
+            raise UsageError(
+                "pixels in degrees have no ground size", where=truth.csv, mend="state targets.pixel_size_m"
+            )
         listed = read_targets(
-            resolve(truth.csv), cube.shape, transform=table or cube.transform, pixel_size_m=truth.pixel_size_m
+            resolve(truth.csv),
+            cube.shape,
+            transform=table or cube.transform,
+            pixel_size_m=None if area is None else math.sqrt(area),
         )
         return listed, []
     if truth.regions:
@@ -330,7 +348,7 @@ def _drawn_targets(
     remarks: list[str] = []
     for source in sources:
         path = resolve(source.file)
-        found = _read(cube, table, path, source.coordinates, touched=True)
+        found = _read(cube, table, path, source.coordinates, patterns=source.regions, touched=True)
         for pattern in source.regions:
             if not any(fnmatchcase(name, pattern) for name in found):
                 raise UsageError(

@@ -27,6 +27,8 @@ def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     lines = text.splitlines()
     entries: dict[str, str] = {}
     for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
         key, equals, value = line.partition("=")
         if not equals:
             raise InputError(f"not of the form 'key= value': {line[:60]!r}", where=f"{path}:{number}")

@@ -44,6 +44,13 @@ def library_records(path: Path, header: EnviHeader | None, root: Path | None = N
             where=header.where("file type"),
             expected="ENVI Spectral Library with one band",
         )
+    if header.header_offset:  # the parser would begin at the first byte all the same
+        raise InputError(
+            f"a library with a header offset of {header.header_offset} cannot be read",
+            where=header.where("header offset"),
+            expected="0",
+            mend="write the library again without it",
+        )
     size = path.stat().st_size
     if size != header.expected_bytes or size > MAX_BYTES:
         raise InputError(
@@ -62,7 +69,15 @@ def library_records(path: Path, header: EnviHeader | None, root: Path | None = N
     if len(names) != header.lines:
         raise InputError(f"{len(names)} names for {header.lines} spectra", where=header.where("spectra names"))
     # The checks above are what the parser leaves out: it takes a file of any size and any number of wavelengths.
-    values = np.asarray(envi.open(str(header.path), str(path)).spectra, dtype=float)
+    stored = np.asarray(envi.open(str(header.path), str(path)).spectra)
+    values = stored.astype(float)
+    # Nor does it know an ignore value or a list of bad bands; both are channels without a value.
+    ignore = header.number("data ignore value")
+    if ignore is not None:
+        values[stored == ignore] = np.nan
+    flags = header.numbers("bbl", header.samples)
+    if flags is not None:
+        values[:, flags == 0.0] = np.nan
     factor = header.number("reflectance scale factor")
     if factor is not None and not (np.isfinite(factor) and factor > 0):
         raise InputError(

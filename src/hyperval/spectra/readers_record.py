@@ -18,6 +18,7 @@ MAX_ROWS = 100_000
 PLAUSIBLE_NM = (100.0, 100_000.0)
 PLAUSIBLE_REFLECTANCE = 1.5  # median above this: not a fraction
 DELETED = -1e30  # libraries mark deleted channels by -1.23e34
+FILLS = (-999.0, -9999.0, -32768.0, -99999.0)  # what others write for it
 MAX_JOINS = 4  # backward jumps of the wavelength: more is not a set of detectors
 
 
@@ -95,7 +96,7 @@ def finished(
         raise UsageError(f"unknown quantity {quantity!r}", expected="reflectance, radiance, irradiance or other")
     if record.quantity is not None and quantity not in ("other", record.quantity):
         mend = None
-        if quantity == "reflectance":
+        if quantity == "reflectance" and record.quantity in ("radiance", "irradiance"):
             mend = "give the reflectance: the spectrum over that of a white panel under the same light"
         raise InputError(f"the file holds {record.quantity}, not {quantity}", where=record.where, mend=mend)
     record = in_nm(record, wavelength_unit)
@@ -151,7 +152,11 @@ def without_gaps(record: Record) -> Record:
     """The record without channels that hold no value (NaN, or the mark of a deleted channel)."""
     keep = np.isfinite(record.values) & (record.values > DELETED)
     if record.standard_deviation is not None:
-        keep &= np.isfinite(record.standard_deviation)
+        known = np.isfinite(record.standard_deviation) & (record.standard_deviation > DELETED)
+        if not known.any():  # a column for it, and no number in it
+            record = replace(record, standard_deviation=None)
+        else:
+            keep &= known
     if keep.all():
         return record
     if keep.sum() < 2:
@@ -235,6 +240,14 @@ def _reflectance(record: Record, given: str | None) -> float:
     if stated is not None and given is not None and reflectance_factor(stated) != reflectance_factor(given):
         raise UsageError(f"the file states reflectance in {stated}, the caller in {given}", where=record.where)
     factor = reflectance_factor(stated or given or "fraction")
+    marks = np.isin(record.values, FILLS)
+    if marks.any():
+        raise InputError(
+            f"{int(marks.sum())} channels hold {record.values[marks][0]:g}, which marks a missing value and is no "
+            "reflectance",
+            where=record.where,
+            mend="delete these channels, or write NaN in their place",
+        )
     middle = float(np.median(record.values)) * factor
     if middle > PLAUSIBLE_REFLECTANCE:
         name = "scaled:10000" if middle > 150.0 else "percent"

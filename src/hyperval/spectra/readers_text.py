@@ -47,7 +47,10 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
                 spread[i - 1] = i
     if table.shape[1] < 2:
         raise InputError(
-            "a single column", where=f"{path}:{first_line}", expected="a wavelength and a value in every row"
+            "a single column",
+            where=f"{path}:{first_line}",
+            expected="a wavelength and a value in every row",
+            mend="where the wavelengths have a file of their own, name it (wavelengths)",
         )
     whole = "\n".join(header)
     unit = _stated(titles[0], whole)
@@ -174,8 +177,11 @@ def reflectance_unit_in(title: str) -> str | None:
 
 
 def quantity_in(title: str) -> str | None:
-    """Radiance or irradiance where a column title says so, else None."""
-    found = re.search(r"(?<![a-z])(ir)?radiance", title, re.IGNORECASE)
+    """Radiance, irradiance or another quantity than reflectance where a column title says so, else None."""
+    if re.search("reflect", title, re.IGNORECASE):
+        return None
+    other = r"transmittance|transmission|absorbance|absorption|emissivity|emittance"
+    found = re.search(rf"(?<![a-z])((ir)?radiance|{other})", title, re.IGNORECASE)
     return None if found is None else found.group().lower()
 
 
