@@ -53,20 +53,9 @@ def fit_gain(
         raise UsageError("some panels have an error and others have none")
     none = exact.all(axis=0)
     vy, vx = np.where(none, 1.0, variance), np.where(none, 0.0, v_rho)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        k = np.sum(rho * radiance, axis=0) / np.sum(rho**2, axis=0)
-        for _ in range(_ITERATIONS):
-            w = 1.0 / (vy + k**2 * vx)
-            x = w * (rho * vy + k * radiance * vx)
-            new = np.sum(w * x * radiance, axis=0) / np.sum(w * x * rho, axis=0)
-            done = np.all(~(np.abs(new - k) > _TOLERANCE * np.abs(new)))
-            k = new
-            if done:
-                break
-        w = 1.0 / (vy + k**2 * vx)
-        x = w * (rho * vy + k * radiance * vx)
-        var_k = np.where(none, 0.0, 1.0 / np.sum(w * x**2, axis=0))
-        usable = np.isfinite(k) & (k > minimum_gain_snr * np.sqrt(var_k))
+    k, var_k, w = _gain(rho, radiance, vx, vy)
+    var_k = np.where(none, 0.0, var_k)
+    usable = np.isfinite(k) & (k > minimum_gain_snr * np.sqrt(var_k))
     if np.mean(usable) < 0.5:
         raise UsageError(
             f"the gain is below {minimum_gain_snr:g} times its uncertainty in {int((~usable).sum())} of "
@@ -85,12 +74,32 @@ def fit_gain(
     if count > 1:
         left = np.full(rho.shape, np.nan)
         for i in range(count):
-            rest = fit_gain([p for j, p in enumerate(panels) if j != i], minimum_gain_snr=minimum_gain_snr)
-            left[i] = rest.reflectance(radiance[i]) - rho[i]
+            rest = np.arange(count) != i
+            part, var_part, _ = _gain(rho[rest], radiance[rest], vx[rest], vy[rest])
+            # Without panel i the others may be too dark to fix a gain: that band then has no leave-one-out error.
+            clear = usable & np.isfinite(part) & (part > minimum_gain_snr * np.sqrt(np.where(none, 0.0, var_part)))
+            left[i, clear] = radiance[i, clear] / part[clear] - rho[i, clear]
     return EmpiricalLine(
         np.where(usable, k, np.nan), np.where(usable, 0.0, np.nan), covariance, residuals, reduced, left, usable,
         tuple(p.name for p in panels),
     )  # fmt: skip
+
+
+def _gain(rho: Array, radiance: Array, vx: Array, vy: Array) -> tuple[Array, Array, Array]:
+    """(B,) gain of panels (P, B), its variance, and the weights (P, B) of :func:`fit_gain`."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        k = np.sum(rho * radiance, axis=0) / np.sum(rho**2, axis=0)
+        for _ in range(_ITERATIONS):
+            w = 1.0 / (vy + k**2 * vx)
+            x = w * (rho * vy + k * radiance * vx)
+            new = np.sum(w * x * radiance, axis=0) / np.sum(w * x * rho, axis=0)
+            done = np.all(~(np.abs(new - k) > _TOLERANCE * np.abs(new)))
+            k = new
+            if done:
+                break
+        w = 1.0 / (vy + k**2 * vx)
+        x = w * (rho * vy + k * radiance * vx)
+        return k, 1.0 / np.sum(w * x**2, axis=0), w
 
 
 def darkest_pixel_panel(

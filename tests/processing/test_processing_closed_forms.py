@@ -1,0 +1,383 @@
+"""Numbers that the other tests leave free: each against a closed form, a definition in plain loops, or draws."""
+
+from __future__ import annotations
+
+from statistics import fmean, stdev
+
+import numpy as np
+import pytest
+from scipy import integrate, ndimage, optimize, stats
+
+from hyperval.errors import UsageError
+from hyperval.processing.auc import auc_with_interval
+from hyperval.processing.covariance_sampling import SamplingBand, drawn_covariance
+from hyperval.processing.elm import PanelMeasurement, fit_elm
+from hyperval.processing.elm_error import PanelErrors, line_error
+from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
+from hyperval.processing.elm_model import darkest_level
+from hyperval.processing.exceedance import exceedance_curve, false_alarm_ratio
+from hyperval.processing.filters import PositiveDefinite
+from hyperval.processing.gaussian_classifier import ClassLaw, measured_error, with_distances
+from hyperval.processing.mean_error import independent_pixels
+from hyperval.processing.rank_counts import counts_of
+from hyperval.processing.roc import average_roc, empirical_roc, pd_at_pfa, pooled_roc, with_summary
+from hyperval.processing.roc_areas import WHOLE, area_estimates, area_variance, logit_interval
+from hyperval.processing.roc_model import (
+    ClassScore,
+    greatest_class_false_alarm,
+    log_false_alarm,
+    object_detection_probability,
+    score_density,
+    target_score_moments,
+)
+from hyperval.processing.snr import snr_decorrelated, snr_interval, snr_mean_sd
+from hyperval.processing.spatial_correlation import neighbour_shares
+from hyperval.processing.tails import fit_tail_dof, left_out_distances, tail_log_likelihood
+from hyperval.products import ClassificationError, ExceedanceCurve, RocCurve
+from hyperval.scene.fill import FillDistribution
+
+# Empirical line -----------------------------------------------------------------------------------
+
+
+def one(name, rho, u, radiance, variance):
+    values = (np.atleast_1d(np.asarray(v, float)) for v in (rho, u, radiance, variance))
+    return PanelMeasurement(name, *values, 9)
+
+
+def test_a_gain_is_refused_from_a_fifth_of_itself_on():
+    # Two panels half apart: u(k) = sqrt(2 var)/0.5.
+    for share, refused in ((0.19, False), (0.21, True)):
+        panels = [one(str(r), r, 0.0, 10.0 * r, (share * 10.0 * 0.5) ** 2 / 2) for r in (0.1, 0.6)]
+        if refused:
+            with pytest.raises(UsageError, match="below 5 times"):
+                fit_elm(panels)
+        else:
+            assert fit_elm(panels).gain == pytest.approx([10.0])
+
+
+def test_errors_of_radiance_keep_their_correlation_between_bands():
+    gain, rho = np.array([20.0, 8.0]), (0.1, 0.5)
+    made = [one(str(r), [r, r], [0.0, 0.0], gain * r, [0.04, 0.01]) for r in rho]
+    together = np.array([[0.04, 0.012], [0.012, 0.01]])
+    found = line_error(fit_elm, made, [PanelErrors(np.zeros((2, 2)), together)] * 2).covariance(gain * 0.2)
+    # Weights 3/4 and 1/4 of the panels, over the gains.
+    assert found == pytest.approx((0.75**2 + 0.25**2) * together / np.outer(gain, gain), rel=1e-4)
+
+
+def test_gain_without_offset_is_the_least_of_its_sum_of_squares():
+    rho, radiance = np.array([0.1, 0.4, 0.7]), np.array([2.6, 7.4, 14.9])
+    u, variance = np.array([0.03, 0.01, 0.02]), np.array([0.01, 0.09, 0.04])
+    line = fit_gain([one(str(i), *v) for i, v in enumerate(zip(rho, u, radiance, variance, strict=True))])
+
+    def squares(k):
+        return float(np.sum((radiance - k * rho) ** 2 / (variance + k**2 * u**2)))
+
+    best = optimize.minimize_scalar(squares, bounds=(10.0, 40.0), method="bounded", options={"xatol": 1e-10})
+    assert line.gain[0] == pytest.approx(best.x, rel=1e-6)
+    assert line.reduced_chi2[0] == pytest.approx(best.fun / 2, rel=1e-9)
+    for i in range(3):
+        others = [one(str(j), rho[j], u[j], radiance[j], variance[j]) for j in range(3) if j != i]
+        assert line.leave_one_out[i, 0] == pytest.approx(radiance[i] / fit_gain(others).gain[0] - rho[i], rel=1e-12)
+    # A black panel alone gives no gain; with a white one it does, and only the white one's own error is unknown.
+    black, white = one("black", 0.02, 0.01, 0.5, 0.01), one("white", 0.5, 0.01, 10.0, 0.01)
+    assert np.isnan(fit_gain([black, white]).leave_one_out[:, 0]).tolist() == [False, True]
+    # Ten panels are ten fits, not one for every order of leaving them out.
+    many = [one(str(i), r, 0.01, 20.0 * r, 0.01) for i, r in enumerate(np.linspace(0.1, 0.9, 12))]
+    assert fit_gain(many).leave_one_out == pytest.approx(np.zeros((12, 1)), abs=1e-12)
+
+
+def test_a_darkest_pixel_may_lie_below_nought_by_noise_alone():
+    assert darkest_pixel_panel([-0.29], [0.01]).radiance == pytest.approx([-0.29])
+    with pytest.raises(UsageError, match="negative"):
+        darkest_pixel_panel([-0.31], [0.01])
+
+
+def test_the_darkest_of_many_pixels_is_a_median():
+    # 4,001 scenes of 50 pixels: a share of one half is known to 0.008, 4.5 of which are allowed.
+    rng = np.random.default_rng(0)
+    level = darkest_level([0.3, 0.7], [[1.0], [2.0]], [[0.2], [0.5]], 50)[0]
+    dark = rng.random((4001, 50)) < 0.3
+    least = np.where(dark, rng.normal(1.0, 0.2, dark.shape), rng.normal(2.0, 0.5, dark.shape)).min(axis=1)
+    assert np.mean(least < level) == pytest.approx(0.5, abs=0.036)
+    alone = darkest_level([1.0], [[3.0]], [[0.4]], 9)[0]
+    assert alone == pytest.approx(3.0 + 0.4 * stats.norm.ppf(1 - 0.5 ** (1 / 9)), abs=1e-12)
+
+
+# Filters ------------------------------------------------------------------------------------------
+
+
+def with_eigenvalues(values):
+    """A correlation-like matrix with these eigenvalues along orthonormal directions."""
+    n = len(values)
+    q = np.linalg.qr(np.random.default_rng(1).normal(size=(n, n)))[0]
+    return q @ np.diag(values) @ q.T
+
+
+def test_condition_is_that_of_the_matrix_at_unit_diagonal():
+    covariance = with_eigenvalues(np.geomspace(1.0, 1e-6, 9)) * np.outer(np.arange(1, 10), np.arange(1, 10))
+    sd = np.sqrt(np.diag(covariance))
+    assert PositiveDefinite(covariance).condition == pytest.approx(
+        np.linalg.cond(covariance / np.outer(sd, sd), 1), rel=0.3
+    )
+
+
+def test_a_small_eigenvalue_counts_for_the_rank_and_a_lost_one_does_not():
+    values = np.ones(12)
+    values[0], values[1] = 1e-10, 0.0
+    with pytest.raises(UsageError, match="rank 11 of 12"):
+        PositiveDefinite(with_eigenvalues(values))
+
+
+# ROC ----------------------------------------------------------------------------------------------
+
+
+def test_one_score_on_a_side_has_the_bound_of_birnbaum_and_klose():
+    found = auc_with_interval([2.5], [0.0, 1.0, 2.0, 3.0])
+    assert (found.auc, found.variance) == (0.75, 0.75 * 0.25)
+
+
+def test_everything_is_declared_at_a_false_alarm_probability_of_one():
+    found = pd_at_pfa([0.0, 1.0, 2.0], [0.5, 1.5], 1.0)
+    assert (found.pd[0], found.lower[0], found.upper[0]) == (1.0, 1.0, 1.0)
+
+
+def test_limits_of_a_curve_never_fall_though_those_at_single_points_may():
+    fell = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        t, b = rng.normal(1.0, 1.0, 9), rng.normal(size=60)
+        grid = np.linspace(0.02, 1.0, 50)
+        alone, curve = pd_at_pfa(t, b, grid), empirical_roc(t, b, grid)
+        fell += np.any(np.diff(alone.lower) < 0) or np.any(np.diff(alone.upper) < 0)
+        assert curve.pd_lower == pytest.approx([alone.lower[i:].min() for i in range(50)], abs=0)
+        assert curve.pd_upper == pytest.approx([alone.upper[: i + 1].max() for i in range(50)], abs=0)
+    assert fell  # else this says nothing
+
+
+def test_average_of_predicted_curves_is_by_weight():
+    pfa = np.array([1e-3, 1e-2])
+    parts = [RocCurve(pfa, *([np.array(v)] * 3), np.zeros(2), "pixel") for v in ([0.2, 0.4], [0.6, 1.0])]
+    assert average_roc(parts, [3, 1]).pd == pytest.approx([0.3, 0.55])
+    assert average_roc(parts, [3, 1]).pd_lower == pytest.approx([0.3, 0.55])
+
+
+def test_pool_of_unequal_groups_by_hand():
+    rng = np.random.default_rng(3)
+    groups = [(rng.normal(1.0, 1.0, 40), rng.normal(size=900)), (rng.normal(0.5, 1.0, 10), rng.normal(size=400))]
+    curves = [with_summary(empirical_roc(t, b, [0.1, 1.0]), t, b) for t, b in groups]
+    pool = pooled_roc(curves)
+    assert (pool.n_target, pool.n_background) == (
+        50,
+        400,
+    )  # what the smaller background cannot say, the pool cannot
+    each = [c.areas["auc"] for c in curves]
+    # What the background brings goes together: standard deviations are added by the share of the targets.
+    background = (0.8 * np.sqrt(each[0].background_variance) + 0.2 * np.sqrt(each[1].background_variance)) ** 2
+    assert pool.areas["auc"].background_variance == pytest.approx(background, rel=1e-12)
+    placed = np.concatenate([e.placements for e in each])
+    assert min(placed.sum(), (1 - placed).sum()) > 8  # the logit interval alone
+    limits = logit_interval(placed.mean(), placed.var(ddof=1) / 50 + background, 50, 400)
+    assert (pool.areas["auc"].lower, pool.areas["auc"].upper) == pytest.approx(limits, rel=1e-12)
+
+
+def test_logit_interval_has_student_s_quantile_of_the_smaller_sample():
+    low, high = logit_interval(0.8, 0.01, 5, 2000)
+    half = stats.t.ppf(0.975, 4) * 0.1 / 0.16
+    assert np.log(high / (1 - high)) - np.log(4.0) == pytest.approx(half, rel=1e-9)
+    assert np.log(4.0) - np.log(low / (1 - low)) == pytest.approx(half, rel=1e-9)
+
+
+@pytest.mark.parametrize(("m", "n"), [(5, 300), (12, 14)])
+def test_bootstrap_over_objects_has_the_variance_of_delong_few_objects_or_many(m, n):
+    # 20,000 draws know a variance to 1 %; the two estimates are unbiased and differ by some parts of 1/m^2, 1/n.
+    rng = np.random.default_rng(m)
+    t, b = rng.normal(0.7, 1.0, m), rng.normal(size=n)
+    counts = counts_of(t, b)
+    found = area_estimates(counts, {"auc": WHOLE}, "object", 20_000, rng)["auc"]
+    a = found.value
+    half = np.log(found.upper / (1 - found.upper)) - np.log(a / (1 - a))
+    variance = (half * a * (1 - a) / stats.t.ppf(0.975, min(m, n) - 1)) ** 2
+    assert variance == pytest.approx(sum(area_variance(counts)), rel=0.1)
+
+
+# Scores of the model ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dof", [None, 5.0])
+def test_density_is_the_slope_of_the_false_alarms(dof):
+    classes = [ClassScore(0.3, 0.2, 0.4, dof), ClassScore(0.7, -0.1, 0.2)]
+    low, high = 0.05, 0.9
+    between = np.exp(log_false_alarm([low, high], classes))
+    area = integrate.quad(lambda x: float(score_density(x, classes)), low, high, epsabs=1e-12)[0]
+    assert area == pytest.approx(between[0] - between[1], rel=1e-9)
+    worst = max(np.exp(log_false_alarm([0.5], [ClassScore(1.0, c.mean, c.sd, c.tail_dof)]))[0] for c in classes)
+    assert greatest_class_false_alarm([0.5], classes)[0] == pytest.approx(worst, rel=1e-12)
+
+
+def test_moments_of_mixed_pixels_against_draws():
+    # 400,000 pixels: a standard deviation is known to 0.1 %, 4.5 of which are allowed.
+    rng = np.random.default_rng(4)
+    nodes, weights = np.array([0.1, 0.4, 0.9]), np.array([0.5, 0.3, 0.2])
+    f = rng.choice(nodes, 400_000, p=weights)
+    host, a, b, n = 0.3, 0.04, 0.09, 0.01
+    z = rng.standard_normal((3, f.size))
+    score = f * (1 + np.sqrt(a) * z[0]) + (1 - f) * (host + np.sqrt(b) * z[1]) + np.sqrt(n) * z[2]
+    mean, sd = target_score_moments(FillDistribution(nodes, weights), host, a, b, n)
+    assert mean == pytest.approx(score.mean(), abs=4.5 * score.std() / np.sqrt(f.size))
+    assert sd == pytest.approx(score.std(), rel=5e-3)
+
+
+def test_an_object_is_missed_where_all_its_pixels_are():
+    means, sds = np.array([[0.5, 0.2, -0.1], [0.3, 0.3, 0.3]]), np.array([[0.2, 0.4, 0.3], [0.1, 0.1, 0.1]])
+    x = 0.35
+    missed = [
+        np.prod([stats.norm.cdf(x, m, s) for m, s in zip(at, spread, strict=True)])
+        for at, spread in zip(means, sds, strict=True)
+    ]
+    assert object_detection_probability([x], means, sds)[0] == pytest.approx(1 - np.mean(missed), rel=1e-12)
+
+
+# Exceedance and covariances -----------------------------------------------------------------------
+
+
+def test_interval_of_exceedance_by_blocks_in_plain_loops():
+    rng = np.random.default_rng(5)
+    image = ndimage.gaussian_filter(rng.standard_normal((22, 30)), 1.0)  # 30 columns: blocks of 4 leave two over
+    counted = rng.random(image.shape) < 0.9
+    curve = exceedance_curve(image, counted, side=4)
+    total = counted.sum()
+    checked = 0
+    for t, p, low, high in zip(curve.threshold, curve.probability, curve.lower, curve.upper, strict=True):
+        alarms, held = [], []
+        for i in range(0, 22, 4):
+            for j in range(0, 30, 4):
+                inside = counted[i : i + 4, j : j + 4]
+                if inside.any():
+                    held.append(inside.sum())
+                    alarms.append(np.sum(image[i : i + 4, j : j + 4][inside] > t))
+        m, struck = len(held), np.count_nonzero(alarms)
+        if struck < 2:
+            assert np.isnan(low)
+            continue
+        scatter = m / (m - 1) * sum((k - p * n) ** 2 for k, n in zip(alarms, held, strict=True)) / total**2
+        half = stats.t.ppf(0.975, struck - 1) * np.sqrt(scatter) / p
+        assert (low, high) == pytest.approx((p * np.exp(-half), min(p * np.exp(half), 1.0)), rel=1e-10)
+        checked += 1
+    assert checked > 5
+
+
+def test_the_point_of_a_level_is_the_nearest_by_ratio():
+    grid = np.arange(3.0)
+    measured = ExceedanceCurve(grid, np.array([0.5, 0.017, 0.004]), *np.full((2, 3), 0.01), 1000)
+    found = false_alarm_ratio(measured, measured, 1e-2)
+    assert (found.at, found.value) == (1, pytest.approx(1.0))
+
+
+def test_limits_of_draws_are_the_third_from_each_end_of_119():
+    low, high = SamplingBand.limits(np.random.default_rng(0).permutation(119).astype(float) + 1)
+    assert (low, high) == (3.0, 117.0)  # a further draw is below 3 of 120 places, or above: 6/120 = 0.05
+
+
+@pytest.mark.parametrize("kappa", [0.0, 2.0])
+def test_variance_of_a_single_direction_has_the_scatter_of_its_tails(kappa):
+    # (2 + 3 kappa)/n (Waternaux 1976); 6,000 draws know a variance to 2 %, 4.5 of which are allowed.
+    rng = np.random.default_rng(6)
+    drawn = np.array([drawn_covariance(1, 3000, rng, kappa)[0, 0] for _ in range(6000)])
+    assert drawn.var() == pytest.approx((2 + 3 * kappa) / 3000, rel=0.09)
+
+
+# SNR, tails, independence -------------------------------------------------------------------------
+
+
+def test_snr_of_few_pixels_by_definition():
+    x = np.random.default_rng(7).normal(5.0, 1.0, (6, 5))
+    found = snr_mean_sd(x)
+    assert found.mean == pytest.approx([fmean(x[:, b]) / stdev(x[:, b]) for b in range(5)], rel=1e-12)
+    assert found.budget["mean"] == pytest.approx(np.full(5, 1 / np.sqrt(6)))
+    assert found.budget["noise estimate"] == pytest.approx(found.mean / np.sqrt(2 * 5))
+    expected = []
+    for b, (i, j) in enumerate([(1, 2), (0, 2), (1, 3), (2, 4), (2, 3)]):
+        design = np.column_stack([np.ones(6), x[:, i], x[:, j]])
+        c, rest, *_ = np.linalg.lstsq(design, x[:, b], rcond=None)
+        expected.append(x[:, b].mean() / np.sqrt(rest[0] / (6 - 3) / (1 + c[1] ** 2 + c[2] ** 2)))
+    assert snr_decorrelated(x).mean == pytest.approx(expected, rel=1e-9)
+
+
+def test_limits_of_snr_are_met_at_the_ends_of_chi_square():
+    # Noise found so small (or large) that only 2.5 % of samples show less (more): the true SNR is a limit.
+    for dof in (4, 40):
+        for side, tail in ((0, 0.025), (1, 0.975)):
+            found = 50.0 / np.sqrt(stats.chi2.ppf(tail, dof) / dof)
+            assert snr_interval(found, dof)[side] == pytest.approx(50.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("estimated", [False, True])
+def test_limits_of_tails_are_where_the_likelihood_has_dropped(estimated):
+    rng = np.random.default_rng(8)
+    n, p, nu = 400, 6, 7.0
+    x = rng.standard_normal((n, p)) * np.sqrt((nu - 2) / rng.chisquare(nu, n))[:, None]
+    z = x - x.mean(axis=0)
+    d = np.einsum("ij,jk,ik->i", z, np.linalg.inv(np.cov(x.T)), z)
+    found = fit_tail_dof(d, p, estimated_on=n if estimated else None)
+    # Distances from the other pixels of a normal law are a t of n - 1 - p degrees of freedom already.
+    used, offset = (left_out_distances(d, n), 1 / (n - 1 - p)) if estimated else (d, 0.0)
+    grid = np.linspace(0.0, 0.49 - offset, 4000)
+    likelihood = np.array([tail_log_likelihood(a + offset, used, p) for a in grid])
+    top = likelihood.max()
+    inside = grid[likelihood >= top - stats.chi2.ppf(0.95, 1) / 2]
+    assert 1 / found.dof == pytest.approx(grid[likelihood.argmax()], abs=2e-4)
+    assert (1 / found.upper, 1 / found.lower) == pytest.approx((inside[0], inside[-1]), abs=2e-4)
+    # Half the tail of chi-square, as nu = inf is the end of the range.
+    assert found.normality_p_value == pytest.approx(0.5 * stats.chi2.sf(2 * (top - likelihood[0]), 1), rel=0.01)
+
+
+def test_independent_pixels_behind_a_variance_are_those_of_the_squared_correlation():
+    # Blurred noise, sd w: rho = exp(-h^2/(4 w^2)).  Over 12 fields of 4,096 pixels the number is known to some 3 %.
+    rng = np.random.default_rng(9)
+    size, w, reach = 64, 1.6, 16
+    shares = neighbour_shares(np.ones((size, size), bool), reach, rng)
+    steps = np.arange(-reach, reach + 1)
+    rho = np.exp(-(np.hypot(steps[:, None], steps[None]) ** 2) / (4 * w**2))
+    found = []
+    for _ in range(12):
+        z = ndimage.gaussian_filter(rng.standard_normal((size, size)), w, mode="wrap")
+        windows = [(((z - z.mean()) / z.std())[None], np.ones((size, size), bool))]
+        found.append([v[0] for v in independent_pixels(windows, shares, size**2, reach)])
+    for_mean, for_variance = np.mean(found, axis=0)
+    assert for_variance == pytest.approx(size**2 / np.sum(rho**2 * shares), rel=0.15)
+    assert for_mean == pytest.approx(size**2 / np.sum(rho * shares), rel=0.25)
+
+
+# Classification -----------------------------------------------------------------------------------
+
+
+def test_pixels_of_a_t_law_have_the_covariance_that_is_stated():
+    # 200,000 pixels of 8 degrees of freedom: a variance is known to 0.5 %.
+    covariance = np.array([[2.0, 0.6], [0.6, 1.0]])
+    x = ClassLaw(np.zeros(2), covariance, 8.0).draw(200_000, np.random.default_rng(10))
+    assert np.cov(x.T) == pytest.approx(covariance, rel=0.025)
+
+
+def test_distances_of_three_classes_take_the_nearest_pair():
+    laws = [ClassLaw(np.array([at]), np.eye(1)) for at in (0.0, 1.0, 4.0)]
+    found = with_distances(ClassificationError(0.2, 0.1, 0.3, 100), laws)
+    distance = [d**2 / 8 for d in (1.0, 4.0, 3.0)]
+    assert found.distance == pytest.approx(min(distance))
+    pair = [0.5 - 0.5 * np.sqrt(1 - np.exp(-2 * d)) for d in distance]
+    assert found.bound_lower == pytest.approx(2 / 3 * max(pair))
+    assert found.bound_upper == pytest.approx(min(sum(np.exp(-d) for d in distance) / 3, 2 / 3))
+    assert found.approximation == pytest.approx(sum(2 / 3 * stats.norm.cdf(-d / 2) for d in (1.0, 4.0, 3.0)))
+
+
+def test_spread_of_the_error_from_block_to_block_by_hand():
+    laws = [ClassLaw(np.array([at]), np.eye(1)) for at in (0.0, 10.0)]
+    good, bad = np.zeros((10, 1)), np.full((10, 1), 10.0)
+    # The first class: blocks of 0, 2 and 4 errors of 10; the second errs 3 times in 30, once a block.
+    first = np.concatenate([good, good[:8], bad[:2], good[:6], bad[:4]])
+    second = np.concatenate([np.concatenate([bad[:9], good[:1]])] * 3)
+    block = np.repeat([0, 1, 2], 10)
+    found = measured_error(laws, [first, second], [block, block])
+    between = 3 / 2 * (2.0**2 + 2.0**2) / 30**2  # about 2 a block; that of the second class is 0
+    variance = (between + 0.1 * 0.9 / 30) / 4
+    assert found.error == pytest.approx(0.15)
+    assert found.effective_n == pytest.approx(0.15 * 0.85 / variance)
