@@ -38,10 +38,13 @@ def near_targets():
         (["scene"], lambda v: v[~near_targets()]),
         (["image"], lambda v: v.reshape(-1, BANDS)),
         (["corner"], lambda v: v[35:45, 5:25].reshape(-1, BANDS)),
+        # A region over targets: neither they nor their guard ring are in the covariance.
+        (["middle"], lambda v: v[5:35, 5:30][~near_targets()[5:35, 5:30]]),
     ],
-    ids=["scene", "image", "region"],
+    ids=["scene", "image", "region", "region over targets"],
 )
 def test_scores_equal_plain_numpy(world, background, pixels):
+    world.collection["regions"].append({"name": "middle", "rectangle": [5, 5, 30, 25]})
     world.detection["background"] = background
     target = world.on_bands("library.csv", "paint")
     expected = matched_filter(world.values, target, *moments(pixels(world.values)))
@@ -171,6 +174,16 @@ def test_areas_are_sums_of_scores_times_the_pixel_area(world):
     sd = scores[~near_targets()].std(ddof=1)
     assert area.standard_uncertainty == pytest.approx(sd * np.sqrt(9 / 2) * 4.0, rel=0.25)
     assert abs(area.area_m2 - 3.2) < 4.0 * area.standard_uncertainty
+
+
+def test_the_margin_of_an_area_leaves_out_the_pixels_of_its_neighbours(world):
+    world.text("targets.csv", target_rows({(10, 10): 0.8, (10, 11): 0.3}))
+    world.detection["areas"] = [{"target": "paint", "detector": "cem", "margin_pixels": 1}]
+    seen = world.observe()
+    scores = seen.detected.score_maps["paint-cem"]
+    area = seen.observation.abundance["fill 0.8", "cem"]
+    assert area.n == 8
+    assert area.area_m2 == pytest.approx(4.0 * (scores[9:12, 9:12].sum() - scores[10, 11]), rel=1e-12)
 
 
 def test_the_error_of_an_area_knows_nothing_of_the_targets(world):

@@ -12,6 +12,7 @@ from hyperval.collection import CalibrationUncertainty, Collection
 from hyperval.errors import InputError, UsageError
 from hyperval.observe import observe
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
+from hyperval.processing.few_pixels import factor_covariance
 from hyperval.processing.mean_error import small_sample_factor
 
 
@@ -26,9 +27,20 @@ def test_mean_and_covariance_of_a_region_equal_numpy(world):
     assert corner.error_covariance == pytest.approx(covariance * widened, rel=1e-9, abs=1e-18)
     assert set(corner.budget) == {"sampling"}
     assert corner.n == 200
+    # Pixels that are independent of each other: n - 1 degrees of freedom behind the error.
+    assert [dof for _, dof in corner.estimated] == pytest.approx([199], rel=0.02)
     assert seen.observation.radiance == {}
     handed = seen.statistics["corner"]
     assert (handed.mean, handed.n) == (pytest.approx(pixels.mean(axis=0)), 200)
+
+
+def test_the_mean_of_fewer_pixels_than_bands_has_an_error_in_every_direction(world):
+    world.collection["regions"] = [{"name": "few", "rectangle": [40, 5, 2, 3]}]
+    few = world.observe().observation.reflectance["few"]
+    expected, dof = factor_covariance(np.cov(world.values[40:42, 5:8].reshape(-1, BANDS), rowvar=False), 6)
+    assert few.error_covariance == pytest.approx(expected / 6, rel=1e-9, abs=1e-18)
+    assert np.linalg.matrix_rank(few.error_covariance) == BANDS
+    assert [nu for _, nu in few.estimated] == pytest.approx([dof])
 
 
 def test_a_region_keeps_clear_of_targets_unless_nothing_is_left(world):

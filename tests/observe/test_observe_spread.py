@@ -36,6 +36,21 @@ def test_tails_of_a_region(world, dof):
     assert np.all(np.diff(found.exceedance) <= 0)
 
 
+def test_pixels_that_are_drawn_together_count_once_for_the_limits_of_tails(world):
+    # Each of 20 x 20 pixels of a t law stands 3 x 3 times: the limits are those of 400 pixels, not of 3,600.
+    world.detection, world.collection["targets"] = None, None
+    world.collection["regions"] = [{"name": "all", "rectangle": [0, 0, 60, 60]}]
+    width = {}
+    for name, values in (
+        ("alone", field(6.0)), ("repeated", np.kron(field(6.0, lines=20, samples=20), np.ones((3, 3, 1))))
+    ):  # fmt: skip
+        world.write(values)
+        found = world.observe().observation.distribution["all"]
+        width[name] = 1 / found.tail_lower - 1 / found.tail_upper
+    # sqrt(9) = 3 times wider; shape and size of the correlation are themselves found from the pixels.
+    assert width["repeated"] / width["alone"] == pytest.approx(3.0, rel=0.35)
+
+
 def test_small_regions_have_no_tails(world):
     world.collection["regions"] = [{"name": "few", "rectangle": [0, 0, 10, 10]}]
     assert world.observe().observation.distribution == {}

@@ -17,7 +17,7 @@ from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.gram import Directions, Sums
 from hyperval.processing.passes import MAX_THREADS, _segments
 from hyperval.processing.pixel_scores import score_cube
-from hyperval.processing.region_statistics import region_statistics
+from hyperval.processing.region_statistics import darkest_values, region_statistics
 
 LINES, SAMPLES, BANDS = 47, 23, 30
 TYPES = {"u1": 1, "i2": 2, "i4": 3, "f4": 4, "f8": 5, "u2": 12}
@@ -174,6 +174,27 @@ def test_ignored_and_empty_pixels_never_reach_the_mean(tmp_path):
     ok = ~((x == -9999).any(axis=-1) | (x == 0).all(axis=-1))
     assert (found.n, found.n_left_out) == (int(ok.sum()), SAMPLES + 3 + 5)
     assert found.mean == pytest.approx(0.01 * x[ok].mean(axis=0), rel=1e-12)
+
+
+def test_regions_count_what_they_leave_out_each_for_itself(tmp_path):
+    x = numbers()
+    x[4, :6] = -9999
+    masks = {"a": np.zeros((LINES, SAMPLES), bool), "b": np.zeros((LINES, SAMPLES), bool)}
+    masks["a"][3:6, 2:9], masks["b"][4:, 5:] = True, True
+    found = region_statistics(opened(write(tmp_path, x, extra="data ignore value = -9999\n")), masks)
+    assert {k: (v.n, v.n_left_out) for k, v in found.items()} == {
+        "scene": (LINES * SAMPLES - 6, 6), "a": (21 - 4, 4), "b": ((LINES - 4) * (SAMPLES - 5) - 1, 1)
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("gain", [0.5, -0.5])
+def test_the_darkest_values_are_the_least_of_the_values_and_not_of_the_numbers(tmp_path, gain):
+    x = numbers()
+    x[0, 0] = -9999
+    gains = ", ".join([str(gain)] * BANDS)
+    cube = opened(write(tmp_path, x, extra=f"data ignore value = -9999\ndata gain values = {{{gains}}}\n"))
+    values = gain * np.delete(x.reshape(-1, BANDS), 0, axis=0)
+    assert np.array_equal(darkest_values(cube), values.min(axis=0))
 
 
 def test_nan_is_left_out_and_counted(tmp_path):
