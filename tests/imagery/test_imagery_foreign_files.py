@@ -47,12 +47,40 @@ def test_wavelengths_in_the_tags_of_the_bands(tmp_path: Path, values, unit: str,
 
 @pytest.mark.parametrize(
     ("spoil", "message"),
-    [({"wavelength_units": ""}, "lists no wavelengths"), ({"wavelength": "blue"}, "that are no numbers")],
+    [
+        ({"wavelength_units": ""}, "lists no wavelengths"),
+        ({"wavelength": "blue"}, "that are no positive numbers"),
+        ({"wavelength": "nan"}, "that are no positive numbers"),
+        ({"fwhm": "-1"}, "'fwhm' of the bands that are no positive numbers"),
+    ],
 )
 def test_tags_without_unit_or_number_are_not_believed(tmp_path: Path, values, spoil, message):
     tags = [{"wavelength": f"{w}", "wavelength_units": "nm", **spoil} for w in CENTRE]
     with pytest.raises(InputError, match=message):
         open_cube(tagged(tmp_path / "c.tif", values, tags), quantity="reflectance")
+
+
+def test_tags_in_falling_order_are_sorted_on_request(tmp_path: Path, values):
+    tags = [{"wavelength": f"{w}", "wavelength_units": "nm", "fwhm": f"{w / 50}"} for w in CENTRE[::-1]]
+    path = tagged(tmp_path / "c.tif", values, tags)
+    with pytest.raises(InputError, match="sort_bands: true") as caught:
+        open_cube(path, quantity="reflectance")
+    assert "c.tif" in str(caught.value)
+    cube = open_cube(path, quantity="reflectance", sort_bands=True)
+    assert cube.axis.centre_nm == pytest.approx(CENTRE)
+    assert cube.axis.fwhm_nm == pytest.approx(np.array(CENTRE) / 50)
+    assert cube.read(0, 1).values == pytest.approx(values[:1, :, ::-1], rel=1e-6)
+
+
+def test_a_mask_in_the_file_is_not_passed_over(tmp_path: Path, values):
+    tags = [{"wavelength": f"{w}", "wavelength_units": "nm"} for w in CENTRE]
+    path = tagged(tmp_path / "c.tif", values, tags)
+    with warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "r+") as out:
+            out.write_mask(np.arange(values[..., 0].size).reshape(values.shape[:2]) > 5)
+    with pytest.raises(InputError, match="mask or alpha band"):
+        open_cube(path, quantity="reflectance")
 
 
 def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path: Path, values):

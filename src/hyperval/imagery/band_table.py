@@ -73,10 +73,33 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
             raise InputError("the bad-band list marks every band as bad", where=header.where("bbl"))
         notes.append(f"bad-band list: {int((~good).sum())} of {good.size} bands are bad")
     width = header.numbers("fwhm", header.bands)
-    if width is not None and np.any(width <= 0):
-        at = int(np.flatnonzero(width <= 0)[0])
-        raise InputError(f"band {at + 1} has a width (fwhm) of {width[at]:g}", where=header.where("fwhm"))
-    order = np.arange(header.bands)
+    if width is not None:
+        if np.any(width <= 0):
+            at = int(np.flatnonzero(width <= 0)[0])
+            raise InputError(f"band {at + 1} has a width (fwhm) of {width[at]:g}", where=header.where("fwhm"))
+        width = width * wavelength_to_nm(unit)
+        _check_widths(width, centre, unit, header.where("fwhm"))
+    return ordered_bands(
+        centre, width, good, sort_bands=sort_bands, where=header.where("wavelength"), notes=tuple(notes)
+    )
+
+
+def ordered_bands(
+    centre_nm: Array,
+    fwhm_nm: Array | None,
+    good: npt.NDArray[np.bool_],
+    *,
+    sort_bands: bool,
+    where: str,
+    notes: tuple[str, ...] = (),
+) -> BandTable:
+    """The bands of a file in increasing wavelength; ``fwhm_nm`` None takes the spacing of each detector.
+
+    Raises
+    ------
+    InputError : wavelengths that do not increase and are not to be sorted, or of which two are the same.
+    """
+    centre, order, told = centre_nm, np.arange(centre_nm.size), list(notes)
     steps = np.diff(centre)
     if np.any(steps <= 0):
         at = int(np.flatnonzero(steps <= 0)[0])
@@ -85,24 +108,18 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
             raise InputError(
                 f"wavelengths do not increase: band {at + 2} ({centre[at + 1]:g} nm) follows band {at + 1} "
                 f"({centre[at]:g} nm){' (two bands share a wavelength)' if same else ''}",
-                where=header.where("wavelength"),
+                where=where,
                 mend="give the bands of one wavelength their own centres, in a header that collection.cube names"
                 if same
                 else "where detectors overlap or bands stand in falling order, state sort_bands: true "
                 "under collection.cube",
             )
         order = np.argsort(centre, kind="stable")
-        notes.append(f"{int(np.sum(order != np.arange(order.size)))} bands were moved to sort the wavelengths")
-    spacing = None if width is not None else _spacing_by_detector(centre)[order]
-    centre, good = centre[order], good[order]
-    if spacing is not None:
-        fwhm = spacing
-        notes.append("the header lists no fwhm: band widths are taken as the band spacing")
-    else:
-        assert width is not None  # noqa: S101 - one of the two
-        fwhm = width[order] * wavelength_to_nm(unit)
-        _check_widths(fwhm, centre, unit, header.where("fwhm"))
-    return BandTable(SpectralAxis(centre, fwhm, good), order, tuple(notes))
+        told.append(f"{int(np.sum(order != np.arange(order.size)))} bands were moved to sort the wavelengths")
+    if fwhm_nm is None:
+        fwhm_nm = _spacing_by_detector(centre)
+        told.append("the file lists no fwhm: band widths are taken as the band spacing")
+    return BandTable(SpectralAxis(centre[order], fwhm_nm[order], good[order]), order, tuple(told))
 
 
 def _check_widths(fwhm: Array, centre: Array, unit: str, where: str) -> None:

@@ -14,12 +14,12 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.band_table import BandTable, band_table, wavelengths_in_nm
+from hyperval.imagery.band_table import BandTable, band_table, ordered_bands, wavelengths_in_nm
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, TiffRaster, open_raster
 from hyperval.imagery.scaling import Scaling, scaling_of
 from hyperval.imagery.validity import equals, usable_pixels
-from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
+from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -320,11 +320,8 @@ def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_ban
     if isinstance(raster, TiffRaster) and raster.wavelength_um:
         centre = wavelengths_in_nm(np.array(raster.wavelength_um), "um", where)
         good = ~np.isin(np.arange(raster.bands), raster.bad_bands)
-        if raster.fwhm_um:
-            width = 1e3 * np.array(raster.fwhm_um)
-            return BandTable(SpectralAxis(centre, width, good), np.arange(raster.bands), ())
-        note = "the file lists no fwhm: band widths are taken as the band spacing"
-        return BandTable(SpectralAxis(centre, fwhm_from_spacing(centre), good), np.arange(raster.bands), (note,))
+        width = 1e3 * np.array(raster.fwhm_um) if raster.fwhm_um else None
+        return ordered_bands(centre, width, good, sort_bands=sort_bands, where=where)
     raise InputError(
         "the file lists no wavelengths",
         where=where,

@@ -20,6 +20,7 @@ import numpy.typing as npt
 import rasterio
 from affine import Affine
 from rasterio.crs import CRS
+from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
@@ -314,6 +315,11 @@ def _open_tiff(path: Path, header: Path | str | None, root: Path | None) -> Tiff
         dtype = np.dtype(dataset.dtypes[0])
         if dtype.kind == "c":
             raise InputError("complex values cannot be read", where=str(path))
+        if any(MaskFlags.per_dataset in flags for flags in dataset.mask_flag_enums):
+            raise InputError(
+                "a mask or alpha band in the file, which would not be heeded", where=str(path),
+                mend="rewrite it without, the masked pixels holding a no-data value",
+            )  # fmt: skip
         rows, cols = dataset.block_shapes[0]
         if rows * cols * dtype.itemsize * dataset.count > MAX_TILE_BYTES:
             raise InputError(
@@ -367,9 +373,12 @@ def _band_wavelengths_um(dataset: Any, path: Path) -> tuple[tuple[float, ...], t
         if factors is None or not all(texts):
             return ()
         try:
-            return tuple(factors * float(str(text)) for text in texts)
+            numbers = tuple(factors * float(str(text)) for text in texts)
         except ValueError:
-            raise InputError(f"tags {key!r} of the bands that are no numbers", where=str(path)) from None
+            numbers = (0.0,)
+        if not all(0.0 < number < np.inf for number in numbers):  # NaN is none either
+            raise InputError(f"tags {key!r} of the bands that are no positive numbers", where=str(path))
+        return numbers
 
     return listed("CENTRAL_WAVELENGTH_UM", "wavelength"), listed("FWHM_UM", "fwhm")
 
