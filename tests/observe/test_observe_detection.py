@@ -52,6 +52,42 @@ def test_scores_equal_plain_numpy(world, background, pixels):
     assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
+def test_targets_stay_out_of_the_covariance_or_the_filter_suppresses_them(world):
+    # The trap: 5 % of the pixels are targets, and the spectrum looked for is off by 4 %, up and down by band.
+    flat, level, sd = np.full(BANDS, 0.212), np.full(BANDS, 0.364), 0.01
+    values = flat + sd * np.random.default_rng(11).standard_normal((LINES, SAMPLES, BANDS))
+    planted = {(line, sample): 1.0 for line in range(2, LINES, 5) for sample in range(1, SAMPLES, 4)}
+    share = len(planted) / (LINES * SAMPLES)
+    assert share == 0.05
+    at = tuple(np.array(list(planted)).T)
+    values[at] += level - flat
+    world.write(values)
+    off = level * (1 + 0.04 * (-1.0) ** np.arange(BANDS))
+    world.library("library.csv", ("paint", off), ("ground", flat))
+    off = world.on_bands("library.csv", "paint")
+    world.text("targets.csv", target_rows(planted))
+    own = np.zeros((LINES, SAMPLES), bool)
+    own[at] = True
+
+    def separation(background):
+        world.detection["background"] = background
+        scores = world.observe().detected.score_maps["paint-cem"]
+        return (scores[own].mean() - scores[~own].mean()) / scores[~own].std(ddof=1)
+
+    # In units of the noise, d to the target and e the error of its spectrum: without targets in the covariance the
+    # filter is d + e - (mean), with them d is weighed down by 1 + a (1 - a) d.(d + e).
+    d, e = (level - flat) / sd, (off - level) / sd
+    clean = d @ (d + e) / np.linalg.norm(d + e)
+    assert clean == pytest.approx(43, rel=0.02)
+    assert separation(["scene"]) == pytest.approx(clean, rel=0.05)
+    mixed = share * (1 - share)
+    moved = d * (1 - share) + e  # from the mean of all pixels
+    weights = moved - d * mixed * (d @ moved) / (1 + mixed * (d @ d))
+    spoilt = d @ weights / np.linalg.norm(weights)
+    assert spoilt == pytest.approx(5, rel=0.1)
+    assert separation(["image"]) == pytest.approx(spoilt, rel=0.1)
+
+
 def test_correlation_filter_equals_plain_numpy(world):
     world.detection["detectors"] = ["cem", "cem-correlation"]
     target = world.on_bands("library.csv", "paint")

@@ -378,6 +378,27 @@ def test_scores_equal_the_long_way_round(tmp_path, interleave):
     assert np.isnan(also[5, 5])
 
 
+def test_scores_are_the_same_to_1e_12_however_the_cube_is_stored_cut_or_shared_out(tmp_path):
+    x = numbers()
+    flat = x.reshape(-1, BANDS)
+    mean, covariance = flat.mean(axis=0), np.cov(flat.T)
+    target = mean + np.linspace(0, 400, BANDS)
+    detectors = {n: pixel_detector(n, target, mean, covariance, flat[:3]) for n in (
+        "cem", "cem-correlation", "smf", "ace", "sam", "rx", "osp"
+    )}  # fmt: skip
+    whitener = whitener_of(mean, covariance)
+    reference = None
+    for interleave in ("bil", "bip", "bsq"):
+        for dtype in ("<i2", ">i2", "<f8"):
+            cube = opened(write(tmp_path, x, interleave, dtype))
+            for step, threads in ((None, None), (1, 1), (7, 2)):
+                found = score_cube(cube, detectors, whitener=whitener, threads=threads, block_lines=step)
+                reference = reference or found
+                for name, scores in found.items():
+                    largest = np.max(np.abs(reference[name]))
+                    assert np.max(np.abs(scores - reference[name])) <= 1e-12 * largest, (name, interleave, dtype)
+
+
 def test_scoring_refuses_what_does_not_fit(tmp_path):
     cube, elm = opened(write(tmp_path, numbers())), line_of(BANDS)
     mean, covariance = np.arange(1.0, BANDS + 1), np.eye(BANDS)
