@@ -66,3 +66,37 @@ def test_error_of_the_path_is_none_at_nodes_and_grows_with_the_step():
     assert max(path_error(two, t, GROUND, SENSOR) for t in np.linspace(0.1, 0.2, 61)) == pytest.approx(
         0.5 * PATH_ERROR, rel=1e-3
     )
+    # The logarithm of the ratio: three is to four as ln 3 to ln 4.
+    three = np.array([0.1, 0.3])
+    assert max(path_error(three, t, GROUND, SENSOR) for t in np.linspace(0.1, 0.3, 61)) == pytest.approx(
+        PATH_ERROR * np.log(3) / np.log(4), rel=1e-3
+    )
+
+
+def test_only_the_two_nodes_around_count():
+    rng = np.random.default_rng(0)
+    values = {name: v * rng.uniform(0.9, 1.1, v.shape) for name, v in atmosphere(NODES).items()}
+    got = between_aerosols(NODES, values, 0.15, GROUND, SENSOR)
+    ends = {name: v.copy() for name, v in values.items()}
+    for v in ends.values():
+        v[[0, 3]] *= 0.5
+    for name, value in between_aerosols(NODES, ends, 0.15, GROUND, SENSOR).items():
+        assert np.array_equal(value, got[name]), name
+
+
+def test_a_sensor_on_the_ground_has_no_haze_below_it():
+    # Nothing lies between: the place between the nodes is that of the whole depth.
+    values = atmosphere(NODES)
+    values["path"] = 0.03 + 0.1 * NODES[:, None] * np.ones(7)
+    got = between_aerosols(NODES, values, 0.15, GROUND, GROUND)
+    assert got["path"] == pytest.approx(np.full(7, 0.045))
+    assert path_error(NODES, 0.15, GROUND, GROUND) == 0.0
+
+
+def test_error_of_the_path_in_clear_air_counts_from_a_hundredth():
+    def most(low, high):
+        nodes = np.array([low, high])
+        return max(path_error(nodes, t, GROUND, 705.0) for t in np.linspace(low, high, 81))
+
+    assert most(0.02, 0.08) == pytest.approx(PATH_ERROR, rel=1e-3)
+    assert most(0.0, 0.04) == pytest.approx(PATH_ERROR, rel=1e-3)

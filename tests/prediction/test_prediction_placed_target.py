@@ -9,7 +9,16 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 from hyperval.compare.consistency import chi_square_full
 from hyperval.config import parse_yaml, validate
 from hyperval.predict import predict
-from hyperval.prediction.placed_target import HOST, PLACE, Shares, mixed, shares_of, spectra_covariance
+from hyperval.prediction.placed_target import (
+    HOST,
+    PLACE,
+    Shares,
+    host_covariance,
+    mixed,
+    place_covariance,
+    shares_of,
+    spectra_covariance,
+)
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis
@@ -107,6 +116,18 @@ def test_errors_of_one_material_add_up_and_those_of_two_do_not():
     assert spectra_covariance(one, error, 3)[0, 0] == pytest.approx(0.25)
     assert spectra_covariance(two, error, 3)[0, 0] == pytest.approx(0.13)
     assert mixed(two, {"a": np.ones(2), "b": np.zeros(2)}, np.full(2, 0.5)) == pytest.approx(np.full(2, 0.55))
+
+
+def test_host_and_place_of_two_surfaces_by_hand():
+    found = Shares(("a", "b"), np.array([0.3, 0.2]), np.array([[0.01, -0.006], [-0.006, 0.02]]))
+    assert found.rest == pytest.approx(0.5)
+    host, full = np.full(2, 0.5), {"a": np.array([1.0, 0.6]), "b": np.array([0.1, 0.9])}
+    # f_a a + f_b b with contrasts (0.5, 0.1) and (-0.4, 0.4): variances and covariance of a sum.
+    first = 0.25 * 0.01 + 0.16 * 0.02 + 2 * 0.5 * -0.4 * -0.006
+    mixed_term = 0.05 * 0.01 - 0.16 * 0.02 + (0.5 * 0.4 - 0.4 * 0.1) * -0.006
+    got = place_covariance(found, full, host)
+    assert (got[0, 0], got[0, 1], got[1, 0]) == pytest.approx((first, mixed_term, mixed_term))
+    assert host_covariance(found, np.diag([4.0, 8.0]), 0.7) == pytest.approx(np.diag([0.7, 1.4]))
 
 
 def test_positions_that_are_known_roughly_widen_the_share_of_a_neighbour_alone():
