@@ -158,6 +158,12 @@ class EmpiricalLineSource(Model):
     panels: list[PanelReference] = Field(min_length=1)
     darkest_pixel: DarkestPixel | None = Field(None, description="a dark panel where none was laid out")
     intercept: bool = Field(True, description="false: a line through the origin, for radiance without path part")
+    saturation: float | None = Field(
+        None,
+        gt=0,
+        description="value of the cube at which its detector is full: a panel with such a pixel is refused; the "
+        "greatest integer of the stored type always counts as full",
+    )
 
     @model_validator(mode="after")
     def _enough(self) -> EmpiricalLineSource:

@@ -9,6 +9,7 @@ import pytest
 from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, background_spread
 
 from hyperval.collection import EmpiricalLineSource
+from hyperval.errors import UsageError
 from hyperval.imagery.cube import open_cube
 from hyperval.observe.empirical_line import empirical_line
 from hyperval.observe.unmixing import _ring
@@ -61,6 +62,58 @@ def test_a_spread_that_a_file_carries_counts_by_the_number_of_its_readings(make_
     found = line_of(made, source)
     for errors in found.errors:
         assert np.diag(errors.reflectance) == pytest.approx(np.full(BANDS, 0.01**2), rel=1e-9)
+
+
+def test_a_panel_with_a_full_pixel_is_refused(make_radiance):
+    made = make_radiance()
+    world = made.world
+    for panel in world.collection["empirical_line"]["panels"]:
+        panel["relative_uncertainty"] = 0.02
+    world.collection["empirical_line"]["saturation"] = float(world.values[0:4, 30:34].max()) + 0.01
+    assert world.observe().elm is not None
+    values = world.values.copy()
+    values[2, 31, 0] += 0.02
+    world.write(values)
+    with pytest.raises(UsageError, match=r"'white' is saturated in 1 of 16 pixels .first: band 1, 450 nm"):
+        world.observe()
+
+
+def test_a_stored_integer_at_the_end_of_its_type_is_full_save_in_bad_bands(make_radiance):
+    made = make_radiance()
+    world, scale = made.world, 2.5e-4
+    for panel in world.collection["empirical_line"]["panels"]:
+        panel["relative_uncertainty"] = 0.02
+    world.collection["cube"]["scale"] = scale
+    numbers = np.rint(world.values / scale)
+    numbers[0, 30, 2] = numbers[1, 33, 6] = 65535
+    world.write(numbers, data_type=12)
+    with pytest.raises(UsageError, match=r"'white' is saturated in 2 of 16 pixels .first: band 3"):
+        world.observe()
+    bad = ~np.isin(np.arange(BANDS), [2, 6])
+    world.write(numbers, data_type=12, axis=type(AXIS)(AXIS.centre_nm, AXIS.fwhm_nm, bad))
+    assert world.observe().elm is not None
+
+
+def test_the_report_says_how_far_each_panel_is_off_by_the_others(make_radiance):
+    made = make_radiance()
+    world = made.world
+    values = world.values.copy()
+    values[6:10, 30:34] = made.offset + made.gain * 0.30
+    values[6:10, 36:40] = made.offset + made.gain * 0.45
+    world.write(values)
+    rows = "".join(f"{w},0.30,0.50\n" for w in range(400, 1701))  # the second is not what it is taken for
+    world.text("more.csv", "wavelength_nm,grey,light\n" + rows)
+    world.collection["regions"] += [
+        {"name": "grey", "rectangle": [6, 30, 4, 4]}, {"name": "light", "rectangle": [6, 36, 4, 4]},
+    ]  # fmt: skip
+    panels = world.collection["empirical_line"]["panels"]
+    panels += [{"region": n, "spectrum": world.source("more.csv", n)} for n in ("grey", "light")]
+    for panel in panels:
+        panel["relative_uncertainty"] = 0.02
+    notes = world.observe().observation.notes
+    (told,) = (n for n in notes if "leave-one-panel-out" in n)
+    assert "light -0.05 (median over bands, at most -0.05)" in told
+    assert any("reduced chi-square of its panels" in n for n in notes)
 
 
 @pytest.fixture

@@ -12,13 +12,17 @@ from hyperval.collection import EmpiricalLineSource, PanelReference
 from hyperval.errors import UsageError
 from hyperval.imagery.cube import Cube
 from hyperval.prediction.inputs import Sources, correlation
-from hyperval.processing.elm import PanelMeasurement, fit_elm
+from hyperval.processing.elm import EmpiricalLine, PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import LineError, PanelErrors, line_error
 from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
 from hyperval.processing.region_statistics import darkest_values
 from hyperval.processing.sample import SampleStatistics
+from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_PIXELS_AT_ONCE = 10_000
 
 
 def empirical_line(
@@ -61,6 +65,62 @@ def empirical_line(
         u = found.reflectance_sd
         errors.append(PanelErrors(np.outer(u, u), np.diag(found.radiance_variance)))
     return line_error(fit_elm if source.intercept else fit_gain, panels, errors)
+
+
+def refuse_saturated(source: EmpiricalLineSource | None, masks: Mapping[str, Mask], cube: Cube) -> None:
+    """Raise UsageError for a panel with a pixel at which the detector, or the stored type, is full in a good band.
+
+    Parameters
+    ----------
+    masks : (lines, samples) pixels behind the mean of each region
+    """
+    for panel in source.panels if source is not None else ():
+        lines, samples = np.nonzero(masks.get(panel.region, np.zeros((1, 1), bool)))
+        count, first = 0, cube.bands
+        for some in range(0, lines.size, _PIXELS_AT_ONCE):
+            at = slice(some, some + _PIXELS_AT_ONCE)
+            values, valid = cube.marked_pixels((lines[at], samples[at]))
+            full = np.zeros(values.shape, bool)
+            if source is not None and source.saturation is not None:
+                full |= values >= source.saturation
+            if cube.dtype.kind in "iu":
+                full |= values == cube.gain * float(np.iinfo(cube.dtype).max) + cube.offset
+            full &= valid[:, None] & cube.axis.good
+            count += int(full.any(axis=1).sum())
+            first = min(first, *np.flatnonzero(full.any(axis=0)).tolist(), cube.bands)
+        if count:
+            raise UsageError(
+                f"panel {panel.region!r} is saturated in {count} of {lines.size} pixels "
+                f"(first: band {first + 1}, {cube.axis.centre_nm[first]:.4g} nm)",
+                where="collection.empirical_line",
+                mend="leave out the panel, those pixels of its region, or those bands (bad-band list)",
+            )
+
+
+def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
+    """What is to be said of a line: its panels, the bands it cannot be used in, how well its panels agree."""
+    notes = [f"empirical line through {', '.join(elm.panels)}: usable in {int(elm.usable.sum())} bands"]
+    if not elm.usable.all():
+        lost = ", ".join(f"{w:.4g}" for w in axis.centre_nm[~elm.usable])
+        notes[0] += f"; no gain at {lost} nm"
+    if elm.leave_one_out is not None and (elm.usable & axis.good).any():
+        errors = elm.leave_one_out[:, elm.usable & axis.good]
+        parts = []
+        for name, error in zip(elm.panels, errors, strict=True):
+            known = error[np.isfinite(error)]
+            if not known.size:
+                parts.append(f"{name} unknown, the others do not fix a line")
+                continue
+            worst = known[np.abs(known).argmax()]
+            parts.append(f"{name} {np.median(known):+.2g} (median over bands, at most {worst:+.2g})")
+        notes.append(
+            "leave-one-panel-out error of the empirical line, reflectance by the other panels less that measured "
+            "on the ground: " + "; ".join(parts)
+        )
+    chi2 = elm.reduced_chi2[np.isfinite(elm.reduced_chi2)]
+    if chi2.size:
+        notes.append(f"empirical line: reduced chi-square of its panels {np.median(chi2):.3g} (median over bands)")
+    return notes
 
 
 def _field(panel: PanelReference, cube: Cube, resolve: Callable[[str], Path]) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from hyperval.collection import Classification, Collection, Detection
 from hyperval.errors import UsageError
 from hyperval.observe.classification import classification_errors
 from hyperval.observe.detection import BACKGROUND, Detected, detect, in_reflectance, scored_pixels, target_groups
-from hyperval.observe.empirical_line import empirical_line
+from hyperval.observe.empirical_line import empirical_line, line_notes, refuse_saturated
 from hyperval.observe.place import Place, open_place
 from hyperval.observe.sampling import mean_error
 from hyperval.observe.site_spectra import observe_spectra
@@ -97,6 +97,7 @@ def observe(
         masks[BACKGROUND] = place.background(detection.background)
         populations = _target_pixels(place, detection, taken=set(masks))
         masks |= populations
+    refuse_saturated(collection.empirical_line, masks, cube)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
     measured = region_statistics(cube, masks, place.left_out, precision=collection.precision, watch=watch)
     regions = {name: measured[name] for name in place.regions}
@@ -141,7 +142,7 @@ def observe(
         if sample.n == 1
     ]
     if elm is not None:
-        notes.append(f"empirical line through {', '.join(elm.panels)}: usable in {int(elm.usable.sum())} bands")
+        notes += line_notes(elm, cube.axis)
     observation = Observation(
         axis=cube.axis,
         radiance=radiance,
