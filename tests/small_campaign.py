@@ -141,7 +141,7 @@ def campaign_data() -> dict[str, Any]:
         "simulated": True,
         "assumptions": ["Nothing here was measured."],
         "collection": {
-            "cube": {"path": "collection/small_rad.img", "quantity": "radiance"},
+            "cube": {"path": "collection/small_rad.img", "quantity": "radiance", "unit": "uW cm-2 sr-1 nm-1"},
             "regions": [{"file": "collection/regions.geojson", "coordinates": "pixel"}],
             "targets": {"csv": "collection/targets.csv", "pixels": "centre", "guard_pixels": 2},
             "leave_out": list(PANELS),

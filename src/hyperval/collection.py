@@ -18,12 +18,8 @@ class CubeSource(Model):
     path: str
     header: str | None = Field(None, description="ENVI header that describes it, when it is not beside the cube")
     quantity: Literal["radiance", "reflectance"]
-    unit: RadianceUnit = Field(
-        "uW cm-2 sr-1 nm-1", description="unit of the scaled radiance; not used for reflectance"
-    )
-    scale: float | None = Field(
-        None, gt=0, description="stored value times this is the quantity; None: the header's"
-    )
+    unit: RadianceUnit | None = Field(None, description="of the scaled radiance; only simulated ones need none")
+    scale: float | None = Field(None, gt=0, description="stored value times this is the value; None: the header's")
     wavelength_unit: WavelengthUnit | None = Field(None, description="stated when the header does not say nm or um")
     sort_bands: bool = Field(False, description="sort bands whose wavelengths fall, as where detectors overlap")
     glt: str | None = Field(
@@ -213,9 +209,7 @@ class Collection(Model):
         description="arithmetic of the covariances: 'fast' multiplies in float32 (scores differ by about 1e-6 of "
         "their standard deviation), 'exact' in float64; 'auto': exact up to 100 million values",
     )
-    snr_regions: list[str] = Field(
-        default_factory=list, description="regions whose SNR is estimated from the image"
-    )
+    snr_regions: list[str] = Field(default_factory=list, description="regions whose SNR the image gives")
 
     @model_validator(mode="after")
     def _one_source(self) -> Collection:
@@ -223,6 +217,8 @@ class Collection(Model):
             raise ValueError("give exactly one of cube, spectra")
         if self.simulate and self.cube is None:
             raise ValueError("a simulated collection is a cube: give cube.path as simulated:NAME_rad.img")
+        if self.cube and self.cube.quantity == "radiance" and self.cube.unit is None and not self.simulate:
+            raise ValueError("the unit of the radiance is not stated: cube.unit, such as uW cm-2 sr-1 nm-1")
         if self.spectra and self.bands is None:
             raise ValueError("spectra need 'bands': a table of band centres and widths")
         return self

@@ -25,7 +25,7 @@ CAMPAIGN = {
     "runs": [{"line": "0920-1631"}, {"line": "0920-1638"}],
     "collection": {
         "cube": {"path": "data:share2012/lines/{line}_rad.dat", "quantity": "radiance",
-                 "scale": "FILL_IN: scale of the radiance"},
+                 "scale": "FILL_IN: scale of the radiance", "unit": "uW cm-2 sr-1 nm-1"},
         "regions": [{"file": "rois.geojson", "coordinates": "pixel"}],
     },
     "scenarios": ["scenario.yaml"],

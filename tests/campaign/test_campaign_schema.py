@@ -126,6 +126,16 @@ def test_a_simulated_collection_must_say_so(tmp_path):
         load(tmp_path, (collection, without_cube), ("title:", "simulated: true\ntitle:"))
 
 
+def test_the_unit_of_a_radiance_must_be_stated(tmp_path):
+    collection = GOOD[GOOD.index("  spectra:") : GOOD.index("scenarios:")]
+    cube = "  cube: {path: a.img, quantity: radiance}\n"
+    with pytest.raises(UsageError, match="the unit of the radiance is not stated"):
+        load(tmp_path, (collection, cube))
+    stated = cube.replace("radiance}", "radiance, unit: W m-2 sr-1 um-1}")
+    assert load(tmp_path, (collection, stated)).collection.cube.unit == "W m-2 sr-1 um-1"
+    assert load(tmp_path, (collection, cube.replace("radiance", "reflectance"))).collection.cube.unit is None
+
+
 def test_detection_needs_a_cube(tmp_path):
     block = "detection:\n  targets: [{name: a, material: b, spectrum: {constant: 0.3}}]\n"
     with pytest.raises(UsageError, match="detection needs a cube"):

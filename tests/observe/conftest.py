@@ -43,7 +43,7 @@ def make_radiance(world: World) -> Callable[..., RadianceWorld]:
         world.text("panels.csv", "wavelength_nm,white,black\n" + "".join(
             f"{w},0.6,0.05\n" for w in range(400, 1701)
         ))  # fmt: skip
-        world.collection["cube"]["quantity"] = "radiance"
+        world.collection["cube"] |= {"quantity": "radiance", "unit": "uW cm-2 sr-1 nm-1"}
         world.collection["regions"] += [
             {"name": "white", "rectangle": [0, 30, 4, 4]}, {"name": "black", "rectangle": [0, 36, 4, 4]},
         ]  # fmt: skip

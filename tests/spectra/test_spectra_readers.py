@@ -477,3 +477,11 @@ def test_another_quantity_in_a_library_file_is_no_reflectance(tmp_path: Path, qu
     with pytest.raises(InputError, match=f"the file holds {quantity.split()[0].lower()}, not reflectance"):
         spectrum(tmp_path, text, "a.txt")
     assert spectrum(tmp_path, text, "a.txt", quantity="other").wavelength_nm.tolist() == [500.0, 600.0]
+
+
+def test_a_library_with_capital_endings(tmp_path: Path):
+    path = library(tmp_path)
+    path.rename(tmp_path / "LIB.SLI")
+    path.with_suffix(".hdr").rename(tmp_path / "LIB.HDR")
+    for name in ("LIB.SLI", "LIB.HDR"):
+        assert [r.name for r in read_records(tmp_path / name)] == ["red tile", "grey tile"]

@@ -33,7 +33,7 @@ from hyperval.paths import checked_file
 Index = npt.NDArray[np.intp]
 MAX_TILE_BYTES = 1 << 30
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
-TIFF_SUFFIXES = (".tif", ".tiff")
+TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
 _CONTAINERS = {
     b"MATLAB 7.3": "MATLAB 7.3 (HDF5)",
     b"MATLAB": "MATLAB",

@@ -29,6 +29,7 @@ from hyperval.imagery.regions import Region, guard, holes, overlaps, read_region
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.progress import track
+from hyperval.units import RADIANCE_UNIT
 
 Mask = npt.NDArray[np.bool_]
 Resolve = Callable[[str], Path]
@@ -215,7 +216,7 @@ def open_source(source: CubeSource, resolve: Resolve, bands: BandTable | None = 
         resolve(source.path),
         axis=None if bands is None else read_band_table(resolve(bands.path), bands),
         quantity=source.quantity,
-        unit=source.unit if source.quantity == "radiance" else None,
+        unit=(source.unit or RADIANCE_UNIT) if source.quantity == "radiance" else None,  # as simulations write it
         scale=source.scale,
         wavelength_unit=source.wavelength_unit,
         header=resolve(source.header) if source.header else None,

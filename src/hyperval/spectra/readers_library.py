@@ -12,12 +12,13 @@ from hyperval.errors import InputError
 from hyperval.paths import checked_file
 from hyperval.spectra.readers_record import MAX_BYTES, Record
 
-_SUFFIXES = (".sli", ".lib", ".img", "")
+_SUFFIXES = (".sli", ".lib", ".img", "", ".SLI", ".LIB", ".IMG")
 
 
 def library_header(path: Path) -> EnviHeader | None:
     """The header beside a library data file, None when there is none."""
-    for candidate in (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr")):
+    ends = (".hdr", ".HDR")
+    for candidate in (*(path.with_name(path.name + end) for end in ends), *(path.with_suffix(end) for end in ends)):
         if candidate.is_file() and candidate != path:
             return read_header(candidate)
     return None
