@@ -9,8 +9,10 @@ from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, target_rows
 from hyperval.collection import Detection
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.envi_write import write_cube
+from hyperval.observe.detection import dropped_bands
 from hyperval.processing.roc import pd_at_pfa
 from hyperval.products import background_of
+from hyperval.spectra.axis import SpectralAxis
 
 
 def matched_filter(pixels, target, mean, covariance):
@@ -119,6 +121,19 @@ def test_bands_that_the_target_spectrum_lacks_are_not_used(world):
     world.text("part.csv", "\n".join(["wavelength_nm,paint", *rows]) + "\n")
     world.detection["targets"][0]["spectrum"] = world.source("part.csv", "part")
     assert world.observe().detected.bands.tolist() == [False] + [True] * 6 + [False]
+
+
+def test_bands_that_are_left_out_are_listed_with_the_rule():
+    axis = SpectralAxis(
+        np.array([500.0, 600, 700, 1380, 1400, 1650]), 10.0, np.array([True, False, False, True, True, True])
+    )
+    spectrum = np.array([0.1, 0.1, np.nan, 0.1, 0.1, np.nan])
+    (told,) = dropped_bands("windows", axis, [spectrum, np.ones(6)], None)
+    assert told == (
+        "bands that the detectors do not use: 2 bad in the band list (600-700 nm); "
+        "2 in absorption bands (1380-1400 nm); 1 not in the target spectra (1650 nm)"
+    )
+    assert dropped_bands("all", axis, [np.ones(6)], None) == []
 
 
 def test_no_band_left_is_an_error(world):

@@ -102,6 +102,29 @@ def usable_bands(choice: str, axis: SpectralAxis, spectra: Sequence[Array], elm:
     return keep
 
 
+def dropped_bands(
+    choice: str, axis: SpectralAxis, spectra: Sequence[Array], elm: EmpiricalLine | None
+) -> list[str]:
+    """Which bands :func:`usable_bands` leaves out, each with the first rule that does, in words."""
+    left, parts = np.ones(len(axis), bool), []
+    rules = [
+        ("bad in the band list", axis.good if choice in ("good", "windows") else left),
+        ("in absorption bands", in_window(axis.centre_nm) if choice == "windows" else left),
+        ("not in the target spectra", np.isfinite(spectra).all(axis=0) if len(spectra) else left),
+        ("without a gain of the empirical line", left if elm is None else elm.usable),
+    ]
+    for reason, keep in rules:
+        lost = np.flatnonzero(left & ~keep)
+        left = left & keep
+        if lost.size:
+            runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
+            ends = [
+                sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs
+            ]
+            parts.append(f"{lost.size} {reason} ({', '.join('-'.join(e) for e in ends)} nm)")
+    return [f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else []
+
+
 def in_reflectance(statistics: SampleStatistics, elm: EmpiricalLine | None) -> tuple[Array, Array]:
     """Mean (B,) and covariance (B, B) after the empirical line; as they stand without one."""
     if elm is None:
@@ -134,6 +157,7 @@ def detect(
     spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
     bands = usable_bands(detection.bands, axis, list(spectra.values()), elm)
     notes = [f"detectors use {int(bands.sum())} of {len(axis)} bands"]
+    notes += dropped_bands(detection.bands, axis, list(spectra.values()), elm)
     background, shrinkage = measured[BACKGROUND], 0.0
     if background.n < FEW_PIXELS_PER_BAND * int(bands.sum()):
         # Few, so they fit in memory; the pass has not summed the fourth moment.
