@@ -126,6 +126,12 @@ def test_the_moving_mean_by_hand():
     counted[3, 1] = False
     mean, number = moved(y, counted, LocalWindow(5, 3))
     assert (number[3, 3], mean[3, 3]) == (15, pytest.approx((16 * 24 - 22) / 15))
+    counted[1, 1:6] = False  # ten are enough, nine are not
+    mean, number = moved(y, counted, LocalWindow(5, 3))
+    assert (number[3, 3], mean[3, 3]) == (10, pytest.approx((16 * 24 - 22 - 5 * 10) / 10))
+    counted[5, 5] = False
+    mean, number = moved(y, counted, LocalWindow(5, 3))
+    assert (number[3, 3], mean[3, 3]) == (9, 0.0)
 
 
 def test_what_makes_no_sense_is_refused(scene):
