@@ -360,6 +360,7 @@ class Detection(Model):
         "scored by the same footprint",
     )
     bands: Literal["all", "good", "windows"] = "good"
+    least_snr: float | None = Field(None, gt=0, description="bands with less in the background are left out")
     group: str = Field(
         "{name}",
         description="subject of a target object; the columns of the truth stand in braces, such as {material}",

@@ -9,8 +9,9 @@ from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, target_rows
 from hyperval.collection import Detection
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.envi_write import write_cube
-from hyperval.observe.detection import dropped_bands
+from hyperval.observe.bands import usable_bands
 from hyperval.processing.roc import pd_at_pfa
+from hyperval.processing.sample import SampleStatistics
 from hyperval.products import background_of
 from hyperval.spectra.axis import SpectralAxis
 
@@ -123,17 +124,52 @@ def test_bands_that_the_target_spectrum_lacks_are_not_used(world):
     assert world.observe().detected.bands.tolist() == [False] + [True] * 6 + [False]
 
 
+def asked(**changes):
+    target = {"name": "paint", "material": "paint", "spectrum": {"constant": 0.5}}
+    return Detection.model_validate({"background": ["grass"], "targets": [target], "detectors": ["cem"], **changes})
+
+
 def test_bands_that_are_left_out_are_listed_with_the_rule():
     axis = SpectralAxis(
         np.array([500.0, 600, 700, 1380, 1400, 1650]), 10.0, np.array([True, False, False, True, True, True])
     )
     spectrum = np.array([0.1, 0.1, np.nan, 0.1, 0.1, np.nan])
-    (told,) = dropped_bands("windows", axis, [spectrum, np.ones(6)], None)
+    background = SampleStatistics(np.ones(6), np.eye(6), 100, 0, 0.0)
+    used, (told,) = usable_bands(asked(bands="windows"), axis, [spectrum, np.ones(6)], None, background)
+    assert used.tolist() == [True, False, False, False, False, False]
     assert told == (
         "bands that the detectors do not use: 2 bad in the band list (600-700 nm); "
         "2 in absorption bands (1380-1400 nm); 1 not in the target spectra (1650 nm)"
     )
-    assert dropped_bands("all", axis, [np.ones(6)], None) == []
+    assert usable_bands(asked(bands="all"), axis, [np.ones(6)], None, background)[1] == []
+
+
+def test_noisy_bands_are_left_out_on_request():
+    """A background of one varying brightness and noise of stated size in each band."""
+    axis = SpectralAxis(np.linspace(500.0, 900.0, 9), 10.0, np.ones(9, bool))
+    noise = np.full(9, 0.1)
+    noise[[2, 6, 7]] = 2.0, 0.5, 0.5
+    mean = np.full(9, 10.0)
+    background = SampleStatistics(mean, 4.0 * np.ones((9, 9)) + np.diag(noise**2), 100_000, 0, 0.0)
+    used, (told,) = usable_bands(asked(least_snr=30), axis, [np.ones(9)], None, background)
+    assert used.tolist() == [True, True, False, True, True, True, False, False, True]
+    assert "3 with an SNR below 30 in the background (600, 800-850 nm)" in told
+    # The noisiest has 10 / 2 = 5; beside quiet neighbours it is told as 5 sqrt(1.5) = 6.1.
+    for least, dropped in ((6.0, []), (6.3, [2])):
+        used, _ = usable_bands(asked(least_snr=least), axis, [np.ones(9)], None, background)
+        assert np.flatnonzero(~used).tolist() == dropped
+    with pytest.raises(UsageError, match=r"no band is left .* SNR below 1000"):
+        usable_bands(asked(least_snr=1000), axis, [np.ones(9)], None, background)
+
+
+def test_a_campaign_leaves_its_noisy_band_out(world):
+    values = world.values.copy()
+    values[..., 4] += np.random.default_rng(3).normal(0.0, 0.5 * values[..., 4].mean(), values.shape[:2])
+    world.write(values=values)
+    world.detection["least_snr"] = 4
+    seen = world.observe().detected
+    assert np.flatnonzero(~seen.bands).tolist() == [4]
+    assert any("with an SNR below 4 in the background" in note for note in seen.notes)
 
 
 def test_no_band_left_is_an_error(world):

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from hyperval.collection import AreaCheck, Detection, DetectionTarget
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
+from hyperval.observe.bands import usable_bands
 from hyperval.observe.object_roc import object_curve
 from hyperval.observe.place import IMAGE, SCENE, Place
 from hyperval.prediction.inputs import Sources
@@ -41,8 +42,6 @@ from hyperval.processing.roc import empirical_roc, pooled_roc, with_summary
 from hyperval.processing.sample import SampleStatistics, statistics_of
 from hyperval.products import Abundance, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution, background_of
 from hyperval.progress import watch_lines
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -84,47 +83,6 @@ class Detected:
     shrinkage: float = 0.0
 
 
-def usable_bands(choice: str, axis: SpectralAxis, spectra: Sequence[Array], elm: EmpiricalLine | None) -> Mask:
-    """Bands (B,) in which every target spectrum is known and the empirical line has a gain."""
-    keep = np.ones(len(axis), bool)
-    if choice in ("good", "windows"):
-        keep &= axis.good
-    if choice == "windows":
-        keep &= in_window(axis.centre_nm)
-    for spectrum in spectra:
-        keep &= np.isfinite(spectrum)
-    if elm is not None:
-        keep &= elm.usable
-    if not keep.any():
-        raise UsageError(
-            "no band is left for the detectors", mend="look at the bad-band list and the target spectra"
-        )
-    return keep
-
-
-def dropped_bands(
-    choice: str, axis: SpectralAxis, spectra: Sequence[Array], elm: EmpiricalLine | None
-) -> list[str]:
-    """Which bands :func:`usable_bands` leaves out, each with the first rule that does, in words."""
-    left, parts = np.ones(len(axis), bool), []
-    rules = [
-        ("bad in the band list", axis.good if choice in ("good", "windows") else left),
-        ("in absorption bands", in_window(axis.centre_nm) if choice == "windows" else left),
-        ("not in the target spectra", np.isfinite(spectra).all(axis=0) if len(spectra) else left),
-        ("without a gain of the empirical line", left if elm is None else elm.usable),
-    ]
-    for reason, keep in rules:
-        lost = np.flatnonzero(left & ~keep)
-        left = left & keep
-        if lost.size:
-            runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
-            ends = [
-                sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs
-            ]
-            parts.append(f"{lost.size} {reason} ({', '.join('-'.join(e) for e in ends)} nm)")
-    return [f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else []
-
-
 def in_reflectance(statistics: SampleStatistics, elm: EmpiricalLine | None) -> tuple[Array, Array]:
     """Mean (B,) and covariance (B, B) after the empirical line; as they stand without one."""
     if elm is None:
@@ -155,10 +113,9 @@ def detect(
     axis = place.cube.axis
     sources = Sources(axis, {}, resolve)
     spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
-    bands = usable_bands(detection.bands, axis, list(spectra.values()), elm)
-    notes = [f"detectors use {int(bands.sum())} of {len(axis)} bands"]
-    notes += dropped_bands(detection.bands, axis, list(spectra.values()), elm)
     background, shrinkage = measured[BACKGROUND], 0.0
+    bands, left_out = usable_bands(detection, axis, list(spectra.values()), elm, background)
+    notes = [f"detectors use {int(bands.sum())} of {len(axis)} bands", *left_out]
     if background.n < FEW_PIXELS_PER_BAND * int(bands.sum()):
         # Few, so they fit in memory; the pass has not summed the fourth moment.
         few = statistics_of(_complete(place.cube.pixels(place.background(detection.background))))
