@@ -56,8 +56,8 @@ def decorrelated_snr(mean: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
     """SNR (B,) of :func:`snr_decorrelated` from the mean (B,) and covariance (B, B) of many pixels, B >= 3.
 
     The regression of a band on its neighbours follows from the covariance: c = S_nn^-1 S_nb and
-    var e = S_bb - c^T S_nb.  A band that is much noisier than its neighbours has at most root 1.5 times its SNR; one
-    that does not vary has none (NaN).
+    var e = S_bb - c^T S_nb.  A band that is much noisier than its neighbours is given up to root 1.5 times its
+    SNR; one that does not vary has none (NaN).
     """
     m, s = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
     noise = np.empty(m.size)
