@@ -1,4 +1,4 @@
-"""Agreement with scikit-learn, where it is installed: for development only (pip install scikit-learn)."""
+"""Agreement with scikit-learn, which is installed for development only."""
 
 from __future__ import annotations
 
