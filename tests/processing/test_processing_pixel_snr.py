@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.snr import decorrelated_snr, snr_decorrelated, snr_interval, snr_mean_sd
+from hyperval.processing.snr import snr_decorrelated, snr_from_moments, snr_interval, snr_mean_sd
 
 BANDS = 20
 
@@ -76,11 +76,11 @@ def test_from_moments_it_is_that_of_the_pixels():
     rng = np.random.default_rng(12)
     n = 400
     x = 20.0 + rng.normal(0, 2.0, (n, 1)) * np.linspace(0.5, 1.5, 7) + rng.normal(0, 0.3, (n, 7))
-    found = decorrelated_snr(x.mean(axis=0), np.cov(x.T))
+    found = snr_from_moments(x.mean(axis=0), np.cov(x.T))
     # The residuals lose three degrees of freedom, the covariance one.
     assert found == pytest.approx(snr_decorrelated(x).mean * np.sqrt((n - 1) / (n - 3)), rel=1e-9)
 
 
 def test_a_band_that_does_not_vary_has_no_snr():
     covariance = np.diag([1.0, 0.0, 1.0, 4.0])
-    assert decorrelated_snr([10.0, 10.0, 10.0, 10.0], covariance) == pytest.approx([10, np.nan, 10, 5], nan_ok=True)
+    assert snr_from_moments([10.0, 10.0, 10.0, 10.0], covariance) == pytest.approx([10, np.nan, 10, 5], nan_ok=True)

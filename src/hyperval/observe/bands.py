@@ -11,7 +11,7 @@ from hyperval.collection import Detection
 from hyperval.errors import UsageError
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.sample import SampleStatistics
-from hyperval.processing.snr import decorrelated_snr
+from hyperval.processing.snr import snr_from_moments
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
@@ -43,7 +43,7 @@ def usable_bands(
         left &= keep
     if detection.least_snr is not None and np.count_nonzero(left) >= 3:
         at = np.flatnonzero(left)
-        snr = decorrelated_snr(background.mean[at], background.covariance[np.ix_(at, at)])
+        snr = snr_from_moments(background.mean[at], background.covariance[np.ix_(at, at)])
         noisy = np.zeros_like(left)
         noisy[at] = ~(snr >= detection.least_snr)
         parts += _words(noisy, axis, f"with an SNR below {detection.least_snr:g} in the background")

@@ -43,34 +43,30 @@ def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
         raise UsageError(f"{bands} bands: a band needs two neighbours to be told from noise", expected="3 or more")
     mean = x.mean(axis=0)
     z = x - mean
-    sd = np.empty(bands)
-    for b in range(bands):
-        near = _neighbours(b, bands)
-        c, *_ = np.linalg.lstsq(z[:, near], z[:, b], rcond=None)
-        residual = z[:, b] - z[:, near] @ c
-        sd[b] = np.sqrt(residual @ residual / (n - 3) / (1.0 + c @ c))
-    return _estimate(mean, sd, n, n - 3)
+    return _estimate(mean, np.sqrt(_noise_variance(z.T @ z / (n - 3))), n, n - 3)
 
 
-def decorrelated_snr(mean: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
+def snr_from_moments(mean: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
     """SNR (B,) of :func:`snr_decorrelated` from the mean (B,) and covariance (B, B) of many pixels, B >= 3.
 
-    The regression of a band on its neighbours follows from the covariance: c = S_nn^-1 S_nb and
-    var e = S_bb - c^T S_nb.  A band that is much noisier than its neighbours is given up to root 1.5 times its
-    SNR; one that does not vary has none (NaN).
+    A band that is much noisier than its neighbours is given up to root 1.5 times its SNR; one that does not vary
+    has none (NaN).
     """
-    m, s = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
-    noise = np.empty(m.size)
-    for b in range(m.size):
-        near = _neighbours(b, m.size)
-        c = np.linalg.lstsq(s[np.ix_(near, near)], s[near, b], rcond=None)[0]
-        noise[b] = max(s[b, b] - c @ s[near, b], 0.0) / (1.0 + c @ c)
+    variance = _noise_variance(np.asarray(covariance, dtype=float))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(noise > 0, m / np.sqrt(noise), np.nan)
+        return np.where(variance > 0, np.asarray(mean, dtype=float) / np.sqrt(variance), np.nan)
 
 
-def _neighbours(b: int, bands: int) -> list[int]:
-    return [1, 2] if b == 0 else [bands - 3, bands - 2] if b == bands - 1 else [b - 1, b + 1]
+def _noise_variance(covariance: Array) -> Array:
+    """(B,) var e/(1 + c_1^2 + c_2^2) with c = S_nn^-1 S_nb and var e = S_bb - c^T S_nb."""
+    bands = len(covariance)
+    noise = np.empty(bands)
+    for b in range(bands):
+        near = [1, 2] if b == 0 else [bands - 3, bands - 2] if b == bands - 1 else [b - 1, b + 1]
+        common = covariance[near, b]
+        c = np.linalg.lstsq(covariance[np.ix_(near, near)], common, rcond=None)[0]
+        noise[b] = max(covariance[b, b] - c @ common, 0.0) / (1.0 + c @ c)
+    return noise
 
 
 def snr_interval(snr: npt.ArrayLike, dof: int, level: float = 0.95) -> tuple[Array, Array]:
