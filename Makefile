@@ -43,9 +43,10 @@ test: $(READY)  ## run the tests
 coverage: $(READY)  ## how often the 95 % intervals hold, over simulated collections (minutes)
 	$(BIN)/python validation/coverage/study.py --output reports/coverage
 
-lint: $(READY)  ## check style
+lint: $(READY)  ## check style, and which room imports which
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/lint-imports
 
 check-style: lint
 
@@ -62,5 +63,5 @@ lock:  ## renew requirements.lock after a change of dependencies (needs uv)
 	  --group dev $(LOCK_FLAGS) pyproject.toml -o requirements.lock
 
 clean:  ## remove .venv and everything that tools left
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist .pytest_cache .import_linter_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests validation -name __pycache__ -type d -prune -exec rm -rf {} +

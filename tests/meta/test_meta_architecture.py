@@ -1,9 +1,11 @@
-"""The arrows of docs/architecture.md: which room may import which, and how long a module may be."""
+"""The arrows of docs/architecture.md hold, their gate can fail, and the page names every room in their order."""
 
 from __future__ import annotations
 
 import ast
 import re
+import shutil
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -13,165 +15,61 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "hyperval"
 MAX_LINES = 400
-
-BASE = {"errors", "units", "files", "paths", "file_names", "config", "settings", "progress", "envi_header"}
-# What each room may import besides BASE and itself.
-ROOMS: dict[str, set[str]] = {
-    "spectra": set(),
-    "atmosphere": {"spectra", "datasets"},
-    "scene": {"spectra", "atmosphere.terms"},
-    "sensor": {"spectra"},
-    "processing": {"spectra", "scene.statistics", "scene.fill", "products"},
-    "imagery": {"spectra"},
-    "simulate": {
-        "spectra",
-        "atmosphere",
-        "scene.statistics",
-        "scene.builtin",
-        "sensor",
-        "imagery.envi_write",
-        "datasets",
-    },
-    "products": {"spectra"},
-    "results": set(),
-    "compare": {"products", "results", "spectra", "processing"},
-    "report": {"products", "results", "spectra"},
-    "baseline": {
-        "campaign",
-        "compare.gates",
-        "report",
-        "results",
-        "sensor",
-        "sensor_check",
-        "scenario",
-        "predict",
-        "spectra",
-    },
-    "sensor_check": {
-        "sensor",
-        "scenario",
-        "predict",
-        "products",
-        "results",
-        "scene.builtin",
-        "atmosphere",
-        "spectra",
-        "report",
-        "campaign.provenance",
-    },
-    "scoreboard": {
-        "campaign",
-        "collection",
-        "observe",
-        "compare",
-        "processing",
-        "predict",
-        "scenario",
-        "atmosphere",
-        "spectra",
-        "report",
-        "products",
-        "results",
-        "datasets",
-        "executors",
-    },
-    "study": {
-        "scenario",
-        "predict",
-        "prediction",
-        "processing",
-        "scene",
-        "sensor",
-        "atmosphere",
-        "spectra",
-        "datasets",
-        "executors",
-        "products",
-        "results",
-        "report",
-        "campaign.provenance",
-    },
-    "executors": {"executors_dask", "processing.blas"},
-    "executors_dask": {"executors"},
-    "datasets": {"download"},
-    "download": set(),
+# One wrong import for each contract of pyproject.toml: the file that gets it, and the line.
+WRONG_IMPORTS = {
+    "rooms": ("processing/roc.py", "from hyperval.campaign.run import validate"),
+    "circles": ("spectra/readers_text.py", "from hyperval.spectra.readers import read_spectra"),
+    "formulas": ("compare/rows.py", "from hyperval.datasets import resolve"),
+    "scene": ("scene/fill.py", "from hyperval.atmosphere.sixs import run_sixs"),
+    "simulated": ("simulate/truth.py", "from hyperval.processing.roc import roc_curve"),
+    "provenance": ("study/run.py", "from hyperval.campaign.run import validate"),
 }
-# Rooms of formulas: arrays in, arrays out; they read no file, no setting and no campaign.
-PURE = {"spectra", "scene", "sensor", "processing", "compare", "products", "results", "units"}
-CAMPAIGN_SIDE = {
-    "campaign", "report", "cli", "observe", "predict", "prediction", "collection", "scenario",
-    "datasets", "download",
-}  # fmt: skip
 
 
-def imports(path: Path) -> set[str]:
-    """The modules of the package that the file imports, without the package's name."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {a.name for a in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            # `from hyperval.scene import fill` names the module scene.fill when there is such a file.
-            for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
-                there = SOURCE.parent / (inner.replace(".", "/"))
-                found.add(inner if there.with_suffix(".py").exists() or there.is_dir() else node.module)
-    return {name.removeprefix("hyperval.") for name in found if name.startswith("hyperval.")}
+def contracts() -> list[dict[str, object]]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
 
 
-def room_of(path: Path) -> str:
-    return path.relative_to(SOURCE).with_suffix("").parts[0]
+def layers() -> list[set[str]]:
+    """The rooms of each line, highest first."""
+    lines = next(c for c in contracts() if c["id"] == "rooms")["layers"]
+    return [set(re.split(r"\s*[|:]\s*", line)) for line in lines]
 
 
-def allowed(room: str, module: str) -> bool:
-    """Whether ``room`` may import ``module``."""
-    if module.split(".")[0] in BASE | {room}:
-        return True
-    return any(module == a or module.startswith(a + ".") for a in ROOMS[room])
+def lint_imports(source: Path, at: Path) -> subprocess.CompletedProcess[str]:
+    code = "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports(no_cache=True))"
+    return subprocess.run(
+        [sys.executable, "-c", code], env={"PYTHONPATH": str(source)}, cwd=at, capture_output=True, text=True
+    )
 
 
-def test_the_check_sees_a_wrong_arrow(tmp_path: Path):
-    (tmp_path / "a.py").write_text("from hyperval.campaign.run import validate\nimport hyperval.scene.fill\n")
-    assert imports(tmp_path / "a.py") == {"campaign.run", "scene.fill"}
-    assert not allowed("processing", "campaign.run")
-    assert not allowed("processing", "scene.radiance")
-    assert allowed("processing", "scene.statistics")
-    assert allowed("processing", "processing.roc")
-    assert allowed("processing", "units")
-    assert not allowed("scene", "atmosphere.sixs")
+def test_imports_follow_the_arrows():
+    outcome = lint_imports(SOURCE.parent, ROOT)
+    assert outcome.returncode == 0, outcome.stdout + outcome.stderr
 
 
-@pytest.mark.parametrize("room", sorted(ROOMS))
-def test_imports_follow_the_table(room):
-    files = sorted((SOURCE / room).rglob("*.py")) if (SOURCE / room).is_dir() else [SOURCE / f"{room}.py"]
-    wrong = [
-        f"{path.relative_to(ROOT)} imports {module}"
-        for path in files
-        for module in sorted(imports(path))
-        if not allowed(room, module)
-    ]
-    assert wrong == []
+@pytest.mark.parametrize("contract", contracts(), ids=lambda c: c["id"])
+def test_a_wrong_import_breaks_each_contract(contract, tmp_path):
+    path, line = WRONG_IMPORTS[contract["id"]]
+    package = tmp_path / "hyperval"
+    shutil.copytree(
+        SOURCE, package, ignore=lambda at, names: {n for n in names if Path(n).suffix not in ("", ".py")}
+    )
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    with open(package / path, "a", encoding="utf-8") as stream:
+        stream.write(f"\n{line}\n")
+    outcome = lint_imports(tmp_path, tmp_path)
+    assert outcome.returncode == 1, outcome.stderr
+    assert re.search(rf"^{re.escape(contract['name'])}\s*BROKEN", outcome.stdout, re.M), outcome.stdout
 
 
-def test_base_modules_import_only_each_other():
-    wrong = [
-        f"{name} imports {module}"
-        for name in sorted(BASE)
-        for module in imports(SOURCE / f"{name}.py")
-        if module.split(".")[0] not in BASE
-    ]
-    assert wrong == []
-
-
-def test_rooms_of_formulas_know_nothing_of_campaigns():
-    wrong = [
-        f"{path.relative_to(ROOT)} imports {module}"
-        for path in sorted(SOURCE.rglob("*.py"))
-        if room_of(path) in PURE
-        for module in sorted(imports(path))
-        if module.split(".")[0] in CAMPAIGN_SIDE
-    ]
-    assert wrong == []
+def test_the_page_names_every_room_in_the_order_of_the_arrows():
+    page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    rows = [re.findall(r"`(\w+)(?:\.py)?/?`", row) for row in re.findall(r"^\| (`.*?) \|", page, re.M)]
+    named = [room for row in rows for room in row]
+    assert sorted(named) == sorted(set.union(*layers()))
+    height = {room: -i for i, line in enumerate(layers()) for room in line}
+    assert [height[room] for room in named] == sorted(height[room] for room in named)
 
 
 def test_modules_are_short():
@@ -181,11 +79,6 @@ def test_modules_are_short():
         if (count := len(path.read_text("utf-8").splitlines())) > MAX_LINES
     }
     assert long == {}
-
-
-def test_nothing_imports_the_command_line():
-    users = [str(p.relative_to(ROOT)) for p in SOURCE.rglob("*.py") if "cli" in imports(p)]
-    assert users == []
 
 
 # Packages that are needed without an import of theirs: a program.
