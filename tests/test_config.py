@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -108,12 +107,19 @@ def test_anchors_and_aliases_are_refused(text):
         parse_yaml(text)
 
 
-def test_alias_bomb_is_refused_at_once():
+@pytest.fixture
+def no_tree(monkeypatch) -> list[str]:
+    """Texts of which a tree is built: what is refused must be refused before, while it is still read."""
+    built: list[str] = []
+    monkeypatch.setattr(yaml, "compose", lambda text, Loader: built.append(text))
+    return built
+
+
+def test_alias_bomb_is_refused_at_once(no_tree):
     levels = "\n".join(f"l{i}: &l{i} [{', '.join([f'*l{i - 1}'] * 10)}]" for i in range(1, 10))
-    start = time.perf_counter()
     with pytest.raises(UsageError, match="anchors and aliases"):
         parse_yaml("l0: &l0 [a]\n" + levels)
-    assert time.perf_counter() - start < 1.0
+    assert no_tree == []
 
 
 @pytest.mark.parametrize(
@@ -125,11 +131,10 @@ def test_tags_are_refused(text):
 
 
 @pytest.mark.parametrize("depth", [MAX_DEPTH + 1, 3000, 400_000])
-def test_deep_nesting_is_refused(depth):
-    start = time.perf_counter()
+def test_deep_nesting_is_refused(depth, no_tree):
     with pytest.raises(UsageError, match="deep"):
         parse_yaml("a: " + "[" * depth + "]" * depth)
-    assert time.perf_counter() - start < 1.0
+    assert no_tree == []
 
 
 def test_nesting_below_the_limit_is_read():

@@ -52,6 +52,36 @@ def wrong_marks(tree: ast.AST) -> list[str]:
     return found
 
 
+def timed(tree: ast.AST) -> list[int]:
+    """Lines of assertions that depend on a clock, themselves or by a name that was set from one."""
+    clocks = {"perf_counter", "process_time", "monotonic", "thread_time", "time"}
+
+    def reads_clock(node: ast.AST) -> bool:
+        return any(
+            isinstance(n, ast.Call)
+            and (
+                (isinstance(n.func, ast.Attribute) and getattr(n.func.value, "id", "") == "time")
+                or isinstance(n.func, ast.Name)
+            )
+            and getattr(n.func, "attr", getattr(n.func, "id", "")).removesuffix("_ns") in clocks
+            for n in ast.walk(node)
+        )
+
+    names = {
+        target.id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Assign) and reads_clock(node.value)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
+    return [
+        node.lineno
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Assert)
+        and (reads_clock(node) or any(isinstance(n, ast.Name) and n.id in names for n in ast.walk(node)))
+    ]
+
+
 def parse(text: str) -> ast.FunctionDef:
     (function,) = functions_of(ast.parse(text))
     return function
@@ -79,6 +109,29 @@ def test_the_check_sees_vacuous_assertions_and_mistyped_marks():
     assert not vacuous(parse("def test_x():\n    assert f()"))
     assert wrong_marks(ast.parse("@pytest.mark.xfail(resaon='x')\ndef test_x(): pass")) == ["xfail(resaon=)"]
     assert wrong_marks(ast.parse("@pytest.mark.xfail(reason='x')\ndef test_x(): pass")) == []
+
+
+@pytest.mark.parametrize(
+    ("body", "expected"),
+    [
+        ("begin = time.perf_counter()\nf()\nassert time.perf_counter() - begin < 1", [3]),
+        ("took = time.monotonic() - begin\nassert took < 1", [2]),
+        ("begin = perf_counter_ns()\nassert f() > begin", [2]),
+        ("time.sleep(1)\nassert f()", []),
+    ],
+)
+def test_the_check_sees_assertions_of_time(body, expected):
+    assert timed(ast.parse(body)) == expected
+
+
+def test_no_test_asserts_a_time():
+    # A busy machine is no defect of the project; speed is measured in benchmarks/.
+    found = {
+        str(path.relative_to(ROOT)): lines
+        for path in sorted(p for folder in FOLDERS for p in (ROOT / folder).rglob("*.py"))
+        if (lines := timed(ast.parse(path.read_text("utf-8"))))
+    }
+    assert found == {}
 
 
 def test_every_test_can_fail():

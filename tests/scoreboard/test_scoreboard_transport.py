@@ -114,13 +114,13 @@ def test_where_neither_engine_has_light_there_is_none():
 
 
 @pytest.mark.data
-def test_a_registered_table_refuses_a_flight_under_another_sun():
+def test_a_registered_table_refuses_a_flight_under_another_sun(data_dir):
+    data_dir("modtran/modtran6_airborne_lut")
     flight = load_scenario(ROOT / "campaigns" / "pasadena-2017" / "line-184227.yaml")
     with pytest.raises(NotApplicable, match=r"solar_zenith_deg is 52\.51"):
         ENGINES["modtran6-airborne"].serve(flight, lambda reference: datasets.resolve(reference, flight.folder))
 
 
-@pytest.mark.data
 def test_a_registered_table_that_is_not_at_hand_names_the_command_that_fetches_it(tmp_path, monkeypatch):
     monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))

@@ -28,7 +28,8 @@ PATIENCE = 120.0  # seconds for scheduler and workers to come up on a busy machi
 def until(condition, what: str):
     end = time.monotonic() + PATIENCE
     while not (found := condition()):
-        assert time.monotonic() < end, what
+        if time.monotonic() > end:
+            raise TimeoutError(what)
         time.sleep(0.02)
     return found
 
