@@ -9,8 +9,8 @@ import numpy as np
 
 from hyperval.collection import Detection
 from hyperval.imagery.truth import TargetObject
-from hyperval.observe.detection import scored_pixels, target_groups
 from hyperval.observe.place import Place
+from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.scenario import Geometry, Scenario
 
 # Half a pixel of three is common where targets lie at random on the grid; a factor of 1.5 is another footprint.

@@ -13,12 +13,14 @@ import numpy.typing as npt
 from hyperval.collection import Classification, Collection, Detection
 from hyperval.errors import UsageError
 from hyperval.observe.classification import classification_errors
-from hyperval.observe.detection import BACKGROUND, Detected, detect, in_reflectance, scored_pixels, target_groups
+from hyperval.observe.detection import Detected, detect
 from hyperval.observe.empirical_line import empirical_line, line_notes, refuse_saturated
+from hyperval.observe.filter_bank import BACKGROUND, in_reflectance
 from hyperval.observe.place import Place, open_place
 from hyperval.observe.sampling import mean_error
 from hyperval.observe.site_spectra import observe_spectra
 from hyperval.observe.spread import pixel_distribution
+from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
 from hyperval.observe.unmixing import Unmixed, unmix
 from hyperval.processing.elm import EmpiricalLine
