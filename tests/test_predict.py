@@ -17,7 +17,7 @@ from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.prediction.terms import remembered
 from hyperval.processing.filters import LinearFilter, matched_filter_weights
-from hyperval.processing.roc_model import pd_at_pfa
+from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction, background_of
 from hyperval.scenario import Scenario, SpectrumUncertainty, load_scenario
 from hyperval.scene.builtin import builtin_class
@@ -270,6 +270,23 @@ def test_measured_statistics_are_handed_in():
         predict(s, axis=AXIS)
 
 
+@pytest.mark.parametrize("mean", ["{builtin: asphalt}", "{constant: 0.2}"], ids=["builtin", "constant"])
+def test_measured_tails_come_with_the_measured_covariance(mean):
+    """The class mean from elsewhere: `tail_dof: measured` is that of the region whose covariance the class has."""
+    text = "".join(SCENE).replace(
+        "spectrum: {builtin: asphalt}", f"spectrum: {mean}, covariance: {{measured: court}}, tail_dof: measured"
+    )
+    court = replace(builtin_class("soil", AXIS), tail_dof=4.5)
+
+    def dof(text):
+        data, lines = parse_yaml(text)
+        p = predict(validate(Scenario, data, lines, "text"), measured={"court": court}, axis=AXIS, engine=engine)
+        return p.distribution["asphalt"].tail_dof
+
+    assert dof(text) == 4.5
+    assert dof(text.replace(", tail_dof: measured", "")) == np.inf  # fitted tails count where they are asked for
+
+
 def test_spectrum_from_a_file_is_relative_to_the_scenario(tmp_path):
     w = np.arange(340.0, 2601.0, 5.0)
     rows = "\n".join(f"{a:.1f},{0.1 + a / 10000:.5f}" for a in w)
@@ -296,7 +313,7 @@ def test_objects_are_found_more_often_than_their_pixels():
         "{mean: 0.15, sd: 0.05}": "{geometry: {side_m: 0.4, gsd_m: 1, psf_fwhm_pixels: 1, pixels: ranked, n: 4}}"
     })  # fmt: skip
     p = predict(s, axis=AXIS, engine=engine)
-    pixel, whole = (pd_at_pfa(p.roc["loose", "cem", u], 1e-3) for u in ("pixel", "object"))
+    pixel, whole = (detection_at(p.roc["loose", "cem", u], 1e-3) for u in ("pixel", "object"))
     assert whole > 1.2 * pixel
 
 

@@ -12,7 +12,7 @@ from hyperval.errors import UsageError
 from hyperval.predict import predict
 from hyperval.prediction.fills import fill_distribution
 from hyperval.processing.elm_model import darkest_level
-from hyperval.processing.roc_model import pd_at_pfa
+from hyperval.processing.roc_reading import detection_at
 from hyperval.products import background_of
 from hyperval.scenario import load_scenario
 from hyperval.scene.builtin import builtin_class
@@ -54,7 +54,7 @@ def test_a_shaded_target_is_darker_and_harder_to_find():
     assert part[0] > 1.5 * part[-1]
     assert shaded.reflectance["asphalt"].mean == pytest.approx(lit.reflectance["asphalt"].mean)
     at = [1e-6, 1e-4, 1e-2]
-    found = [pd_at_pfa(p.roc["tenth", "cem", "pixel"], at) for p in (shaded, lit)]
+    found = [detection_at(p.roc["tenth", "cem", "pixel"], at) for p in (shaded, lit)]
     assert np.all(found[0] < found[1])
 
 
@@ -222,7 +222,7 @@ def test_all_features_are_the_bands(features):
 @pytest.mark.parametrize("features", ["pca: 3", "mnf: 3"])
 def test_fewer_features_find_less(features):
     p = of(use=engine, **{"processing: {": "processing: {features: {" + features + "}, "})
-    pd, whole = (pd_at_pfa(x.roc["tenth", "cem", "pixel"], 1e-4) for x in (p, run()))
+    pd, whole = (detection_at(x.roc["tenth", "cem", "pixel"], 1e-4) for x in (p, run()))
     assert 0 <= pd < whole
     assert p.scores["full", "cem"].mean == pytest.approx(1.0, abs=1e-6)
 
@@ -252,7 +252,7 @@ def test_smf_has_the_curve_of_cem_in_other_units():
 def test_ace_finds_the_full_target_and_less_of_the_rest():
     p = of(use=engine, **{"[cem, cem-correlation]": "[cem, ace], samples: 1000"})
     at = 1e-4
-    pd = [pd_at_pfa(p.roc[n, "ace", "pixel"], at) for n in ("tenth", "loose", "full")]
+    pd = [detection_at(p.roc[n, "ace", "pixel"], at) for n in ("tenth", "loose", "full")]
     assert pd[0] < pd[1] < pd[2]
     assert pd[2] > 0.999
     assert p.scores["full", "ace"].mean > 0.9

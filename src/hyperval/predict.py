@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -55,7 +55,7 @@ from hyperval.sensor.specification import Sensor
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
-__all__ = ["detection_bands", "predict", "surfaces_of", "without_calibration_error"]
+__all__ = ["detection_bands", "predict", "predictions", "surfaces_of", "without_calibration_error"]
 
 Array = npt.NDArray[np.float64]
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
@@ -199,6 +199,17 @@ def predict(
         return atmospheric_terms(state, cache_dir=cache_dir, show_progress=show_progress)
 
     return _propagated(scenario, found, inputs_of(given_here), again, whole, true, show_progress)
+
+
+def predictions(scenario: Scenario, truths: Iterable[Departure], **options: Any) -> Iterator[Prediction]:
+    """Predictions of truths that depart from a scenario, in their order, each without a budget of its own.
+
+    ``options`` are those of :func:`predict`: axis, measured, resolve, engine, sensor, cache_dir, show_progress,
+    objects, object_curves.  What the truths have in common is worked out once.
+    """
+    bare = scenario.model_copy(update={"uncertainty": Uncertainty()})
+    for truth in truths:
+        yield predict(bare, departure=truth, **options)
 
 
 def _propagated(

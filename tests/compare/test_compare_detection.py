@@ -8,7 +8,7 @@ from hyperval.compare.abundance import compare_abundance
 from hyperval.compare.difference import difference_interval
 from hyperval.compare.gates import Gate, apply_gates
 from hyperval.compare.products import compare_products
-from hyperval.compare.roc import compare_roc, equivalent, value_at
+from hyperval.compare.roc import compare_roc, equivalent
 from hyperval.compare.roc_areas import curve_area
 from hyperval.compare.rows import scientific
 from hyperval.compare.scores import compare_scores
@@ -190,13 +190,6 @@ def test_auc_with_and_without_estimates():
     rows = by_metric(compare_roc(model_curve(2.0), curve, **NAMES))
     assert rows["auc_difference"].lower < rows["auc_difference"].value < rows["auc_difference"].upper
     assert rows["auc_difference"].value == pytest.approx(truth - auc_with_interval(t, b).auc, abs=1e-5)
-
-
-def test_value_between_grid_points_is_linear_in_the_logarithm():
-    curve = RocCurve(np.array([1e-4, 1e-2, 1.0]), np.array([0.2, 0.6, 1.0]), *(np.zeros(3),) * 3)
-    assert value_at(curve, curve.pd, 1e-3) == pytest.approx(0.4)
-    assert value_at(curve, curve.pd, 1e-2) == 0.6
-    assert np.isnan(value_at(curve, curve.pd, 1e-5))
 
 
 def test_labels():

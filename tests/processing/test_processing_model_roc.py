@@ -15,10 +15,10 @@ from hyperval.processing.roc_model import (
     false_alarm_grid,
     log_false_alarm,
     object_detection_probability,
-    pd_at_pfa,
     predicted_roc,
     threshold_at,
 )
+from hyperval.processing.roc_reading import detection_at
 from hyperval.scene.fill import beta_fill
 
 ONE = np.ones(1)
@@ -73,14 +73,14 @@ def test_random_fill_is_not_its_mean():
     classes = [ClassScore(1.0, 0.0, 0.1)]
     spread = predicted_roc(TargetScore(fill.values, np.full(48, 0.1), fill.weights), classes)
     fixed = predicted_roc(TargetScore(np.array([0.3]), np.array([0.1]), ONE), classes)
-    assert pd_at_pfa(spread, 1e-8) > 2 * pd_at_pfa(fixed, 1e-8)
+    assert detection_at(spread, 1e-8) > 2 * detection_at(fixed, 1e-8)
 
 
 def test_heavy_tails_cost_detection():
     target = TargetScore(np.array([0.6]), np.array([0.1]), ONE)
     gauss = predicted_roc(target, [ClassScore(1.0, 0.0, 0.1)])
     tail = predicted_roc(target, [ClassScore(1.0, 0.0, 0.1, tail_dof=4.0)])
-    assert pd_at_pfa(tail, 1e-6) < 0.5 < pd_at_pfa(gauss, 1e-6)
+    assert detection_at(tail, 1e-6) < 0.5 < detection_at(gauss, 1e-6)
 
 
 def test_many_degrees_of_freedom_are_gaussian():
@@ -99,7 +99,7 @@ def test_an_object_is_found_at_least_as_often_as_its_best_pixel():
 
 def test_curve_is_not_extrapolated():
     curve = predicted_roc(TargetScore(np.array([0.5]), np.array([0.2]), ONE), backgrounds(2), [1e-4, 1e-3])
-    assert np.isnan(pd_at_pfa(curve, 1e-5))
+    assert np.isnan(detection_at(curve, 1e-5))
 
 
 def test_no_background():

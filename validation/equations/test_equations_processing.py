@@ -25,13 +25,13 @@ from hyperval.processing.roc_model import (
     greatest_class_false_alarm,
     log_false_alarm,
     object_detection_probability,
-    pd_at_pfa,
     predicted_roc,
     score_mean,
     score_sd,
     target_score_moments,
     threshold_at,
 )
+from hyperval.processing.roc_reading import detection_at
 from hyperval.scene.fill import beta_fill
 
 # The worked filter: mean (1, 1), target (2, 3), covariance diag(1, 4); d = (1, 2).
@@ -157,7 +157,7 @@ def test_3_30_to_3_33_the_printed_procedure_gives_the_same_curve():
     )
     inside = (sweep.pfa > steps.pfa[0]) & (sweep.pfa < steps.pfa[-1])
     assert inside.sum() > 150
-    assert pd_at_pfa(steps, sweep.pfa[inside]) == pytest.approx(sweep.pd[inside], abs=2e-5)  # interpolation
+    assert detection_at(steps, sweep.pfa[inside]) == pytest.approx(sweep.pd[inside], abs=2e-5)  # interpolation
 
 
 def test_roc_by_monte_carlo():

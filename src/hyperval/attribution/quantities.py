@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.products import Products, RocCurve, SpectralEstimate
+from hyperval.processing.roc_reading import detection_at
+from hyperval.products import Products, SpectralEstimate
 from hyperval.spectra.windows import in_window
 
 POINTS = (1e-2, 1e-3)
@@ -70,12 +71,8 @@ def quantities(predicted: Products, observed: Products) -> list[Quantity]:
                 continue
 
             def pd(p: Products, key: tuple[str, str, str] = key, at: float = pfa) -> float:
-                return _pd_at(p.roc[key], at)
+                return float(detection_at(p.roc[key], at))
 
             name = f"pd@{pfa:.0e}".replace("e-0", "e-")
             found.append(Quantity("roc", key[0], f"{key[1]}/{key[2]}", name, pd(observed), pd))
     return found
-
-
-def _pd_at(curve: RocCurve, pfa: float) -> float:
-    return float(np.interp(np.log(pfa), np.log(curve.pfa), curve.pd))

@@ -12,13 +12,14 @@ from hyperval.baseline.metrics import Measured
 from hyperval.baseline.schema import key_of
 from hyperval.errors import HypervalError
 from hyperval.predict import predict
+from hyperval.processing.roc_reading import detection_at
 from hyperval.results import Status
 from hyperval.scenario import builtin_scenarios, load_scenario
 from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
 from hyperval.sensor.specification import Sensor
 from hyperval.sensor_check.noise import summary_regions
 from hyperval.sensor_check.reference import LEVELS, MIDDLE, Engine, sunlit_radiance
-from hyperval.sensor_check.scenarios import FALSE_ALARM, detection_at
+from hyperval.sensor_check.scenarios import FALSE_ALARM
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -101,7 +102,7 @@ def _scenarios(sensor: Sensor, engine: Engine | None) -> Iterator[tuple[str, Mea
             continue
         for (subject, detector, unit), curve in found.roc.items():
             if unit == "pixel":
-                pd = detection_at(curve)
+                pd = float(detection_at(curve, FALSE_ALARM))
                 yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{FALSE_ALARM:g}", pd)
         white = found.radiance.get("white panel")
         if white is not None and oxygen is not None:

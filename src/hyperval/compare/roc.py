@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from hyperval.compare.roc_areas import area_rows, curve_area
 from hyperval.compare.rows import RowMaker, scientific
 from hyperval.errors import UsageError
 from hyperval.processing.roc_areas import RocArea
+from hyperval.processing.roc_reading import detection_at
 from hyperval.products import RocCurve
 from hyperval.results import Result
 
@@ -33,16 +35,9 @@ VERDICTS = ("pd_equivalent", "pd_equivalence")
 SAME_READING = 1e-3
 
 
-def value_at(curve: RocCurve, values: Array, pfa: float) -> float:
-    """A quantity of the curve at ``pfa``: exact on the grid, linear in log P_FA between; NaN outside."""
-    grid = curve.pfa
-    exact = np.flatnonzero(np.abs(grid - pfa) <= 1e-9 * pfa)
-    if exact.size:
-        return float(values[exact[-1]])
-    if grid.size == 0 or not grid[0] <= pfa <= grid[-1]:
-        return math.nan
-    with np.errstate(divide="ignore"):
-        return float(np.interp(np.log(pfa), np.log(grid), values))
+def limits_at(curve: RocCurve, pfa: float) -> tuple[float, float]:
+    """95 % limits of P_D at ``pfa``; NaN outside the curve."""
+    return float(detection_at(curve, pfa, curve.pd_lower)), float(detection_at(curve, pfa, curve.pd_upper))
 
 
 def equivalent(interval: tuple[float, float], margin: float) -> bool:
@@ -135,12 +130,12 @@ def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, mar
         reason = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
         reason += f"{LEAST_EXPECTED_ALARMS:g} are needed to place the threshold"
         return [make.skipped(reason, name) for name in names]
-    p, o = value_at(predicted, predicted.pd, pfa), value_at(observed, observed.pd, pfa)
+    p, o = float(detection_at(predicted, pfa)), float(detection_at(observed, pfa))
     if math.isnan(p) or math.isnan(o):
         side = "predicted" if math.isnan(p) else "measured"
         return [make.skipped(f"the {side} curve has no point at P_FA {label}", name) for name in names]
-    p_interval = value_at(predicted, predicted.pd_lower, pfa), value_at(predicted, predicted.pd_upper, pfa)
-    o_interval = value_at(observed, observed.pd_lower, pfa), value_at(observed, observed.pd_upper, pfa)
+    p_interval = limits_at(predicted, pfa)
+    o_interval = limits_at(observed, pfa)
     if any(math.isnan(x) for x in p_interval):  # a curve without a band is a curve without width
         p_interval = (p, p)
     low, high = difference_interval(p, p_interval, o, o_interval)
@@ -188,10 +183,9 @@ def _preset_rows(
     axis = np.maximum(predicted.preset_pfa[order], 1e-300)
     if not axis[0] <= pfa <= axis[-1]:
         return []
-    value, low, high = (
-        float(np.interp(np.log(pfa), np.log(axis), y[order]))
-        for y in (predicted.pd, predicted.pd_lower, predicted.pd_upper)
-    )
+    preset = replace(predicted, pfa=axis, pd=predicted.pd[order])
+    limits = predicted.pd_lower[order], predicted.pd_upper[order]
+    value, low, high = (float(detection_at(preset, pfa, y)) for y in (None, *limits))
     if abs(value - swept[0]) < SAME_READING:
         return []
     ends = difference_interval(value, (low, high), *measured)

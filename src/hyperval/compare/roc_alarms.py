@@ -9,6 +9,7 @@ import numpy as np
 from hyperval.compare.difference import difference_interval
 from hyperval.compare.rows import RowMaker, scientific
 from hyperval.processing.intervals import clopper_pearson, joint_region, zero_count_upper_limit
+from hyperval.processing.roc_reading import detection_at
 from hyperval.products import AlarmsAtDetection, RocCurve
 from hyperval.results import Result
 
@@ -112,10 +113,8 @@ def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, p
     ]
     if predicted is None:
         return rows
-    log_pfa = np.log(predicted.pfa)
-    ends = [
-        float(np.interp(math.log(max(x, 1e-300)), log_pfa, predicted.pd, left=0.0, right=1.0)) for x in pfa_interval
-    ]
+    first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
+    ends = [0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in pfa_interval]
     name = f"pd_inside_joint_region@{label}"
     if region.pd_upper - region.pd_lower > 0.9:
         why = f"the region of {m} {observed.unit}{'' if m == 1 else 's'} accepts nearly any prediction"

@@ -51,7 +51,8 @@ def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float | None:
     """
     if c.tail_dof == "measured":
         return surface.tail_dof
-    if c.tail_dof is None and c.spectrum.measured is not None:
+    from_region = c.spectrum.measured if c.covariance is None else c.covariance.measured
+    if c.tail_dof is None and from_region is not None:
         return None
     return c.tail_dof or surface.tail_dof
 
@@ -79,8 +80,9 @@ class Sources:
         base = self.spectrum(surface.spectrum, surface.name)
         if surface.covariance is None:
             return base
-        covariance = self._covariance(surface.covariance, base.mean, surface.name)
-        return replace(base, covariance=covariance)
+        # Tails are those of the pixels that the covariance is of; a stated spread has none of its own.
+        covariance, tail_dof = self._spread(surface.covariance, base, surface.name)
+        return replace(base, covariance=covariance, tail_dof=tail_dof)
 
     def spectrum(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
         """The statistics that a spectrum source brings along."""
@@ -160,19 +162,21 @@ class Sources:
             raise UsageError(f"the statistics of region {region!r} do not stand on the bands of the prediction")
         return found
 
-    def _covariance(self, source: CovarianceSource, mean: Array, name: str) -> Array:
-        if source.builtin is not None:
-            return builtin_class(source.builtin, self.axis).covariance
-        if source.library is not None:
-            return self._library(source.library, source.record, name, "covariance").covariance
+    def _spread(self, source: CovarianceSource, base: SurfaceStatistics, name: str) -> tuple[Array, float | None]:
+        """Covariance (B, B) and degrees of freedom of its tails, None where it has none."""
         if source.replicates is not None:
-            return self._replicates(source.replicates, name).covariance
-        if source.measured is not None:
-            return self._measured(source.measured, name).covariance
-        sd = (source.relative_sd or 0.0) * np.nan_to_num(mean)
-        return np.outer(sd, sd) * correlation(self.axis, source.correlation_nm) + source.band_sd**2 * np.eye(
-            mean.size
-        )
+            return self._replicates(source.replicates, name).covariance, base.tail_dof
+        if source.builtin is not None:
+            pixels = builtin_class(source.builtin, self.axis)
+        elif source.library is not None:
+            pixels = self._library(source.library, source.record, name, "covariance")
+        elif source.measured is not None:
+            pixels = self._measured(source.measured, name)
+        else:
+            sd = (source.relative_sd or 0.0) * np.nan_to_num(base.mean)
+            stated = np.outer(sd, sd) * correlation(self.axis, source.correlation_nm)
+            return stated + source.band_sd**2 * np.eye(sd.size), base.tail_dof
+        return pixels.covariance, pixels.tail_dof
 
 
 def correlation(axis: SpectralAxis, length_nm: float | None) -> Array:

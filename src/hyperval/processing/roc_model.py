@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaln, log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
+from scipy.special import gammaln, log_ndtr, ndtr, ndtri_exp, stdtr, stdtrit
 
 from hyperval.errors import UsageError
 from hyperval.processing.filters import LinearFilter
@@ -271,10 +271,3 @@ def class_by_class_roc(
     pfa = np.exp(log_false_alarm(x, classes))  # (3.33)
     order = np.argsort(pfa)
     return RocCurve(pfa[order], pd[order], pd[order], pd[order], x[order])
-
-
-def pd_at_pfa(curve: RocCurve, pfa: npt.ArrayLike) -> Array:
-    """P_D at given P_FA (3.33): linear in probit against log P_FA, NaN outside the curve."""
-    z = ndtri(np.clip(curve.pd, 1e-300, 1.0 - 1e-16))
-    at = np.interp(np.log(np.asarray(pfa, dtype=float)), np.log(curve.pfa), z, np.nan, np.nan)
-    return np.asarray(ndtr(at))

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Products, RocCurve
 from hyperval.report import style
 from hyperval.report.figures_spectra import Sides, both_first
@@ -199,11 +200,9 @@ def _roc_words(key: tuple[str, str, str], predicted: RocCurve | None, measured: 
     words = []
     for name, curve in (("predicted", predicted), ("measured", measured)):
         if curve is not None and curve.pfa.size:
-            at = int(np.argmin(np.abs(np.log(np.clip(curve.pfa, 1e-300, None)) - math.log(1e-3))))
-            words.append(
-                f"{name} P_D {curve.pd[at]:.2f} ({curve.pd_lower[at]:.2f} to {curve.pd_upper[at]:.2f}) "
-                f"at P_FA {curve.pfa[at]:.1e}"
-            )
+            at = float(np.clip(1e-3, curve.pfa[0], curve.pfa[-1]))
+            pd, low, high = (detection_at(curve, at, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper))
+            words.append(f"{name} P_D {pd:.2f} ({low:.2f} to {high:.2f}) at P_FA {at:.1e}")
     return f"{', '.join(key)}: {'; '.join(words) or 'no points'}."
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy.stats import beta
 
+from hyperval.processing.roc_reading import detection_at
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.report import style
 from hyperval.report.figures_spectra import Sides, both_first
@@ -265,6 +265,5 @@ def _difference_panel(axes: Axes, predicted: RocCurve, measured: RocCurve, margi
 
 
 def _at(curve: RocCurve, pfa: Array) -> tuple[Array, ...]:
-    keep = curve.pfa > 0
-    held: Mapping[str, Array] = {"pd": curve.pd, "low": curve.pd_lower, "high": curve.pd_upper}
-    return tuple(np.interp(np.log(pfa), np.log(curve.pfa[keep]), y[keep]) for y in held.values())
+    inside = np.clip(pfa, curve.pfa[0], curve.pfa[-1])
+    return tuple(detection_at(curve, inside, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper))

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from hyperval.errors import HypervalError
 from hyperval.predict import predict
-from hyperval.products import Prediction, RocCurve
+from hyperval.processing.roc_reading import detection_at
+from hyperval.products import Prediction
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import Sensor
@@ -45,11 +46,6 @@ def run_scenarios(sensor: Sensor, ledger: Ledger, engine: Engine | None = None) 
     return done
 
 
-def detection_at(curve: RocCurve, false_alarm: float = FALSE_ALARM) -> float:
-    """P_D at a false-alarm probability, linear in its logarithm [1]."""
-    return float(np.interp(np.log10(false_alarm), np.log10(curve.pfa), curve.pd))
-
-
 def _check(scenario: Scenario, found: Prediction, sensor: Sensor, ledger: Ledger) -> None:
     good = found.axis.good & in_window(found.axis.centre_nm)
     name = scenario.name
@@ -81,7 +77,7 @@ def _check(scenario: Scenario, found: Prediction, sensor: Sensor, ledger: Ledger
         what = f"{name}, {subject} {detector}"
         ledger.gate(PRODUCT, "lowest_step_of_roc", step, sound, threshold=0.0, subject=what,
                     reason="the ROC falls or leaves 0 to 1")  # fmt: skip
-        ledger.info(PRODUCT, f"pd_at_pfa_{FALSE_ALARM:g}", detection_at(curve), subject=what)
+        ledger.info(PRODUCT, f"pd_at_pfa_{FALSE_ALARM:g}", float(detection_at(curve, FALSE_ALARM)), subject=what)
 
 
 def _panel_error(scenario: Scenario, found: Prediction, good: npt.NDArray[np.bool_]) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperval.predict import predict
+from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction
 from hyperval.progress import track
 from hyperval.scenario import Scenario
@@ -15,7 +16,7 @@ from hyperval.sensor.specification import Sensor
 from hyperval.sensor_check.ledger import Ledger
 from hyperval.sensor_check.numbers import Number, numbers, scaled
 from hyperval.sensor_check.reference import MIDDLE, Engine, sunlit_radiance
-from hyperval.sensor_check.scenarios import detection_at, standard_scenario
+from hyperval.sensor_check.scenarios import FALSE_ALARM, standard_scenario
 from hyperval.spectra.windows import in_window
 
 PRODUCT = "sensitivity"
@@ -49,7 +50,7 @@ class Probe:
 def telling_probe(predictions: Mapping[str, Prediction]) -> Probe | None:
     """The subject and detector whose P_D lies nearest 0.5; None where nothing is detected."""
     probes = [
-        Probe(name, key, detection_at(curve))
+        Probe(name, key, float(detection_at(curve, FALSE_ALARM)))
         for name, found in predictions.items()
         for key, curve in found.roc.items()
         if key[2] == "pixel"
@@ -105,4 +106,4 @@ def _detection_change(
     if probe is None or scenario is None:
         return 0.0
     found = predict(scenario, sensor=other, engine=engine, show_progress=False)
-    return detection_at(found.roc[probe.key]) - probe.value
+    return float(detection_at(found.roc[probe.key], FALSE_ALARM)) - probe.value

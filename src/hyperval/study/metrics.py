@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri
 
 from hyperval.errors import UsageError
 from hyperval.prediction.spectra import without_calibration_error
-from hyperval.processing.roc_model import pd_at_pfa
+from hyperval.processing.roc_reading import detection_at, log10_false_alarm_at
 from hyperval.products import Prediction, RocCurve
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
@@ -116,23 +115,18 @@ def of_prediction(prediction: Prediction, scenario: Scenario, output: Output, pf
     if output.kind == "pd":
         at = output.pfa if pfa is None else pfa
         assert at is not None  # noqa: S101 - the schema asks for it
-        return float(pd_at_pfa(curve, at))
+        return float(detection_at(curve, at))
     if output.kind == "log10-pfa":
-        return _log10_pfa(curve, output.pd)
+        return log10_false_alarm_at(curve, output.pd)
     if output.kind == "auc":
         return _area(curve)
     x = log_range(output)
-    return float(np.trapezoid(pd_at_pfa(curve, x), np.log(x)) / np.log(x[-1] / x[0]))
+    return float(np.trapezoid(detection_at(curve, x), np.log(x)) / np.log(x[-1] / x[0]))
 
 
 def _area(curve: RocCurve) -> float:
     """Area under a curve, read between its points and joined to (1, 1)."""
     low, high = float(curve.pfa[0]), float(curve.pfa[-1])
     x = np.concatenate([np.geomspace(low, 0.1, 400, endpoint=False), np.linspace(0.1, high, 901)])
-    y = pd_at_pfa(curve, np.clip(x, low, high))
+    y = detection_at(curve, np.clip(x, low, high))
     return float(np.trapezoid(np.append(y, 1.0), np.append(x, 1.0)))
-
-
-def _log10_pfa(curve: RocCurve, pd: float) -> float:
-    z = ndtri(np.clip(curve.pd, 1e-300, 1.0 - 1e-16))
-    return float(np.interp(ndtri(pd), z, np.log10(curve.pfa), np.nan, np.nan))
