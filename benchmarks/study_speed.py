@@ -27,13 +27,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from predict_speed import TEXT
 
+from hyperval.atmosphere.interpolation import spaced
 from hyperval.config import parse_yaml, validate
 from hyperval.executors import in_order, workers
 from hyperval.predict import predict
 from hyperval.processing.roc_model import false_alarm_grid
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.study.atmosphere import spaced
 from hyperval.study.evaluate import Evaluator, Sky, make_ready
 
 RANGE, FILL = "atmosphere.meteorological_range_km", "scene.targets.plank.fill.fixed"

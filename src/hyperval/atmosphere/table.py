@@ -5,10 +5,10 @@ A table holds what does not depend on the strength of the sun, at the resolution
     path = L_a / F, direct = A / F, adjacency = B / F, S, ground = E_ground / (pi F), gas: two-way
     transmittance, and diffuse: the sky's part of E_ground, where the engine tells it
 
-Interpolated are these products, before any band is averaged.  The rules: aerosol by
-:mod:`hyperval.atmosphere.table_aerosol` (a range as depth); altitudes by monotone cubic (Fritsch & Carlson, SIAM J.
-Numer. Anal. 17, 1980); angles by cubic spline; water logarithms of the transmittances, linear in the square root of
-the column; ozone likewise, linear in the column.
+Interpolated are these products, before any band is averaged.  The rules (:mod:`hyperval.atmosphere.interpolation`):
+aerosol by :mod:`hyperval.atmosphere.table_aerosol` (a range as depth); altitudes by monotone cubic; angles by cubic
+spline; water logarithms of the transmittances, linear in the square root of the column; ozone likewise, linear in
+the column.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from hyperval.atmosphere import solar
+from hyperval.atmosphere.interpolation import AS_THEY_ARE, Rule, along, inside
 from hyperval.atmosphere.profiles import OZONE_G_CM2_PER_ATM_CM, column_g_cm2, standard_profile
 from hyperval.atmosphere.state import SPACE_KM, AtmosphericState
 from hyperval.atmosphere.table_aerosol import between_aerosols, path_error
@@ -32,18 +32,18 @@ Array = npt.NDArray[np.float64]
 
 QUANTITIES = ("path", "direct", "adjacency", "spherical_albedo", "ground", "gas")
 OPTIONAL = ("diffuse",)
-_NO_TRANSMITTANCE = ("spherical_albedo", "diffuse")  # interpolated without logarithm
-AEROSOL_RULE = "aerosol"  # all quantities together
+AEROSOL_RULE = None  # all quantities together
+_MONOTONE, _CUBIC, _STRAIGHT = Rule("monotone"), Rule("cubic"), Rule("linear")
 # Rule of each axis, and by how much a state may miss a value that the table holds only once.
-AXES: dict[str, tuple[str, float]] = {
+AXES: dict[str, tuple[Rule | None, float]] = {
     "aot550": (AEROSOL_RULE, 1e-3),
-    "water_vapour_g_cm2": ("water", 5e-3),
-    "ozone_atm_cm": ("log", 2e-3),
-    "ground_altitude_km": ("pchip", 0.02),
-    "sensor_altitude_km": ("pchip", 0.02),
-    "solar_zenith_deg": ("cubic", 0.3),
-    "view_zenith_deg": ("cubic", 0.5),
-    "relative_azimuth_deg": ("cubic", 5.0),
+    "water_vapour_g_cm2": (Rule("linear", np.sqrt, np.square, logarithm=True), 5e-3),
+    "ozone_atm_cm": (Rule("linear", logarithm=True), 2e-3),
+    "ground_altitude_km": (_MONOTONE, 0.02),
+    "sensor_altitude_km": (_MONOTONE, 0.02),
+    "solar_zenith_deg": (_CUBIC, 0.3),
+    "view_zenith_deg": (_CUBIC, 0.5),
+    "relative_azimuth_deg": (_CUBIC, 5.0),
 }
 # Values that a table can be computed for only as a whole.
 NAMED = ("model", "aerosol")
@@ -92,8 +92,8 @@ class AtmosphericTable:
         values = dict(self.quantities)
         left = list(self.axes)
         # Aerosol last: its rule needs the altitudes, which may be axes themselves.
-        for name in sorted(self.axes, key=lambda axis: AXES[axis][0] == AEROSOL_RULE):
-            x, number = _inside(name, self.axes[name], at[name]), left.index(name)
+        for name in sorted(self.axes, key=lambda axis: AXES[axis][0] is AEROSOL_RULE):
+            x, number = float(inside(name, self.axes[name], at[name])), left.index(name)
             values = _along(self.axes[name], {q: np.moveaxis(v, number, 0) for q, v in values.items()}, x, name, at)
             left.remove(name)
         path_relative = 0.0
@@ -172,24 +172,15 @@ def _along(
     nodes: Array, values: Mapping[str, Array], x: float, axis: str, at: Mapping[str, float]
 ) -> dict[str, Array]:
     """All quantities (k, ...) at ``x`` along their first dimension."""
-    if AXES[axis][0] == AEROSOL_RULE:
-        return between_aerosols(nodes, values, x, at["ground_altitude_km"], at["sensor_altitude_km"])
-    return {q: interpolated(nodes, v, x, axis, q) for q, v in values.items()}
-
-
-def interpolated(nodes: Array, values: Array, x: float, axis: str, quantity: str) -> Array:
-    """Values (k, ...) of one quantity at ``x`` along their first dimension, by the rule of an axis but aerosol."""
     rule = AXES[axis][0]
-    if rule == "pchip":
-        return np.asarray(PchipInterpolator(nodes, values, axis=0)(x))
-    if rule == "cubic":
-        return np.asarray(CubicSpline(nodes, values, axis=0)(x))
-    if quantity in _NO_TRANSMITTANCE:
-        return _linear(nodes, values, x)
-    if rule == "water":
-        nodes, x = np.sqrt(nodes), float(np.sqrt(x))
-    found = np.exp(_linear(nodes, np.log(np.maximum(values, _LEAST)), x))
-    return np.where(found > 2.0 * _LEAST, found, 0.0)
+    if rule is AEROSOL_RULE:
+        return between_aerosols(nodes, values, x, at["ground_altitude_km"], at["sensor_altitude_km"])
+    return {q: along(nodes, v, x, _rule_for(q, rule)) for q, v in values.items()}
+
+
+def _rule_for(quantity: str, rule: Rule) -> Rule:
+    """The rule of an axis; what is no transmittance is straight where those are straight in their logarithm."""
+    return _STRAIGHT if rule.logarithm and quantity in AS_THEY_ARE else rule
 
 
 def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]:
@@ -203,7 +194,7 @@ def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]
     for name, nodes in table.axes.items():
         errors = []
         quantities, axes, at = dict(table.quantities), list(table.axes), {}
-        for level in ("ground_altitude_km", "sensor_altitude_km") if AXES[name][0] == AEROSOL_RULE else ():
+        for level in ("ground_altitude_km", "sensor_altitude_km") if AXES[name][0] is AEROSOL_RULE else ():
             at[level] = table.fixed.get(level, 0.0 if level.startswith("ground") else SPACE_KM)
             if level in table.axes:  # the haze below the sensor is asked for at the middle altitude
                 middle = table.axes[level].size // 2
@@ -232,23 +223,6 @@ def _total(values: Mapping[str, Array]) -> Array:
     """Radiance over uniform ground by 3.7, in units of F."""
     ground = values["direct"] + values["adjacency"]
     return np.asarray(values["path"] + ground * _RHO / (1.0 - values["spherical_albedo"] * _RHO))
-
-
-def _linear(nodes: Array, values: Array, x: float) -> Array:
-    i = int(np.clip(np.searchsorted(nodes, x) - 1, 0, nodes.size - 2))
-    w = (x - nodes[i]) / (nodes[i + 1] - nodes[i])
-    return np.asarray(values[i] + w * (values[i + 1] - values[i]))
-
-
-def _inside(name: str, nodes: Array, x: float) -> float:
-    slack = 1e-6 * max(abs(float(nodes[-1])), 1e-6)
-    if not nodes[0] - slack <= x <= nodes[-1] + slack:
-        raise UsageError(
-            f"{name} {x:g} lies outside the table",
-            expected=f"{nodes[0]:g} to {nodes[-1]:g}",
-            mend="change the state, or compute a larger table: a table is never extrapolated",
-        )
-    return float(np.clip(x, nodes[0], nodes[-1]))
 
 
 def _check_table(table: AtmosphericTable) -> None:

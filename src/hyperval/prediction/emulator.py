@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
+from hyperval.atmosphere.interpolation import InterpolatedTerms, interpolated_terms
 from hyperval.prediction.budget_atmosphere import state_value
 from hyperval.prediction.budget_input import BudgetInput
 from hyperval.prediction.departure import departed_scenario
@@ -20,60 +21,43 @@ Engine = Callable[[AtmosphericState], AtmosphericTerms]
 
 # Three nodes 0 and +-sqrt(3) standard deviations: those of Gauss and Hermite, exact for moments of a cubic.
 _NODE = float(np.sqrt(3.0))
-_TINY = 1e-300
-
-
-@dataclass(frozen=True)
-class _Axis:
-    """One field of the state: its values at the nodes, the stated one first, and what the terms change there."""
-
-    name: str
-    values: tuple[float, ...]
-    changes: tuple[Array, ...]  # of the logarithm of the stack, at the nodes but the first
-
-    def change(self, value: float) -> Array:
-        """Change of the logarithms at a value, by the polynomial through the nodes."""
-        if self.name.endswith("azimuth_deg"):
-            value = self.values[0] + (value - self.values[0] + 180.0) % 360.0 - 180.0
-        total = np.zeros_like(self.changes[0])
-        for i, change in enumerate(self.changes, start=1):
-            weight = 1.0
-            for j, other in enumerate(self.values):
-                if j != i:
-                    weight *= (value - other) / (self.values[i] - other)
-            total += weight * change
-        return total
 
 
 @dataclass(frozen=True)
 class Emulator:
-    """Stands in for an engine near one state: logarithms of terms, quadratic in each field, without cross terms.
+    """Stands in for an engine near one state: quadratic in each uncertain field, without cross terms.
 
     Attributes
     ----------
+    between : the runs, a star about the stated one; None where nothing of the atmosphere is uncertain
+    stated : terms of the stated state
     runs : engine runs behind it
     error : greatest and median error of direct and path radiance against the engine, as a part of their sum, where
         all fields are one standard uncertainty off [1]; zeros where nothing is uncertain
     """
 
-    terms: AtmosphericTerms
-    axes: tuple[_Axis, ...]
+    between: InterpolatedTerms | None
+    stated: AtmosphericTerms
     runs: int
     error: tuple[float, float]
 
+    @property
+    def axes(self) -> Mapping[str, Array]:
+        """Field -> its values at the nodes, the stated one first."""
+        return {} if self.between is None else self.between.between.axes
+
     def __call__(self, state: AtmosphericState) -> AtmosphericTerms:
         """The terms of a state that differs from the stated one in the uncertain fields alone."""
-        if not self.axes:
-            return self.terms
-        logs = _logs(self.terms)
-        for axis in self.axes:
-            logs = logs + axis.change(state_value(state, axis.name))
-        names = _names(self.terms)
-        values = dict(zip(names, np.exp(logs), strict=True))
-        for name in ("gas_transmittance", "diffuse_fraction"):
-            if name in values:
-                values[name] = np.minimum(values[name], 1.0)
-        return replace(self.terms, **values)
+        if self.between is None:
+            return self.stated
+        at = {n: np.array([_beside(n, nodes[0], state_value(state, n))]) for n, nodes in self.axes.items()}
+        terms = self.between(at)
+        return replace(terms, **{n: getattr(terms, n)[0] for n in self.between.between.values})
+
+
+def _beside(name: str, stated: float, value: float) -> float:
+    """The value; an azimuth on the same turn as the stated one."""
+    return stated + (value - stated + 180.0) % 360.0 - 180.0 if name.endswith("azimuth_deg") else value
 
 
 def emulator(
@@ -93,35 +77,33 @@ def emulator(
         return terms if axis is None else replace(terms.at_bands(axis), fwhm_nm=axis.fwhm_nm)
 
     stated = run(scenario)
-    base, runs = _logs(stated), 1
-    axes, moving = [], []
+    axes: dict[str, Array] = {}
+    runs, moving = [stated], []
     for item in inputs:
         name = item.settings[0].removeprefix("atmosphere.") if item.settings else ""
         if item.kind != "atmosphere" or not name:
             continue
         assert scenario.atmosphere is not None  # noqa: S101 - inputs of the atmosphere
-        values, changes = [state_value(scenario.atmosphere, name)], []
+        values = [state_value(scenario.atmosphere, name)]
         for z in (-_NODE, _NODE):
             there = departed_scenario(scenario, item.moved(z))
             assert there.atmosphere is not None  # noqa: S101
-            value = state_value(there.atmosphere, name)
-            if all(
-                abs(value - v) > 1e-12 for v in values
-            ):  # a node at the end of the range may be the stated value
+            value = _beside(name, values[0], state_value(there.atmosphere, name))
+            # A node at the end of the range may be the stated value.
+            if all(abs(value - v) > 1e-12 for v in values):
                 values.append(value)
-                changes.append(_logs(run(there)) - base)
-                runs += 1
-        if changes:
-            axes.append(_Axis(name, tuple(values), tuple(changes)))
+                runs.append(run(there))
+        if len(values) > 1:
+            axes[name] = np.array(values)
             moving.append(item)
-    found = Emulator(stated, tuple(axes), runs, (0.0, 0.0))
     if not axes:
-        return found
+        return Emulator(None, stated, 1, (0.0, 0.0))
+    found = Emulator(interpolated_terms(axes, runs, star=True, bounded=False), stated, len(runs) + 1, (0.0, 0.0))
     off = scenario
     for item in moving:
         off = departed_scenario(off, item.moved(1.0)) if item.settings else off
     assert off.atmosphere is not None  # noqa: S101
-    return replace(found, runs=runs + 1, error=_error(found(off.atmosphere), run(off)))
+    return replace(found, error=_error(found(off.atmosphere), run(off)))
 
 
 def _error(guess: AtmosphericTerms, truth: AtmosphericTerms) -> tuple[float, float]:
@@ -132,12 +114,3 @@ def _error(guess: AtmosphericTerms, truth: AtmosphericTerms) -> tuple[float, flo
     lit = truth.direct > 1e-3 * truth.direct.max()
     relative = np.abs(seen[0] / seen[1] - 1.0)[lit]
     return float(relative.max()), float(np.median(relative))
-
-
-def _names(terms: AtmosphericTerms) -> list[str]:
-    skipped = ("wavelength_nm", "provenance", "fwhm_nm")
-    return [f.name for f in fields(terms) if f.name not in skipped and getattr(terms, f.name) is not None]
-
-
-def _logs(terms: AtmosphericTerms) -> Array:
-    return np.log(np.maximum(np.stack([getattr(terms, n) for n in _names(terms)]), _TINY))

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import RegularGridInterpolator
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, solar
+from hyperval.atmosphere.interpolation import Interpolator, Rule
 from hyperval.atmosphere.table import AXES, NAMED, AtmosphericTable, coordinates
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.response import band_average
@@ -124,19 +124,14 @@ def transported(table: AtmosphericTable, near: AtmosphericState, other: TermsOf)
         state = _moved(near, dict(zip(table.axes, map(float, node), strict=True)))
         exact = _under_sun(table.terms(state), table, state, inner, channels)
         ratios.append({name: _ratio(value, getattr(other_at(state), name)) for name, value in exact.items()})
-    shape = tuple(nodes_of.size for nodes_of in table.axes.values())
-    grids = {
-        name: RegularGridInterpolator(
-            tuple(table.axes.values()), np.reshape([r[name] for r in ratios], (*shape, channels.centre_nm.size))
-        )
-        for name in ratios[0]
-    }
+    stack = {name: np.stack([r[name] for r in ratios]) for name in ratios[0]}
+    between = Interpolator(table.axes, dict.fromkeys(table.axes, Rule("linear")), stack)
 
     def terms_of(state: AtmosphericState) -> AtmosphericTerms:
         at = coordinates(state)
-        point = [float(np.clip(at[name], nodes_of[0], nodes_of[-1])) for name, nodes_of in table.axes.items()]
+        edge = {name: np.clip([at[name]], nodes[0], nodes[-1]) for name, nodes in table.axes.items()}
         here = other_at(state)
-        changed = {name: getattr(here, name) * grid(point)[0] for name, grid in grids.items()}
+        changed = {name: getattr(here, name) * ratio[0] for name, ratio in between(edge).items()}
         record = {**own.provenance, "solar_spectrum": state.solar_spectrum, "state": state.model_dump(mode="json")}
         record["between_nodes"] = "6S times the ratio of the table to it"
         return replace(here, **changed, provenance=record, fwhm_nm=channels.fwhm_nm)

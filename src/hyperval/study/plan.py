@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.atmosphere.interpolation import spaced
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
-from hyperval.study.atmosphere import few_states, spaced
+from hyperval.study.atmosphere import few_states
 from hyperval.study.design import Column, Points, listed, moved
 from hyperval.study.evaluate import Evaluator, Sky, difference_from_predict, engine_on, make_ready
 from hyperval.study.levers import PFA, lever_of

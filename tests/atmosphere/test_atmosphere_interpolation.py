@@ -1,0 +1,104 @@
+"""The one interpolator: exact where a rule holds, at nodes, on grids and stars, and refusing what lies outside."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline, RegularGridInterpolator
+
+from hyperval.atmosphere.interpolation import (
+    Interpolator,
+    Rule,
+    along,
+    interpolated_terms,
+    node_weights,
+    smooth_rule,
+    spaced,
+)
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.errors import UsageError
+
+NM = np.array([500.0, 600.0, 700.0])
+RNG = np.random.default_rng(11)
+
+
+def terms(transmittance, albedo=0.1):
+    """Terms that are all proportional to one transmittance, but for the albedo."""
+    t = np.broadcast_to(np.asarray(transmittance, float), NM.shape)
+    return AtmosphericTerms(NM, 0.1 * t, t, 0.2 * t, np.full(3, albedo), 3.0 * t, t)
+
+
+@pytest.mark.parametrize("name", ["meteorological_range_km", "water_vapour_g_cm2", "solar_zenith_deg", "aot550"])
+def test_weights_sum_to_one_and_are_one_at_their_node(name):
+    nodes = spaced(name, 1.0, 5.0, 4)
+    rule = smooth_rule(name)
+    np.testing.assert_allclose(node_weights(nodes, nodes, rule), np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(node_weights(nodes, np.linspace(1.0, 5.0, 17), rule).sum(axis=1), 1.0, rtol=1e-12)
+    assert nodes[0] == 1.0
+    assert nodes[-1] == 5.0
+
+
+def test_linear_weights_are_those_of_an_independent_multilinear_interpolator():
+    axes = {"a": np.array([0.0, 1.0, 3.0]), "b": np.array([-1.0, 2.0])}
+    values = RNG.normal(size=(3, 2, 4))
+    between = Interpolator(axes, dict.fromkeys(axes, Rule("linear")), {"x": values.reshape(6, 4)})
+    points = np.stack([RNG.uniform(0, 3, 20), RNG.uniform(-1, 2, 20)], axis=1)
+    peer = RegularGridInterpolator(tuple(axes.values()), values)(points)
+    np.testing.assert_allclose(between({"a": points[:, 0], "b": points[:, 1]})["x"], peer, rtol=1e-12, atol=1e-13)
+
+
+def test_along_an_axis_and_by_weights_a_spline_is_the_same():
+    nodes, values = np.array([1.0, 2.0, 4.0, 7.0]), RNG.normal(size=(4, 5))
+    np.testing.assert_allclose(
+        along(nodes, values, 3.3, Rule("cubic")), CubicSpline(nodes, values)(3.3), rtol=1e-12
+    )
+
+
+def test_a_grid_is_exact_where_absorption_goes_with_the_root_of_the_column_and_haze_with_one_over_the_range():
+    axes = {"water_vapour_g_cm2": np.array([0.5, 1.0, 2.0]), "meteorological_range_km": np.array([5.0, 10.0, 40.0])}
+
+    def truth(w, r):
+        return np.exp(-0.3 * np.sqrt(w) - 2.0 / r)
+
+    runs = [terms(truth(w, r)) for w in axes["water_vapour_g_cm2"] for r in axes["meteorological_range_km"]]
+    w, r = np.array([0.7, 1.9]), np.array([6.0, 33.0])
+    found = interpolated_terms(axes, runs)({"water_vapour_g_cm2": w, "meteorological_range_km": r})
+    np.testing.assert_allclose(found.direct[:, 0], truth(w, r), rtol=1e-12)
+    np.testing.assert_allclose(found.spherical_albedo, 0.1, rtol=1e-12)
+
+
+def test_a_star_adds_the_changes_of_several_inputs_and_needs_no_corner():
+    axes = {"aot550": np.array([0.1, 0.05, 0.2]), "ozone_atm_cm": np.array([0.3, 0.25])}
+
+    def truth(a, o):
+        return np.exp(-0.8 * a - 0.5 * a**2 - 0.4 * o)
+
+    runs = [terms(truth(*x)) for x in ((0.1, 0.3), (0.05, 0.3), (0.2, 0.3), (0.1, 0.25))]
+    star = interpolated_terms(axes, runs, star=True, bounded=False)
+    for a, o in ((0.1, 0.3), (0.13, 0.28), (0.25, 0.33)):  # the last one beyond the nodes
+        found = star({"aot550": np.array([a]), "ozone_atm_cm": np.array([o])})
+        np.testing.assert_allclose(found.direct[0], truth(a, o), rtol=1e-12)
+
+
+def test_where_there_is_no_light_there_is_none_and_a_transmittance_stays_below_one():
+    axes = {"aot550": np.array([0.0, 0.1, 0.2])}
+    dark = [terms(np.array([0.0, 0.5, t])) for t in (0.999, 0.9999, 0.9999)]
+    found = interpolated_terms(axes, dark)({"aot550": np.array([0.12, 0.15])})
+    assert np.all(found.direct[:, 0] == 0.0)
+    assert found.gas_transmittance.max() <= 1.0
+
+
+def test_a_state_outside_a_bounded_table_is_refused_with_its_range():
+    axes = {"aot550": np.array([0.1, 0.2])}
+    made = interpolated_terms(axes, [terms(0.9), terms(0.8)])
+    with pytest.raises(UsageError, match=r"atmosphere\.aot550 0\.15 to 0\.25 lies outside the table"):
+        made({"aot550": np.array([0.15, 0.25])})
+
+
+def test_it_travels_to_other_processes():
+    axes = {name: np.array([10.0, 20.0]) for name in ("meteorological_range_km", "solar_zenith_deg")}
+    made = interpolated_terms(axes, [terms(t) for t in (0.9, 0.8, 0.7, 0.6)])
+    at = {name: np.array([15.0]) for name in axes}
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(made))(at).direct, made(at).direct)  # noqa: S301
