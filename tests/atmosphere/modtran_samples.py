@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.atmosphere.modtran_tape7 import RADIANCE_COLUMNS, RADIANCE_WIDTHS
+from hyperval.atmosphere.modtran_read import RADIANCE_COLUMNS
+
+RADIANCE_WIDTHS = (8, *([11] * 9), 9, 9, 8, 7, 11, 11)
 
 CARDS = (
     "T F 2    2    2   -1    0    0    0    0    0    0    0    0    1   0.000 {albedo:6.4f}",

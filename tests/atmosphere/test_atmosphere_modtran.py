@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericTerms, read_chn
-from hyperval.atmosphere.modtran import read_chn_blocks
+from hyperval.atmosphere.modtran_read import read_chn_blocks
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.errors import InputError, UsageError
 

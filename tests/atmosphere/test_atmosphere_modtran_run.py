@@ -12,10 +12,10 @@ import pytest
 from modtran_samples import tape7
 
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
-from hyperval.atmosphere.modtran import read_chn_blocks
-from hyperval.atmosphere.modtran_case import Run, uniform_runs
+from hyperval.atmosphere.modtran_read import read_chn_blocks
 from hyperval.atmosphere.modtran_run import Modtran, configured_modtran, run_modtran
-from hyperval.atmosphere.modtran_runs import terms_from_blocks
+from hyperval.atmosphere.modtran_solve import terms_from_blocks
+from hyperval.atmosphere.modtran_write import Run, uniform_runs
 from hyperval.errors import EngineError, InputError
 
 STATE = {

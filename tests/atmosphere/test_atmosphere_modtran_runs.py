@@ -7,15 +7,15 @@ import pytest
 from modtran_samples import spectrum, tape7
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.atmosphere.modtran import read_chn, read_chn_blocks
-from hyperval.atmosphere.modtran_runs import (
+from hyperval.atmosphere.modtran_read import read_chn_blocks, read_tape7
+from hyperval.atmosphere.modtran_solve import (
     checked_albedos,
+    read_chn,
     read_modtran_runs,
     solve_coefficients,
     terms_from_blocks,
     terms_from_tape7,
 )
-from hyperval.atmosphere.modtran_tape7 import read_tape7
 from hyperval.errors import InputError, UsageError
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.units import radiance_per_wavelength

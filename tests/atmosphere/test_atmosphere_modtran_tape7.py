@@ -7,12 +7,11 @@ from itertools import accumulate
 
 import numpy as np
 import pytest
-from modtran_samples import tape7
+from modtran_samples import RADIANCE_WIDTHS, tape7
 
-from hyperval.atmosphere import modtran_text
-from hyperval.atmosphere.modtran_tape7 import (
+from hyperval.atmosphere import modtran_read
+from hyperval.atmosphere.modtran_read import (
     RADIANCE_COLUMNS,
-    RADIANCE_WIDTHS,
     TOTAL_PARTS,
     read_tape7,
 )
@@ -104,7 +103,7 @@ def test_total_that_is_not_the_sum_of_its_parts_is_refused(tmp_path, part):
 
 
 def test_a_file_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(modtran_text, "MAX_BYTES", 1000)
+    monkeypatch.setattr(modtran_read, "MAX_BYTES", 1000)
     path = write(tmp_path, tape7((0.0,)))
     with pytest.raises(InputError, match="larger than 1000 bytes"):
         read_tape7(path)

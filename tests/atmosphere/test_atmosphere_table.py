@@ -19,8 +19,8 @@ from hyperval.atmosphere import (
     write_table,
 )
 from hyperval.atmosphere.interpolation import along
-from hyperval.atmosphere.modtran import read_chn_blocks
-from hyperval.atmosphere.modtran_runs import terms_from_blocks
+from hyperval.atmosphere.modtran_read import read_chn_blocks
+from hyperval.atmosphere.modtran_solve import terms_from_blocks
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.atmosphere.table import AXES, QUANTITIES, coordinates, leave_one_out
 from hyperval.atmosphere.visibility import fraction_below

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, read_chn
-from hyperval.atmosphere.modtran import read_chn_blocks
-from hyperval.atmosphere.modtran_runs import terms_from_blocks
+from hyperval.atmosphere.modtran_read import read_chn_blocks
+from hyperval.atmosphere.modtran_solve import terms_from_blocks
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.response import band_average

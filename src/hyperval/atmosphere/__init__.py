@@ -1,11 +1,9 @@
 """From the state of the atmosphere to the terms of equation 3.7."""
 
 from hyperval.atmosphere.engine import ENGINES, atmospheric_terms
-from hyperval.atmosphere.modtran import read_chn
-from hyperval.atmosphere.modtran_json import modtran6_json
-from hyperval.atmosphere.modtran_runs import read_modtran_runs
-from hyperval.atmosphere.modtran_tape5 import tape5
-from hyperval.atmosphere.modtran_tape7 import read_tape7
+from hyperval.atmosphere.modtran_read import read_tape7
+from hyperval.atmosphere.modtran_solve import read_chn, read_modtran_runs
+from hyperval.atmosphere.modtran_write import modtran6_json, tape5
 from hyperval.atmosphere.state import AerosolMix, AtmosphericState
 from hyperval.atmosphere.table import AtmosphericTable
 from hyperval.atmosphere.table_build import build_table

@@ -20,10 +20,16 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.atmosphere.cache import Arrays, cached
-from hyperval.atmosphere.modtran_case import SOLVING_ALBEDOS, Run, uniform_runs
-from hyperval.atmosphere.modtran_json import modtran6_json
-from hyperval.atmosphere.modtran_runs import read_modtran_runs
-from hyperval.atmosphere.modtran_tape5 import ALBEDO_FILE, albedo_curves, tape5
+from hyperval.atmosphere.modtran_solve import read_modtran_runs
+from hyperval.atmosphere.modtran_write import (
+    ALBEDO_FILE,
+    SOLVING_ALBEDOS,
+    Run,
+    albedo_curves,
+    modtran6_json,
+    tape5,
+    uniform_runs,
+)
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import EngineError

@@ -14,9 +14,9 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperval.atmosphere import solar, visibility
-from hyperval.atmosphere.modtran import ChannelBlock, read_chn, read_chn_blocks
-from hyperval.atmosphere.modtran_json import read_modtran_json, stated_albedo, stated_fields
-from hyperval.atmosphere.modtran_runs import terms_from_blocks
+from hyperval.atmosphere.modtran_read import ChannelBlock, read_chn_blocks
+from hyperval.atmosphere.modtran_solve import read_chn, terms_from_blocks
+from hyperval.atmosphere.modtran_template import read_modtran_json, stated_albedo, stated_fields
 from hyperval.atmosphere.table import AXES, NAMED, OPTIONAL, QUANTITIES, AtmosphericTable, leave_one_out
 from hyperval.errors import InputError, UsageError
 from hyperval.files import sha256_of, whole_file

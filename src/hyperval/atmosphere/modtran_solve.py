@@ -1,4 +1,4 @@
-"""The terms of equation 3.7 solved from MODTRAN runs over uniform ground of three albedos or more.
+"""The terms of equation 3.7 from what MODTRAN wrote.
 
 With the same atmosphere over uniform ground of reflectance rho (3.7 with rho_m = rho_ave = rho):
 
@@ -13,14 +13,13 @@ the black run has it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.atmosphere.modtran import ChannelBlock, over_continuum, read_chn_blocks
-from hyperval.atmosphere.modtran_tape7 import Tape7Case, read_tape7
+from hyperval.atmosphere.modtran_read import ChannelBlock, Tape7Case, read_chn_blocks, read_tape7
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError, UsageError
 from hyperval.units import radiance_per_wavelength
@@ -30,7 +29,9 @@ Array = npt.NDArray[np.float64]
 GREATEST_ALBEDO_OF_AIR = 0.9  # a spherical albedo beyond it is rounding of a ground radiance near zero
 _LEAST_TRANSMITTANCE = 1e-4
 _LINES_NM = 4.0  # resolved lines: a window's level is the largest value this close to it
-_FWHM_PER_WIDTH = 2.0 * np.sqrt(np.log(2.0) / np.pi)
+_FWHM_PER_WIDTH = 2.0 * np.sqrt(np.log(2.0) / np.pi)  # 0.9394, a Gaussian of that equivalent width
+# Places between absorption bands where a channel's transmittance is scattering alone, nearly.
+_CONTINUUM_NM = (412.0, 443.0, 490.0, 670.0, 780.0, 865.0, 1040.0, 1240.0, 1640.0)
 
 
 @dataclass(frozen=True)
@@ -236,3 +237,74 @@ def _diffuse(sun_share: Array) -> Array:
         return np.zeros(sun_share.size)
     index = np.arange(sun_share.size)
     return np.clip(1.0 - np.interp(index, index[known], sun_share[known]), 0.0, 1.0)
+
+
+def read_chn(path: Path, albedos: Sequence[float] | None = None) -> AtmosphericTerms:
+    """Terms at the channels of a MODTRAN ``.chn`` (or ``.chn.gz``) file.
+
+    Without ``albedos`` the coefficients are those that the file prints.  Over bright ground they fall
+    short of the radiance in the same file by up to 1 % in all (A 0.1-0.6 %, B 2-9 %).  A file of
+    several runs can do better: with the ground reflectance of each run in ``albedos`` the path radiance is
+    taken from the darkest and A and B from the brightest run, which they then reproduce to 1e-4.
+
+    The run with the darkest ground gives the path radiance.  The terms are channel averages; the file
+    holds no gas transmittance apart from scattering, so ``gas_transmittance`` is the coefficient A over
+    its continuum through the windows: good for sorting windows from absorption, no more.  The
+    ground irradiance is pi F A / (direct transmittance of the path), NaN where that vanishes.
+
+    Raises
+    ------
+    InputError : missing, not a channel file, a row that does not fit its columns (with file:line).
+    UsageError : ``albedos`` does not fit the runs of the file.
+    """
+    blocks = read_chn_blocks(path)
+    block = min(blocks, key=ChannelBlock.reflectance)
+    if albedos is not None:
+        block = _fitted(blocks, albedos, str(path))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        down = np.where(block.path_transmittance > 1e-4, block.direct / block.path_transmittance, np.nan)
+    return AtmosphericTerms(
+        wavelength_nm=block.wavelength_nm,
+        path_radiance=block.path_over_black(),
+        direct=block.unit_radiance * block.direct,
+        adjacency=block.unit_radiance * block.diffuse,
+        spherical_albedo=block.spherical_albedo,
+        ground_irradiance=np.pi * block.unit_radiance * down,
+        gas_transmittance=over_continuum(block.wavelength_nm, block.direct),
+        provenance={"engine": "MODTRAN", "file": str(path), "blocks": len(blocks)},
+        fwhm_nm=_FWHM_PER_WIDTH * block.width_nm,
+    )
+
+
+def _fitted(blocks: list[ChannelBlock], albedos: Sequence[float], where: str) -> ChannelBlock:
+    """The darkest block with A and B from the radiance of the brightest; S is the printed one."""
+    if len(albedos) != len(blocks) or min(albedos) != 0.0 or not 0.0 < max(albedos) <= 1.0:
+        raise UsageError(
+            f"albedos {list(albedos)} for {len(blocks)} runs",
+            where=where,
+            expected="one ground reflectance for each run: one of them 0, the largest above 0 and at most 1",
+        )
+    black = blocks[list(albedos).index(0.0)]
+    bright, rho = blocks[int(np.argmax(albedos))], max(albedos)
+    to_coefficient = (1.0 - black.spherical_albedo * rho) / (rho * np.maximum(black.unit_radiance, 1e-30))
+    return replace(
+        black,
+        direct=bright.ground * to_coefficient,
+        diffuse=(bright.path - black.path) * to_coefficient,
+    )
+
+
+def over_continuum(wavelength_nm: Array, coefficient: Array, reach_nm: float = 0.0) -> Array:
+    """A coefficient over its continuum through the windows, 0-1; (n,), a stand-in for gas transmittance.
+
+    ``reach_nm`` takes the largest value within that distance of a window, for spectra with resolved lines.
+    """
+    inside = [w for w in _CONTINUUM_NM if wavelength_nm[0] <= w <= wavelength_nm[-1]]
+    if not inside:
+        return np.clip(coefficient / max(float(coefficient.max()), 1e-30), 0.0, 1.0)
+    if reach_nm > 0.0:
+        level = np.array([coefficient[np.abs(wavelength_nm - w) <= reach_nm].max(initial=0.0) for w in inside])
+    else:
+        level = np.interp(inside, wavelength_nm, coefficient)
+    continuum = np.exp(np.interp(np.log(wavelength_nm), np.log(inside), np.log(np.maximum(level, 1e-30))))
+    return np.clip(coefficient / continuum, 0.0, 1.0)

@@ -1,12 +1,12 @@
-"""MODTRAN 4 and 5 spectral output: ``tape7``, ``.tp7``, in its three modes, read by fixed width.
+"""What MODTRAN wrote: channel files (``.chn``), and spectral output (``tape7``, ``.tp7``) in its three modes.
 
-A file holds one or more cases, each with a head of the input cards, a line of column names, rows by
-wavenumber, and the mark -9999.  Fields can be blank, so rows are cut at columns and never split at spaces.
-Radiance is per wavenumber, W cm-2 sr-1 / cm-1, as in the file.
+Fields of ``tape7`` can be blank, so rows are cut at columns and never split at spaces.  Its radiance is per
+wavenumber, W cm-2 sr-1 / cm-1, as in the file.
 """
 
 from __future__ import annotations
 
+import gzip
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -15,18 +15,20 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.atmosphere.modtran_text import fixed_columns, text_lines
 from hyperval.errors import InputError, UsageError
+from hyperval.units import radiance_to_internal
 
 Array = npt.NDArray[np.float64]
 Mode = Literal["radiance", "irradiance", "transmittance"]
 
+MAX_BYTES = 256 << 20
+_COLUMNS = 26  # numeric columns, then the description
+_RADIANCE = radiance_to_internal("W cm-2 sr-1 nm-1")
 END_MARK = "-9999."
 RADIANCE_COLUMNS = (
     "FREQ", "TOT_TRANS", "PTH_THRML", "THRML_SCT", "SURF_EMIS", "SOL_SCAT", "SING_SCAT", "GRND_RFLT", "DRCT_RFLT",
     "TOTAL_RAD", "REF_SOL", "SOL@OBS", "DEPTH", "DIR_EM", "TOA_SUN", "BBODY_T[K]",
 )  # fmt: skip
-RADIANCE_WIDTHS = (8, *([11] * 9), 9, 9, 8, 7, 11, 11)
 IRRADIANCE_COLUMNS = ("FREQ", "TRANS", "SOL_TR", "SOLAR", "DEPTH")
 IRRADIANCE_WIDTHS = (8, 8, 9, 9, 71)
 TRANSMITTANCE_COLUMNS = (
@@ -43,6 +45,168 @@ SUM_TOLERANCE = 9e-5
 _LEAST_RADIANCE = 1e-28  # W cm-2 sr-1 / cm-1: below the range of the format's exponent digits nothing adds up
 _LONGEST_HEAD = 2000  # lines of cards before the column names, with user profiles
 _SURREF = slice(73, 80)
+
+
+def text_lines(path: Path, expected: str, limit: int | None = None) -> list[str]:
+    """Lines of a text file, or of a ``.gz`` of one, of at most ``limit`` bytes unpacked; default 256 MiB.
+
+    Raises
+    ------
+    InputError : missing, unreadable or too large; ``expected`` says what the file should have been.
+    """
+    path, limit = Path(path), limit or MAX_BYTES
+    try:
+        if path.stat().st_size > limit:
+            raise InputError(f"larger than {limit} bytes", where=str(path), expected=expected)
+        with gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb") as stream:
+            raw = stream.read(limit + 1)
+    except FileNotFoundError as error:
+        raise InputError("no such file", where=str(path)) from error
+    except (OSError, EOFError) as error:
+        raise InputError(f"cannot read: {error}", where=str(path)) from error
+    if len(raw) > limit:
+        raise InputError(f"unpacks to more than {limit} bytes", where=str(path))
+    return raw.decode("ascii", "replace").splitlines()
+
+
+def fixed_columns(line: str, ends: list[int], where: str, *, blank: float | None = None) -> list[float]:
+    """The numbers of one row, cut at the given column ends; ``blank`` stands for an empty field.
+
+    Raises
+    ------
+    InputError : a field that is no finite number, an empty field where ``blank`` is None, or text beyond the
+        last column.
+    """
+    values = []
+    for start, end in zip([0, *ends[:-1]], ends, strict=True):
+        field = line[start:end].strip()
+        if not field and blank is not None:
+            values.append(blank)
+            continue
+        try:
+            value = float(field)
+        except ValueError as error:
+            raise InputError(f"{field!r} in columns {start + 1}-{end}", where=where, expected="a number") from error
+        if not np.isfinite(value):
+            raise InputError(f"a value that is not finite in columns {start + 1}-{end}", where=where)
+        values.append(value)
+    return values
+
+
+@dataclass(frozen=True)
+class ChannelBlock:
+    """One table of a channel file: one run over ground of one reflectance.
+
+    Attributes
+    ----------
+    wavelength_nm : (n,) spectral moments [nm]
+    width_nm : (n,) equivalent widths [nm]
+    radiance : (n,) total radiance [uW cm-2 sr-1 nm-1]
+    thermal : (n,) emitted part of it (path emission, path scatter, surface) [same]
+    path : (n,) solar radiance scattered into the path, from ground of this block's reflectance too [same]
+    ground : (n,) radiance of the viewed ground [same]
+    ground_of_sun : (n,) part of it that the direct sun lights [same]
+    unit_radiance : (n,) mu0 E0 / pi [same]
+    direct, diffuse : (n,) reflectance coefficients A and B [1]
+    spherical_albedo : (n,) [1]
+    path_transmittance : (n,) ground to sensor, direct [1]
+    """
+
+    wavelength_nm: Array
+    width_nm: Array
+    radiance: Array
+    thermal: Array
+    path: Array
+    ground: Array
+    ground_of_sun: Array
+    unit_radiance: Array
+    direct: Array
+    diffuse: Array
+    spherical_albedo: Array
+    path_transmittance: Array
+
+    def reflectance(self) -> float:
+        """Ground reflectance of the run, from ground = F A rho / (1 - S rho); the file does not state it."""
+        full = self.unit_radiance * self.direct
+        bright = full > 0.05 * full.max()
+        if not np.any(bright):
+            return 0.0
+        ratio = self.ground[bright] / full[bright]
+        return float(np.median(ratio / (1.0 + self.spherical_albedo[bright] * ratio)))
+
+    def path_over_black(self) -> Array:
+        """L_a [uW cm-2 sr-1 nm-1]: emission and path radiance less what uniform ground adds to it."""
+        rho = self.reflectance()
+        added = self.unit_radiance * self.diffuse * rho / (1.0 - self.spherical_albedo * rho)
+        return self.thermal + self.path - added
+
+
+def read_chn_blocks(path: Path) -> list[ChannelBlock]:
+    """All tables of a channel file, in their order; errors as :func:`read_chn`."""
+    lines = text_lines(Path(path), "a MODTRAN .chn file")
+    blocks: list[ChannelBlock] = []
+    number = 0
+    while number < len(lines):
+        if not _is_rule(lines[number]):
+            number += 1
+            continue
+        ends = _column_ends(lines[number], f"{path}:{number + 1}")
+        rows = []
+        number += 1
+        while number < len(lines) and lines[number].strip():
+            rows.append(_row(lines[number], ends, f"{path}:{number + 1}"))
+            number += 1
+        if not rows:
+            raise InputError("a table without rows", where=f"{path}:{number + 1}")
+        # Sensors with overlapping spectrometers list their channels out of order.
+        blocks.append(_block(np.array(sorted(rows, key=lambda row: row[0]))))
+    if not blocks:
+        raise InputError("no channel table", where=str(path), expected="a MODTRAN .chn file")
+    return blocks
+
+
+def _block(t: Array) -> ChannelBlock:
+    width = t[:, 8]
+
+    def density(column: Array) -> Array:
+        """Channel radiance [W cm-2 sr-1] to average spectral radiance."""
+        return np.asarray(column / width * _RADIANCE)
+
+    return ChannelBlock(
+        wavelength_nm=t[:, 0],
+        width_nm=width,
+        radiance=t[:, 4] * _RADIANCE,
+        thermal=density(t[:, 11] + t[:, 12] + t[:, 13]),
+        path=density(t[:, 14] + t[:, 15]),
+        ground=density(t[:, 16]),
+        ground_of_sun=density(t[:, 17]),
+        unit_radiance=density(t[:, 18]),
+        direct=t[:, 21],
+        diffuse=t[:, 22],
+        spherical_albedo=t[:, 23],
+        path_transmittance=t[:, 24],
+    )
+
+
+def _is_rule(line: str) -> bool:
+    return line.startswith("----") and not line.strip("- ")
+
+
+def _column_ends(rule: str, where: str) -> list[int]:
+    """Where each column ends, from the line of dashes under the heads."""
+    ends = [i + 1 for i, c in enumerate(rule) if c == "-" and (i + 1 == len(rule) or rule[i + 1] != "-")]
+    if len(ends) != _COLUMNS + 1:
+        raise InputError(
+            f"{len(ends)} columns", where=where, expected=f"the {_COLUMNS} columns of MODTRAN 5.3 or 6"
+        )
+    return ends[:_COLUMNS]
+
+
+def _row(line: str, ends: list[int], where: str) -> list[float]:
+    values = fixed_columns(line, ends, where)
+    if values[8] <= 0.0:
+        raise InputError(f"equivalent width {values[8]:g} nm", where=where, expected="a positive width")
+    return values
 
 
 @dataclass(frozen=True)
