@@ -38,13 +38,14 @@ class EnviHeader:
     ----------
     path : the header file
     samples, lines, bands : size of the image
-    data_type : ENVI code, a key of ``DATA_TYPES``
+    data_type : ENVI code, a key of ``DATA_TYPES``; 0 where the sidecar of a GeoTIFF states none
     interleave : "bsq", "bil" or "bip" ("tif" for the sidecar of a GeoTIFF)
     byte_order : 0 little-endian, 1 big-endian
     header_offset : bytes before the first value
     file_type : as in the file, "" when absent
     entries : every key in lower case with its text, braces taken off
     line_of : line number (1-based) of every key
+    notes : what was assumed, such as a byte order that the file leaves out
     """
 
     path: Path
@@ -58,6 +59,7 @@ class EnviHeader:
     file_type: str = ""
     entries: Mapping[str, str] = field(default_factory=dict)
     line_of: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def dtype(self) -> np.dtype:
@@ -141,12 +143,15 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
     Parameters
     ----------
     path : the .hdr file
-    sidecar : True for a header that lies beside a GeoTIFF: interleave "tif" is then allowed
+    sidecar : True for a header that lies beside a GeoTIFF: sizes are then enough, as the GeoTIFF has its own layout
+
+    A header without byte order is little-endian, as for ENVI, GDAL and SPy, and that is noted; so is a key that
+    stands twice and says the same.
 
     Raises
     ------
     InputError : no such file, larger than 1 MiB, not a header, or anything in it that is not
-        understood: a key that stands twice, an open brace, an unknown interleave, byte order or data
+        understood: a key that stands twice and differs, an open brace, an unknown interleave, byte order or data
         type, sizes that are no positive integers, compressed data.
     """
     path = Path(path)
@@ -168,7 +173,8 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
 
 def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     """Parse header text by the rules of :func:`read_header`; ``path`` stands in messages."""
-    entries, line_of = _entries(text, str(path))
+    entries, line_of, repeated = _entries(text, str(path))
+    notes = list(repeated)
 
     def where(key: str) -> str:
         return f"{path}:{line_of[key]}" if key in line_of else str(path)
@@ -185,16 +191,17 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
         return int(value)
 
     samples, lines, bands = (integer(key, least=1) for key in ("samples", "lines", "bands"))
-    data_type = integer("data type")
-    if data_type not in DATA_TYPES:
+    data_type = integer("data type", default=0 if sidecar else None)
+    if data_type not in DATA_TYPES and not (sidecar and "data type" not in entries):
         kind = " (complex)" if data_type in (6, 9) else ""
         raise InputError(
             f"unknown data type {data_type}{kind}",
             where=where("data type"),
             expected="one of " + ", ".join(f"{code} ({np.dtype(name).name})" for code, name in DATA_TYPES.items()),
         )
-    # A single byte has no order: old headers of class images leave the key out.
-    byte_order = integer("byte order", default=0 if data_type == 1 else None)
+    byte_order = integer("byte order", default=0)
+    if "byte order" not in entries and data_type not in (0, 1):  # a single byte has no order
+        notes.append("the header states no byte order: read as little-endian")
     if byte_order not in BYTE_ORDERS:
         raise InputError(
             f"unknown byte order {byte_order}",
@@ -202,9 +209,10 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
             expected="0 (little-endian) or 1 (big-endian)",
         )
     allowed = (*INTERLEAVES, "tif") if sidecar else INTERLEAVES
-    if "interleave" not in entries:
+    if "interleave" not in entries and bands > 1 and not sidecar:
         raise InputError("the key 'interleave' is missing", where=str(path))
-    interleave = _bare(entries["interleave"]).lower()
+    # A single band has one order only.
+    interleave = _bare(entries.get("interleave", "tif" if sidecar else "bsq")).lower()
     interleave = "tif" if interleave == "tiff" else interleave
     if interleave not in allowed:
         raise InputError(
@@ -229,13 +237,30 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
         file_type=_bare(entries.get("file type", "")),
         entries=entries,
         line_of=line_of,
+        notes=tuple(notes),
     )
 
 
-def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int]]:
-    """Keys in lower case with their text and line: one pass, each line looked at once."""
+def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list[str]]:
+    """Keys in lower case with their text and line, and notes on keys that stand twice: one pass over the lines."""
     entries: dict[str, str] = {}
     line_of: dict[str, int] = {}
+    notes: list[str] = []
+
+    def add(key: str, value: str, number: int) -> None:
+        if key not in entries:
+            line_of[key], entries[key] = number, value
+        elif _squeezed(entries[key]) == _squeezed(value):
+            notes.append(f"header: {key!r} stands twice and says the same (lines {line_of[key]} and {number})")
+        else:
+            raise InputError(
+                f"the key {key!r} stands twice (first on line {line_of[key]}): " + _difference(entries[key], value),
+                where=f"{name}:{number}",
+                mend="delete the wrong one",
+            )
+        if len(entries) > MAX_KEYS:
+            raise InputError(f"more than {MAX_KEYS} keys", where=f"{name}:{number}")
+
     lines = text.splitlines()
     if not lines or lines[0].strip() != "ENVI":
         raise InputError("the first line is not 'ENVI'", where=f"{name}:1", expected="an ENVI header")
@@ -255,16 +280,8 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int]]:
                     where=f"{name}:{number}",
                     expected="a list opens its brace on the line of its key",
                 )
-            if key in entries:
-                raise InputError(
-                    f"the key {key!r} stands twice (first on line {line_of[key]})",
-                    where=f"{name}:{number}",
-                    mend="delete the wrong one",
-                )
-            if len(entries) >= MAX_KEYS:
-                raise InputError(f"more than {MAX_KEYS} keys", where=f"{name}:{number}")
-            line_of[key], entries[key] = number, value
             if not value.startswith("{"):
+                add(key, value, number)
                 continue
             start, parts, stripped = number, [], value
         depth += stripped.count("{") - stripped.count("}")
@@ -276,10 +293,23 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int]]:
             rest = whole[end + 1 :].strip()
             if rest and not rest.startswith(";"):
                 raise InputError(f"text after the closing brace: {rest[:40]!r}", where=f"{name}:{number}")
-            entries[key] = whole[1:end].strip()
+            add(key, whole[1:end].strip(), start)
     if depth:
         raise InputError(f"the brace of {key!r} is never closed", where=f"{name}:{start}", expected="a closing '}'")
-    return entries, line_of
+    return entries, line_of, notes
+
+
+def _squeezed(value: str) -> str:
+    """A value without the blanks that programs set in one way or another."""
+    return re.sub(r"\s*([{}\[\](),=])\s*", r"\1", " ".join(value.split()))
+
+
+def _difference(first: str, second: str) -> str:
+    """Where two values of one key first differ, in words."""
+    a, b = _squeezed(first), _squeezed(second)
+    at = next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+    begin = max(0, at - 20)
+    return f"{a[begin : at + 30]!r} against {b[begin : at + 30]!r}"
 
 
 def _bare(value: str) -> str:

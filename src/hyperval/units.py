@@ -19,6 +19,9 @@ Array = npt.NDArray[np.float64]
 RADIANCE_UNIT = "uW cm-2 sr-1 nm-1"
 IRRADIANCE_UNIT = "uW cm-2 nm-1"
 
+# A wavelength outside this range is a sign of the wrong unit [nm].
+PLAUSIBLE_NM = (100.0, 100_000.0)
+
 _WAVELENGTH_TO_NM = {
     "nm": 1.0, "nanometer": 1.0, "nanometers": 1.0, "nanometre": 1.0, "nanometres": 1.0,
     "um": 1e3, "µm": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3,
@@ -54,6 +57,25 @@ _IRRADIANCE_TO_INTERNAL = {
 def wavelength_to_nm(unit: str) -> float:
     """Factor that turns a wavelength in ``unit`` into nm; raises UsageError for an unknown unit."""
     return _factor(_WAVELENGTH_TO_NM, unit.strip().lower(), "wavelength")
+
+
+def only_wavelength_unit(values: npt.ArrayLike) -> str | None:
+    """The unit, nm or um, in which all of the wavelengths are plausible; None where both are, or neither is."""
+    numbers = np.asarray(values, dtype=float)
+    low, high = PLAUSIBLE_NM
+    fits = [
+        unit
+        for unit in ("nm", "um")
+        if numbers.size
+        and np.all((numbers * _WAVELENGTH_TO_NM[unit] >= low) & (numbers * _WAVELENGTH_TO_NM[unit] <= high))
+    ]
+    return fits[0] if len(fits) == 1 else None
+
+
+def wavelength_unit_note(values: npt.ArrayLike, unit: str) -> str:
+    """What is noted where a file states no unit of its wavelengths and only one is possible."""
+    numbers = np.asarray(values, dtype=float)
+    return f"the file states no wavelength unit: {numbers.min():g} to {numbers.max():g} can only be {unit}"
 
 
 def radiance_to_internal(unit: str) -> float:

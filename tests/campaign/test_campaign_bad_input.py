@@ -79,7 +79,9 @@ def far_target(small: SmallCampaign) -> None:
 
 
 def no_unit_of_the_wavelengths(small: SmallCampaign) -> None:
+    """Nor do the numbers tell it: 45 is too short in nm, 2200 too long in um."""
     header("wavelength units", None)(small)
+    small.edit("small_rad.hdr", lambda t: t.replace("450.0", "45.0"))
 
 
 # name: (what is broken, exit code, what the message says: what, where, expected or how to mend it)
@@ -201,9 +203,10 @@ def test_observe_alone_says_the_same(name, small, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_stated_wavelength_unit_mends_a_header_without(small, tmp_path):
-    no_unit_of_the_wavelengths(small)
-    small.data["collection"]["cube"]["wavelength_unit"] = "nm"
+@pytest.mark.parametrize("stated", ["nm", None])
+def test_a_header_without_wavelength_unit_runs_where_only_one_can_be_meant(stated, small, tmp_path):
+    header("wavelength units", None)(small)
+    small.data["collection"]["cube"]["wavelength_unit"] = stated
     path = small.write()
     assert run_campaign(Job(load_campaign(path), path), show_progress=False).table.exit_code() == 0
 

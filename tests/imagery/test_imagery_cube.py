@@ -246,10 +246,16 @@ def test_micrometres(edit):
     assert np.allclose(axis.fwhm_nm, [10, 10, 10, 20])
 
 
-def test_missing_unit_must_be_stated_by_the_campaign(edit):
+def test_a_missing_unit_is_taken_and_noted_where_only_one_can_be_meant(edit):
     path = edit(wavelength_units="Unknown")
-    with pytest.raises(UsageError, match="state wavelength_unit"):
-        open_cube(path, quantity="reflectance")
+    cube = open_cube(path, quantity="reflectance")
+    assert cube.axis.centre_nm[0] == 450.0
+    assert "the file states no wavelength unit: 450 to 850 can only be nm" in cube.notes
+    cube = open_cube(edit(wavelength="{0.45, 0.55, 0.65, 0.85}", fwhm=None), quantity="reflectance")
+    assert np.allclose(cube.axis.centre_nm, [450, 550, 650, 850])
+    with pytest.raises(UsageError, match=r"(?s)45 to 850 do not tell it.*state wavelength_unit"):
+        open_cube(edit(wavelength="{45, 550, 650, 850}"), quantity="reflectance")  # neither nm nor um
+    path = edit(wavelength="{450, 550, 650, 850}")
     assert open_cube(path, quantity="reflectance", wavelength_unit="nm").axis.centre_nm[0] == 450.0
     with pytest.raises(UsageError, match="cannot be in um"):
         open_cube(path, quantity="reflectance", wavelength_unit="um")

@@ -286,7 +286,7 @@ def test_bad_polygons(points, message: str):
         ("a.txt", "; ENVI Output of ROIs (4.8)\n; Number of ROIs: 0\n", "no 'File Dimension'"),
         ("a.xml", '<!DOCTYPE a [<!ENTITY b "c">]>' + xml(""), "DOCTYPE"),
         ("a.xml", xml("<Polygon>"), "not valid XML"),
-        ("a.xml", "<kml></kml>", "RegionsOfInterest"),
+        ("a.xml", "<rois></rois>", "RegionsOfInterest"),
         ("a.xml", xml("<LineString/>"), "has no area"),
         ("a.xml", xml("<Polygon></Polygon>"), "0 exterior rings"),
         ("a.xml", xml(f"<Polygon>{ring(SQUARE)}</Polygon>").replace("2 3 6", "2 3 6 6"), "pairs x y"),
@@ -345,6 +345,26 @@ def test_geojson_must_be_told_its_coordinates(tmp_path: Path):
         read_regions(path, SHAPE)
     with pytest.raises(InputError, match="has no position"):
         read_regions(path, SHAPE, coordinates="map")
+
+
+def test_geojson_is_longitude_and_latitude_without_being_asked(tmp_path: Path):
+    path, options = written(tmp_path, "geojson-lonlat")
+    stated = read_regions(path, SHAPE, **options)
+    options.pop("coordinates")
+    unasked = read_regions(path, SHAPE, **options)
+    assert {n: r.mask.tolist() for n, r in unasked.items()} == {n: r.mask.tolist() for n, r in stated.items()}
+    path, options = written(tmp_path, "geojson-map")
+    with pytest.raises(UsageError, match=r"(?s)no longitude and latitude.*state coordinates: pixel or map"):
+        read_regions(path, SHAPE, **{**options, "coordinates": None})
+
+
+@pytest.mark.parametrize("field", ["plot", "Plot"])
+def test_a_property_of_geojson_may_name_the_regions(tmp_path: Path, field: str):
+    path = tmp_path / "n.geojson"
+    path.write_text(collection(feature(polygon(SQUARE), name="a", plot="west")))
+    assert list(read_regions(path, SHAPE, coordinates="pixel", name_field=field)) == ["west"]
+    with pytest.raises(UsageError, match=r"(?s)no property 'site'.*one of name, plot"):
+        read_regions(path, SHAPE, coordinates="pixel", name_field="site")
 
 
 def test_longitude_and_latitude_read_as_map_leave_the_image(tmp_path: Path):

@@ -153,6 +153,40 @@ def test_coordinates_that_nobody_states_or_that_contradict(tmp_path, crs, stated
         read_regions(path, SHAPE, coordinates=stated, **PLACED)
 
 
+def test_kml_is_read_as_the_other_vector_files_are(tmp_path):
+    pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
+    ring = " ".join(f"{x:.9f},{y:.9f},0" for x, y in lonlat([*SQUARE, SQUARE[0]]))
+    text = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark>'
+        "<name>grass</name><Polygon><outerBoundaryIs><LinearRing><coordinates>"
+        f"{ring}</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></Document></kml>"
+    )
+    path = tmp_path / "r.kml"
+    path.write_text(text)
+    assert np.array_equal(read_regions(path, SHAPE, **PLACED)["grass"].mask, expected())
+    path.write_text(text.replace("<kml", '<!DOCTYPE x [<!ENTITY a "b">]>\n<kml'))
+    with pytest.raises(InputError, match="DOCTYPE or ENTITY"):
+        read_regions(path, SHAPE, **PLACED)
+
+
+def test_which_attribute_names_the_regions_is_asked_where_none_is_known(tmp_path):
+    pyogrio = pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
+    pyogrio.raw.write(
+        tmp_path / "r.gpkg",
+        np.array([polygon(on_map(SQUARE)), polygon(on_map(HOLE))], dtype=object),
+        field_data=[np.array(["lawn", "panel"], dtype=object), np.array([3, 4])],
+        fields=["plot", "number"],
+        geometry_type="Polygon",
+        crs="EPSG:32618",
+    )
+    with pytest.raises(UsageError, match=r"(?s)no attribute that names the regions.*plot, number.*name_field"):
+        read_regions(tmp_path / "r.gpkg", SHAPE, **PLACED)
+    assert {n: r.n for n, r in read_regions(tmp_path / "r.gpkg", SHAPE, name_field="Plot", **PLACED).items()} == {
+        "lawn": 20,
+        "panel": 4,
+    }
+
+
 def test_lines_have_no_area(tmp_path):
     line = struct.pack("<BII4d", 1, 2, 2, *on_map([(1, 1)])[0], *on_map([(4, 4)])[0])
     path = write(tmp_path / "l.gpkg", [line], ["road"], kind="LineString")

@@ -7,7 +7,8 @@ import pytest
 from affine import Affine
 from small_world import LINES, PLANTED, SAMPLES
 
-from hyperval.collection import Collection, TargetTruth
+from hyperval.collection import Collection
+from hyperval.collection_files import TargetTruth
 from hyperval.errors import UsageError
 from hyperval.imagery.envi_write import write_cube
 from hyperval.observe.place import open_place

@@ -114,10 +114,15 @@ def test_repeated_wavelength_columns_are_replicates(tmp_path: Path):
 # Units ------------------------------------------------------------------------------------------
 
 
-def test_unstated_wavelength_unit_is_asked_for_with_both_readings(tmp_path: Path):
+def test_unstated_wavelength_unit_is_noted_where_plain_and_asked_for_otherwise(tmp_path: Path):
     text = rows(WAVE / 1000, RHO)
-    with pytest.raises(UsageError, match=r"nm, or um \(then they are 400 to 700 nm\)"):
-        spectrum(tmp_path, text)
+    found = spectrum(tmp_path, text)
+    assert found.wavelength_nm[0] == pytest.approx(400.0)
+    assert found.notes == ("the file states no wavelength unit: 0.4 to 0.7 can only be um",)
+    with pytest.raises(UsageError, match=r"nm, or um \(then they are 4000 to 700000 nm\)"):
+        spectrum(tmp_path, rows([4.0, 500.0, 700.0], [0.1, 0.2, 0.3]))  # neither can be true
+    with pytest.raises(InputError, match=r"(?s)wavenumbers.*convert"):
+        spectrum(tmp_path, "Wavenumber (cm-1),rho\n" + rows([400.0, 500.0, 700.0], [0.1, 0.2, 0.3]))
     assert spectrum(tmp_path, text, wavelength_unit="um").wavelength_nm[0] == pytest.approx(400.0)
     with pytest.raises(UsageError, match="cannot be in nm"):
         spectrum(tmp_path, text, wavelength_unit="nm")
@@ -326,8 +331,7 @@ def test_bad_libraries(tmp_path: Path):
         with pytest.raises(InputError, match=message):
             read_records(path)
     header.write_text(good.replace("Micrometers", "Unknown"))
-    with pytest.raises(UsageError, match="nm or um"):
-        read_records(path)
+    assert any("can only be um" in note for note in read_records(path)[0].notes)
     assert read_records(path, wavelength_unit="um")[0].wavelength_nm[0] == pytest.approx(400)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import spectral
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError
 from hyperval.spectra.readers import read_records, read_spectrum
 
 pytestmark = pytest.mark.data
@@ -101,8 +101,9 @@ def test_radiance_text(data_dir):
     path = data_dir("pasadena/remote/ang20171108t184227_rdn_v2p11_BeckmanLawn.txt")
     found = read_spectrum(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1", wavelength_unit="nm")
     assert np.array_equal(found.values, np.loadtxt(path)[:, 1])
-    with pytest.raises(UsageError, match="nm or um"):
-        read_spectrum(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1")
+    unstated = read_spectrum(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1")
+    assert np.array_equal(unstated.wavelength_nm, found.wavelength_nm)
+    assert any("can only be nm" in note for note in unstated.notes)
 
 
 def test_panel_in_percent_is_found_out(data_dir):

@@ -1,4 +1,4 @@
-"""The spectral axis of a cube from its header: checked, in nm, never guessed."""
+"""The spectral axis of a cube from its header: checked, in nm; a unit is taken only where no other can be meant."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ import numpy.typing as npt
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import InputError, UsageError
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
-from hyperval.units import wavelength_to_nm
+from hyperval.units import PLAUSIBLE_NM, only_wavelength_unit, wavelength_to_nm, wavelength_unit_note
 
 Array = npt.NDArray[np.float64]
 
-# A band centre outside this range is a sign of the wrong unit [nm].
-PLAUSIBLE_NM = (100.0, 100_000.0)
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNSTATED = ("", "unknown", "none")
 
@@ -58,9 +56,11 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
             where=str(header.path),
             expected=f"'wavelength = {{...}}' with {header.bands} values",
         )
-    unit = stated_unit(header.text("wavelength units"), wavelength_unit, header.where("wavelength units"))
+    unit, note = stated_unit(
+        header.text("wavelength units"), wavelength_unit, values, header.where("wavelength units")
+    )
     centre = wavelengths_in_nm(values, unit, header.where("wavelength"))
-    notes: list[str] = []
+    notes = list(note)
     good = np.ones(header.bands, bool)
     flags = header.numbers("bbl", header.bands)
     if flags is not None:
@@ -149,18 +149,27 @@ def _spacing_by_detector(centre: Array) -> Array:
     return np.concatenate([fwhm_from_spacing(d) for d in detectors])
 
 
-def stated_unit(in_file: str | None, given: str | None, where: str) -> str:
-    """The wavelength unit that the file or the caller states; UsageError when neither or both differ."""
+def stated_unit(in_file: str | None, given: str | None, values: Array, where: str) -> tuple[str, tuple[str, ...]]:
+    """The wavelength unit that the file or the caller states, else the only one that the values can be in, noted.
+
+    Raises
+    ------
+    InputError : a unit that is no wavelength.
+    UsageError : the caller contradicts the file, or nobody states the unit of values that fit two, or none.
+    """
     text = (in_file or "").strip()
     if text.lower() in _UNSTATED:
-        if given is None:
+        if given is not None:
+            return given, ()
+        unit = only_wavelength_unit(values)
+        if unit is None:
             raise UsageError(
-                "the file states no wavelength unit",
+                f"the file states no wavelength unit, and {values.min():g} to {values.max():g} do not tell it",
                 where=where,
                 expected="nm or um",
                 mend="state wavelength_unit: nm (or um) in the campaign",
             )
-        return given
+        return unit, (wavelength_unit_note(values, unit),)
     try:
         factor = wavelength_to_nm(text)
     except UsageError:
@@ -176,7 +185,7 @@ def stated_unit(in_file: str | None, given: str | None, where: str) -> str:
             where=where,
             mend="take wavelength_unit out of the campaign, or correct the file",
         )
-    return text
+    return text, ()
 
 
 def wavelengths_in_nm(values: npt.NDArray[np.float64], unit: str, where: str) -> npt.NDArray[np.float64]:

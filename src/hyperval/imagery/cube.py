@@ -285,7 +285,7 @@ def open_cube(
         file_offsets=raster.offsets if isinstance(raster, TiffRaster) else (),
     )
     entries = dict(raster.header.extras) if raster.header is not None else {}
-    notes = table.notes + scaling.notes
+    notes = (raster.header.notes if raster.header is not None else ()) + table.notes + scaling.notes
     # Read here, so that a position that is not understood is refused on opening.
     if raster.transform is not None and raster.crs is None:
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)

@@ -13,6 +13,19 @@ from hyperval.envi_header import EnviHeader
 from hyperval.errors import InputError
 
 _METRES = ("meters", "metres", "meter", "metre", "m")
+# Names of datums, without blanks and signs: EPSG code of longitude and latitude, of UTM zone 0 north and south, and
+# the zones that EPSG lists.
+_DATUMS: dict[str, tuple[int, int, int | None, range]] = {
+    "WGS84": (4326, 32600, 32700, range(1, 61)),
+    "WGS72": (4322, 32200, 32300, range(1, 61)),
+    "NORTHAMERICA1983": (4269, 26900, None, range(1, 24)),
+    "NORTHAMERICA1927": (4267, 26700, None, range(1, 23)),
+    "EUROPEAN1950": (4230, 23000, None, range(28, 39)),
+    "ETRS1989": (4258, 25800, None, range(28, 39)),
+}
+_ALIASES = {"NAD83": "NORTHAMERICA1983", "NAD27": "NORTHAMERICA1927", "ED50": "EUROPEAN1950", "ETRS89": "ETRS1989"}
+_SOUTHERN_BANDS = "CDEFGHJKLM"
+_NORTHERN_BANDS = "NPQRSTUVWX"
 
 
 def transform_of(header: EnviHeader) -> Affine | None:
@@ -29,8 +42,7 @@ def transform_of(header: EnviHeader) -> Affine | None:
         return None
     try:
         x_ref, y_ref, east, north, dx, dy = (float(p) for p in parts[1:7])
-        options = dict(p.split("=", 1) for p in parts[7:] if "=" in p)
-        rotation = math.radians(float({k.strip().lower(): v for k, v in options.items()}.get("rotation", 0.0)))
+        rotation = math.radians(float(_options(parts).get("rotation", 0.0)))
     except (ValueError, IndexError):
         raise InputError(
             "'map info' is not understood",
@@ -48,7 +60,11 @@ def transform_of(header: EnviHeader) -> Affine | None:
 
 
 def crs_of(header: EnviHeader) -> CRS | None:
-    """Coordinate reference system from the WKT string, or from a UTM ``map info``; None when unknown."""
+    """Coordinate reference system from the WKT string, or from ``map info``; None when unknown.
+
+    ``map info`` tells it for UTM and Geographic Lat/Lon on a common datum.  The hemisphere stands as a word
+    ("South") or as the letter of a latitude band, of which C to M lie south of the equator and N to X north.
+    """
     wkt = header.text("coordinate system string")
     if wkt is not None:
         try:
@@ -56,12 +72,35 @@ def crs_of(header: EnviHeader) -> CRS | None:
         except CRSError:
             pass
     parts = header.strings("map info") or ()
-    if len(parts) >= 10 and parts[0].upper() == "UTM" and re.fullmatch(r"[0-9]{1,2}", parts[7]):
-        datum = re.sub(r"[^A-Z0-9]", "", parts[9].upper())
-        zone, south = int(parts[7]), parts[8].strip().lower().startswith("s")
-        if datum == "WGS84" and 1 <= zone <= 60:
-            return CRS.from_epsg((32700 if south else 32600) + zone)
-    return None
+    projection = parts[0].strip().lower() if parts else ""
+    if projection.startswith("geographic lat"):
+        codes = _datum(parts[7]) if len(parts) > 7 else None
+        return CRS.from_epsg(codes[0]) if codes is not None else None
+    if projection != "utm" or len(parts) < 10 or not re.fullmatch(r"[0-9]{1,2}", parts[7]):
+        return None
+    codes, zone, south = _datum(parts[9]), int(parts[7]), _south(parts[8])
+    if codes is None or south is None or zone not in codes[3] or (south and codes[2] is None):
+        return None
+    return CRS.from_epsg((codes[2] if south and codes[2] is not None else codes[1]) + zone)
+
+
+def _datum(name: str) -> tuple[int, int, int | None, range] | None:
+    short = re.sub(r"[^A-Z0-9]", "", name.upper())
+    return _DATUMS.get(_ALIASES.get(short, short))
+
+
+def _south(text: str) -> bool | None:
+    """Whether a zone lies south of the equator; None where the text is no hemisphere and no latitude band."""
+    word = text.strip().upper()
+    if len(word) == 1:
+        return True if word in _SOUTHERN_BANDS else False if word in _NORTHERN_BANDS else None
+    return {"NORTH": False, "SOUTH": True}.get(word)
+
+
+def _options(parts: tuple[str, ...]) -> dict[str, str]:
+    """The entries 'name=value' (or, as some programs write, 'name  value') behind the numbers of ``map info``."""
+    pairs = [re.split(r"\s*=\s*|\s+", p.strip(), maxsplit=1) for p in parts[7:]]
+    return {pair[0].lower(): pair[1] for pair in pairs if len(pair) == 2}
 
 
 def pixel_area_m2(transform: Affine | None, crs: CRS | None, header: EnviHeader | None = None) -> float | None:
@@ -73,6 +112,5 @@ def pixel_area_m2(transform: Affine | None, crs: CRS | None, header: EnviHeader 
         if not crs.is_projected:
             return None
         return area * float(crs.linear_units_factor[1]) ** 2
-    text = (header.text("map info") or "").lower() if header is not None else ""
-    unit = re.search(r"units\s*=\s*([a-z]+)", text)
-    return area if unit is not None and unit.group(1) in _METRES else None
+    parts = (header.strings("map info") or ()) if header is not None else ()
+    return area if _options(parts).get("units", "").lower() in _METRES else None

@@ -76,11 +76,12 @@ def read_regions(
     patterns: Sequence[str] = (),
     touched: bool = False,
     root: Path | None = None,
+    name_field: str | None = None,
 ) -> dict[str, Region]:
     """Read the regions of a file, whatever its format.
 
     The format is known from the content: ENVI ROI XML, ENVI ROI ASCII export (also gzipped), classic
-    binary ENVI ROI, GeoJSON, GeoPackage and Shapefile (with the extra ``vector``), CSV pixel list, ENVI or
+    binary ENVI ROI, GeoJSON, GeoPackage, Shapefile and KML (with the extra ``vector``), CSV pixel list, ENVI or
     GeoTIFF class raster.
 
     Parameters
@@ -90,12 +91,13 @@ def read_regions(
         lookup table
     names : the regions to read: a list of names in the file, or a mapping from name (or value of a
         class raster) in the file to the name wanted; None reads all
-    coordinates : "pixel", "map" (the cube's own system) or "lonlat", for GeoJSON, which must be told, and for a
-        GeoPackage or Shapefile without a coordinate system
+    coordinates : "pixel", "map" (the cube's own system) or "lonlat", for GeoJSON (which is "lonlat" otherwise), and
+        for a GeoPackage or Shapefile without a coordinate system
     patterns : where names of the file match one of them (* and ? stand for any characters), only those are read;
         a region that is not wanted may then lie outside the image
     touched : take every pixel that a polygon touches, for targets smaller than a pixel
     root : folder that the file must lie in
+    name_field : attribute of a vector file that names the regions
 
     Raises
     ------
@@ -108,7 +110,7 @@ def read_regions(
     drawn: Mapping[Any, Mask | Drawing]
     if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names), root=root)
-    elif stripped.startswith(b"<"):
+    elif stripped.startswith(b"<") and not regions_vector.is_kml(head):
         drawn = regions_envi.xml_drawings(path, cube_shape, transform=transform, crs=crs)
     elif b"ENVI Output of ROIs" in head[:200]:
         drawn = regions_envi.ascii_drawings(path, cube_shape)
@@ -116,11 +118,17 @@ def read_regions(
         drawn = regions_envi.binary_drawings(path, cube_shape)
     elif regions_vector.is_vector(head):
         drawn = regions_vector.vector_drawings(
-            path, cube_shape, coordinates=coordinates, transform=transform, crs=crs, root=root
+            path,
+            cube_shape,
+            coordinates=coordinates,
+            transform=transform,
+            crs=crs,
+            root=root,
+            name_field=name_field,
         )
     elif stripped.startswith(b"{"):
         drawn = regions_files.geojson_drawings(
-            path, cube_shape, coordinates=coordinates, transform=transform, crs=crs
+            path, cube_shape, coordinates=coordinates, transform=transform, crs=crs, name_field=name_field
         )
     elif path.suffix.lower() == ".hdr" or header_beside(path) is not None:
         drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names), root=root)
@@ -130,7 +138,7 @@ def read_regions(
         raise UsageError(
             "the format of the region file is not known",
             where=str(path),
-            expected="GeoJSON, GeoPackage, Shapefile, ENVI ROI (XML, ASCII, binary), CSV pixel list, class raster",
+            expected="GeoJSON, GeoPackage, Shapefile, KML, ENVI ROI (XML, ASCII, binary), CSV list, class raster",
         )
     named = _named(drawn, names, str(path))
     wanted = {n: made for n, made in named.items() if any(n == p or fnmatchcase(n, p) for p in patterns)}

@@ -27,7 +27,7 @@ MAX_TEXT_BYTES = 32 << 20
 MAX_CLASSES = 1000
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")
-_REGION_COLUMNS = ("region", "name", "class")
+REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
 
 
 def head_of(path: Path, count: int = 512) -> bytes:
@@ -94,17 +94,28 @@ def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list
 
 
 def geojson_drawings(
-    path: Path, shape: tuple[int, int], *, coordinates: str | None, transform: Position, crs: CRS | None
+    path: Path,
+    shape: tuple[int, int],
+    *,
+    coordinates: str | None,
+    transform: Position,
+    crs: CRS | None,
+    name_field: str | None = None,
 ) -> dict[str, Drawing]:
-    """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united."""
+    """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united.
+
+    Where neither the file nor ``coordinates`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
+    has it.
+    """
     try:
         data = json.loads(read_text(path), object_pairs_hook=_once, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
         raise InputError(f"not valid GeoJSON: {error}", where=str(path)) from error
     stated = _stated_crs(data, path)
-    if coordinates is None and stated is None:
+    assumed = coordinates is None and stated is None
+    if assumed and transform is None:
         raise UsageError(
-            "a GeoJSON file does not say what its coordinates are",
+            "a GeoJSON file holds longitude and latitude (RFC 7946), and the cube has no position",
             where=str(path),
             mend="state coordinates: pixel, map (the cube's own system) or lonlat",
         )
@@ -126,12 +137,18 @@ def geojson_drawings(
             raise InputError("coordinates that are not pairs of numbers", where=where) from None
         if coordinates == "pixel":
             return xy
+        if assumed and np.any(np.abs(xy) > (180.0, 90.0)):
+            raise UsageError(
+                f"{xy[0, 0]:.6g}, {xy[0, 1]:.6g} is no longitude and latitude, as GeoJSON holds (RFC 7946)",
+                where=where,
+                mend="state coordinates: pixel or map (the cube's own system)",
+            )
         if coordinates != "map":
             xy = reprojected(xy, stated or CRS.from_epsg(4326), crs, where=where)
         return map_to_pixel(xy, transform, where=where, ring=ring)
 
     drawings: dict[str, Drawing] = {}
-    for number, (name, geometry) in enumerate(_features(data, path), start=1):
+    for number, (name, geometry) in enumerate(_features(data, path, name_field), start=1):
         where = f"{path}: feature {number} ({name})"
         kind, parts = geometry.get("type"), geometry.get("coordinates")
         if kind in ("Point", "MultiPoint"):
@@ -155,7 +172,7 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
     Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
     ``name`` or ``class`` where the file holds more than one region.
     """
-    fields, rows = read_table(path, {*_REGION_COLUMNS, *(name for p in _COLUMNS for name in p)})
+    fields, rows = read_table(path, {*REGION_COLUMNS, *(name for p in _COLUMNS for name in p)})
     pair = next((p for p in _COLUMNS if p[0] in fields and p[1] in fields), None)
     if pair is None:
         raise InputError(
@@ -163,7 +180,7 @@ def csv_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
             where=f"{path}:1",
             expected="row0,col0 or line,sample (0-based) or row1,col1 (1-based)",
         )
-    column = next((c for c in _REGION_COLUMNS if c in fields), None)
+    column = next((c for c in REGION_COLUMNS if c in fields), None)
     pixels: dict[str, list[tuple[int, int]]] = {}
     for number, row in rows:
         if not all(re.fullmatch(r"[+-]?[0-9]{1,12}", row[key]) for key in pair):
@@ -234,7 +251,7 @@ def raster_masks(
     return out
 
 
-def _features(data: Any, path: Path) -> list[tuple[str, dict[str, Any]]]:
+def _features(data: Any, path: Path, name_field: str | None) -> list[tuple[str, dict[str, Any]]]:
     kind = data.get("type") if isinstance(data, dict) else None
     items = data.get("features") if kind == "FeatureCollection" else [data]
     if kind is None or not isinstance(items, list):
@@ -247,7 +264,14 @@ def _features(data: Any, path: Path) -> list[tuple[str, dict[str, Any]]]:
             raise InputError("a feature without geometry", where=f"{path}: feature {number}")
         properties = feature.get("properties")
         properties = {str(k).lower(): v for k, v in properties.items()} if isinstance(properties, dict) else {}
-        given = next((properties[c] for c in _REGION_COLUMNS if properties.get(c) is not None), feature.get("id"))
+        columns = REGION_COLUMNS if name_field is None else (name_field.lower(),)
+        if name_field is not None and properties.get(columns[0]) is None:
+            raise UsageError(
+                f"no property {name_field!r}",
+                where=f"{path}: feature {number}",
+                expected="one of " + (", ".join(properties) or "none"),
+            )
+        given = next((properties[c] for c in columns if properties.get(c) is not None), feature.get("id"))
         out.append((str(given) if given is not None else (path.stem if len(items) == 1 else str(number)), geometry))
     return out
 

@@ -1,7 +1,8 @@
-"""Regions from GeoPackage and Shapefile, read through pyogrio (the extra ``vector``)."""
+"""Regions from GeoPackage, Shapefile and KML, read through pyogrio (the extra ``vector``)."""
 
 from __future__ import annotations
 
+import re
 import struct
 import warnings
 from pathlib import Path
@@ -15,20 +16,25 @@ from rasterio.errors import CRSError
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.drawing import Drawing
 from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
+from hyperval.imagery.regions_files import REGION_COLUMNS, head_of
 from hyperval.paths import checked_file
 
 Array = npt.NDArray[np.float64]
 MAX_BYTES = 256 << 20
 MAX_FEATURES = 100_000
-_NAME_COLUMNS = ("region", "name", "class")
 _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
 _POINT, _LINE, _POLYGON, _MULTI_POINT, _MULTI_POLYGON = 1, 2, 3, 4, 6
 _KINDS = {2: "LineString", 5: "MultiLineString", 7: "GeometryCollection"}
 
 
 def is_vector(head: bytes) -> bool:
-    """True for the first bytes of a GeoPackage (an SQLite file) or a Shapefile."""
-    return head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a"
+    """True for the first bytes of a GeoPackage (an SQLite file), a Shapefile or a KML file."""
+    return head.startswith(b"SQLite format 3\0") or head[:4] == b"\x00\x00\x27\x0a" or is_kml(head)
+
+
+def is_kml(head: bytes) -> bool:
+    """True for the first bytes of a KML file."""
+    return re.search(rb"<\s*(\w+:)?kml[\s>]", head) is not None
 
 
 def vector_drawings(
@@ -39,23 +45,26 @@ def vector_drawings(
     transform: Position = None,
     crs: CRS | None = None,
     root: Path | None = None,
+    name_field: str | None = None,
 ) -> dict[str, Drawing]:
     """Drawings by name of the polygons and points of every layer; features of one name are united.
 
-    A name comes from the attribute ``region``, ``name`` or ``class``, else it is that of the layer.  The file's
-    coordinate system places them; where it has none, ``coordinates`` must say "pixel", "map" or "lonlat".
+    A name comes from the attribute ``name_field``, or else from ``region``, ``name``, ``class`` or ``class_name``;
+    a layer without attributes of text gives its own.  The file's coordinate system places them; where it has none,
+    ``coordinates`` must say "pixel", "map" or "lonlat".
 
     Raises
     ------
     InputError : too large, not readable, lines instead of areas, or another coordinate system than stated.
-    UsageError : the extra ``vector`` is not installed, or nobody says what the coordinates are.
+    UsageError : the extra ``vector`` is not installed, nobody says what the coordinates are, or which of several
+        attributes names the regions.
     """
     try:
         import pyogrio
         from pyogrio.errors import DataLayerError, DataSourceError
     except ImportError:
         raise UsageError(
-            "a GeoPackage or Shapefile needs the package pyogrio",
+            "a GeoPackage, Shapefile or KML file needs the package pyogrio",
             where=str(path),
             mend="pip install hyperval[vector], or export the regions as GeoJSON",
         ) from None
@@ -71,7 +80,8 @@ def vector_drawings(
                     raise InputError(f"{count} features", where=str(path), expected=f"at most {MAX_FEATURES}")
                 meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
                 place = _placing(coordinates, meta["crs"], transform, crs, f"{path}: layer {layer!r}")
-                names = _names(layer, list(meta["fields"]), columns, len(shapes))
+                fields = dict(zip((str(f) for f in meta["fields"]), columns, strict=True))
+                names = _names(layer, fields, len(shapes), name_field, f"{path}: layer {layer!r}")
                 for number, (name, wkb) in enumerate(zip(names, shapes, strict=True), start=1):
                     where = f"{path}: layer {layer!r}, feature {number} ({name})"
                     _draw(drawings.setdefault(name, Drawing(shape)), wkb, place, where)
@@ -82,6 +92,8 @@ def vector_drawings(
 
 def _check_files(path: Path, root: Path | None) -> None:
     files = [path]
+    if is_kml(head_of(path)) and re.search(rb"<!\s*(DOCTYPE|ENTITY)", path.read_bytes()[:MAX_BYTES], re.IGNORECASE):
+        raise InputError("a DOCTYPE or ENTITY is not allowed in a region file", where=str(path))
     if path.suffix.lower() == ".shp":
         found = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
         for end in (".dbf", ".shx"):
@@ -130,10 +142,19 @@ def _placing(coordinates: str | None, stated: str | None, transform: Position, c
     return place
 
 
-def _names(layer: str, fields: list[str], columns: Any, count: int) -> list[str]:
+def _names(layer: str, fields: dict[str, Any], count: int, name_field: str | None, where: str) -> list[str]:
     """Name of each feature: its attribute, else the layer's (numbered when it holds several)."""
-    lower = [str(f).lower() for f in fields]
-    column = next((columns[lower.index(c)] for c in _NAME_COLUMNS if c in lower), None)
+    lower = {name.lower(): values for name, values in fields.items()}
+    wanted = REGION_COLUMNS if name_field is None else (name_field.lower(),)
+    column = next((lower[c] for c in wanted if c in lower), None)
+    texts = [name for name, values in fields.items() if np.asarray(values).dtype.kind == "O"]
+    if column is None and (name_field is not None or (count > 1 and texts)):
+        raise UsageError(
+            f"no attribute {name_field!r}" if name_field is not None else "no attribute that names the regions",
+            where=where,
+            expected="one of " + (", ".join(fields) or "none"),
+            mend="state name_field: which of the attributes names them",
+        )
     out = []
     for i in range(count):
         value = None if column is None else column[i]

@@ -12,14 +12,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.collection import (
+from hyperval.collection import Collection
+from hyperval.collection_files import (
     BandTable,
-    Collection,
     CubeSource,
     NormalizedDifference,
     RegionSource,
     TargetRegions,
     TargetTruth,
+    VectorSource,
 )
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.acquisition import acquisition_notes
@@ -252,7 +253,7 @@ def _regions(
         if source.file is not None:
             path = resolve(source.file)
             only = [] if source.name is None else [escape(source.name)]
-            new = _read(cube, table, path, source.coordinates, patterns=only)
+            new = _read(cube, table, path, source, patterns=only)
             if source.name is not None:
                 if len(new) == 1:
                     new = {source.name: replace(next(iter(new.values())), name=source.name)}
@@ -285,7 +286,7 @@ def _read(
     cube: Cube,
     table: LookupTable | None,
     path: Path,
-    coordinates: str | None,
+    source: VectorSource,
     *,
     patterns: Sequence[str] = (),
     touched: bool = False,
@@ -296,7 +297,8 @@ def _read(
         cube.shape,
         transform=table or cube.transform,
         crs=table.crs if table else cube.crs,
-        coordinates=coordinates,
+        coordinates=source.coordinates,
+        name_field=source.name_field,
         patterns=patterns,
         touched=touched,
     )
@@ -349,7 +351,7 @@ def _drawn_targets(
     remarks: list[str] = []
     for source in sources:
         path = resolve(source.file)
-        found = _read(cube, table, path, source.coordinates, patterns=source.regions, touched=True)
+        found = _read(cube, table, path, source, patterns=source.regions, touched=True)
         for pattern in source.regions:
             if not any(fnmatchcase(name, pattern) for name in found):
                 raise UsageError(

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.collection import BandTable, Collection
+from hyperval.collection import Collection
+from hyperval.collection_files import BandTable
 from hyperval.errors import InputError, UsageError
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
 from hyperval.products import Observation

@@ -9,13 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import InputError, UsageError
-from hyperval.units import irradiance_to_internal, radiance_to_internal, wavelength_to_nm
+from hyperval.units import (
+    PLAUSIBLE_NM,
+    irradiance_to_internal,
+    only_wavelength_unit,
+    radiance_to_internal,
+    wavelength_to_nm,
+    wavelength_unit_note,
+)
 
 Array = npt.NDArray[np.float64]
 
 MAX_BYTES = 10_000_000
 MAX_ROWS = 100_000
-PLAUSIBLE_NM = (100.0, 100_000.0)
 PLAUSIBLE_REFLECTANCE = 1.5  # median above this: not a fraction
 DELETED = -1e30  # libraries mark deleted channels by -1.23e34
 FILLS = (-999.0, -9999.0, -32768.0, -99999.0)  # what others write for it
@@ -123,8 +129,16 @@ def finished(
 
 
 def in_nm(record: Record, given: str | None) -> Record:
-    """The record with wavelengths in nm; UsageError when the unit is not stated or cannot be true."""
+    """The record with wavelengths in nm; a unit that nobody states is noted where only one is possible.
+
+    Raises
+    ------
+    UsageError : the unit is not stated and not plain from the numbers, or cannot be true.
+    """
     values = record.wavelength
+    only = only_wavelength_unit(values) if record.wavelength_unit is None and given is None else None
+    if only is not None:
+        record, given = replace(record, notes=(*record.notes, wavelength_unit_note(values, only))), only
     if record.wavelength_unit is None and given is None:
         raise UsageError(
             f"the file does not say whether its wavelengths ({values.min():g} to {values.max():g}) are in nm or um",

@@ -19,6 +19,7 @@ _NUMBER = re.compile(r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-
 _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
 _SPREAD = re.compile(r"stand\w*[ _.]*dev|std|(?<![a-z])sd(?![a-z])|sigma|uncertainty", re.IGNORECASE)
 _WAVE = re.compile(r"wave|wvl|lambda", re.IGNORECASE)
+_WAVENUMBER = re.compile(r"wave\s*number|cm\s*\^?\s*-1", re.IGNORECASE)
 _NM = re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE)
 _UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
 
@@ -54,6 +55,13 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         )
     whole = "\n".join(header)
     unit = _stated(titles[0], whole)
+    if unit is None and _WAVENUMBER.search(titles[0]):
+        raise InputError(
+            f"wavenumbers: {titles[0]!r}",
+            where=where,
+            expected="wavelengths in nm or um",
+            mend="convert them: a wavelength in nm is 1e7 over the wavenumber in cm-1",
+        )
     count = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole)
     wavelength = table[:, 0]
     records = []

@@ -1,0 +1,131 @@
+"""What a campaign says of the files of its collection: cube, spectra, band table, regions, truth."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from hyperval.config import Model, RadianceUnit, WavelengthUnit
+
+
+class CubeSource(Model):
+    """An image cube on disk."""
+
+    path: str
+    header: str | None = Field(None, description="ENVI header that describes it, when it is not beside the cube")
+    quantity: Literal["radiance", "reflectance"]
+    unit: RadianceUnit | None = Field(None, description="of the scaled radiance; only simulated ones need none")
+    scale: float | None = Field(None, gt=0, description="stored value times this is the value; None: the header's")
+    wavelength_unit: WavelengthUnit | None = Field(None, description="stated when the header does not say nm or um")
+    sort_bands: bool = Field(False, description="sort bands whose wavelengths fall, as where detectors overlap")
+    glt: str | None = Field(
+        None, description="geographic lookup table of a cube in scanner geometry: places regions and targets"
+    )
+
+
+class SpectrumCollection(Model):
+    """A collected radiance spectrum of one site, where no cube is held."""
+
+    subject: str
+    path: str
+    record: str | int | None = Field(None, description="which spectrum of a file of several, as for reflectances")
+    unit: RadianceUnit | None = Field(None, description="of the radiance; None: the file's, else uW cm-2 sr-1 nm-1")
+    wavelength_unit: Literal["nm", "um"] = "nm"
+    pixels: int | None = Field(None, ge=1, description="pixels averaged, when known")
+
+
+class BandTable(Model):
+    """A text table with the band centres and widths of collected spectra."""
+
+    path: str
+    wavelength_unit: Literal["nm", "um"]
+    centre_column: int = Field(0, ge=0, description="0-based column of the band centres")
+    fwhm_column: int | None = Field(None, ge=0, description="0-based column of the FWHM; None: the band spacing")
+
+
+class NormalizedDifference(Model):
+    """Pixels whose normalised difference of two band averages lies between two limits."""
+
+    high_nm: tuple[float, float]
+    low_nm: tuple[float, float]
+    above: float = -1.0
+    below: float = 1.0
+
+
+class VectorSource(Model):
+    """How the drawings of a vector file are placed and named."""
+
+    coordinates: Literal["pixel", "map", "lonlat"] | None = Field(
+        None, description="where the file states none; GeoJSON is lonlat otherwise"
+    )
+    name_field: str | None = Field(None, description="attribute that names the drawings")
+
+
+class RegionSource(VectorSource):
+    """One region of interest, or every region of a file."""
+
+    name: str | None = Field(None, description="None: take the names of the file")
+    file: str | None = None
+    rectangle: tuple[int, int, int, int] | None = Field(
+        None, description="first line, first sample, lines, samples (0-based pixels)"
+    )
+    normalized_difference: NormalizedDifference | None = None
+    whole_image: Literal[True] | None = Field(
+        None, description="true: every pixel; the statistics leave out targets, as those of every region do"
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> RegionSource:
+        sources = ("file", "rectangle", "normalized_difference", "whole_image")
+        if sum(getattr(self, source) is not None for source in sources) != 1:
+            raise ValueError("give exactly one of " + ", ".join(sources))
+        if self.name is None and self.file is None:
+            raise ValueError("a region that is not read from a file needs a name")
+        return self
+
+
+class TargetRasters(Model):
+    """Target objects as the overlap of a material mask with a size-class raster."""
+
+    materials: dict[str, str] = Field(description="material: mask file")
+    size_classes: str = Field(description="raster whose values name the size of the target in each pixel")
+    side_m: dict[int, float] = Field(description="raster value: side of the square target [m]")
+
+
+class TargetRegions(VectorSource):
+    """Target objects of one material as regions of a file: polygons, points, pixels, or a mask."""
+
+    material: str
+    file: str = Field(description="any file of regions: ENVI ROI, GeoJSON, Shapefile, mask or class raster, ...")
+    regions: list[str] = Field(
+        default_factory=list,
+        description="which regions of the file; * and ? stand for any characters; empty: all of them",
+    )
+    objects: Literal["patches", "regions"] = Field(
+        "patches", description="what one object is: a group of touching pixels, or a region of the file"
+    )
+    side_m: float | None = Field(None, gt=0, le=10_000, description="side of these square targets [m], where known")
+
+
+class TargetTruth(Model):
+    """Where the target objects are."""
+
+    regions: list[TargetRegions] = Field(default_factory=list)
+    rasters: TargetRasters | None = None
+    csv: str | None = None
+    pixels: Literal["touched", "centre"] = Field(
+        "touched", description="pixels of an object: all it may touch, or the one that holds its centre (csv only)"
+    )
+    pixel_size_m: float | None = Field(
+        None, gt=0, le=1000, description="ground size of a pixel, where the cube's map does not give it"
+    )
+    guard_pixels: int = Field(1, ge=0, description="pixels around every target left out of the background")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> TargetTruth:
+        if sum((bool(self.regions), self.rasters is not None, self.csv is not None)) != 1:
+            raise ValueError("give exactly one of regions, rasters, csv")
+        if self.csv is None and self.pixels == "centre":
+            raise ValueError("only a list (csv) says where a target's centre is: pixels must be 'touched'")
+        return self

@@ -1,0 +1,169 @@
+"""Files that other programs wrote: headers, sidecars, positions and shapefiles as they are met outside."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from rasterio.crs import CRS
+
+from hyperval.envi_header import parse_header, read_header
+from hyperval.errors import UsageError
+from hyperval.imagery.cube import open_cube
+from hyperval.imagery.georeference import crs_of, pixel_area_m2, transform_of
+from hyperval.imagery.regions import read_regions
+
+SIZES = "ENVI\nsamples = 2\nlines = 2\nbands = 1\ndata type = 1\ninterleave = bsq\nbyte order = 0\n"
+
+
+def positioned(info: str) -> CRS | None:
+    return crs_of(parse_header(SIZES + f"map info = {{{info}}}\n", Path("a.hdr")))
+
+
+def by_gdal(tmp_path: Path, info: str) -> CRS:
+    (tmp_path / "a.img").write_bytes(b"\1" * 4)
+    (tmp_path / "a.hdr").write_text(SIZES + f"map info = {{{info}}}\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(tmp_path / "a.img", driver="ENVI") as dataset:
+            return dataset.crs
+
+
+@pytest.mark.parametrize("letter", "CDEFGHJKLMNPQRSTUVWX")
+def test_latitude_bands_c_to_m_are_south_and_n_to_x_north(letter: str):
+    south = letter < "N"
+    assert positioned(f"UTM, 1, 1, 4e5, 4e6, 1, 1, 15, {letter}, WGS-84").to_epsg() == 32615 + 100 * south
+
+
+@pytest.mark.parametrize(("word", "epsg"), [("North", 32633), ("South", 32733), ("south", 32733)])
+def test_the_hemisphere_as_a_word(word: str, epsg: int):
+    assert positioned(f"UTM, 1, 1, 4e5, 4e6, 1, 1, 33, {word}, WGS-84").to_epsg() == epsg
+    assert positioned("UTM, 1, 1, 4e5, 4e6, 1, 1, 33, Sideways, WGS-84") is None
+
+
+@pytest.mark.parametrize(
+    ("info", "epsg"),
+    [
+        ("UTM, 1, 1, 4e5, 4e6, 1, 1, 11, North, North America 1983, units=Meters", 26911),
+        ("UTM, 1, 1, 4e5, 4e6, 1, 1, 11, North, North America 1927, units=Meters", 26711),
+        ("UTM, 1, 1, 4e5, 4e6, 1, 1, 32, North, European 1950, units=Meters", 23032),
+        ("UTM, 1, 1, 4e5, 4e6, 1, 1, 32, North, WGS-72, units=Meters", 32232),
+        ("UTM, 1, 1, 4e5, 4e6, 1, 1, 32, South, WGS-84, units=Meters", 32732),
+        ("Geographic Lat/Lon, 1, 1, -118.2, 34.1, 0.001, 0.001, WGS-84, units=Degrees", 4326),
+        ("Geographic Lat/Lon, 1, 1, -118.2, 34.1, 0.001, 0.001, North America 1983, units=Degrees", 4269),
+        ("Geographic Lat/Lon, 1, 1, -118.2, 34.1, 0.001, 0.001, North America 1927, units=Degrees", 4267),
+        ("Geographic Lat/Lon, 1, 1, 10.2, 44.1, 0.001, 0.001, European 1950, units=Degrees", 4230),
+    ],
+)
+def test_common_datums_are_those_of_gdal(tmp_path: Path, info: str, epsg: int):
+    own = positioned(info)
+    assert own.to_epsg() == epsg
+    other = by_gdal(tmp_path, info)
+    point = ([-118.2], [34.1]) if own.is_geographic else ([400_000.0], [4_000_000.0])
+    from rasterio.warp import transform
+
+    ours, theirs = (transform(c, CRS.from_epsg(4326), *point) for c in (own, other))
+    assert np.allclose(ours, theirs, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "info",
+    [
+        "UTM, 1, 1, 4e5, 4e6, 1, 1, 11, North, Some Datum",
+        "UTM, 1, 1, 4e5, 4e6, 1, 1, 45, North, North America 1983",  # no such zone
+        "UTM, 1, 1, 4e5, 4e6, 1, 1, 11, South, North America 1983",
+        "Geographic Lat/Lon, 1, 1, -118.2, 34.1, 0.001, 0.001",
+        "Lambert, 1, 1, 4e5, 4e6, 1, 1, WGS-84",
+    ],
+)
+def test_other_systems_are_unknown_and_not_guessed(info: str):
+    assert positioned(info) is None
+
+
+@pytest.mark.data
+def test_resonon_writes_a_latitude_band_and_units_without_equals_sign(data_dir):
+    header = read_header(data_dir("formats/resonon_pika_utm_band_letter.bip.hdr"))
+    assert crs_of(header).to_epsg() == 32615
+    assert transform_of(header).almost_equals(
+        Affine(0.04, 0, 441371.00707299996, 0, -0.04, 4855941.7317699995), precision=1e-9
+    )
+    assert pixel_area_m2(transform_of(header), None, header) == pytest.approx(0.0016)
+
+
+@pytest.mark.data
+def test_plantcv_leaves_the_byte_order_out(data_dir, tmp_path: Path):
+    text = data_dir("formats/plantcv_no_byte_order.hdr").read_text()
+    (tmp_path / "a.hdr").write_text(text)
+    stored = np.arange(31 * 580 * 43, dtype="<u2").reshape(31, 580, 43) % 1000 + 1
+    stored.astype("<u2").tofile(tmp_path / "a.img")
+    cube = open_cube(tmp_path / "a.img", quantity="other")
+    assert "the header states no byte order: read as little-endian" in cube.notes
+    assert np.array_equal(cube.read(0, 31).values, stored.transpose(0, 2, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(tmp_path / "a.img", driver="ENVI") as dataset:
+            assert np.array_equal(dataset.read(), stored.transpose(1, 0, 2))
+
+
+@pytest.mark.data
+def test_enmapbox_states_the_coordinate_system_twice(data_dir):
+    header = read_header(data_dir("formats/enmapbox_crs_twice.hdr"))
+    assert header.notes == ("header: 'coordinate system string' stands twice and says the same (lines 13 and 192)",)
+    assert crs_of(header).to_epsg() == 32633
+
+
+@pytest.mark.data
+def test_the_sidecar_of_a_geotiff_needs_sizes_only(data_dir, tmp_path: Path):
+    header = data_dir("formats/test.tif.hdr")
+    (tmp_path / "test.tif.hdr").write_bytes(header.read_bytes())
+    with rasterio.open(
+        tmp_path / "test.tif", "w", driver="GTiff", width=220, height=400, count=177, dtype="int16",
+        crs="EPSG:32633", transform=Affine(30, 0, 380952.37, 0, -30, 5820372.35),
+    ) as dataset:  # fmt: skip
+        dataset.write(np.full((177, 400, 220), 1234, np.int16))
+    cube = open_cube(tmp_path / "test.tif", quantity="reflectance", scale=1e-4)
+    assert (cube.shape, cube.bands) == ((400, 220), 177)
+    assert (cube.axis.centre_nm[0], cube.axis.centre_nm[-1]) == (460.0, 2409.0)
+    assert np.allclose(cube.read(0, 1).values, 0.1234)
+
+
+@pytest.mark.data
+def test_a_shapefile_of_envi_names_its_regions_by_class_name(data_dir):
+    pytest.importorskip("pyogrio", reason="the extra 'vector' (pyogrio) is not installed")
+    import pyogrio
+
+    path = data_dir("formats/ROI.shp")
+    bounds = pyogrio.read_info(path, force_total_bounds=True)["total_bounds"]
+    size = 100.0
+    shape = (int((bounds[3] - bounds[1]) / size) + 2, int((bounds[2] - bounds[0]) / size) + 2)
+    transform = Affine(size, 0, bounds[0] - size, 0, -size, bounds[3] + size)
+    place = {"transform": transform, "crs": CRS.from_epsg(32649)}
+    found = read_regions(path, shape, **place)
+    assert sorted(found) == ["City", "Vegetation", "Water"]
+    meta, _, shapes, columns = pyogrio.raw.read(path)
+    names = columns[list(meta["fields"]).index("CLASS_NAME")]
+    from rasterio.features import rasterize
+
+    for name, region in found.items():  # GDAL draws the same pixels from the same geometry
+        drawn = np.zeros(shape, bool)
+        for wkb, given in zip(shapes, names, strict=True):
+            if given.strip() == name:
+                ring = _ring(bytes(wkb))
+                geometry = {"type": "Polygon", "coordinates": [ring]}
+                drawn |= rasterize([(geometry, 1)], out_shape=shape, transform=place["transform"]).astype(bool)
+        assert np.array_equal(region.mask, drawn)
+    assert sorted(read_regions(path, shape, name_field="class_id", **place)) == ["1", "2", "3"]
+    with pytest.raises(UsageError, match=r"(?s)no attribute 'kind'.*CLASS_NAME, CLASS_ID, CLASS_CLRS"):
+        read_regions(path, shape, name_field="kind", **place)
+
+
+def _ring(wkb: bytes) -> list[tuple[float, float]]:
+    """Exterior of a polygon in well-known binary, little-endian, read apart from our reader."""
+    kind, _ = np.frombuffer(wkb, "<u4", 2, 1)
+    start = 9 if kind == 3 else 18  # a polygon, or the first of several
+    count = int(np.frombuffer(wkb, "<u4", 1, start)[0])
+    return [tuple(p) for p in np.frombuffer(wkb, "<f8", 2 * count, start + 4).reshape(-1, 2).tolist()]
