@@ -85,14 +85,13 @@ def test_types_are_those_of_spy(code: int, order: int):
         ({"interleave": None}, "'interleave' is missing", ""),
         ({"interleave": "tif"}, "unknown interleave", ":7"),
         ({"byte_order": "9"}, "0 (little-endian) or 1", ":8"),
-        ({"byte_order": None}, "'byte order' is missing", ""),
         ({"header_offset": "-1"}, "0 or more", ":5"),
         ({"file_compression": "1"}, "compressed", ":9"),
         ({"major_frame_offsets": "{4, 0}"}, "frame offsets", ":9"),
         ({"wavelength": "{1, 2, 3, 4"}, "never closed", ":9"),
         ({"wavelength": "{1, 2} 3"}, "after the closing brace", ":9"),
         ({"wavelength": "{1\nfwhm = {2}"}, "'wavelength' is never closed", ":9"),
-        ({"Samples": "5"}, "stands twice (first on line 2)", ":9"),
+        ({"Samples": "7"}, "stands twice (first on line 2): '5' against '7'", ":9"),
     ],
 )
 def test_refused(changes: dict[str, str | None], message: str, where: str):
@@ -101,6 +100,30 @@ def test_refused(changes: dict[str, str | None], message: str, where: str):
         parse_header(text, NAME)
     assert message in str(caught.value)
     assert str(caught.value).startswith(f"a.hdr{where}:")
+
+
+def test_a_missing_byte_order_is_little_endian_and_noted_but_for_bytes():
+    header = parse_header(header_text(byte_order=None), NAME)
+    assert header.dtype == np.dtype("<i2")
+    assert header.notes == ("the header states no byte order: read as little-endian",)
+    assert parse_header(header_text(byte_order=None, data_type="1"), NAME).notes == ()
+
+
+def test_a_key_that_stands_twice_and_says_the_same_is_noted():
+    text = header_text(a="{x[ 1,2 ],  y}") + "a = {x[1, 2],\n y}\n"
+    header = parse_header(text, NAME)
+    assert header.text("a") == "x[ 1,2 ],  y"
+    assert header.notes == ("header: 'a' stands twice and says the same (lines 9 and 10)",)
+    with pytest.raises(InputError, match=r"a\.hdr:10: .*'x\[1,2\],y' against 'x\[1,3\],y'"):
+        parse_header(text.replace("[1, 2]", "[1, 3]"), NAME)
+
+
+def test_one_band_needs_no_interleave_and_a_sidecar_only_sizes():
+    assert parse_header(header_text(bands="1", interleave=None), NAME).interleave == "bsq"
+    header = parse_header("ENVI\nsamples = 5\nlines = 6\nbands = 4\n", NAME, sidecar=True)
+    assert (header.samples, header.lines, header.bands, header.interleave) == (5, 6, 4, "tif")
+    with pytest.raises(InputError, match="'data type' is missing"):
+        parse_header("ENVI\nsamples = 5\nlines = 6\nbands = 4\n", NAME)
 
 
 def test_line_without_equals_sign_is_refused_with_its_line():
