@@ -65,8 +65,8 @@ def write_cube(path, lines, seed=1):
 
 def ours(path, precision="auto", detectors=("cem",), targets=1):
     """(lines, samples) score by the package, from the path."""
+    from hyperval.executors import single_blas_thread
     from hyperval.imagery.cube import open_cube
-    from hyperval.processing.blas import single_blas_thread
     from hyperval.processing.detectors import pixel_detector, whitener_of
     from hyperval.processing.elm import EmpiricalLine
     from hyperval.processing.filters import PositiveDefinite
@@ -118,7 +118,7 @@ def one_shot(path, lines):
 
 def floor(path, lines, cores):
     """The rank-k update of every pixel on every core, and one fused scoring pass."""
-    from hyperval.processing.blas import single_blas_thread
+    from hyperval.executors import single_blas_thread
 
     step = 8
     blocks = -(-lines // step)
@@ -192,7 +192,7 @@ def main():
     if given.alone:
         alone(given.alone)
         return
-    from hyperval.processing.blas import available_cores
+    from hyperval.executors import available_cores
 
     with tempfile.TemporaryDirectory(dir=given.folder) as folder:
         path = Path(folder) / "cube.img"

@@ -4,10 +4,18 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from hyperval.errors import UsageError
-from hyperval.executors import SerialExecutor, WorkersLostError, in_order, worker_count, workers
-from hyperval.processing.blas import _openblas
+from hyperval.executors import (
+    Workers,
+    WorkersLostError,
+    available_cores,
+    in_order,
+    single_blas_thread,
+    worker_count,
+    workers,
+)
 
 
 def square(x):
@@ -20,8 +28,8 @@ def fails_at_three(x):
     return x
 
 
-def blas_threads(_):
-    return [int(get()) for get, _ in _openblas()]
+def blas_threads(_=None):
+    return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
 
 
 def dies_once(piece):
@@ -37,7 +45,7 @@ def dies(_):
 
 
 def test_results_come_in_the_order_of_the_pieces():
-    assert list(in_order(SerialExecutor(), square, range(7))) == [k * k for k in range(7)]
+    assert list(in_order(Workers(), square, range(7))) == [k * k for k in range(7)]
     with ThreadPoolExecutor(3) as pool:
         assert list(in_order(pool, square, range(50))) == [k * k for k in range(50)]
 
@@ -50,21 +58,31 @@ def test_pieces_are_handed_out_as_they_are_needed():
             handed.append(k)
             yield k
 
-    results = in_order(SerialExecutor(), square, pieces())
+    results = in_order(Workers(), square, pieces())
     assert next(results) == 0
     assert len(handed) <= 2
 
 
 def test_what_a_piece_raises_comes_out():
-    results = in_order(SerialExecutor(), fails_at_three, range(6))
+    results = in_order(Workers(), fails_at_three, range(6))
     assert [next(results) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(ValueError, match="three"):
         next(results)
 
 
 def test_one_blas_thread_for_each_piece():
-    counts = next(in_order(SerialExecutor(), blas_threads, [0]))
-    assert all(n == 1 for n in counts)
+    counts = next(in_order(Workers(), blas_threads, [0]))
+    assert counts
+    assert set(counts) == {1}
+
+
+def test_one_blas_thread_inside_and_the_old_number_after():
+    with threadpool_limits(2, user_api="blas"):
+        with single_blas_thread() as alone:
+            assert alone
+            assert set(blas_threads()) == {1}
+        assert set(blas_threads()) == {2}
+    assert available_cores() >= 1
 
 
 def test_a_process_that_dies_is_replaced(tmp_path):

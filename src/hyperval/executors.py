@@ -1,8 +1,9 @@
-"""One seam for everything that runs many independent pieces: here, in processes, or on the workers of a cluster.
+"""Where independent pieces run: in this process, in others, or on the workers of a Dask scheduler.
 
 Callers take any ``concurrent.futures.Executor``.  :func:`workers` makes one; :func:`in_order` hands the pieces out
 and gives the results back in the order of the pieces, a bounded number on the way, so that what comes out does not
-depend on where the pieces ran.
+depend on where the pieces ran.  Every piece has one BLAS thread: workers share the processors, and the last digits
+of a solve depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -12,48 +13,67 @@ import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from functools import cache
+from itertools import islice
+from typing import TypeVar
+
+import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are counted
+from threadpoolctl import ThreadpoolController
 
 from hyperval.errors import HypervalError, UsageError
-from hyperval.processing.blas import available_cores, single_blas_thread
 
 T = TypeVar("T")
 R = TypeVar("R")
 _RENEWALS = 3  # of a pool of processes that lost one
+_START_S = 20.0  # for a scheduler to answer
+_CONNECT_S = 5.0  # a worker that is gone is not called for longer
 
 
 class WorkersLostError(HypervalError):
     """Processes died again and again while they worked (exit code 4)."""
 
 
-class SerialExecutor(Executor):
-    """Runs every piece at once, here."""
-
-    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
-        """Run ``fn`` and return its result as a future that is done."""
-        future: Future[R] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
 @dataclass
 class Workers:
-    """An executor, how many pieces it runs at a time, and how to get another one when a process of it died.
+    """What runs pieces, how many at a time, and how to get another one when a process of it died.
 
     Attributes
     ----------
+    executor : None: this process, each piece when its result is asked for
     renew : None where the executor looks after its workers itself, as a cluster's scheduler does
+    losses : what a piece raises whose worker died
     """
 
-    executor: Executor
+    executor: Executor | None = None
     width: int = 1
     renew: Callable[[], Executor] | None = None
+    losses: tuple[type[Exception], ...] = (BrokenExecutor, CancelledError)
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextmanager
+def single_blas_thread() -> Iterator[bool]:
+    """Give matrix products and factorisations one thread each inside the block; the numbers are set back after.
+
+    Yields whether that holds: True where the libraries are known or the environment already says one thread.
+    """
+    stated = "1" in (os.environ.get(f"{name}_NUM_THREADS") for name in ("OMP", "OPENBLAS", "MKL"))
+    with _blas().limit(limits=1):
+        yield stated or bool(_blas().info())
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController().select(user_api="blas")
 
 
 def worker_count(pieces: int | None = None) -> int:
@@ -85,7 +105,7 @@ def workers(count: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
     if scheduler is not None:
         yield from _dask(scheduler)
     elif count <= 1:
-        yield Workers(SerialExecutor())
+        yield Workers()
     else:
         yield from _processes(count)
 
@@ -104,44 +124,41 @@ def in_order(
     WorkersLostError : processes died again and again.
     """
     at = where if isinstance(where, Workers) else Workers(where, int(getattr(where, "_max_workers", 1)))
-    waiting: deque[tuple[T, Future[R] | None]] = deque()
-    left, most = _RENEWALS, ahead or (2 * at.width if at.width > 1 else 1)
+    if at.executor is None:
+        yield from (_single_threaded(function, piece) for piece in pieces)
+        return
+    left, most = _RENEWALS, ahead or 2 * at.width
     source = iter(pieces)
+    waiting, futures = deque[T](), deque[Future[R]]()
     try:
         while True:
-            while len(waiting) < most and (piece := next(source, _END)) is not _END:
-                waiting.append((piece, None))
+            waiting.extend(islice(source, most - len(waiting)))
             if not waiting:
                 return
             try:  # handing a piece in can be what finds the pool broken
-                for k, (piece, future) in enumerate(waiting):
-                    if future is None:
-                        waiting[k] = piece, at.executor.submit(_single_threaded, function, piece)
-                first = waiting[0][1]
-                assert first is not None  # noqa: S101 - handed in above
-                result = first.result()
-            except BrokenExecutor as error:
+                futures.extend(
+                    at.executor.submit(_single_threaded, function, piece)
+                    for piece in islice(waiting, len(futures), None)
+                )
+                result = futures[0].result()
+            except at.losses as error:
                 if at.renew is None or left == 0:
                     raise WorkersLostError(
                         f"a worker process died: {error}", mend="give it more memory, or fewer workers"
                     ) from error
                 left -= 1
                 at.executor = at.renew()
-                waiting = deque((p, None) for p, _ in waiting)
+                futures.clear()
                 continue
             waiting.popleft()
+            futures.popleft()
             yield result
     finally:
-        for _, future in waiting:
-            if future is not None:
-                future.cancel()
-
-
-_END: Any = object()
+        for future in futures:
+            future.cancel()
 
 
 def _single_threaded(function: Callable[[T], R], piece: T) -> R:
-    """The piece with one BLAS thread: workers share the processors, and the last digits depend on the threads."""
     with single_blas_thread():
         return function(piece)
 
@@ -172,10 +189,20 @@ def _leave_interrupts() -> None:
 
 def _dask(address: str) -> Iterator[Workers]:
     try:
-        from hyperval.executors_dask import DaskExecutor
+        import dask.config
+        from distributed import Client, KilledWorker
     except ImportError as error:
         raise UsageError(
             "--scheduler needs Dask, which is not installed", mend="install the extra: pip install 'hyperval[dask]'"
         ) from error
-    with DaskExecutor(address) as executor:
-        yield Workers(executor, executor.cores)
+    with dask.config.set({"distributed.comm.timeouts.connect": f"{_CONNECT_S:g}s"}):
+        try:
+            client = Client(address, timeout=f"{_START_S:g}s", set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise UsageError(
+                f"no Dask scheduler answers at {address}", expected="an address such as tcp://node:8786"
+            ) from error
+        with client:
+            # Nothing is kept by its arguments, so that equal pieces run each for itself.
+            width = max(1, sum(client.ncores().values()))
+            yield Workers(client.get_executor(pure=False), width, losses=(CancelledError, KilledWorker))

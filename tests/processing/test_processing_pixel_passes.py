@@ -11,7 +11,6 @@ from hyperval.errors import UsageError
 from hyperval.imagery import stored_file
 from hyperval.imagery.cube import open_cube
 from hyperval.processing import region_statistics as statistics_module
-from hyperval.processing.blas import _openblas, available_cores, single_blas_thread
 from hyperval.processing.detectors import pixel_detector, whitener_of
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.gram import Directions, Sums
@@ -414,12 +413,3 @@ def test_scoring_refuses_what_does_not_fit(tmp_path):
     elm.gain[1] = np.nan
     with pytest.raises(UsageError, match="no gain in 1 of"):
         score_cube(cube, {"a": cem}, elm)
-
-
-def test_one_blas_thread_inside_and_the_old_number_after():
-    before = [get() for get, _ in _openblas()]
-    with single_blas_thread() as alone:
-        assert [get() for get, _ in _openblas()] == [1] * len(before)
-        assert alone or not before
-    assert [get() for get, _ in _openblas()] == before
-    assert available_cores() >= 1

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import Detection
+from hyperval.executors import single_blas_thread
 from hyperval.observe.bands import usable_bands
 from hyperval.observe.place import Place
-from hyperval.processing.blas import single_blas_thread
 from hyperval.processing.detectors import (
     ANOMALY_DETECTORS,
     WITHOUT_COVARIANCE,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.processing.blas import single_blas_thread
+from hyperval.executors import single_blas_thread
 
 Array = npt.NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.processing.blas import available_cores, single_blas_thread
+from hyperval.executors import available_cores, single_blas_thread
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
