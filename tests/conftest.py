@@ -28,14 +28,21 @@ def own_atmosphere(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reports without figures, where a test is about something else: drawing is most of a small run's time."""
-    monkeypatch.setattr("hyperval.report.outputs.draw_figures", lambda run: [])
+def figures() -> None:
+    """Reports of the small campaign with figures, which it has for a test that asks for this alone."""
 
 
 @pytest.fixture
-def make_small(small_collection: Path, tmp_path: Path, own_atmosphere: None) -> Callable[..., SmallCampaign]:
+def make_small(
+    small_collection: Path,
+    tmp_path: Path,
+    own_atmosphere: None,
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Callable[..., SmallCampaign]:
     """Make copies of the small campaign, each in a folder of its own."""
+    if "figures" not in request.fixturenames:  # drawing is most of a small run's time
+        monkeypatch.setattr("hyperval.report.outputs.draw_figures", lambda run: [])
 
     def make(name: str = "small") -> SmallCampaign:
         shutil.copytree(small_collection, tmp_path / name)

@@ -269,7 +269,7 @@ def test_signals_end_the_run_and_remove_what_is_half_written(tmp_path, number, c
     script = f"""
 import sys, types, time
 from pathlib import Path
-from hyperval.files import whole_folder
+from hyperval.folders import whole_folder
 fake = types.ModuleType("hyperval.campaign.run")
 def observe(campaign, output, show_progress, **options):
     with whole_folder(output) as t:

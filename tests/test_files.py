@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.errors import InputError, UsageError
-from hyperval.files import sha256_of, whole_file, whole_folder, write_text
+from hyperval.errors import InputError
+from hyperval.files import sha256_of, whole_file, write_text
 
 
 class Broken(Exception):
@@ -63,114 +63,45 @@ def test_text_is_utf8_with_unix_line_ends(tmp_path: Path):
     assert (tmp_path / "a.txt").read_bytes() == b"\xce\xbb\n"
 
 
-def test_folder_is_replaced_as_a_whole(tmp_path: Path):
-    path = tmp_path / "report"
-    path.mkdir()
-    (path / "stale.csv").write_text("old")
-    with whole_folder(path) as temporary:
-        (temporary / "new.csv").write_text("new")
-        assert (path / "stale.csv").read_text() == "old"
-    assert left_over(path) == ["new.csv"]
-    assert left_over(tmp_path) == ["report"]
-
-
-def test_failure_in_the_middle_keeps_the_old_folder(tmp_path: Path):
-    path = tmp_path / "report"
-    path.mkdir()
-    (path / "old.csv").write_text("old")
-
-    def half_write() -> None:
-        with whole_folder(path) as temporary:
-            (temporary / "new.csv").write_text("ne")
-            raise Broken
-
-    with pytest.raises(Broken):
-        half_write()
-    assert left_over(path) == ["old.csv"]
-    assert left_over(tmp_path) == ["report"]
-
-
-def test_failure_of_the_last_step_puts_the_old_folder_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    path = tmp_path / "report"
-    path.mkdir()
-    (path / "old.csv").write_text("old")
-    real = os.replace
-    calls = []
-
-    def second_fails(source, target):
-        calls.append(source)
-        if len(calls) == 2:
-            raise OSError("no room")
-        real(source, target)
-
-    monkeypatch.setattr("hyperval.files.os.replace", second_fails)
-    with pytest.raises(OSError, match="no room"), whole_folder(path) as temporary:
-        (temporary / "new.csv").write_text("new")
-    assert left_over(path) == ["old.csv"]
-    assert left_over(tmp_path) == ["report"]
-
-
-def test_a_folder_of_somebody_else_is_never_replaced(tmp_path: Path):
-    path = tmp_path / "thesis"
-    path.mkdir()
-    (path / "chapter.tex").write_text("years of work")
-    with pytest.raises(UsageError, match="would be replaced"), whole_folder(path, ours="results.json"):
-        raise AssertionError("the block must not begin")
-    assert left_over(path) == ["chapter.tex"]
-
-
-@pytest.mark.parametrize("content", [[], ["results.json", "more"]])
-def test_an_empty_folder_and_one_of_ours_are_replaced(tmp_path: Path, content: list[str]):
-    path = tmp_path / "report"
-    path.mkdir()
-    for name in content:
-        (path / name).write_text("old")
-    with whole_folder(path, ours="results.json") as temporary:
-        (temporary / "results.json").write_text("new")
-    assert left_over(path) == ["results.json"]
-
-
-def test_a_file_in_place_of_the_folder(tmp_path: Path):
-    (tmp_path / "report").write_text("x")
-    with pytest.raises(UsageError, match="is a file"), whole_folder(tmp_path / "report"):
-        raise AssertionError("the block must not begin")
-    assert (tmp_path / "report").read_text() == "x"
-
-
-def test_a_place_where_no_folder_can_be_made_is_the_users_to_mend(tmp_path: Path):
-    (tmp_path / "notes.txt").write_text("mine")
-    with (
-        pytest.raises(UsageError, match=r"notes\.txt/out: no folder can be made here"),
-        whole_folder(tmp_path / "notes.txt" / "out"),
-    ):
-        pytest.fail("never entered")
-
-
-def test_first_folder_fails_and_leaves_nothing(tmp_path: Path):
-    with pytest.raises(Broken), whole_folder(tmp_path / "report"):
-        raise Broken
-    assert left_over(tmp_path) == []
-
-
-@pytest.mark.parametrize("kind", ["whole_file", "whole_folder"])
-def test_a_killed_process_keeps_the_old_result(tmp_path: Path, kind: str):
-    path = tmp_path / "result"
-    if kind == "whole_file":
-        path.write_text("old")
-    else:
-        path.mkdir()
-        (path / "part").write_text("old")
+def test_a_killed_process_keeps_the_old_file_and_the_next_one_removes_what_it_left(tmp_path: Path):
+    path = tmp_path / "result.csv"
+    path.write_text("old")
     script = f"""
         import os, signal
         from pathlib import Path
-        from hyperval.files import {kind}
-        with {kind}(Path({str(path)!r})) as t:
-            ((t / "part") if t.is_dir() else t).write_text("ne")
+        from hyperval.files import whole_file
+        with whole_file(Path({str(path)!r})) as t:
+            t.write_text("ne")
             os.kill(os.getpid(), signal.SIGKILL)
     """
     done = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], check=False)
     assert done.returncode == -9
-    assert (path if kind == "whole_file" else path / "part").read_text() == "old"
+    assert path.read_text() == "old"
+    (left,) = (p for p in tmp_path.iterdir() if p != path)
+    write_text(path, "new")
+    assert left.exists()  # too new: perhaps of a process on another machine
+    os.utime(left, (0, 0))
+    other = tmp_path / ".result.csv.backup.csv"  # the user's
+    other.write_text("mine")
+    os.utime(other, (0, 0))
+    write_text(path, "newer")
+    assert left_over(tmp_path) == [other.name, "result.csv"]
+
+
+def test_what_a_running_process_writes_is_left_alone(tmp_path: Path):
+    path = tmp_path / "a.csv"
+    with whole_file(path) as outer:
+        outer.write_text("outer")
+        os.utime(outer, (0, 0))
+        write_text(path, "inner")
+        assert outer.exists()
+    assert path.read_text() == "outer"
+
+
+def test_a_name_as_long_as_a_name_can_be(tmp_path: Path):
+    path = tmp_path / ("n" * 251 + ".csv")
+    write_text(path, "x")
+    assert path.read_text() == "x"
 
 
 def test_full_disk_keeps_the_old_file(tmp_path: Path):

@@ -28,7 +28,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def finished(small: SmallCampaign, tmp_path: Path, no_figures: None) -> Path:
+def finished(small: SmallCampaign, tmp_path: Path) -> Path:
     """Folder of a finished run of the small campaign."""
     out = tmp_path / "finished"
     assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 0
@@ -102,7 +102,7 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys):
     assert cli.run(["check", *given]) == 0
 
 
-def test_a_check_runs_the_campaign_itself_and_keeps_the_run(small, place, no_figures):
+def test_a_check_runs_the_campaign_itself_and_keeps_the_run(small, place):
     path = small.write()
     accept([path], reason="First", baselines=place / "b")
     outcome = check([path], baselines=place / "b", output=place / "out")
@@ -114,7 +114,7 @@ def test_a_check_runs_the_campaign_itself_and_keeps_the_run(small, place, no_fig
     assert all("moved from" in row.reason or "verdict" in row.reason for row in wrong)
 
 
-def test_a_run_that_fails_its_gates_is_no_baseline(small, place, no_figures, capsys):
+def test_a_run_that_fails_its_gates_is_no_baseline(small, place, capsys):
     small.gate("radiance")["at_most"] = 1e-9
     given = [str(small.write()), "--from", "run"]
     assert cli.run(["-q", "validate", given[0], "-o", "run"]) == 1
@@ -144,7 +144,7 @@ def test_a_finished_run_of_another_source_is_refused(small, monkeypatch):
     assert _stale(job, {"source_revision": None}) is None
 
 
-def test_lacking_data_are_skipped(small, place, tmp_path, monkeypatch, capsys, no_figures):
+def test_lacking_data_are_skipped(small, place, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path / "empty"))
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
     small.data["collection"]["cube"] = {
@@ -195,6 +195,6 @@ def test_nothing_named(place, capsys):
     assert cli.run(["check", "--sensors", "no-such-sensor"]) == 2
 
 
-def test_validate_writes_its_verdicts_where_asked(small, place, no_figures):
+def test_validate_writes_its_verdicts_where_asked(small, place):
     assert cli.run(["-q", "validate", str(small.write()), "-o", "out", "--junit", "a/b.xml"]) == 0
     assert Path("a/b.xml").read_bytes() == Path("out/junit.xml").read_bytes()

@@ -79,7 +79,6 @@ def test_the_readme_names_every_file_and_every_line(no_data):
     assert all(line.removeprefix("0920") in text for line in LINES)
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_without_the_collection_it_is_skipped_and_the_run_does_not_fail(no_data, tmp_path):
     assert validate([CAMPAIGN], tmp_path / "out", show_progress=False) == 5  # nothing was checked, nothing failed
     rows = json.loads((tmp_path / "out" / "results.json").read_text())

@@ -23,7 +23,7 @@ def folder(tmp_path_factory):
     return found
 
 
-def test_the_first_campaign_runs_and_passes(folder, no_figures):
+def test_the_first_campaign_runs_and_passes(folder):
     campaign, out = str(folder / "campaign.yaml"), folder / "first"
     assert run(["-q", "validate", "--dry-run", campaign]) == 0
     assert run(["-q", "validate", campaign, "-o", str(out)]) == 0

@@ -64,7 +64,7 @@ def test_distances(a, b, km):
     assert distance_km(a, b) == pytest.approx(km, rel=2e-3)
 
 
-def test_the_report_of_a_campaign_holds_the_warning(small, no_figures):
+def test_the_report_of_a_campaign_holds_the_warning(small):
     small.edit("small_rad.hdr", lambda text: text + "acquisition time = 2011-01-01T03:00:00Z\n")
     given = small.scenario["atmosphere"]
     for key in ("solar_zenith_deg", "solar_azimuth_deg", "day_of_year"):

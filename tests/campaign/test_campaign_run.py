@@ -50,7 +50,7 @@ def no_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "cache"))
 
 
-def test_the_folder_holds_every_file_of_the_contract_and_repeats_to_the_byte(small, tmp_path):
+def test_the_folder_holds_every_file_of_the_contract_and_repeats_to_the_byte(figures, small, tmp_path):
     path = small.write()
     first, second = tmp_path / "first", tmp_path / "elsewhere" / "second"
     assert cli.run(["-q", "validate", str(path), "-o", str(first)]) == 0
@@ -79,7 +79,7 @@ def test_the_folder_holds_every_file_of_the_contract_and_repeats_to_the_byte(sma
     assert str(tmp_path) not in (first / "provenance.json").read_text()
 
 
-def test_observe_alone_writes_what_the_collection_says(small, tmp_path, no_figures):
+def test_observe_alone_writes_what_the_collection_says(small, tmp_path):
     out = tmp_path / "out"
     assert cli.run(["-q", "observe", str(small.write()), "-o", str(out)]) == 0
     assert set(files_of(out)) >= CONTRACT | {"scores/yellow-cem.tif"}
@@ -143,7 +143,7 @@ def test_a_fault_of_ours_is_named_with_its_place_in_the_rows_of_its_campaign(mak
     assert all("AttributeError" in r["reason"] and "(at hyperval/units.py:" in r["reason"] for r in rows)
 
 
-def test_a_skipped_campaign_beside_a_passing_one_passes(make_small, tmp_path, no_data, no_figures):
+def test_a_skipped_campaign_beside_a_passing_one_passes(make_small, tmp_path, no_data):
     one, two = make_small("one"), data_only(make_small("two"))
     two.data["name"] = "other"
     out = tmp_path / "out"
@@ -162,7 +162,7 @@ def test_a_skipped_campaign_beside_a_passing_one_passes(make_small, tmp_path, no
     }
 
 
-def test_one_broken_campaign_does_not_hide_the_other(make_small, tmp_path, no_figures):
+def test_one_broken_campaign_does_not_hide_the_other(make_small, tmp_path):
     good, broken = make_small("good"), make_small("broken")
     broken.data["name"] = "broken"
     cube = broken.collection / "small_rad.img"
@@ -184,7 +184,7 @@ def test_two_campaigns_of_one_name_are_refused(make_small, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("before", [None, "previous"])
+@pytest.mark.parametrize("before", [None, '{\n "schema_version": 1,\n "hyperval_version": "0.0.1"}'])
 def test_a_single_broken_campaign_leaves_what_was_there(small, tmp_path, before):
     out = tmp_path / "out"
     if before:
@@ -194,7 +194,7 @@ def test_a_single_broken_campaign_leaves_what_was_there(small, tmp_path, before)
     assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 3
     assert out.exists() is (before is not None)
     if before:
-        assert files_of(out) == {"results.json": b"previous"}
+        assert files_of(out) == {"results.json": before.encode()}
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["small", *(["out"] if before else [])])
 
 
@@ -203,7 +203,7 @@ def test_a_folder_of_something_else_is_never_replaced(small, tmp_path, capsys):
     out.mkdir()
     (out / "thesis.tex").write_text("years of work")
     assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 2
-    assert "holds files but no results.json" in capsys.readouterr().err
+    assert "holds files, and not results of an earlier run" in capsys.readouterr().err
     assert files_of(out) == {"thesis.tex": b"years of work"}
 
 

@@ -176,7 +176,7 @@ def test_a_product_that_was_not_falsified_stays_green(small):
     assert len(table.where(status=Status.PASS)) == 9
 
 
-def test_the_command_line_says_so(small, tmp_path, no_figures):
+def test_the_command_line_says_so(small, tmp_path):
     brighter_class(small)
     out = tmp_path / "out"
     assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 1

@@ -10,7 +10,8 @@ from hyperval.baseline.differences import Difference, compare
 from hyperval.baseline.runs import Run, all_runs
 from hyperval.baseline.store import accepted_of, baseline_path, candidate_path, stored, write_baseline
 from hyperval.campaign.provenance import command_without_output
-from hyperval.files import sha256_of, whole_folder, write_text
+from hyperval.files import sha256_of, write_text
+from hyperval.folders import whole_folder
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.outputs import campaign_folders
 from hyperval.report.tables import junit_xml
@@ -86,7 +87,7 @@ def check(
     if output is None:
         outcome = _checked(campaigns, sensors, baselines, source, None, engine, show_progress)
     else:
-        with whole_folder(output, ours="results.json") as folder:
+        with whole_folder(output) as folder:
             outcome = _checked(campaigns, sensors, baselines, source, folder / RUNS, engine, show_progress)
             _write(outcome, folder)
     if junit is not None:

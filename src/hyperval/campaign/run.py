@@ -12,7 +12,7 @@ from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.schema import load_campaign
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
-from hyperval.files import whole_folder
+from hyperval.folders import whole_folder
 from hyperval.observe import Observed
 from hyperval.observe.reflectance_cube import Form
 from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
@@ -44,7 +44,7 @@ def validate(
     for name in names:
         if names.count(name) > 1:
             raise UsageError(f"two campaigns are named {name!r}")
-    with whole_folder(output, ours="results.json") as folder:
+    with whole_folder(output) as folder:
         if len(jobs) == 1:
             run = run_campaign(jobs[0], show_progress=show_progress)
             write_outputs(run, folder)
@@ -75,7 +75,7 @@ def observe(
             where=str(path),
             mend="add collection.empirical_line, or leave --write-reflectance out",
         )
-    with whole_folder(output, ours="results.json") as folder:
+    with whole_folder(output) as folder:
         notes: list[str] = []
 
         def cube(observed: Observed) -> None:
@@ -97,7 +97,7 @@ def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | 
     """Run the forward model alone and write its products."""
     scenario = load_scenario(name_or_path)
     log = InputLog(scenario.folder or Path())
-    with whole_folder(output, ours="results.json") as folder:  # first of all: it may not be writable
+    with whole_folder(output) as folder:  # first of all: it may not be writable
         prediction = predict(scenario, resolve=log.resolve, show_progress=show_progress)
         run = RunReport(
             campaign=scenario.name,

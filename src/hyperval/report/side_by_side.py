@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from hyperval.errors import UsageError
-from hyperval.files import whole_folder, write_text
+from hyperval.files import write_text
+from hyperval.folders import whole_folder
 from hyperval.report import verdict as v
 from hyperval.report.html import common_words, environment
 from hyperval.report.outputs import write_tables
@@ -95,7 +96,7 @@ def compare_runs(one: Path, other: Path, output: Path) -> int:
         raise UsageError(
             "the two runs compare nothing in common", where=f"{one}, {other}", expected="runs of one campaign"
         )
-    with whole_folder(output, ours="results.json") as folder:
+    with whole_folder(output) as folder:
         write_tables(difference_table(pairs), folder)
         write_text(folder / "report.html", side_by_side_page(a, b, pairs))
     return 0

@@ -14,7 +14,8 @@ from hyperval.campaign.one import jobs_of
 from hyperval.campaign.provenance import command_without_output
 from hyperval.errors import UsageError
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.files import sha256_of, whole_folder, write_text
+from hyperval.files import sha256_of, write_text
+from hyperval.folders import whole_folder
 from hyperval.progress import track
 from hyperval.report.benchmark import BenchmarkReport, CampaignWords, benchmark_page, draw_benchmark
 from hyperval.report.outputs import write_tables
@@ -59,7 +60,7 @@ def benchmark(
         if names.count(name) > 1:
             raise UsageError(f"two campaigns are named {name!r}")
     entries = [Entry(job, seed, tuple(Path(p).resolve() for p in extensions)) for job in jobs]
-    with whole_folder(output, ours="results.json") as folder:
+    with whole_folder(output) as folder:
         done = _done(entries, executor, scheduler, show_progress)
         _write(done, extensions, seed, folder)
     return next((d.exit_code for d in done if d.exit_code is not None), 0)

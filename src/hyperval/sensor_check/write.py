@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from hyperval.campaign.provenance import command_without_output, provenance
-from hyperval.files import sha256_of, whole_folder, write_text
+from hyperval.files import sha256_of, write_text
+from hyperval.folders import whole_folder
 from hyperval.report.netcdf import write_products
 from hyperval.report.outputs import write_tables
 from hyperval.report.tables import json_value
@@ -28,10 +29,11 @@ def check_to_folder(
     show_progress: bool | None = None,
 ) -> SensorCheck:
     """Run the acceptance suite and, where ``output`` is given, write its datasheet into that folder."""
-    check = check_sensor(name_or_file, vary=vary, engine=engine, show_progress=show_progress)
-    if output is not None:
-        with whole_folder(output, ours="results.json") as folder:
-            write_check(check, folder, name_or_file)
+    if output is None:
+        return check_sensor(name_or_file, vary=vary, engine=engine, show_progress=show_progress)
+    with whole_folder(output) as folder:
+        check = check_sensor(name_or_file, vary=vary, engine=engine, show_progress=show_progress)
+        write_check(check, folder, name_or_file)
     return check
 
 

@@ -16,7 +16,8 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import UsageError
-from hyperval.files import whole_folder, write_text
+from hyperval.files import write_text
+from hyperval.folders import COLLECTION, whole_folder
 from hyperval.imagery.envi_write import envi_writer, write_cube
 from hyperval.progress import track
 from hyperval.simulate import streams, truth
@@ -59,21 +60,14 @@ class SimulatedCollection:
 
 
 def simulate_to_folder(scene_yaml: Path, output: Path, *, show_progress: bool | None = None) -> int:
-    """Simulate a scene file into ``output``, which is replaced whole; returns the exit code 0.
+    """Simulate a scene file into ``output``, whose earlier files are replaced whole; returns the exit code 0.
 
     Raises
     ------
     UsageError : an invalid scene, or ``output`` holds files that no simulation wrote.
     InputError : no such scene file.
     """
-    output = Path(output)
-    if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "truth.json").is_file()):
-        raise UsageError(
-            "the output is in use by something that is not a simulated collection",
-            where=str(output),
-            mend="name a new or empty folder",
-        )
-    with whole_folder(output) as folder:
+    with whole_folder(output, COLLECTION) as folder:
         simulate(scene_yaml, folder, show_progress=show_progress)
     return 0
 

@@ -18,7 +18,8 @@ import numpy.typing as npt
 import hyperval
 from hyperval.campaign.provenance import command_without_output, package_versions, provenance
 from hyperval.executors import Workers, in_order, worker_count, workers
-from hyperval.files import whole_folder, write_text
+from hyperval.files import write_text
+from hyperval.folders import partial_folder, whole_folder
 from hyperval.progress import track
 from hyperval.report.netcdf import write_products
 from hyperval.report.outputs import write_tables as write_results
@@ -66,24 +67,22 @@ def study_to_folder(
     ------
     UsageError, InputError, EngineError : a study, scenario or file that is not right; nothing is written.
     """
-    output = Path(output)
-    _refuse_foreign(output)
-    plan = plan_study(load_study(Path(path)), show_progress=show_progress)
-    fields = output_fields(plan)
-    chunk = chunk_size(len(plan.points))
-    store = Store(output.with_name(output.name + ".partial"), identity(plan, chunk), len(fields), chunk)
-    left = len(plan.points) - store.finished
-    # Starting processes takes longer than a few thousand points of the fast evaluator.
-    few = plan.evaluator.base.slow is None and left <= _HERE
-    with ExitStack() as stack:
-        where = executor or stack.enter_context(
-            workers(1 if few else worker_count(-(-left // chunk) or 1), scheduler)
-        )
-        evaluate_into(store, plan, where, chunk, show_progress)
-    table = StudyTable(plan.points, input_fields(plan.points), fields, store.values(), store.reasons())
-    with whole_folder(output, ours="results.json") as folder:
+    with whole_folder(Path(output)) as folder:  # first of all: hours may be spent on it
+        plan = plan_study(load_study(Path(path)), show_progress=show_progress)
+        fields = output_fields(plan)
+        chunk = chunk_size(len(plan.points))
+        store = Store(partial_folder(Path(output)), identity(plan, chunk), len(fields), chunk)
+        left = len(plan.points) - store.finished
+        # Starting processes takes longer than a few thousand points of the fast evaluator.
+        few = plan.evaluator.base.slow is None and left <= _HERE
+        with ExitStack() as stack:
+            where = executor or stack.enter_context(
+                workers(1 if few else worker_count(-(-left // chunk) or 1), scheduler)
+            )
+            evaluate_into(store, plan, where, chunk, show_progress)
+        table = StudyTable(plan.points, input_fields(plan.points), fields, store.values(), store.reasons())
         _write(plan, table, folder, show_progress)
-    del table
+        del table
     store.remove()
     return 0
 
@@ -173,17 +172,6 @@ class _Parcel:
 @lru_cache(maxsize=2)
 def _unpacked(digest: str, parcel: _Parcel) -> Any:
     return pickle.loads(parcel.content)  # noqa: S301 - made by this program a moment ago
-
-
-def _refuse_foreign(output: Path) -> None:
-    """Refuse an output folder that may not be replaced before hours are spent on it."""
-    if (
-        output.exists()
-        and not (output / "results.json").is_file()
-        and (not output.is_dir() or any(output.iterdir()))
-    ):
-        with whole_folder(output, ours="results.json"):  # raises
-            pass
 
 
 def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | None) -> None:

@@ -1,0 +1,365 @@
+"""Output folders: replaced whole, by one run at a time, nothing of the user's lost, wherever a run ends."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from hyperval import folders
+from hyperval.errors import UsageError
+from hyperval.folders import COLLECTION, LIST, LOCK, Unplaced, partial_folder, refuse_foreign, whole_folder
+
+HEAD = '{\n "schema_version": 1,\n "hyperval_version": "0.1.0",\n "rows": []\n}\n'
+SRC = Path(folders.__file__).parents[1]
+
+
+class Broken(Exception):
+    pass
+
+
+def files(folder: Path) -> dict[str, str]:
+    """Path -> content of every file below a folder, without the list."""
+    return {
+        p.relative_to(folder).as_posix(): p.read_text()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.name != LIST
+    }
+
+
+def fill(folder: Path, **content: str) -> None:
+    for name, text in content.items():
+        path = folder / name.replace("__", "/").replace("_", ".")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+
+
+def run(path: Path, **content: str) -> None:
+    with whole_folder(path) as new:
+        fill(new, results_json=HEAD, **content)
+
+
+@pytest.fixture(params=["exchanged", "inside"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Both ways in which the new content takes its place."""
+    if request.param == "inside":
+        monkeypatch.setattr(folders, "swappable", lambda path: False)
+    elif not folders.can_exchange(Path.cwd()):
+        pytest.skip("this file system does not exchange two folders")
+    return request.param
+
+
+def test_a_folder_is_replaced_as_a_whole(tmp_path: Path, way: str):
+    path = tmp_path / "report"
+    run(path, old_csv="1", figures__a_svg="<old>", figures__deep__b_svg="b")
+    with whole_folder(path) as new:
+        fill(new, results_json=HEAD, figures__a_svg="<new>")
+        assert files(path)["old.csv"] == "1"
+    assert files(path) == {"results.json": HEAD, "figures/a.svg": "<new>"}
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+    assert not (path / "figures" / "deep").exists()
+
+
+def test_failure_in_the_middle_keeps_the_old_folder(tmp_path: Path, way: str):
+    path = tmp_path / "report"
+    run(path, old_csv="old")
+
+    def half_write() -> None:
+        with whole_folder(path) as new:
+            fill(new, new_csv="ne")
+            raise Broken
+
+    with pytest.raises(Broken):
+        half_write()
+    assert files(path) == {"results.json": HEAD, "old.csv": "old"}
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+def test_a_first_folder_that_fails_leaves_nothing(tmp_path: Path, way: str):
+    with pytest.raises(Broken), whole_folder(tmp_path / "report"):
+        raise Broken
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_the_user_put_there_stays(tmp_path: Path, way: str):
+    path = tmp_path / "report"
+    run(path, old_csv="1", figures__a_svg="<old>")
+    fill(path, notes_txt="mine", figures__my_png="mine too", summary_html="before there was one of ours")
+    (path / "archive" / "empty").mkdir(parents=True)
+    (path / "link").symlink_to("elsewhere")
+    os.link(path / "notes.txt", tmp_path / "second-name")
+    run(path, figures__b_svg="<new>", summary_html="ours")
+    assert files(path) == {
+        "results.json": HEAD,
+        "notes.txt": "mine",
+        "figures/b.svg": "<new>",
+        "figures/my.png": "mine too",
+        "summary.html": "ours",
+        "summary.html.kept": "before there was one of ours",
+    }
+    assert (path / "archive" / "empty").is_dir()
+    assert os.readlink(path / "link") == "elsewhere"
+    assert (path / "notes.txt").samefile(tmp_path / "second-name")  # the same file, not a copy
+    run(path)
+    assert set(files(path)) == {"results.json", "notes.txt", "figures/my.png", "summary.html.kept"}
+
+
+def test_a_file_of_the_user_in_the_way_of_a_folder_stays(tmp_path: Path, way: str):
+    path = tmp_path / "report"
+    run(path)
+    fill(path, figures="a file", scores__a="of the user", report_html__x="in a folder of a file's name")
+    run(path, figures__a_svg="<new>", scores="ours", report_html="ours")
+    held = files(path)
+    assert held["figures/a.svg"] == "<new>"
+    assert held["scores"] == held["report.html"] == "ours"
+    assert sorted(held.values()) == sorted(
+        [HEAD, "<new>", "ours", "ours", "a file", "of the user", "in a folder of a file's name"]
+    )
+
+
+def test_a_folder_in_it_that_another_run_replaced_is_ours(tmp_path: Path, way: str):
+    path = tmp_path / "report"
+    run(path, one__results_json=HEAD, one__old_csv="1")
+    run(path / "one", new_csv="2")
+    run(path, one__results_json=HEAD)
+    assert set(files(path)) == {"results.json", "one/results.json"}
+
+
+def test_a_link_is_followed_and_stays(tmp_path: Path, way: str):
+    real = tmp_path / "disk" / "report"
+    run(real, old_csv="1")
+    (tmp_path / "out").symlink_to("disk/report")
+    run(tmp_path / "out", new_csv="2")
+    assert (tmp_path / "out").is_symlink()
+    assert set(files(real)) == {"results.json", "new.csv"}
+
+
+def test_a_folder_from_before_there_was_a_list(tmp_path: Path, way: str):
+    path = tmp_path / "report"
+    fill(path, results_json=HEAD, report_html="old", figures__a_svg="old", one__junit_xml="old", notes_md="mine")
+    run(path, new_csv="2")
+    assert files(path) == {"results.json": HEAD, "new.csv": "2", "notes.md": "mine"}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"thesis_tex": "years of work"},
+        {"results_json": '{"mine": 1}', "thesis_tex": "years of work"},
+        {"results_json": "", "notes": "x"},
+        {"truth_json": '{\n "simulated": true,\n "scene": {}}'},
+    ],
+)
+def test_a_folder_of_somebody_else_is_refused_untouched(tmp_path: Path, content: dict[str, str]):
+    path = tmp_path / "thesis"
+    fill(path, **content)
+    before = files(path)
+    with pytest.raises(UsageError, match="holds files, and not results"), whole_folder(path):
+        raise AssertionError("the block must not begin")
+    assert files(path) == before
+    assert not (path / LOCK).exists()
+
+
+def test_results_and_simulated_collections_do_not_replace_each_other(tmp_path: Path):
+    with whole_folder(tmp_path / "a", COLLECTION) as new:
+        fill(new, truth_json="{}")
+    with pytest.raises(UsageError, match="holds a simulated collection, not results"), whole_folder(tmp_path / "a"):
+        raise AssertionError("the block must not begin")
+    refuse_foreign(tmp_path / "a", COLLECTION)
+    assert files(tmp_path / "a") == {"truth.json": "{}"}
+
+
+def test_a_damaged_list_loses_nothing(tmp_path: Path):
+    path = tmp_path / "report"
+    run(path, notes_txt="1")
+    (path / LIST).write_text('{"schema": 1, "kind": "results", "files": ["../../etc/passwd"]}')
+    run(path, new_csv="2")
+    assert set(files(path)) == {"results.json", "notes.txt", "new.csv"}
+
+
+@pytest.mark.parametrize("name", ["file", "file/out", "n" * 300, "n" * 200 + "/" + "n" * 300])
+def test_places_where_no_folder_can_be_are_the_users_to_mend(tmp_path: Path, name: str):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(UsageError, match=r"is a file|no folder can be made here"), whole_folder(tmp_path / name):
+        raise AssertionError("the block must not begin")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_name_as_long_as_a_name_can_be(tmp_path: Path, way: str):
+    for text in ("1", "2"):
+        run(tmp_path / ("n" * 255), a_csv=text)
+    assert files(tmp_path / ("n" * 255))["a.csv"] == "2"
+
+
+def test_permissions_obey_the_umask(tmp_path: Path):
+    before = os.umask(0o027)
+    try:
+        run(tmp_path / "report")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "report").stat().st_mode) == 0o750
+    assert stat.S_IMODE((tmp_path / "report" / LIST).stat().st_mode) == 0o640
+
+
+def test_two_runs_into_one_folder(tmp_path: Path, way: str):
+    path = tmp_path / "report"
+    with whole_folder(path) as new:
+        fill(new, results_json=HEAD, first_csv="1")
+        with (
+            pytest.raises(UsageError, match=f"another run writes here \\(process {os.getpid()} on "),
+            whole_folder(path),
+        ):
+            raise AssertionError("the block must not begin")
+    assert set(files(path)) == {"results.json", "first.csv"}
+    run(path, second_csv="2")
+    assert set(files(path)) == {"results.json", "second.csv"}
+
+
+def test_the_working_directory_keeps_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "report"
+    run(path, old_csv="1")
+    inode = path.stat().st_ino
+    monkeypatch.chdir(path)
+    run(Path(), new_csv="2")
+    assert path.stat().st_ino == inode
+    assert set(files(Path())) == {"results.json", "new.csv"}
+    assert partial_folder(Path()) == path / folders.PARTIAL
+    (path / "deeper").mkdir()
+    monkeypatch.chdir(path / "deeper")
+    run(path, newer_csv="3")
+    assert path.stat().st_ino == inode
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
+def test_a_parent_that_cannot_be_written(tmp_path: Path):
+    path = tmp_path / "parent" / "report"
+    run(path, old_csv="1")
+    path.parent.chmod(0o555)
+    try:
+        run(path, new_csv="2")
+    finally:
+        path.parent.chmod(0o755)
+    assert set(files(path)) == {"results.json", "new.csv"}
+
+
+def test_a_mounted_volume_is_written_inside(tmp_path: Path):
+    (tmp_path / "volume").mkdir()
+    (tmp_path / "out").mkdir()
+    script = f"""
+        import sys
+        from pathlib import Path
+        from hyperval.folders import swappable, whole_folder
+        out = Path({str(tmp_path / "out")!r})
+        for content in "12":
+            assert not swappable(out)
+            with whole_folder(out) as new:
+                (new / "results.json").write_text(content)
+    """
+    (tmp_path / "script.py").write_text(textwrap.dedent(script))
+    mount = f"mount --bind {tmp_path}/volume {tmp_path}/out && exec {sys.executable} {tmp_path}/script.py"
+    # In a name space of its own, where an ordinary user may mount.
+    trial = subprocess.run(["unshare", "-Urm", "true"], capture_output=True, check=False)
+    if trial.returncode != 0:
+        pytest.skip("this machine lets nobody mount")
+    command = ["unshare", "-Urm", "sh", "-c", mount]
+    done = subprocess.run(command, capture_output=True, check=False, env={**os.environ, "PYTHONPATH": str(SRC)})
+    assert done.returncode == 0, done.stderr
+    assert files(tmp_path / "volume") == {"results.json": "2"}
+
+
+def test_results_that_cannot_be_placed_are_kept_and_named(
+    tmp_path: Path, way: str, monkeypatch: pytest.MonkeyPatch
+):
+    path = tmp_path / "report"
+    run(path, old_csv="1")
+
+    step = "exchange" if way == "exchanged" else "rename"
+    owner = folders if way == "exchanged" else os
+    real, calls = getattr(owner, step), []
+
+    def first_fails(source: Path, target: Path) -> None:
+        calls.append(source)
+        if len(calls) == 1:
+            raise OSError(errno.EBUSY, "busy")
+        real(source, target)
+
+    monkeypatch.setattr(owner, step, first_fails)
+    with pytest.raises(Unplaced, match=r"could not be put here: busy(?s:.*)they are complete in .*\.unplaced"):
+        run(path, new_csv="2")
+    monkeypatch.undo()
+    assert set(files(path)) == {"results.json", "old.csv"}
+    (safe,) = (p for p in tmp_path.iterdir() if p != path)
+    assert files(safe)["new.csv"] == "2"
+    run(path, newer_csv="3")
+    assert files(safe)["new.csv"] == "2"
+
+
+KILLED = """
+import os, signal, sys
+sys.path.insert(0, {src!r})
+from pathlib import Path
+from hyperval import folders
+if {inside}:
+    folders.swappable = lambda path: False
+WRITES = {{"os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.link", "os.chmod", "shutil.rmtree", "os.truncate"}}
+left = [{steps}]
+def hook(event, args):
+    if event in WRITES or event == "open" and isinstance(args[1], str) and args[1][0] in "wxa":
+        if not any({parent!r} in str(a) or isinstance(a, str) and a.startswith(".hyperval") for a in args):
+            return
+        left[0] -= 1
+        if left[0] == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+sys.addaudithook(hook)
+with folders.whole_folder(Path({path!r})) as new:
+    (new / "figures").mkdir()
+    (new / "results.json").write_text({head!r})
+    (new / "a.csv").write_text("new")
+    (new / "figures" / "a.svg").write_text("new")
+    (new / "figures" / "b.svg").write_text("new")
+"""
+
+
+@pytest.mark.parametrize("first", [True, False], ids=["first run", "second run"])
+def test_killed_at_any_point_the_old_report_or_the_new_one(tmp_path: Path, way: str, first: bool):
+    new = {"results.json": HEAD, "a.csv": "new", "figures/a.svg": "new", "figures/b.svg": "new"}
+    outcomes, codes, steps = [], [], 0
+    while not codes or codes[-1] != 0:
+        steps += 1
+        path = tmp_path / str(steps) / "report"
+        path.parent.mkdir()
+        old: dict[str, str] = {}
+        if not first:
+            run(path, a_csv="old", figures__a_svg="old", figures__c_svg="old")
+            fill(path, notes_txt="mine")
+            old = files(path)
+        script = KILLED.format(
+            src=str(SRC), inside=way == "inside", steps=steps, parent=str(path.parent), path=str(path), head=HEAD
+        )
+        codes.append(subprocess.run([sys.executable, "-S", "-c", script], check=False).returncode)
+        mine = {} if first else {"notes.txt": "mine"}
+        there = {k: v for k, v in files(path).items() if not k.startswith(".hyperval")} if path.exists() else {}
+        whole = there in (old, new | mine)
+        if way == "exchanged":
+            assert whole, (steps, there)
+        else:  # file by file: what is neither bears no results, and the next run finishes it
+            assert whole or "results.json" not in there, (steps, there)
+        if not first:
+            assert there["notes.txt"] == "mine"
+        seen = []
+        with whole_folder(path) as made:  # the next run
+            seen.append({k: v for k, v in files(path).items() if not k.startswith(".hyperval")})
+            fill(made, results_json=HEAD)
+        assert seen[0] in (old, new | mine), (steps, seen)
+        outcomes.append(seen[0] != old)
+        assert set(files(path)) == {"results.json", *mine}
+        assert {p.name for p in path.parent.iterdir()} == {"report"}  # nothing is left behind
+    assert set(codes[:-1]) == {-9}
+    assert outcomes == sorted(outcomes)  # the old one up to a point, the new one from there on
+    assert steps > 15
