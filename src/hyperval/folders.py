@@ -358,7 +358,8 @@ def _unplaced(new: Path, place: Path, error: OSError) -> Unplaced:
     safe = new if new.exists() else place / _SWAP
     for folder in (place.parent, place):
         try:
-            target = _kept_name(folder / f"{place.name[:60]}.unplaced")
+            target = folder / f"{place.name[:60]}.unplaced"
+            target = _kept_name(target) if os.path.lexists(target) else target
             os.rename(safe, target)
             safe = target
             break
