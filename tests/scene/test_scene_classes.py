@@ -7,7 +7,7 @@ import pytest
 
 from hyperval.errors import UsageError
 from hyperval.scene.builtin import builtin_class
-from hyperval.scene.fill import FillDistribution, TargetGeometry, best_pixel_fill, beta_fill, ranked_pixel_fill
+from hyperval.scene.fill import FillDistribution, TargetGeometry, beta_fill, ranked_pixel_fill
 from hyperval.scene.mixture import average_reflectance
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
@@ -84,15 +84,15 @@ def test_binned_distribution_keeps_mean_and_nearly_the_variance():
 
 
 def test_random_heading_and_blur_lower_the_best_pixel():
-    sharp = best_pixel_fill(TargetGeometry(1.0, 1.0, 0.7, 0.0, 0.0))
-    blurred = best_pixel_fill(TargetGeometry(1.0, 1.0, 0.7, None, 1.0))
+    sharp = ranked_pixel_fill(TargetGeometry(1.0, 1.0, 0.7, 0.0, 0.0), 1)
+    blurred = ranked_pixel_fill(TargetGeometry(1.0, 1.0, 0.7, None, 1.0), 1)
     assert blurred.mean < sharp.mean
 
 
 @pytest.mark.parametrize("side", [0.3, 0.5, 0.77, 0.9])
 def test_positions_are_enough(side):
     """The sampled positions against the closed form of a small square at a random place: mean within 1e-4."""
-    found = best_pixel_fill(TargetGeometry(side, side, 1.0))
+    found = ranked_pixel_fill(TargetGeometry(side, side, 1.0), 1)
     assert found.mean == pytest.approx((side - side**2 / 4) ** 2, rel=1e-4)
 
 

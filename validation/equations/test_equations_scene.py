@@ -8,13 +8,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import dblquad
+from scipy.special import ndtr
 
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.scene.builtin import builtin_class, builtin_modes
+from hyperval.scene.builtin import _SURFACES, builtin_class
 from hyperval.scene.fill import (
     TargetGeometry,
-    aligned_fill,
-    best_pixel_fill,
     beta_fill,
     fixed_fill,
     lattice_positions,
@@ -152,34 +151,49 @@ def test_3_12_by_monte_carlo():
     assert expected[0, 0] / printed[0, 0] > 5  # the variance of the fill dominates at this contrast
 
 
-def test_fill_of_an_aligned_square_by_hand():
+def aligned_fill(length, width, offset, blur):
+    """Fill of a pixel by an aligned rectangle in closed form; sides along y and x, offset (x, y) of centres."""
+
+    def ramp(z, s):  # integral of the normal distribution function
+        return z * ndtr(z / s) + s * np.exp(-0.5 * (z / s) ** 2) / np.sqrt(2 * np.pi) if s else max(z, 0.0)
+
+    fill = 1.0
+    for u, side, fwhm in zip(offset, (width, length), blur[::-1], strict=True):
+        s = fwhm / (2 * np.sqrt(2 * np.log(2)))
+        ends = [(sign, u + 0.5 * sign * side) for sign in (1, -1)]
+        fill *= sum(sign * (ramp(end + 0.5, s) - ramp(end - 0.5, s)) for sign, end in ends)
+    return fill
+
+
+def test_the_closed_form_by_hand():
     # A square of 1 pixel side shifted by (0.25, 0.4): (1 - 0.25)(1 - 0.4) = 0.45 of the pixel.
-    assert aligned_fill(1.0, 1.0, [0.25, 0.4]) == pytest.approx(0.45, rel=1e-14)
+    assert aligned_fill(1.0, 1.0, [0.25, 0.4], (0.0, 0.0)) == pytest.approx(0.45, rel=1e-14)
     # Side 0.5 inside the pixel: its area, 0.25.
-    assert aligned_fill(0.5, 0.5, [0.1, 0.1]) == pytest.approx(0.25, rel=1e-14)
+    assert aligned_fill(0.5, 0.5, [0.1, 0.1], (0.0, 0.0)) == pytest.approx(0.25, rel=1e-14)
 
 
 def test_fill_with_blur_by_numerical_integration():
     s = 0.8 / (2 * np.sqrt(2 * np.log(2)))
-    from scipy.stats import norm
 
     def response(x: float) -> float:
-        return float(norm.cdf((x + 0.5) / s) - norm.cdf((x - 0.5) / s))
+        return float(ndtr((x + 0.5) / s) - ndtr((x - 0.5) / s))
 
     value, _ = dblquad(lambda y, x: response(x) * response(y), 0.1 - 0.6, 0.1 + 0.6, 0.2 - 0.9, 0.2 + 0.9)
-    assert aligned_fill(1.8, 1.2, [0.1, 0.2], 0.8) == pytest.approx(value, abs=1e-8)
+    fills = pixel_fills(TargetGeometry(1.8, 1.2, 1.0, 0.0, 0.8), np.array([[0.1, 0.2]]), [0.0])[0]
+    assert fills[len(fills) // 2, len(fills) // 2] == pytest.approx(value, abs=1e-8)
 
 
-@pytest.mark.parametrize("blur", [0.0, 0.7, 1.5])
+@pytest.mark.parametrize("blur", [0.0, 0.7, 1.5, (1.4, 0.3), (0.0, 1.0), (1.0, 0.0)])
 def test_pixel_fills_agree_with_the_closed_form_and_conserve_area(blur):
     geometry = TargetGeometry(1.3, 0.8, 0.7, 0.0, blur)
     offset = np.array([[0.13, -0.31], [0.5, 0.5]])
     fills = pixel_fills(geometry, offset, [0.0, 0.0])
     half = fills.shape[1] // 2
+    both = blur if isinstance(blur, tuple) else (blur, blur)
     for k in range(2):
         for along in (-1, 0, 1):
             for across in (-1, 0, 1):
-                expected = aligned_fill(1.3 / 0.7, 0.8 / 0.7, offset[k] - [across, along], blur)
+                expected = aligned_fill(1.3 / 0.7, 0.8 / 0.7, offset[k] - [across, along], both)
                 assert fills[k, half + along, half + across] == pytest.approx(expected, abs=1e-9)
     turned = pixel_fills(geometry, offset, [37.0, 81.0])
     for each in (fills, turned):
@@ -207,9 +221,9 @@ def test_best_pixel_of_a_small_square_by_closed_form():
     # A square of side a < 1 at a random place: in one direction the best pixel holds a when it does not
     # cross an edge (probability 1 - a), else uniform between a/2 and a: mean a - a^2/4, squared for two.
     a = 0.6
-    found = best_pixel_fill(TargetGeometry(a, a, 1.0))
+    found = ranked_pixel_fill(TargetGeometry(a, a, 1.0), 1)
     assert found.mean == pytest.approx((a - a**2 / 4) ** 2, rel=1e-4)  # 377 positions stand for the integral
-    centred = best_pixel_fill(TargetGeometry(a, a, 1.0, phase="centred"))
+    centred = ranked_pixel_fill(TargetGeometry(a, a, 1.0, phase="centred"), 1)
     assert (centred.mean, centred.variance) == pytest.approx((0.36, 0.0))
 
 
@@ -237,6 +251,7 @@ def test_fills_by_moments():
 
 def test_builtin_covariance_is_the_sum_of_its_modes():
     axis = SpectralAxis(np.linspace(400, 2450, 50), np.full(50, 10.0))
-    modes, spread = builtin_modes("grass", axis)
-    expected = sum(np.outer(m, m) for m in modes) + spread**2 * np.eye(50)
+    surface = _SURFACES["grass"]
+    modes = [mode(axis.centre_nm) for mode in surface.modes.values()]
+    expected = sum(np.outer(m, m) for m in modes) + surface.band_spread**2 * np.eye(50)
     assert builtin_class("grass", axis).covariance == pytest.approx(expected, rel=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.sensor.noise import (
-    add_noise,
+    NoiseModel,
     bit_error_variance,
     calibration_variance,
     detector_radiance_variance,
@@ -16,6 +16,7 @@ from hyperval.sensor.noise import (
     shot_variance,
     signal_to_noise,
 )
+from hyperval.sensor.recorded import with_signal
 from hyperval.sensor.response import (
     ELECTRONS_PER_UNIT,
     aperture_throughput,
@@ -108,7 +109,48 @@ def test_3_19_per_word_is_the_printed_form():
 
 def test_3_20_by_hand():
     assert signal_to_noise(6.0, 0.01935 + 0.0009) == pytest.approx(6 / np.sqrt(0.02025))
-    assert np.array_equal(add_noise([[1.0, 0.5], [0.5, 2.0]], [0.1, 0.2]), [[1.1, 0.5], [0.5, 2.2]])
+
+
+def physical(**changes):
+    """One band: 1000 electrons per radiance, 60 electrons fixed, LSB of 30 electrons, 12 bits, C_R 0.5 %."""
+    values = {
+        "electrons_per_radiance": np.array([1000.0]), "detector_gain": 1.5, "fixed_noise": np.array([60.0]),
+        "lsb_electrons": np.array([30.0]), "bits": np.array([12]), "bit_error_rate": np.array([1e-9]),
+        "bit_error_per": "bit", "calibration_percent": np.array([0.5]),
+    }  # fmt: skip
+    return NoiseModel(**{**values, **changes})
+
+
+def test_3_13_to_3_19_every_term_of_a_sensor_by_hand():
+    parts = physical().breakdown([5.0])
+    assert parts.shot == pytest.approx([2.25 * 5000 / 1e6])
+    assert parts.fixed == pytest.approx([2.25 * 3600 / 1e6])
+    assert parts.quantisation == pytest.approx([900 / 12 / 1e6])
+    assert parts.bit_errors == pytest.approx([900e-9 * (4**12 - 1) / 3 / 1e6])
+    assert parts.calibration == pytest.approx([0.025**2])
+    assert physical().variance([5.0]) == pytest.approx(parts.total)
+
+
+def test_3_13_to_3_18_a_sensor_by_a_simulated_detector():
+    """1e6 readings of one pixel: Poisson, normal, rounded; |z| < 5, false failure 6e-7."""
+    rng = np.random.default_rng(316)
+    n = 1_000_000
+    electrons = rng.poisson(5000, n) + rng.normal(0, 60, n)
+    radiance = np.round(electrons / 30) * 30 / 1000
+    steady = physical(detector_gain=1.0, bit_error_rate=np.zeros(1))
+    expected = float(steady.variance([5.0], calibration=False)[0])
+    assert abs(radiance.var() - expected) < 5 * expected * np.sqrt(2 / n)
+
+
+def test_3_13_more_signal_by_hand():
+    # Twice the electrons: L/g of the photons halves, (sigma_f/g)^2 and the rest of the word go down fourfold.
+    before, after = physical().breakdown([5.0]), with_signal(physical(), 2.0).breakdown([5.0])
+    for name, factor in (("shot", 2), ("fixed", 4), ("quantisation", 4), ("bit_errors", 4), ("calibration", 1)):
+        assert getattr(after, name) * factor == pytest.approx(getattr(before, name))
+    # A measured sensor |a sqrt(b + L)| has g = 1/a^2: the photons' part a^2 L halves, a^2 b goes down fourfold.
+    measured = (np.array([0.02]), np.array([3.0]), np.zeros(1))
+    found = with_signal(physical(measured=measured), 2.0).measured
+    assert measured_noise_variance([5.0], *found) == pytest.approx([0.0004 * (5 / 2 + 3 / 4)])
 
 
 def test_measured_noise_is_the_physical_model():

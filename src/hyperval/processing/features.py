@@ -10,12 +10,6 @@ from hyperval.errors import UsageError
 Array = npt.NDArray[np.float64]
 
 
-def channel_selection(keep: npt.ArrayLike) -> Array:
-    """Psi of unit rows (F, B) that picks the channels of the mask ``keep`` (B,) (3.21)."""
-    mask = np.asarray(keep, dtype=bool)
-    return np.eye(mask.size)[mask]
-
-
 def principal_components(covariance: npt.ArrayLike, count: int) -> Array:
     """Psi (count, B) whose rows are the leading eigenvectors of a covariance (B, B), largest first (3.21).
 

@@ -221,11 +221,3 @@ def _evaluated(name: str, centre: bytes, fwhm: bytes, good: bytes) -> ClassStati
         covariance,
         source=f"built-in parametric curve of {surface.words}; a definition of this project, not a measurement",
     )
-
-
-def builtin_modes(name: str, axis: SpectralAxis) -> tuple[Array, float]:
-    """The modes (M, B), one standard deviation each, and the band spread behind Sigma_m of 3.11 [1]."""
-    builtin_class(name, axis)
-    grey = _GREY.match(name)
-    surface = _panel(int(grey.group(1)) / 100.0, 0.04) if grey else _SURFACES[name]
-    return np.stack([mode(axis.centre_nm) for mode in surface.modes.values()]), surface.band_spread

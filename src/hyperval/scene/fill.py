@@ -119,11 +119,6 @@ def beta_fill(mean: float, sd: float, nodes: int = 48) -> FillDistribution:
     return FillDistribution(np.clip(f, 0.0, 1.0), np.full(nodes, 1.0 / nodes))
 
 
-def best_pixel_fill(geometry: TargetGeometry) -> FillDistribution:
-    """Distribution of the fill of the pixel that holds most of the target (f of 3.10)."""
-    return ranked_pixel_fill(geometry, 1)
-
-
 def ranked_pixel_fill(geometry: TargetGeometry, n: int) -> FillDistribution:
     """Distribution of f over the ``n`` fullest pixels of an object, each counted alike (f of 3.10)."""
     values = object_fills(geometry, n).ravel()
@@ -211,23 +206,6 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     z = (y + at[:, 1:2])[:, :, None] - pixels
     along = _aperture(z, s_y) * dy[:, :, None]
     return np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0)  # rounding alone leaves 0-1
-
-
-def aligned_fill(length: float, width: float, offset: npt.ArrayLike, psf_fwhm_pixels: Blur = 0.0) -> Array:
-    """Fill of one pixel by an aligned rectangle, in closed form (f of 3.10) [1].
-
-    Parameters
-    ----------
-    length, width : sides along y and x [pixels]
-    offset : (..., 2) centre of the rectangle (x, y) from the centre of the pixel [pixels]
-    """
-    s_y, s_x = _sigmas(psf_fwhm_pixels)
-    at = np.asarray(offset, dtype=float)
-
-    def side(u: Array, a: float, s: float) -> Array:
-        return _step_response(u + 0.5 * a, s) - _step_response(u - 0.5 * a, s)
-
-    return np.asarray(side(at[..., 0], width, s_x) * side(at[..., 1], length, s_y))
 
 
 def _sigmas(blur: Blur) -> tuple[float, float]:

@@ -209,8 +209,3 @@ class NoiseModel:
 def signal_to_noise(radiance: npt.ArrayLike, variance: npt.ArrayLike) -> Array:
     """L over the root of all noise variances, in one unit (3.20) [1]."""
     return np.asarray(np.asarray(radiance, dtype=float) / np.sqrt(np.asarray(variance, dtype=float)))
-
-
-def add_noise(covariance: npt.ArrayLike, variance: npt.ArrayLike) -> Array:
-    """Covariance (B, B) with noise variances (B,) added on its diagonal (3.16, 3.17): channels are independent."""
-    return np.asarray(np.asarray(covariance, dtype=float) + np.diag(np.asarray(variance, dtype=float)))
