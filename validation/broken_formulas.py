@@ -1,8 +1,8 @@
 """Break every formula of the model, one at a time, and see whether the evidence of the equations turns red.
 
-A formula is a statement, or an argument, on whose line a comment states its equation: ``# (3.28)``.  It is broken
-by a tenth in the function that production calls, and the tests of validation/equations that call the function are run
-again; at least one has to fail.
+A formula is a statement, or an argument, on whose line a comment states its equation: ``# (3.28)``.  It is
+broken by a tenth in the function that production calls, and the tests of validation/equations that call the
+function are run again; at least one has to fail.
 
     python validation/broken_formulas.py [--factor 1.1] [--only TEXT]
 
