@@ -103,7 +103,8 @@ class Collection(Model):
             raise ValueError("give exactly one of cube, spectra")
         if self.simulate and self.cube is None:
             raise ValueError("a simulated collection is a cube: give cube.path as simulated:NAME_rad.img")
-        if self.cube and self.cube.quantity == "radiance" and self.cube.unit is None and not self.simulate:
+        cube = self.cube
+        if cube and cube.quantity == "radiance" and not (cube.unit or self.simulate or cube.may_state_unit):
             raise ValueError("the unit of the radiance is not stated: cube.unit, such as uW cm-2 sr-1 nm-1")
         if self.spectra and self.bands is None:
             raise ValueError("spectra need 'bands': a table of band centres and widths")

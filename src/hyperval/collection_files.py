@@ -2,26 +2,38 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, model_validator
 
 from hyperval.config import Model, RadianceUnit, WavelengthUnit
 
+_SELF_DESCRIBING = (".nc", ".nc4", ".h5", ".hdf5", ".he5", ".hdf", ".zarr", ".xml", ".tif", ".tiff")
+
 
 class CubeSource(Model):
     """An image cube on disk."""
 
     path: str
+    variable: str | None = Field(None, description="which array is the image, where a file holds several")
+    engine: str | None = Field(None, description="engine of xarray that opens the file; None: as its content says")
     header: str | None = Field(None, description="ENVI header that describes it, when it is not beside the cube")
     quantity: Literal["radiance", "reflectance"]
-    unit: RadianceUnit | None = Field(None, description="of the scaled radiance; only simulated ones need none")
+    unit: RadianceUnit | None = Field(
+        None, description="of the scaled radiance; None: the product's own, or that of a simulation"
+    )
     scale: float | None = Field(None, gt=0, description="stored value times this is the value; None: the header's")
     wavelength_unit: WavelengthUnit | None = Field(None, description="stated when the header does not say nm or um")
     sort_bands: bool = Field(False, description="sort bands whose wavelengths fall, as where detectors overlap")
     glt: str | None = Field(
-        None, description="geographic lookup table of a cube in scanner geometry: places regions and targets"
+        None, description="geographic lookup table of a cube in scanner geometry; None: the product's own"
     )
+
+    @property
+    def may_state_unit(self) -> bool:
+        """Whether files of this kind can say themselves what unit their radiance is in."""
+        return Path(self.path).suffix.lower() in _SELF_DESCRIBING
 
 
 class SpectrumCollection(Model):

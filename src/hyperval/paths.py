@@ -24,7 +24,20 @@ def checked_file(path: Path | str, *, root: Path | None = None, what: str = "fil
     scheme = re.match(r"^[A-Za-z][A-Za-z0-9+._-]+:", text)
     if scheme or text.startswith("/vsi") or "\0" in text:
         raise UsageError(f"not a path of a local {what}", where=text[:200], expected="a path in the file system")
-    given = Path(text)
+    return _checked(Path(text), root, what, folder=False)
+
+
+def checked_folder(path: Path | str, *, root: Path | None = None, what: str = "folder") -> Path:
+    """The path of a folder under ``root`` that holds all of its files, by the rules of :func:`checked_file`."""
+    given = _checked(Path(path), root, what, folder=True)
+    real = given.resolve()
+    if any(not p.resolve().is_relative_to(real) for p in given.rglob("*")):
+        raise UsageError(f"the {what} leads to files outside it", where=str(path), mend="copy the files into it")
+    return given
+
+
+def _checked(given: Path, root: Path | None, what: str, *, folder: bool) -> Path:
+    text = os.fspath(given)
     try:
         real = given.resolve(strict=True)
         mode = real.stat().st_mode
@@ -36,7 +49,9 @@ def checked_file(path: Path | str, *, root: Path | None = None, what: str = "fil
         raise UsageError(
             f"the {what} lies outside the data root {root}", where=text, mend="move the file under the data root"
         )
-    if not stat.S_ISREG(mode):
-        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, socket or device"
-        raise InputError(f"is {kind}, not a {what}", where=text, expected="a regular file")
+    if not (stat.S_ISDIR(mode) if folder else stat.S_ISREG(mode)):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a file" if stat.S_ISREG(mode) else "a pipe, socket or device"
+        raise InputError(
+            f"is {kind}, not a {what}", where=text, expected="a folder" if folder else "a regular file"
+        )
     return given

@@ -13,7 +13,8 @@ from hyperval.compare.gates import Gate
 from hyperval.config import load_yaml, validate
 from hyperval.datasets import held_set, how_to_get
 from hyperval.file_names import matching
-from hyperval.imagery.rasters import TIFF_SUFFIXES, header_beside
+from hyperval.imagery.envi_raster import header_beside
+from hyperval.imagery.rasters import needs_header
 from hyperval.scenario import Scenario, builtin_scenarios
 
 FILE, VALUE, COMPARISON = "file", "value", "comparison"
@@ -92,7 +93,7 @@ def _file(name: str, reference: Reference, text: Text) -> list[Item]:
     size = sum(p.stat().st_size for p in found)
     detail = f"{size} bytes" if len(found) == 1 else f"{len(found)} files, {size} bytes"
     rows = [Item(name, FILE, FOUND, reference.text, detail)]
-    if reference.key == "collection.cube.path" and path.suffix.lower() not in TIFF_SUFFIXES:
+    if reference.key == "collection.cube.path" and needs_header(path):
         given = text.content["collection"]["cube"].get("header")
         if given is None and path.suffix.lower() != ".hdr" and header_beside(path) is None:
             rows.append(Item(name, FILE, MISSING, f"{reference.text}.hdr", "the ENVI header beside the cube"))

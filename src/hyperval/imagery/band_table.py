@@ -188,9 +188,11 @@ def stated_unit(in_file: str | None, given: str | None, values: Array, where: st
     return text, ()
 
 
-def wavelengths_in_nm(values: npt.NDArray[np.float64], unit: str, where: str) -> npt.NDArray[np.float64]:
-    """Wavelengths in nm; UsageError when they are implausible in ``unit``."""
+def wavelengths_in_nm(values: Array, unit: str, where: str, *, width: bool = False) -> Array:
+    """Wavelengths, or widths of bands, in nm; UsageError when wavelengths are implausible in ``unit``."""
     nm = values * wavelength_to_nm(unit)
+    if width:
+        return nm
     low, high = PLAUSIBLE_NM
     if nm.min() < low or nm.max() > high:
         raise UsageError(

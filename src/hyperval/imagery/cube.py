@@ -173,7 +173,7 @@ class Cube:
         not applied.  ``buffer``: as for :meth:`EnviRaster.read_bands`.
         """
         stored = self.raster.read_bands(first_line, count, buffer)
-        if np.any(self.stored_band != np.arange(self.stored_band.size)):
+        if self._reordered:
             stored = stored[self.stored_band]
         usable = usable_pixels(
             stored, ignore=self.ignore_value, zero_is_fill=self.quantity != "other", needed=needed
@@ -199,6 +199,12 @@ class Cube:
         stored = self.raster.read_pixels(rows, cols)
         return self._physical(stored, np.dtype(np.float64))
 
+    @property
+    def _reordered(self) -> bool:
+        """Whether the bands of the axis are not all of the stored bands in their order."""
+        order = self.stored_band
+        return order.size != self.raster.bands or bool(np.any(order != np.arange(order.size)))
+
     def _index(self, where: Where) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         if isinstance(where, tuple):
             rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
@@ -220,7 +226,7 @@ class Cube:
     def _physical(self, stored: npt.NDArray[Any], dtype: np.dtype) -> tuple[npt.NDArray[Any], Mask]:
         """Values (..., B) in the bands of the axis, and which pixels (...) are valid."""
         order = self.stored_band
-        if np.any(order != np.arange(order.size)):
+        if self._reordered:
             stored = stored[..., order]
         values = np.empty(stored.shape, dtype)
         np.multiply(stored, self.scaling.gain[order].astype(dtype), out=values, dtype=dtype, casting="unsafe")
@@ -252,14 +258,16 @@ def open_cube(
     axis: SpectralAxis | None = None,
     sort_bands: bool = False,
     check_values: bool = True,
+    variable: str | None = None,
+    engine: str | None = None,
 ) -> Cube:
-    """Open an ENVI cube (BSQ, BIL, BIP) or a GeoTIFF.
+    """Open an ENVI cube (BSQ, BIL, BIP), a GeoTIFF, or the image of an HDF5, NetCDF or Zarr product.
 
     Parameters
     ----------
-    path : data file, ENVI header or GeoTIFF
+    path : data file, ENVI header, GeoTIFF or its METADATA.XML
     quantity : what the values are; "other" is handed out as stored
-    unit : unit of the (scaled) values; required for a radiance
+    unit : unit of the (scaled) values; required for a radiance whose file states none
     scale : multiplies the stored values and replaces the header's scale factors; None takes those
     wavelength_unit : nm or um, where the header states none
     header : the ENVI header, when it does not lie beside the data
@@ -267,29 +275,60 @@ def open_cube(
     axis : the bands, for a file that lists no wavelengths
     sort_bands : sort bands whose wavelengths do not increase; ``stored_band`` records the permutation
     check_values : look at some lines for a scale that was not stated
+    variable, engine : array that is the image, where a file of arrays leaves a choice, and the engine of xarray
 
     Raises
     ------
     InputError : missing, truncated or overlong files, headers that contradict them, implausible values.
     UsageError : a unit that is not stated, or paths that may not be opened.
     """
-    raster = open_raster(path, header=header, root=root)
-    table = _table(raster, axis, wavelength_unit, sort_bands)
-    scaling = scaling_of(
-        raster.header,
-        raster.bands,
+    raster = open_raster(path, header=header, root=root, variable=variable, engine=engine)
+    return cube_of(
+        raster,
         quantity=quantity,
         unit=unit,
         scale=scale,
-        file_gains=raster.gains if isinstance(raster, TiffRaster) else (),
-        file_offsets=raster.offsets if isinstance(raster, TiffRaster) else (),
+        wavelength_unit=wavelength_unit,
+        axis=axis,
+        sort_bands=sort_bands,
+        check_values=check_values,
     )
-    entries = dict(raster.header.extras) if raster.header is not None else {}
-    notes = (raster.header.notes if raster.header is not None else ()) + table.notes + scaling.notes
-    # Read here, so that a position that is not understood is refused on opening.
-    if raster.transform is not None and raster.crs is None:
+
+
+def cube_of(
+    raster: Raster,
+    *,
+    quantity: Quantity,
+    unit: str | None = None,
+    scale: float | None = None,
+    wavelength_unit: str | None = None,
+    axis: SpectralAxis | None = None,
+    sort_bands: bool = False,
+    check_values: bool = True,
+) -> Cube:
+    """The cube of an opened raster, by the rules of :func:`open_cube`."""
+    table = _table(raster, axis, wavelength_unit, sort_bands)
+    about = raster.description
+    if about is not None:
+        scaling = about.scaling(quantity, unit, scale, str(raster.path))
+    else:
+        scaling = scaling_of(
+            raster.header,
+            raster.bands,
+            quantity=quantity,
+            unit=unit,
+            scale=scale,
+            file_gains=raster.gains if isinstance(raster, TiffRaster) else (),
+            file_offsets=raster.offsets if isinstance(raster, TiffRaster) else (),
+        )
+    entries = dict(raster.header.extras) if raster.header is not None else dict(about.entries) if about else {}
+    notes = raster.header.notes if raster.header is not None else about.all_notes if about is not None else ()
+    notes += table.notes + scaling.notes
+    if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
     ignore = raster.header.number("data ignore value") if raster.header is not None else None
+    if ignore is None and about is not None:
+        ignore = about.ignore_value
     if ignore is None and isinstance(raster, TiffRaster):
         ignore = raster.nodata
     cube = Cube(
@@ -317,6 +356,8 @@ def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_ban
         return BandTable(axis, np.arange(raster.bands), ("wavelengths as given beside the cube",))
     if raster.header is not None and raster.header.text("wavelength") is not None:
         return band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
+    if raster.description is not None:
+        return raster.description.band_table(unit, where, sort_bands=sort_bands)
     if isinstance(raster, TiffRaster) and raster.wavelength_um:
         centre = wavelengths_in_nm(np.array(raster.wavelength_um), "um", where)
         good = ~np.isin(np.arange(raster.bands), raster.bad_bands)

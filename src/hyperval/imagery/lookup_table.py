@@ -131,14 +131,14 @@ class LookupTable:
         return (stored[1], stored[0]) if self.swapped else (stored[0], stored[1])
 
 
-def open_lookup_table(path: Path | str, shape: tuple[int, int]) -> LookupTable:
-    """Open the GLT of a raw image of ``shape`` (lines, samples); all of it is read once and checked.
+def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> LookupTable:
+    """Open the GLT (a file, or its raster) of a raw image of ``shape`` (lines, samples); all of it is checked.
 
     Raises
     ------
     InputError : not two bands of whole numbers on a map grid, or pixels that the image does not have.
     """
-    raster = open_raster(path)
+    raster = open_raster(table) if isinstance(table, Path | str) else table
     where = str(raster.path)
     if raster.bands != 2 or raster.dtype.kind not in "iu":
         raise InputError(
@@ -148,10 +148,10 @@ def open_lookup_table(path: Path | str, shape: tuple[int, int]) -> LookupTable:
         raise InputError("the lookup table has no 'map info'", where=where)
     names = (raster.header.strings("band names") if raster.header is not None else None) or ()
     swapped = len(names) == 2 and "line" in names[0].lower() and "sample" in names[1].lower()
-    table = LookupTable(raster, raster.transform, raster.crs, shape, swapped)
+    opened = LookupTable(raster, raster.transform, raster.crs, shape, swapped)
     filled = greatest_sample = greatest_line = 0
     for first in range(0, raster.lines, _BLOCK):
-        sample, line = table._read(first, min(_BLOCK, raster.lines - first))
+        sample, line = opened._read(first, min(_BLOCK, raster.lines - first))
         if np.any((sample == 0) != (line == 0)) or np.any((sample < 0) != (line < 0)):
             raise InputError(
                 f"cells where one of sample and line is 0 or negative (in lines {first}-{first + len(sample) - 1})",
@@ -170,7 +170,7 @@ def open_lookup_table(path: Path | str, shape: tuple[int, int]) -> LookupTable:
             expected=f"{shape[0]} lines and {shape[1]} samples, as the cube",
             mend="give the lookup table of this flight line",
         )
-    return table
+    return opened
 
 
 def divided(ring: Array, where: str) -> Array:

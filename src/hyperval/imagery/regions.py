@@ -17,8 +17,9 @@ from skimage.measure import label
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import regions_envi, regions_files, regions_vector
 from hyperval.imagery.drawing import WARNING, Drawing
+from hyperval.imagery.envi_raster import header_beside
 from hyperval.imagery.polygons import Position, polygon_mask
-from hyperval.imagery.rasters import TIFF_SUFFIXES, header_beside
+from hyperval.imagery.tiff_raster import TIFF_SUFFIXES
 from hyperval.paths import checked_file
 
 Mask = npt.NDArray[np.bool_]

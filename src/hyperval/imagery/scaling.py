@@ -53,12 +53,8 @@ def scaling_of(
     InputError : the header gives a scale factor that is zero or two that exclude each other.
     UsageError : an unknown unit or quantity, a radiance without unit, or a scale that is no number.
     """
-    to_internal, name = _unit_factor(quantity, unit)
-    if scale is not None:
-        if not np.isfinite(scale) or scale <= 0:
-            raise UsageError(f"scale is {scale:g}", expected="a positive number that multiplies the stored values")
-        gain, offset, note = np.full(bands, float(scale)), np.zeros(bands), f"stored values x {scale:g} (stated)"
-    else:
+    gain, offset, note = np.ones(bands), np.zeros(bands), ""
+    if scale is None:
         gain, offset, note = _from_header(header, bands, quantity)
         tagged = np.array(file_gains or (1.0,) * bands), np.array(file_offsets or (0.0,) * bands)
         if np.any(tagged[0] != 1.0) or np.any(tagged[1] != 0.0):
@@ -68,7 +64,25 @@ def scaling_of(
                     where=str(header.path) if header else None,
                     mend="state scale: in the campaign",
                 )
-            gain, offset, note = tagged[0], tagged[1], "scale and offset tags of the GeoTIFF"
+            gain, offset, note = *tagged, "scale and offset tags of the GeoTIFF"
+    return scaled(gain, offset, note, quantity=quantity, unit=unit, scale=scale)
+
+
+def scaled(
+    gain: Array, offset: Array, note: str, *, quantity: str, unit: str | None, scale: float | None
+) -> Scaling:
+    """The gain and offset of a file in the internal unit; ``scale`` takes their place.
+
+    Raises
+    ------
+    UsageError : as for :func:`scaling_of`.
+    """
+    to_internal, name = _unit_factor(quantity, unit)
+    if scale is not None:
+        if not np.isfinite(scale) or scale <= 0:
+            raise UsageError(f"scale is {scale:g}", expected="a positive number that multiplies the stored values")
+        gain, offset = np.full(gain.size, float(scale)), np.zeros(gain.size)
+        note = f"stored values x {scale:g} (stated)"
     return Scaling(gain * to_internal, offset * to_internal, name, (note,) if note else ())
 
 

@@ -24,9 +24,11 @@ from hyperval.collection_files import (
 )
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.acquisition import acquisition_notes
+from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.regions import Region, guard, holes, overlaps, read_regions, rectangle_region
+from hyperval.imagery.trees import lookup_raster
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.progress import track
@@ -140,7 +142,8 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
 
 def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> LookupTable | None:
     if source.glt is None:
-        return None
+        own = lookup_raster(cube.raster) if isinstance(cube.raster, ArrayRaster) else None
+        return None if own is None else open_lookup_table(own, cube.shape)
     if cube.transform is not None:
         raise UsageError(
             "the cube has a map position, and 'cube.glt' is stated",
@@ -213,11 +216,16 @@ def _between(targets: Sequence[TargetObject]) -> str:
 
 def open_source(source: CubeSource, resolve: Resolve, bands: BandTable | None = None) -> Cube:
     """Open the cube that a campaign names, with its bands from a table where the campaign names one."""
+    unit = source.unit if source.quantity == "radiance" else None
+    if unit is None and source.quantity == "radiance" and not source.may_state_unit:
+        unit = RADIANCE_UNIT  # as simulations write it; others that state none were refused with the campaign
     return open_cube(
         resolve(source.path),
         axis=None if bands is None else read_band_table(resolve(bands.path), bands),
         quantity=source.quantity,
-        unit=(source.unit or RADIANCE_UNIT) if source.quantity == "radiance" else None,  # as simulations write it
+        unit=unit,
+        variable=source.variable,
+        engine=source.engine,
         scale=source.scale,
         wavelength_unit=source.wavelength_unit,
         header=resolve(source.header) if source.header else None,

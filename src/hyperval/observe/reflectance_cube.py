@@ -18,8 +18,8 @@ from rasterio.windows import Window
 from hyperval.errors import UsageError
 from hyperval.files import whole_file
 from hyperval.imagery.cube import Cube
+from hyperval.imagery.envi_raster import EnviRaster
 from hyperval.imagery.envi_write import envi_writer
-from hyperval.imagery.rasters import EnviRaster
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.progress import watch_lines
 from hyperval.spectra.axis import SpectralAxis

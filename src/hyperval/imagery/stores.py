@@ -1,0 +1,196 @@
+"""Arrays in files that hold several, read by parts: HDF5 trees, and whatever an engine of xarray opens."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from hyperval.errors import InputError
+
+Selection = tuple[slice, ...]
+MAX_CHUNK_BYTES = 256 << 20
+
+
+class Store(Protocol):
+    """A file of named arrays."""
+
+    path: Path
+
+    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
+        """A part of an array."""
+
+    def chunks(self, name: str) -> tuple[int, ...] | None:
+        """Size of the blocks that an array is stored in, None when it is stored as one."""
+
+    def kept_open(self) -> Any:
+        """Inside, the file is opened once for all reads."""
+
+
+class OpenedFile:
+    """A file that is opened for each read or, inside :meth:`kept_open`, once for all of them."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = threading.Lock()
+        self._opened: Any = None
+        self._users = 0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process opens it for itself."""
+        return type(self), (self.path,)
+
+    def open(self) -> Any:
+        """The opened file."""
+        raise NotImplementedError
+
+    @contextmanager
+    def kept_open(self) -> Iterator[Any]:
+        """The opened file, closed when the last of its users has left."""
+        with self._lock:
+            if self._opened is None:
+                self._opened = self.open()
+            self._users += 1
+        try:
+            yield self._opened
+        finally:
+            with self._lock:
+                self._users -= 1
+                if not self._users:
+                    self._opened.close()
+                    self._opened = None
+
+
+class Hdf5Store(OpenedFile):
+    """An HDF5 file, NetCDF-4 and HDF-EOS5 among them."""
+
+    def open(self) -> h5py.File:
+        """The file; InputError when it is none, or cut short."""
+        try:
+            return h5py.File(self.path, "r")
+        except OSError as error:
+            raise InputError(
+                f"not a readable HDF5 file: {error}", where=str(self.path), mend="copy the file again"
+            ) from error
+
+    def dataset(self, file: h5py.File, name: str) -> h5py.Dataset | None:
+        """An array of the opened file, None when there is none of that name.
+
+        Raises
+        ------
+        InputError : blocks that are too large to be read one by one.
+        """
+        at = file.get(name)
+        if not isinstance(at, h5py.Dataset):
+            return None
+        if at.chunks is not None and int(np.prod(at.chunks)) * at.dtype.itemsize > MAX_CHUNK_BYTES:
+            raise InputError(
+                f"one block of {name!r} needs more than {MAX_CHUNK_BYTES >> 20} MiB",
+                where=str(self.path),
+                mend="rewrite it with smaller chunks (h5repack)",
+            )
+        return at
+
+    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
+        """A part of an array."""
+        with self.kept_open() as file:
+            try:
+                return np.asarray(file[name][selection])
+            except (OSError, KeyError, ValueError) as error:
+                raise InputError(f"{name!r} cannot be read: {error}", where=str(self.path)) from error
+
+    def chunks(self, name: str) -> tuple[int, ...] | None:
+        """Size of the blocks that an array is stored in."""
+        with self.kept_open() as file:
+            return file[name].chunks
+
+
+def check_own_values(path: Path) -> None:
+    """Raise InputError where an HDF5 file leads to others: external links, external or virtual arrays."""
+
+    foreign: list[str] = []  # an error raised by a visitor would be lost in the library
+
+    def visit_link(name: str, link: Any) -> None:
+        if isinstance(link, h5py.ExternalLink):
+            foreign.append(name)
+
+    def visit_item(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
+            foreign.append(name)
+
+    with Hdf5Store(path).kept_open() as file:
+        file.visititems_links(visit_link)
+        file.visititems(visit_item)
+    if foreign:
+        raise InputError(
+            f"the values of {foreign[0]!r} lie in another file", where=str(path), mend="copy them into one file"
+        )
+
+
+class XarrayStore(OpenedFile):
+    """A group of a file as an engine of xarray opens it, values as they are stored."""
+
+    def __init__(self, path: Path, engine: str | None = None, group: str | None = None) -> None:
+        super().__init__(path)
+        self.engine, self.group = engine, group
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process opens it for itself."""
+        return type(self), (self.path, self.engine, self.group)
+
+    def open(self) -> xr.Dataset:
+        """The group; InputError when no installed engine opens it."""
+        try:
+            return xr.open_dataset(
+                self.path,
+                engine=self.engine,
+                group=self.group,
+                mask_and_scale=False,
+                decode_times=False,
+                cache=False,
+            )
+        except Exception as error:  # each engine has errors of its own
+            raise InputError(f"no engine of xarray opens it: {error}", where=str(self.path)) from error
+
+    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
+        """A part of an array."""
+        with self.kept_open() as data:
+            return np.asarray(data[name][selection].values)
+
+    def chunks(self, name: str) -> tuple[int, ...] | None:
+        """Size of the blocks that an array is stored in."""
+        with self.kept_open() as data:
+            return data[name].encoding.get("chunksizes")
+
+
+def as_stored(engine: str | None) -> dict[str, Any]:
+    """Options of xarray that hand out stored values, and let HDF5 files be read that name no dimensions."""
+    plain = {"mask_and_scale": False, "decode_times": False}
+    return plain | {"phony_dims": "sort"} if engine == "h5netcdf" else plain
+
+
+class MemoryStore:
+    """An array that is at hand, such as one of xarray or SPy; it is read by parts as well."""
+
+    def __init__(self, array: Any, path: Path) -> None:
+        self.array, self.path = array, path
+
+    @contextmanager
+    def kept_open(self) -> Iterator[Any]:
+        """Nothing to open."""
+        yield self.array
+
+    def read(self, name: str, selection: Selection) -> npt.NDArray[Any]:
+        """A part of the array."""
+        return np.asarray(self.array[selection])
+
+    def chunks(self, name: str) -> tuple[int, ...] | None:
+        """None: it is stored as one."""
+        return None

@@ -1,0 +1,197 @@
+"""Stored numbers of a GeoTIFF, read by rasterio in windows."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rasterio
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.enums import MaskFlags
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from hyperval.envi_header import EnviHeader, read_header
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.description import Description
+from hyperval.imagery.envi_raster import header_beside
+from hyperval.imagery.georeference import crs_of, transform_of
+from hyperval.imagery.sidecars import described_beside
+from hyperval.paths import checked_file
+
+Index = npt.NDArray[np.intp]
+MAX_TILE_BYTES = 1 << 30
+MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
+TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
+_PER_UM = {"nanometers": 1e-3, "nanometer": 1e-3, "nm": 1e-3, "micrometers": 1.0, "micrometer": 1.0, "um": 1.0}
+_OPENING = threading.Lock()
+
+
+@dataclass(frozen=True)
+class TiffRaster:
+    """A GeoTIFF, opened by name of its driver and without the sidecar files that change its meaning."""
+
+    path: Path
+    lines: int
+    samples: int
+    bands: int
+    dtype: np.dtype
+    transform: Affine | None
+    crs: CRS | None
+    nodata: float | None = None
+    gains: tuple[float, ...] = ()
+    offsets: tuple[float, ...] = ()
+    wavelength_um: tuple[float, ...] = ()
+    fwhm_um: tuple[float, ...] = ()
+    bad_bands: tuple[int, ...] = ()  # from 0, as we mark them ourselves
+    header: EnviHeader | None = None
+    description: Description | None = None
+    other_files: tuple[Path, ...] = ()
+
+    @property
+    def source_files(self) -> tuple[Path, ...]:
+        """The files that were read."""
+        return (self.path, *self.other_files) if self.header is None else (self.path, self.header.path)
+
+    def kept_open(self) -> AbstractContextManager[object]:
+        """Nothing: each read opens the file, since a data set of GDAL serves one thread only."""
+        return nullcontext()
+
+    def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
+        """(count, samples, bands) stored numbers of consecutive lines."""
+        return self.read_bands(first, count).transpose(1, 2, 0)
+
+    def read_bands(self, first: int, count: int, buffer: npt.NDArray[Any] | None = None) -> npt.NDArray[Any]:
+        """(bands, count, samples) stored numbers of consecutive lines; ``buffer`` is not used."""
+        if first < 0 or count < 1 or first + count > self.lines:
+            raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
+        with _opened(self.path) as dataset:
+            return dataset.read(window=Window(0, first, self.samples, count))
+
+    def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
+        """(n, bands) stored numbers of single pixels."""
+        out = np.empty((rows.size, self.bands), self.dtype)
+        if not rows.size:
+            return out
+        lines = np.unique(rows)
+        # Each call costs some time for every band: lines that follow each other are read at once.
+        most = max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
+        run = np.cumsum(np.diff(lines, prepend=lines[0]) > 1)
+        with _opened(self.path) as dataset:
+            for together in np.split(lines, np.flatnonzero(np.diff(run)) + 1):
+                for first in range(int(together[0]), int(together[-1]) + 1, most):
+                    count = min(most, int(together[-1]) + 1 - first)
+                    here = (rows >= first) & (rows < first + count)
+                    left, right = int(cols[here].min()), int(cols[here].max()) + 1
+                    stored = dataset.read(window=Window(left, first, right - left, count))
+                    out[here] = stored[:, rows[here] - first, cols[here] - left].T
+        return out
+
+
+def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffRaster:
+    """Open a GeoTIFF with the header or the metadata that lie beside it.
+
+    Raises
+    ------
+    InputError : not readable, mixed or complex types, a mask inside, blocks too large, or metadata that do not fit.
+    """
+    with _opened(path) as dataset:
+        names = set(dataset.dtypes)
+        if len(names) != 1 or not np.issubdtype(np.dtype(names.pop()), np.number):
+            raise InputError("bands of different or unknown types", where=str(path))
+        dtype = np.dtype(dataset.dtypes[0])
+        if dtype.kind == "c":
+            raise InputError("complex values cannot be read", where=str(path))
+        if any(MaskFlags.per_dataset in flags for flags in dataset.mask_flag_enums):
+            raise InputError(
+                "a mask or alpha band in the file, which would not be heeded", where=str(path),
+                mend="rewrite it without, the masked pixels holding a no-data value",
+            )  # fmt: skip
+        rows, cols = dataset.block_shapes[0]
+        if rows * cols * dtype.itemsize * dataset.count > MAX_TILE_BYTES:
+            raise InputError(
+                f"one block of the file needs more than {MAX_TILE_BYTES >> 20} MiB", where=str(path),
+                mend="rewrite it with smaller strips or tiles",
+            )  # fmt: skip
+        waves, widths = _band_wavelengths_um(dataset, path)
+        raster = TiffRaster(
+            path=path,
+            lines=dataset.height,
+            samples=dataset.width,
+            bands=dataset.count,
+            dtype=dtype,
+            transform=None if dataset.transform == Affine.identity() else dataset.transform,
+            crs=dataset.crs,
+            nodata=dataset.nodata,
+            gains=tuple(dataset.scales),
+            offsets=tuple(dataset.offsets),
+            wavelength_um=waves,
+            fwhm_um=widths,
+            bad_bands=tuple(i - 1 for i in dataset.indexes if dataset.tags(i).get("GOOD_BAND") == "0"),
+        )
+    found = Path(header) if header is not None else header_beside(path)
+    if found is None:
+        described = described_beside(path, raster.bands, root)
+        if described is None:
+            return raster
+        return replace(raster, description=described[0], other_files=(described[1],))
+    parsed = read_header(checked_file(found, root=root, what="ENVI header"), sidecar=True)
+    shape, stated = (raster.lines, raster.samples, raster.bands), (parsed.lines, parsed.samples, parsed.bands)
+    if shape != stated:
+        raise InputError(
+            f"the GeoTIFF has (lines, samples, bands) = {shape}, its header says {stated}", where=str(parsed.path)
+        )
+    transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
+    return replace(raster, header=parsed, transform=transform, crs=crs)
+
+
+def _band_wavelengths_um(dataset: Any, path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Band centres and widths [um] in the tags of the bands; empty where a band has none, or where no unit stands.
+
+    Either in GDAL's own domain for them (CENTRAL_WAVELENGTH_UM, FWHM_UM), or as its ENVI driver hands them to other
+    formats: ``wavelength`` and ``wavelength_units``, at times with ``fwhm``.
+    """
+    imagery = [dataset.tags(i, ns="IMAGERY") for i in dataset.indexes]
+    plain = [{key.lower(): value for key, value in dataset.tags(i).items()} for i in dataset.indexes]
+    units = {tags.get("wavelength_units", "").strip().lower() for tags in plain}
+    per_um = {_PER_UM.get(unit) for unit in units}
+    factor = per_um.pop() if len(per_um) == 1 else None
+
+    def listed(domain_key: str, key: str) -> tuple[float, ...]:
+        own = [tags.get(domain_key) for tags in imagery]
+        factors, texts = (1.0, own) if all(own) else (factor, [tags.get(key) for tags in plain])
+        if factors is None or not all(texts):
+            return ()
+        try:
+            numbers = tuple(factors * float(str(text)) for text in texts)
+        except ValueError:
+            numbers = (0.0,)
+        if not all(0.0 < number < np.inf for number in numbers):  # NaN is none either
+            raise InputError(f"tags {key!r} of the bands that are no positive numbers", where=str(path))
+        return numbers
+
+    return listed("CENTRAL_WAVELENGTH_UM", "wavelength"), listed("FWHM_UM", "fwhm")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    # No auxiliary files and no listing of the folder: neither .aux.xml, .msk nor .ovr can change what is read.
+    options = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
+    try:
+        with rasterio.Env(**options):
+            # One at a time: the list of ignored warnings belongs to the process, and blocks are read by threads.
+            with _OPENING, warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+                opened = rasterio.open(path, driver="GTiff")
+            with opened as dataset:
+                yield dataset
+    except RasterioError as error:
+        raise InputError(f"not a readable GeoTIFF: {error}", where=str(path)) from error

@@ -1,0 +1,372 @@
+"""Products of today: each shell is read as another reader reads it, and everything that must be refused is."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from pathlib import Path
+
+import h5py
+import numpy as np
+import product_shells as shells
+import pytest
+import rasterio
+import xarray as xr
+from affine import Affine
+from rasterio.crs import CRS
+
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.cube import Cube, open_cube
+from hyperval.imagery.layouts import layouts
+from hyperval.imagery.lookup_table import open_lookup_table
+from hyperval.imagery.rasters import open_raster
+from hyperval.imagery.trees import lookup_raster
+
+LINES, SAMPLES = shells.LINES, shells.SAMPLES
+
+
+def by_gdal(path: Path, name: str) -> np.ndarray:
+    """An array of an HDF5 file as GDAL reads it, in the order of the file."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(f'HDF5:"{path}"://{name.replace(" ", "_")}') as dataset:
+            return dataset.read()
+
+
+def values_of(cube: Cube) -> np.ndarray:
+    whole = np.concatenate([block.values for block in cube.blocks(5)])
+    assert np.array_equal(whole, cube.read(0, cube.lines).values, equal_nan=True)
+    stored, usable = cube.read_stored(0, cube.lines)
+    assert stored.shape == (cube.bands, *cube.shape)
+    assert np.array_equal(usable, np.concatenate([block.valid for block in cube.blocks(5)]))
+    rows, cols = np.array([0, 3, 11, 3]), np.array([8, 4, 0, 4])
+    assert np.array_equal(cube.pixels((rows, cols)), whole[rows, cols], equal_nan=True)
+    return whole
+
+
+@pytest.mark.parametrize("chunks", [None, (3, 4, 5)])
+def test_aviris_3_radiance_with_its_lookup_table(tmp_path: Path, chunks):
+    path = tmp_path / "AV320250814t180211_000_L1B_RDN_0001_RDN.nc"
+    shells.aviris(path, chunks=chunks)
+    cube = open_cube(path, quantity="radiance")
+    assert cube.shape == (LINES, SAMPLES)
+    assert cube.axis.centre_nm.tolist() == [400, 500, 600, 700, 1600, 2200]
+    assert np.allclose(cube.axis.fwhm_nm, 7.4)
+    assert cube.notes[0] == "read as AVIRIS-3/-5 L1B radiance"
+    assert cube.extras["acquisition time"] == "2025-08-14T18:02:11Z"
+    with xr.open_dataset(path, group="radiance", engine="h5netcdf") as other:
+        assert np.allclose(values_of(cube), other["radiance"].values.transpose(1, 2, 0), rtol=1e-7, equal_nan=True)
+    assert not cube.read(3, 1).valid[0, 4]
+    assert cube.transform is None  # scanner geometry: the table places it
+    table = open_lookup_table(lookup_raster(cube.raster), cube.shape)
+    assert (table.transform, table.crs) == (shells.MAP, shells.UTM11)
+    # The centre of raw pixel (line 5, sample 4) lies in the cell moved by one line and two samples.
+    place = (shells.MAP.c + 4 * (4.5 + 2), shells.MAP.f - 4 * (5.5 + 1))
+    assert np.allclose(table.to_pixel(np.array([place]), where="here"), [[4.5, 5.5]], atol=1e-6)
+    assert table.pixel_area_m2 == pytest.approx(16.0, rel=1e-6)
+
+
+def test_aviris_3_reflectance_lies_on_its_map(tmp_path: Path):
+    values = shells.aviris(tmp_path / "a.nc", "reflectance")
+    cube = open_cube(tmp_path / "a.nc", quantity="reflectance")
+    values[3, 4] = np.nan
+    assert np.allclose(values_of(cube), values, rtol=1e-6, equal_nan=True)
+    assert (cube.transform, cube.crs, cube.pixel_area_m2) == (shells.MAP, shells.UTM11, 16.0)
+
+
+def test_emit_radiance_with_bad_bands_and_lookup_table(tmp_path: Path):
+    path = tmp_path / "EMIT_L1B_RAD_001_20240501T191103_2412112_012.nc"
+    shells.emit(path)
+    cube = open_cube(path, quantity="radiance")
+    assert cube.axis.good.tolist() == [True, True, True, False, True]
+    with xr.open_dataset(path, engine="h5netcdf") as other:
+        assert np.allclose(values_of(cube), other["radiance"].values, rtol=1e-7, equal_nan=True)
+    assert not cube.read(0, 1).valid[0, 0]
+    table = open_lookup_table(lookup_raster(cube.raster), cube.shape)
+    assert table.crs == CRS.from_epsg(4326)
+    with xr.open_dataset(path, group="location", engine="h5netcdf") as other:
+        assert np.array_equal(table.raster.read_bands(0, 14)[0], np.nan_to_num(other["glt_x"].values))
+
+
+def test_emit_reflectance(tmp_path: Path):
+    values = shells.emit(tmp_path / "e.nc", "reflectance")
+    values[0, 0] = np.nan
+    assert np.allclose(
+        values_of(open_cube(tmp_path / "e.nc", quantity="reflectance")), values, rtol=1e-6, equal_nan=True
+    )
+
+
+def test_neon_reflectance(tmp_path: Path):
+    path = tmp_path / "NEON_D02_SERC_DP3_368000_4306000_reflectance.h5"
+    stored = shells.neon_reflectance(path)
+    cube = open_cube(path, quantity="reflectance")
+    other = by_gdal(path, "SERC/Reflectance/Reflectance_Data")
+    assert np.array_equal(other, stored)
+    want = np.where(other == -9999, np.nan, other / 10000.0)
+    assert np.allclose(values_of(cube), want, rtol=1e-12, equal_nan=True)
+    assert cube.axis.good.tolist() == [True, True, False, True]  # 1400 nm lies in a window of the file
+    assert cube.transform == Affine(1.0, 0, 368000.0, 0, -1.0, 4306000.0)
+    assert cube.crs.to_epsg() == 32618
+    assert cube.pixel_area_m2 == 1.0
+
+
+def test_neon_radiance_is_the_sum_of_two_arrays(tmp_path: Path):
+    values = shells.neon_radiance(tmp_path / "n.h5")
+    cube = open_cube(tmp_path / "n.h5", quantity="radiance")
+    assert cube.dtype == np.float32
+    assert np.allclose(values_of(cube), values, rtol=0, atol=2e-6, equal_nan=True)
+    assert not cube.read(5, 1).valid[0, 5]
+
+
+def test_prisma_radiance_joins_two_cubes_in_order_of_wavelength(tmp_path: Path):
+    path = tmp_path / "PRS_L1_STD_OFFL_20230602100931_20230602100935_0001.he5"
+    shells.prisma(path)
+    cube = open_cube(path, quantity="radiance")
+    assert np.allclose(cube.axis.centre_nm, [402.5, 650.8, 951.0, 972.7, 2496.9])
+    assert np.allclose(cube.axis.fwhm_nm, [11.0, 10.0, 10.5, 12.0, 9.0])
+    fields = "HDFEOS/SWATHS/PRS_L1_HCO/Data Fields"
+    vnir, swir = (by_gdal(path, f"{fields}/{name}").transpose(0, 2, 1) for name in ("VNIR_Cube", "SWIR_Cube"))
+    stored = np.stack([vnir[..., 2], vnir[..., 1], swir[..., 1], vnir[..., 0], swir[..., 0]], axis=-1)
+    # W m-2 sr-1 um-1 are 0.1 uW cm-2 sr-1 nm-1; scale and offset as the specification has them.
+    assert np.allclose(values_of(cube), 0.1 * (stored / 100.0 - 0.5), rtol=1e-6)
+    assert "2 stored bands without a wavelength are left out" in cube.notes
+
+
+@pytest.mark.parametrize("edges", [False, True])
+def test_prisma_reflectance_has_its_corners_at_centres_or_edges(tmp_path: Path, edges: bool):
+    path = tmp_path / "PRS_L2D_STD_1.he5"
+    shells.prisma(path, "L2D", edges=edges)
+    cube = open_cube(path, quantity="reflectance")
+    vnir, swir = (
+        by_gdal(path, f"HDFEOS/SWATHS/PRS_L2D_HCO/Data Fields/{name}").transpose(0, 2, 1)
+        for name in ("VNIR_Cube", "SWIR_Cube")
+    )
+    found = values_of(cube)
+    assert np.allclose(found[..., 1], 0.9 * vnir[..., 1] / 65535.0, rtol=1e-6)
+    assert np.allclose(found[..., 4], 0.01 + 0.69 * swir[..., 0] / 65535.0, rtol=1e-6)
+    half = 0.0 if edges else 15.0
+    assert cube.transform == Affine(30.0, 0, 600_000 - half, 0, -30.0, 4_900_000 + half)
+    assert cube.crs.to_epsg() == 32632
+
+
+@pytest.mark.parametrize("ortho", [False, True])
+def test_tanager_radiance(tmp_path: Path, ortho: bool):
+    shells.tanager(tmp_path / "t.h5", ortho=ortho)
+    cube = open_cube(tmp_path / "t.h5", quantity="radiance")
+    name = f"HDFEOS/{'GRIDS' if ortho else 'SWATHS'}/HYP/Data Fields/toa_radiance"
+    other = by_gdal(tmp_path / "t.h5", name).transpose(1, 2, 0)
+    assert np.allclose(values_of(cube), np.where(other == -9999.0, np.nan, 0.1 * other), rtol=1e-6, equal_nan=True)
+    if ortho:
+        assert cube.transform == Affine(30.0, 0, 400_000.0, 0, -30.0, 3_800_000.0)
+        assert cube.crs == shells.UTM11
+
+
+def test_tanager_reflectance_has_bad_bands(tmp_path: Path):
+    shells.tanager(tmp_path / "t.h5", "surface_reflectance")
+    cube = open_cube(tmp_path / "t.h5", quantity="reflectance")
+    assert cube.axis.good.tolist() == [True, True, True, False, True]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "level", "factor"),
+    [("EnMAP", "L1C", 100.0), ("DESIS", "L1C", 1.0), ("EnMAP", "L2A", 1.0), ("DESIS", "L2A", 1.0)],
+)
+@pytest.mark.parametrize("named", ["image", "metadata"])
+def test_enmap_and_desis_by_their_metadata(tmp_path: Path, sensor: str, level: str, factor: float, named: str):
+    image, _ = shells.enmap(tmp_path, level, sensor=sensor)
+    metadata = next(p for p in tmp_path.iterdir() if p.suffix.lower() == ".xml")
+    quantity = "radiance" if level == "L1C" else "reflectance"
+    cube = open_cube(image if named == "image" else metadata, quantity=quantity)
+    assert cube.axis.centre_nm.tolist() == [423.0, 650.0, 902.3, 911.6]
+    assert cube.axis.fwhm_nm.tolist() == [6.6, 7.0, 8.0, 9.1]
+    with rasterio.open(image) as other:
+        stored = other.read(masked=True).astype(float).filled(np.nan)
+        assert (cube.transform, cube.crs) == (other.transform, other.crs)
+    gain, offset = np.array([1.2e-4, 1.1e-4, 0.9e-4, 0.5e-4]), np.array([1e-3, 0.0, -2e-3, 0.0])
+    if sensor == "DESIS":
+        gain = 10 * gain
+    if level == "L2A":
+        gain, offset = np.full(4, 1e-4), np.zeros(4)
+    want = factor * (gain[:, None, None] * stored + offset[:, None, None])
+    assert np.allclose(values_of(cube), want[[0, 1, 3, 2]].transpose(1, 2, 0), rtol=1e-12, equal_nan=True)
+    assert {p.name for p in cube.source_files} == {image.name, metadata.name}
+    assert cube.extras["sensor"] == sensor
+
+
+def test_stac_item_beside_a_geotiff(tmp_path: Path):
+    image, values = shells.stac(tmp_path)
+    cube = open_cube(image, quantity="radiance")
+    assert np.allclose(cube.axis.centre_nm, [503, 650, 799])
+    assert np.allclose(cube.axis.fwhm_nm, 20.0)
+    assert np.allclose(values_of(cube), 0.1 * values.transpose(1, 2, 0), rtol=1e-6)
+    assert cube.transform == shells.MAP
+
+
+def labelled(path: Path, **more) -> Path:
+    values = shells.radiances(4)
+    values[1, 1] = np.nan
+    data = xr.Dataset(
+        {
+            "Lt": (
+                ("y", "x", "band"),
+                np.nan_to_num(values, nan=-1.0),
+                {"units": "uW cm-2 sr-1 nm-1", "_FillValue": -1.0},
+            )
+        },
+        coords={
+            "wavelength": ("band", [0.45, 0.55, 0.65, 0.85], {"units": "um"}),
+            "y": 3_800_000.0 - 2 - 4 * np.arange(LINES),
+            "x": 400_000.0 + 2 + 4 * np.arange(SAMPLES),
+            "spatial_ref": ((), 0, {"crs_wkt": shells.UTM11.to_wkt()}),
+        },
+    ).assign(**more)
+    data["Lt"].attrs["grid_mapping"] = "spatial_ref"
+    data.to_netcdf(path, engine="scipy" if path.suffix == ".nc3" else "h5netcdf")
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.nc", "a.nc3"])
+def test_any_array_with_a_wavelength_coordinate_is_a_cube(tmp_path: Path, name: str):
+    cube = open_cube(labelled(tmp_path / name), quantity="radiance")
+    want = shells.radiances(4)
+    want[1, 1] = np.nan
+    assert np.allclose(values_of(cube), want, rtol=1e-6, equal_nan=True)
+    assert np.allclose(cube.axis.centre_nm, [450, 550, 650, 850])
+    assert (cube.transform, cube.crs) == (shells.MAP, shells.UTM11)
+
+
+def test_where_several_arrays_could_be_meant_the_message_lists_them(tmp_path: Path):
+    noise = (("y", "x", "band"), np.ones((LINES, SAMPLES, 4), np.float32))
+    path = labelled(tmp_path / "a.nc", noise=noise)
+    with pytest.raises(UsageError, match=r"(?s)2 arrays could be meant.*Lt .*noise .*state variable"):
+        open_cube(path, quantity="radiance")
+    assert open_cube(path, quantity="radiance", variable="Lt").shape == (LINES, SAMPLES)
+    with pytest.raises(UsageError, match=r"(?s)0 arrays 'L'.*one of Lt"):
+        open_cube(path, quantity="radiance", variable="L")
+
+
+def test_an_array_without_wavelengths_is_listed_and_refused(tmp_path: Path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["scene"] = np.zeros((4, 5, 6))
+    with pytest.raises(InputError, match=r"(?s)no array of the file has a wavelength coordinate.*scene \("):
+        open_cube(tmp_path / "a.h5", quantity="radiance")
+
+
+def test_another_quantity_or_unit_than_the_products_is_refused(tmp_path: Path):
+    shells.emit(tmp_path / "e.nc")
+    with pytest.raises(InputError, match="holds radiance, the campaign says reflectance"):
+        open_cube(tmp_path / "e.nc", quantity="reflectance")
+    with pytest.raises(UsageError, match=r"radiance in uW cm-2 sr-1 nm-1, the campaign in W m-2 sr-1 um-1"):
+        open_cube(tmp_path / "e.nc", quantity="radiance", unit="W m-2 sr-1 um-1")
+    assert open_cube(tmp_path / "e.nc", quantity="radiance", unit="uW/cm2/sr/nm").unit == "uW cm-2 sr-1 nm-1"
+
+
+def test_a_file_that_states_another_unit_than_the_layout_is_believed(tmp_path: Path):
+    shells.aviris(tmp_path / "a.nc")
+    with h5py.File(tmp_path / "a.nc", "r+") as file:
+        file["radiance/radiance"].attrs["units"] = "W m-2 sr-1 um-1"
+    cube = open_cube(tmp_path / "a.nc", quantity="radiance")
+    assert any("as the file states" in note for note in cube.notes)
+    assert np.allclose(cube.gain, 0.1)
+
+
+@pytest.mark.parametrize("keep", [0.5, 0.9, 0.999])
+def test_a_product_cut_short_is_one_clear_error(tmp_path: Path, keep: float):
+    shells.neon_reflectance(tmp_path / "n.h5")
+    raw = (tmp_path / "n.h5").read_bytes()
+    (tmp_path / "n.h5").write_bytes(raw[: int(keep * len(raw))])
+    with pytest.raises(InputError, match=r"n\.h5: not a readable HDF5 file"):
+        open_cube(tmp_path / "n.h5", quantity="reflectance")
+
+
+def test_values_in_other_files_are_refused(tmp_path: Path):
+    shells.emit(tmp_path / "e.nc")
+    (tmp_path / "secret").write_bytes(bytes(LINES * SAMPLES * 5 * 4))
+    with h5py.File(tmp_path / "e.nc", "r+") as file:
+        del file["radiance"]
+        size = LINES * SAMPLES * 5 * 4
+        file.create_dataset("radiance", (LINES, SAMPLES, 5), "f4", external=[(str(tmp_path / "secret"), 0, size)])
+    with pytest.raises(InputError, match="lie in another file"):
+        open_cube(tmp_path / "e.nc", quantity="radiance")
+    with h5py.File(tmp_path / "e.nc", "r+") as file:
+        del file["radiance"]
+        file["radiance"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "/radiance")
+    with pytest.raises(InputError, match="'radiance' lie in another file"):
+        open_cube(tmp_path / "e.nc", quantity="radiance")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f: f.__delitem__("sensor_band_parameters/wavelengths"), "0 wavelengths .* for 5 bands"),
+        (
+            lambda f: f["sensor_band_parameters/wavelengths"].__setitem__(slice(None), 0.0),
+            "no band has a wavelength",
+        ),
+        (lambda f: f["sensor_band_parameters/wavelengths"].__setitem__(slice(None), 5e6), "cannot be in nm"),
+        (lambda f: f["sensor_band_parameters/fwhm"].__setitem__(slice(None), -1.0), "not positive"),
+        (lambda f: f["sensor_band_parameters/good_wavelengths"].__setitem__(slice(None), 0.0), "every band as bad"),
+    ],
+)
+def test_band_tables_that_cannot_be_true(tmp_path: Path, change, message: str):
+    shells.emit(tmp_path / "e.nc")
+    with h5py.File(tmp_path / "e.nc", "r+") as file:
+        change(file)
+    with pytest.raises((InputError, UsageError), match=message):
+        open_cube(tmp_path / "e.nc", quantity="radiance")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<level_X>", "<!DOCTYPE a><level_X>", "DOCTYPE"),
+        ("</level_X>", "", "not valid XML"),
+        ("423.0", "blue", "wavelengthCenterOfBand: 'blue' is no number"),
+        ('<bandID number="4">', '<other number="4">', "not valid XML"),
+    ],
+)
+def test_metadata_that_are_broken(tmp_path: Path, old: str, new: str, message: str):
+    image, _ = shells.enmap(tmp_path)
+    metadata = next(tmp_path.glob("*.XML"))
+    metadata.write_text(metadata.read_text().replace(old, new, 1))
+    with pytest.raises(InputError, match=message):
+        open_cube(image, quantity="radiance")
+
+
+def test_metadata_of_another_number_of_bands(tmp_path: Path):
+    image, _ = shells.enmap(tmp_path)
+    metadata = next(tmp_path.glob("*.XML"))
+    text = metadata.read_text()
+    start, end = text.index('<bandID number="4">'), text.index("</bandCharacterisation>")
+    metadata.write_text(text[:start] + text[end:])
+    with pytest.raises(InputError, match="3 bands in the metadata, 4 in the image"):
+        open_cube(image, quantity="radiance")
+
+
+def test_another_process_opens_a_product_for_itself(tmp_path: Path):
+    shells.aviris(tmp_path / "a.nc", chunks=(3, 4, 5))
+    cube = open_cube(tmp_path / "a.nc", quantity="radiance")
+    cube.read(0, 2)
+    again = pickle.loads(pickle.dumps(cube))  # noqa: S301 - our own
+    assert np.array_equal(again.read(0, LINES).values, cube.read(0, LINES).values, equal_nan=True)
+
+
+def test_every_layout_names_its_source_and_a_known_unit():
+    from hyperval.units import radiance_to_internal
+
+    for tree in layouts().trees:
+        assert tree.source
+        assert tree.quantity in ("radiance", "reflectance")
+        assert tree.unit == "1" or radiance_to_internal(tree.unit) > 0
+    assert all(radiance_to_internal(s.radiance_unit) > 0 and s.source for s in layouts().sidecars)
+
+
+def test_lines_of_a_block_are_read_once(tmp_path: Path, monkeypatch):
+    shells.aviris(tmp_path / "a.nc", chunks=(3, 4, 5))
+    raster = open_raster(tmp_path / "a.nc")
+    calls = []
+    read = type(raster.store).read
+    monkeypatch.setattr(type(raster.store), "read", lambda *a: calls.append(a[2]) or read(*a))
+    for line in range(LINES):
+        raster.read_bands(line, 1)
+    assert [(c[1].start, c[1].stop) for c in calls] == [(0, 4), (4, 8), (8, 12)]
