@@ -14,9 +14,7 @@ import numpy.typing as npt
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.errors import UsageError
-from hyperval.prediction.budget import inputs_of
-from hyperval.prediction.budget_input import BudgetInput, Given
-from hyperval.prediction.budget_scene import spectrum_inputs
+from hyperval.prediction.budget import inputs_of, spectrum_inputs
 from hyperval.prediction.departure import (
     Departure,
     combined,
@@ -29,6 +27,8 @@ from hyperval.prediction.departure import (
 )
 from hyperval.prediction.detection import Background, Detection, Task, detect, seen_background
 from hyperval.prediction.field_spectra import spectrum_error_covariance
+from hyperval.prediction.input import Input
+from hyperval.prediction.input_paths import Given
 from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, class_tail, cut, filled
 from hyperval.prediction.notes import saturation_notes, sensor_notes, unstated_notes
 from hyperval.prediction.object_scores import predicted_object_scores
@@ -215,7 +215,7 @@ def predictions(scenario: Scenario, truths: Iterable[Departure], **options: Any)
 def _propagated(
     scenario: Scenario,
     stated: Prediction,
-    inputs: list[BudgetInput],
+    inputs: list[Input],
     again: Callable[[Departure, Engine | None], Prediction],
     engine: Engine,
     axis: SpectralAxis,

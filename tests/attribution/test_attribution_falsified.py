@@ -44,6 +44,13 @@ def _falsify(small, kind):
         small.data["collection"]["cube"]["scale"] = 1.04e-3  # the header's is 1e-3
     elif kind == "wavelength shift":
         scenario["sensor_operation"] = {"wavelength_shift_nm": 1.5}
+    elif kind == "field spectrum of field":  # grass that is described as bare soil
+        scene["classes"][0]["spectrum"] = {"builtin": "soil"}
+        del small.data["comparisons"][:]
+        small.data["comparisons"] = [
+            {"product": "radiance", "subjects": ["field"], "metric": "median_abs_difference_ratio_windows",
+             "at_most": 0.02, "reason": "closure"},
+        ]  # fmt: skip
     elif kind == "a class that was left out":
         # The planks' host is what is left out, so they are described on grass.
         scene["classes"] = [{"name": "field", "fraction": 1.0, "spectrum": {"builtin": "grass"}}]
@@ -88,6 +95,7 @@ KINDS = (
     "fill of the targets",
     "sensor gain",
     "wavelength shift",
+    "field spectrum of field",
     "a class that was left out",
 )
 

@@ -11,9 +11,9 @@ from hyperval.scenario import load_scenario
 
 N = 50
 X = np.linspace(0.0, 1.0, N)
-GAIN = Candidate("gain", "sensor", "1 %", False, 30.0)
+GAIN = Candidate("gain", "sensor", "1 %", False)
 TILT = Candidate("tilt", "sensor", "1 %", True)
-TWIN = Candidate("twin of gain", "sensor", "1 %", False, 30.0)
+TWIN = Candidate("twin of gain", "sensor", "1 %", False)
 COLUMNS = {GAIN: np.ones((N, 1)), TILT: (X - 0.5)[:, None]}
 
 
@@ -55,10 +55,13 @@ def test_inputs_alike_are_not_told_apart():
 
 
 def test_an_input_cannot_move_farther_than_it_may():
-    near = Candidate("gain", "sensor", "1 %", False, 2.0)
-    found = _ranking(np.full(N, 30.0), {near: np.ones((N, 1))})
-    assert found.ranked[0].needed == pytest.approx(2.0)
-    assert "none is enough" in found.conclusion
+    near = Candidate("gain", "sensor", "1 %", False)
+    found = _ranking(np.full(N, -14.0), {near: np.ones((N, 1))})
+    assert found.ranked[0].units == pytest.approx(-10.0)
+    assert found.ranked[0].chi_square == pytest.approx(N * (4.0 / 0.1) ** 2)  # what is left of 14 steps
+    assert (
+        "gain (-10 times its step of 1 %, as far as it can) explains most, but none is enough" in found.conclusion
+    )
 
 
 def test_patterns_name_groups():

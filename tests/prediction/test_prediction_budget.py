@@ -9,14 +9,16 @@ import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.prediction.budget import BudgetInput, budget_inputs, drawn_truth
+from hyperval.prediction.budget import drawn_truth, given_of, inputs_of
 from hyperval.prediction.forms import (
     covariance_directions,
     directions,
     form_covariance,
+    number_directions,
     standardised,
-    value_at,
+    value_along,
 )
+from hyperval.prediction.input import Input
 from hyperval.prediction.inputs import correlation
 from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import SpectralForm, Spread, Uncertainty
@@ -52,8 +54,8 @@ uncertainty:
 )
 
 
-def inputs(s: Scenario) -> dict[str, BudgetInput]:
-    found = budget_inputs(s, axis=AXIS, engine=engine)
+def inputs(s: Scenario) -> dict[str, Input]:
+    found = inputs_of(given_of(s, axis=AXIS, engine=engine))
     assert len({i.name for i in found}) == len(found)
     return {i.name: i for i in found}
 
@@ -100,7 +102,8 @@ def test_distributions_have_mean_0_and_variance_1(law):
 
 def test_log_normal_has_the_coefficient_of_variation_that_is_stated():
     z = np.random.default_rng(5).standard_normal(200_000)
-    x = np.array([value_at(0.2, Spread(0.1, "log-normal"), v) for v in z[:100_000]])
+    rows = number_directions(0.2, Spread(0.1, "log-normal"))
+    x = np.array([value_along(0.2, rows, "log-normal", np.array([v]))[0] for v in z[:100_000]])
     assert np.median(x) == pytest.approx(0.2, rel=0.01)
     assert x.std() / x.mean() == pytest.approx(0.5, rel=0.03)  # 5 standard errors of a log-normal's sd
     assert x.min() > 0.0

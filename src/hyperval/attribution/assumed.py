@@ -2,180 +2,94 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from hyperval.atmosphere.visibility import aot550_from_range
-from hyperval.prediction.departure import Departure, StatisticsDeparture
-from hyperval.prediction.fills import fill_distribution
-from hyperval.scenario import Scenario
+from hyperval.prediction.budget import AEROSOL, SURROUNDINGS, WATER, field_spectrum_of
+from hyperval.prediction.forms import form_in_words
+from hyperval.prediction.input import Input, Kind, number_input, spectral_input
+from hyperval.prediction.input_paths import Given
+from hyperval.scenario_uncertainty import SpectralForm
 
-# Usual sizes, as a part of the input unless a unit is given.
-AEROSOL = 0.10
-WATER_VAPOUR = 0.10
-GAIN = 0.01
-SHIFT_NM = 0.1
-NOISE = 0.05
-SURROUNDINGS = 0.10
-SPECTRUM = 0.02
+SHIFT_NM = 0.2
 SPREAD = 0.10
-FILL = 0.05
 FRACTION = 0.10
-BLUR = 0.10
+# A surface that is described by another one of its kind: part of its reflectance, over so many nm together.
+SURFACE, SURFACE_NM = 0.10, 150.0
+# Name, kind, path, usual size as a part of what stands there.
+_PARTS: tuple[tuple[str, Kind, str, float], ...] = (
+    (SURROUNDINGS, "scene", "light.surroundings", 0.10),
+    (AEROSOL, "atmosphere", "atmosphere.aot550", 0.10),
+    (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", 0.10),
+    ("sensor gain", "sensor", "sensor.gain", 0.01),
+    ("sensor noise", "sensor", "sensor.noise", 0.05),
+    ("fill of the targets", "scene", "fill", 0.05),
+    ("blur of the image", "scene", "blur", 0.10),
+)
 
 
-@dataclass(frozen=True, eq=False)
-class AssumedInput:
-    """One input of one scenario.
-
-    Attributes
-    ----------
-    name, kind : for people; the kind as in the budget (atmosphere, sensor, surface, scene)
-    step : what one unit is, in words
-    moved : z units -> departure
-    most : units that it may be off at most
-    """
-
-    name: str
-    kind: str
-    step: str
-    moved: Callable[[float], Departure]
-    most: float = 30.0
-
-
-def assumed_inputs(scenario: Scenario) -> list[AssumedInput]:
+def assumed_inputs(given: Given) -> list[Input]:
     """Every input of a scenario that may be off, with a usual standard uncertainty."""
-    found = [*_atmosphere(scenario), *_sensor(scenario), *_surfaces(scenario), *_scene(scenario)]
+    unmoved = _unmoved(given)
+    found = [_part(given, *row) for row in _PARTS if row[2] not in unmoved]
+    if given.scenario.atmosphere is not None:
+        path, words = "sensor.wavelength_shift_nm", f"{SHIFT_NM:g} nm"
+        found.append(
+            number_input(
+                given, "wavelength shift", "sensor", path, np.array([SHIFT_NM]), source="usual", words=words
+            )
+        )
+    classes = given.scenario.scene.classes
+    for c in classes:
+        found.append(_part(given, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD))
+    found += _spectra(given)
+    for c in classes if len(classes) > 1 else ():
+        if 0 < c.fraction < 1:
+            found.append(_part(given, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION))
+            if len(classes) == 2:
+                break  # the other one's is the same input
     return found
 
 
-def _atmosphere(scenario: Scenario) -> list[AssumedInput]:
-    state = scenario.atmosphere
+def _part(given: Given, name: str, kind: Kind, path: str, part: float) -> Input:
+    one = number_input(given, name, kind, path, np.zeros(1), source="usual", words=f"{100 * part:g} %")
+    return replace(one, rows=part * np.atleast_1d(np.asarray(one.nominal, dtype=float))[None, :])
+
+
+def _unmoved(given: Given) -> set[str]:
+    """Paths of usual inputs that this scenario does not have."""
+    scenario, state = given.scenario, given.scenario.atmosphere
+    found = set()
     if state is None:
-        return []
-    out = [
-        _input("surroundings", "scene", SURROUNDINGS, lambda z: Departure(surroundings=_factor(SURROUNDINGS, z)))
-    ]
-    if state.engine == "table":
-        return out
-    aot = state.aot550
-    if aot is None and state.meteorological_range_km is not None:
-        aot = aot550_from_range(state.meteorological_range_km, state.ground_altitude_km)
-    if aot:
-        out.append(
-            _input(
-                "aerosol optical depth", "atmosphere", AEROSOL,
-                _setting("atmosphere.aot550", aot, AEROSOL, {"atmosphere.meteorological_range_km": None}),
-            )
-        )  # fmt: skip
-    if state.water_vapour_g_cm2:
-        path = "atmosphere.water_vapour_g_cm2"
-        moved = _setting(path, state.water_vapour_g_cm2, WATER_VAPOUR)
-        out.append(_input("water vapour", "atmosphere", WATER_VAPOUR, moved))
-    return out
+        found |= {"light.surroundings", "sensor.noise"}
+    if state is None or state.engine == "table" or not state.aerosol_optical_depth:
+        found.add("atmosphere.aot550")
+    if state is None or state.engine == "table" or not state.water_vapour_g_cm2:
+        found.add("atmosphere.water_vapour_g_cm2")
+    fills = [p.fill for t in scenario.scene.targets for p in t.populations]
+    if not fills:
+        found.add("fill")
+    if not any(np.any(f.geometry.psf_fwhm_pixels or 0.0) for f in fills if f.geometry is not None):
+        found.add("blur")
+    return found
 
 
-def _sensor(scenario: Scenario) -> list[AssumedInput]:
-    gain = _input("sensor gain", "sensor", GAIN, lambda z: Departure(recorded_gain=_factor(GAIN, z)))
-    if scenario.atmosphere is None:
-        return [gain]
-    return [
-        gain,
-        AssumedInput(
-            "wavelength shift", "sensor", f"{SHIFT_NM:g} nm", lambda z: Departure(wavelength_shift_nm=SHIFT_NM * z)
-        ),
-        _input("sensor noise", "sensor", NOISE, lambda z: Departure(noise_factor=_factor(NOISE, z))),
-    ]
+def _spectra(given: Given) -> list[Input]:
+    """Mean spectra that neither the collection itself nor a stated uncertainty vouches for.
 
-
-def _surfaces(scenario: Scenario) -> list[AssumedInput]:
-    """Spread of the classes; spectra come from the budget or from ``spectrum_inputs``."""
-    out = []
-    for c in scenario.scene.classes:
-
-        def moved(z: float, name: str = c.name) -> Departure:
-            return Departure(statistics={name: StatisticsDeparture(factor=_factor(SPREAD, z) ** 2)})
-
-        out.append(_input(f"spread of {c.name}", "surface", SPREAD, moved))
-    return out
-
-
-def _scene(scenario: Scenario) -> list[AssumedInput]:
-    out = []
-    if scenario.scene.targets:
-        fills = {p.name: fill_distribution(p.fill).mean for t in scenario.scene.targets for p in t.populations}
-
-        def filled(z: float) -> Departure:
-            return Departure(fill={name: FILL * z * mean for name, mean in fills.items()})
-
-        out.append(_input("fill of the targets", "scene", FILL, filled))
-    blur = _blurs(scenario)
-    if blur:
-        out.append(
-            _input(
-                "blur of the image",
-                "scene",
-                BLUR,
-                lambda z: Departure(
-                    settings={path: min(width * _factor(BLUR, z), 5.0) for path, width in blur.items()}
-                ),
-                most=10.0,
-            )
-        )
-    classes = scenario.scene.classes
-    for c in classes:
-        if len(classes) > 1 and 0 < c.fraction < 1:
-            moved = _fraction(scenario, c.name, c.fraction)
-            out.append(_input(f"fraction of {c.name}", "scene", FRACTION, moved, most=1.0 / FRACTION))
-            if len(classes) == 2:
-                break  # the other one's is the same input
-    return out
-
-
-def _blurs(scenario: Scenario) -> dict[str, float]:
-    """Path -> width of the blur, wherever a fill follows from geometry and states one."""
-    out: dict[str, float] = {}
-    for t in scenario.scene.targets:
-        fills = [(f"scene.targets.[{t.name}].fill", t.fill)] if t.fill is not None else []
-        fills += [(f"scene.targets.[{t.name}].subjects.[{s.name}].fill", s.fill) for s in t.subjects]
-        for path, fill in fills:
-            width = fill.geometry.psf_fwhm_pixels if fill.geometry is not None else None
-            if isinstance(width, float | int) and width > 0:
-                out[f"{path}.geometry.psf_fwhm_pixels"] = float(width)
-    return out
-
-
-def _fraction(scenario: Scenario, name: str, fraction: float) -> Callable[[float], Departure]:
-    """More of one class and less of all others."""
-
-    def moved(z: float) -> Departure:
-        new = float(np.clip(fraction * (1.0 + FRACTION * z), 1e-6, 1.0 - 1e-6))
-        rest = (1.0 - new) / (1.0 - fraction)
-        return Departure(
-            settings={
-                f"scene.classes.[{c.name}].fraction": new if c.name == name else c.fraction * rest
-                for c in scenario.scene.classes
-            }
-        )
-
-    return moved
-
-
-def _setting(
-    path: str, value: float, part: float, others: Mapping[str, Any] | None = None
-) -> Callable[[float], Departure]:
-    return lambda z: Departure(settings={path: value * _factor(part, z), **(others or {})})
-
-
-def _factor(part: float, z: float) -> float:
-    """1 + part z, kept positive where z is far out."""
-    return float(1.0 + part * z if part * z > -0.9 else 0.1 * np.exp((part * z + 0.9) / 0.1))
-
-
-def _input(
-    name: str, kind: str, part: float, moved: Callable[[float], Departure], most: float = 30.0
-) -> AssumedInput:
-    return AssumedInput(name, kind, f"{100 * part:g} %", moved, most)
+    Those of targets are left out: mixed with their hosts they look like their fill, which is there already.
+    """
+    scenario, form = given.scenario, SpectralForm(correlation_nm=SURFACE_NM)
+    scene, u = scenario.scene, scenario.uncertainty
+    stated = {item.subject for item in u.field_spectra}
+    stated |= {item.subject for item in u.sampled_statistics if item.mean}
+    found = []
+    for s in (*scene.classes, *scene.panels, *scene.sites):
+        surface = given.surfaces[s.name]
+        if s.spectrum.measured is None and s.name not in stated and surface.mean_error is None:
+            sd = SURFACE * np.nan_to_num(surface.mean)
+            one = spectral_input(given, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
+            words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
+            found.append(replace(one, source="usual", correlation=words))
+    return found

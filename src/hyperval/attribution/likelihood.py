@@ -33,6 +33,8 @@ class Explanation:
     tau : added standard deviation of each direction, in units of the directions given
     amplitudes : (k,) most likely size of each direction
     chi_square, dof : of the residual under the widened covariance
+    limited : whether it would have to move farther than it can; then it is moved as far as it can, and the
+        covariance stays
     """
 
     gain: float
@@ -40,6 +42,7 @@ class Explanation:
     amplitudes: Array
     chi_square: float
     dof: int
+    limited: bool = False
 
     @property
     def p_value(self) -> float:
@@ -96,7 +99,8 @@ def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool, most:
     ----------
     columns : (n,) or (n, k) change of the compared quantities (prediction) per standard uncertainty
     budgeted : whether C holds these columns already; then tau comes on top of 1
-    most : greatest tau; an input that would have to move farther than it can is no reason
+    most : greatest tau, and greatest amplitude of any direction; an input that would have to move farther than it
+        can is no reason
     """
     w = data.whiten(columns)
     w = w[:, None] if w.ndim == 1 else w
@@ -106,10 +110,18 @@ def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool, most:
         return Explanation(0.0, 0.0, np.zeros(w.shape[1]), data.chi_square, data.dof)
     u, s, vt = u[:, keep], s[keep], vt[keep]
     q = u.T @ data.residual
+
     t2 = _best_tau_squared(s, q, most**2)
-    gain = float(_gain(t2, s, q))
     shrink = 1.0 / (1.0 + t2 * s**2)
     z = (t2 + float(budgeted)) * (vt.T @ (s * shrink * q))  # best linear unbiased prediction of z
+    farthest = float(np.max(np.abs(z)))
+    if farthest > most:  # it goes as far as it can, and the rest stays
+        z = z * (most / farthest)
+        left = data.residual - w @ z
+        chi = float(left @ left)
+        gain = data.chi_square - chi - float(np.sum(np.log1p(t2 * s**2)))
+        return Explanation(max(gain, 0.0), most, z, chi, data.dof, True)
+    gain = float(_gain(t2, s, q))
     chi = data.chi_square - float(np.sum((1.0 - shrink) * q**2))
     return Explanation(max(gain, 0.0), float(np.sqrt(t2)), z, chi, data.dof)
 

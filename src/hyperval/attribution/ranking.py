@@ -15,6 +15,7 @@ Array = npt.NDArray[np.float64]
 
 ENOUGH = 0.05  # p-value from which residuals count as explained
 MOST_STEPS = 3
+MOST_UNITS = 10.0  # an input that would have to move farther is no reason
 # Candidates whose gains differ by less cannot be told apart: the likelihoods differ by a factor of less than e.
 ALIKE = 2.0
 
@@ -28,14 +29,12 @@ class Candidate:
     name, kind : for people
     step : one unit in words
     budgeted : its uncertainty is stated, and is in the covariance already
-    most : units that it may move at most; beyond that it is no reason
     """
 
     name: str
     kind: str
     step: str
     budgeted: bool
-    most: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -48,6 +47,7 @@ class Ranked:
     units : most likely change in units of its (stated or usual) uncertainty; with a sign where it has one direction
     needed : standard deviation in the same units at which the data are most likely; 1 when the stated one will do,
         0 when an unstated one need not move
+    limited : whether it would have to move farther than it can
     chi_square, p_value : of the residuals with that uncertainty
     """
 
@@ -58,6 +58,7 @@ class Ranked:
     chi_square: float
     p_value: float
     amplitudes: tuple[float, ...] = field(default=(), repr=False)
+    limited: bool = False
 
 
 @dataclass(frozen=True)
@@ -103,9 +104,10 @@ class Ranking:
 def told(item: Ranked) -> str:
     """How far an input would have to move, in words."""
     what = "stated uncertainty" if item.candidate.budgeted else f"step of {item.candidate.step}"
+    end = ", as far as it can" if item.limited else ""
     if len(item.amplitudes) == 1:
-        return f"{item.units:+.2g} times its {what}"
-    return f"{item.needed:.2g} times its {what}"
+        return f"{item.units:+.2g} times its {what}{end}"
+    return f"{item.needed:.2g} times its {what}{end}"
 
 
 def ranking(
@@ -132,21 +134,24 @@ def ranking(
         if best.p_value >= ENOUGH:
             break
         g = left.pop(best.candidate)
-        tau2 = best.needed**2 - float(best.candidate.budgeted)
-        widened = widened + tau2 * g @ g.T
+        if best.limited:
+            residual = residual - g @ np.array(best.amplitudes)
+        else:
+            widened = widened + (best.needed**2 - float(best.candidate.budgeted)) * g @ g.T
         rest = _all(Whitened(residual, widened), left)
     return Ranking(group, data.chi_square, data.dof, data.p_value, tuple(ranked), tuple(together))
 
 
 def _all(data: Whitened, columns: Mapping[Candidate, Array]) -> list[Ranked]:
-    found = [_ranked(c, explanation(data, g, budgeted=c.budgeted, most=c.most)) for c, g in columns.items()]
+    found = [_ranked(c, explanation(data, g, budgeted=c.budgeted, most=MOST_UNITS)) for c, g in columns.items()]
     return sorted(found, key=lambda r: (-r.gain, r.candidate.name))
 
 
 def _ranked(candidate: Candidate, e: Explanation) -> Ranked:
     units = float(e.amplitudes[0]) if e.amplitudes.size == 1 else float(np.linalg.norm(e.amplitudes))
-    needed = float(np.sqrt(e.tau**2 + float(candidate.budgeted)))
-    return Ranked(candidate, e.gain, units, needed, e.chi_square, e.p_value, tuple(float(x) for x in e.amplitudes))
+    needed = e.tau if e.limited else float(np.sqrt(e.tau**2 + float(candidate.budgeted)))
+    amplitudes = tuple(float(x) for x in e.amplitudes)
+    return Ranked(candidate, e.gain, units, needed, e.chi_square, e.p_value, amplitudes, e.limited)
 
 
 def budget_covariance(columns: Mapping[Candidate, Array], size: int) -> Array:

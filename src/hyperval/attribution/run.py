@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -18,37 +18,20 @@ from hyperval.attribution.sensitivity import Indices, quadratic_design, sensitiv
 from hyperval.attribution.what_ifs import Outcome, run_what_ifs
 from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure, combined
+from hyperval.prediction.input import Input
 from hyperval.products import Products, background_of
 from hyperval.progress import track
 
 Array = npt.NDArray[np.float64]
-Move = Callable[[float], Departure]
 
 ALL = "all"
 ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
 _CHECKS = 4
 MOST_TOGETHER = 6
+# Directions of an input with a correlation length that are looked at: they hold nearly all of its variance.
+MOST_DIRECTIONS = 8
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 SINGLE_BANDS = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class Input:
-    """An uncertain input of one scenario.
-
-    Attributes
-    ----------
-    name, kind : for people
-    step : one unit in words
-    directions : how units of its uncertainty along each of its independent directions move the truth
-    most : units that it may move at most
-    """
-
-    name: str
-    kind: str
-    step: str
-    directions: tuple[Move, ...]
-    most: float = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +62,19 @@ class Attribution:
 
 @dataclass(frozen=True, eq=False)
 class _Reason:
-    """A candidate with how it moves each scenario: direction -> scenario -> move, None where it has none there."""
+    """A candidate with the input that it is in each scenario, None where it is none there."""
 
     candidate: Candidate
-    directions: tuple[tuple[Move | None, ...], ...]
+    members: tuple[Input | None, ...]
+
+    @property
+    def size(self) -> int:
+        return min(max(m.size for m in self.members if m is not None), MOST_DIRECTIONS)
 
     def at(self, direction: int, units: float) -> list[Departure]:
-        return [Departure() if move is None else move(units) for move in self.directions[direction]]
+        return [
+            Departure() if m is None or direction >= m.size else m.direction(direction, units) for m in self.members
+        ]
 
 
 def attribute(
@@ -123,7 +112,7 @@ def attribute(
     single: dict[tuple[Candidate, int], Array] = {}
     for i, reason in enumerate(track(reasons, "reasons: inputs", show=show_progress)):
         moved = []
-        for d in range(len(reason.directions)):
+        for d in range(reason.size):
             (up, up_q), (down, down_q) = (evaluate(reason.at(d, z)) for z in (1.0, -1.0))
             moved.append(0.5 * (up - down))
             if d == 0:
@@ -131,7 +120,7 @@ def attribute(
                 single[reason.candidate, 1], single[reason.candidate, -1] = up_q, down_q
         columns[reason.candidate] = np.stack(moved, axis=1)
     if options.unbudgeted and (bands := SINGLE_BANDS * stack.single_bands()).size:
-        columns[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False, 30.0)] = bands
+        columns[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False)] = bands
     predicted, values = stack.predicted(base), np.array([q.read(base) for q in asked])
     budget = budget_covariance(columns, predicted.size)
     covariance = stack.covariance + budget
@@ -179,14 +168,9 @@ def _reasons(stated: Sequence[Sequence[Input]], assumed: Sequence[Sequence[Input
             if name in known:
                 continue
             known.add(name)
-            members = [next((i for i in group if i.name == name), None) for group in groups]
+            members = tuple(next((i for i in group if i.name == name), None) for group in groups)
             first = next(m for m in members if m is not None)
-            depth = max(len(m.directions) for m in members if m is not None)
-            directions = tuple(
-                tuple(m.directions[d] if m is not None and d < len(m.directions) else None for m in members)
-                for d in range(depth)
-            )
-            out.append(_Reason(Candidate(name, first.kind, first.step, budgeted, first.most), directions))
+            out.append(_Reason(Candidate(name, first.kind, first.correlation, budgeted), members))
     return out
 
 

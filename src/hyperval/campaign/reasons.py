@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from hyperval.attribution.assumed import assumed_inputs
 from hyperval.attribution.model import Model
 from hyperval.attribution.residuals import few_objects
 from hyperval.attribution.rows import attribution_rows
-from hyperval.attribution.run import Input, Move, attribute
+from hyperval.attribution.run import attribute
 from hyperval.campaign.merge import merged, with_pools, without_circles
 from hyperval.campaign.schema import Campaign
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.predict import predict
-from hyperval.prediction.budget import budget_inputs
-from hyperval.prediction.budget_input import BudgetInput
+from hyperval.prediction.budget import given_of, inputs_of
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.inputs import Resolve
 from hyperval.products import Prediction, Products
@@ -27,8 +25,6 @@ from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import Uncertainty
 from hyperval.settings import with_settings
 
-# Directions of an input with a correlation length that are looked at: they hold nearly all of its variance.
-MOST_DIRECTIONS = 8
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
 
@@ -82,34 +78,23 @@ def reasons(
             changed.collection, changed.detection, resolve, show_progress=show_progress
         ).observation
 
-    stated = [_stated(s, observed, resolver_of(s), show_progress) for s in scenarios]
-    assumed = [
-        [Input(i.name, i.kind, i.step, (i.moved,), i.most) for i in assumed_inputs(scenario)]
+    given = [
+        given_of(
+            scenario,
+            axis=observation.axis,
+            measured=observed.statistics,
+            resolve=resolver_of(scenario),
+            show_progress=show_progress,
+        )
         for scenario in scenarios
     ]
     found = attribute(
         Model(scenarios, predicted, measured_again),
         observation,
-        stated,
-        assumed,
+        [inputs_of(g) for g in given],
+        [assumed_inputs(g) for g in given],
         campaign.attribution,
         budgeted=prediction,
         show_progress=show_progress,
     )
     return attribution_rows(found, campaign.name)
-
-
-def _stated(scenario: Scenario, observed: Observed, resolve: Resolve, show_progress: bool | None) -> list[Input]:
-    """The inputs of a scenario's budget, each with its leading directions."""
-    found = budget_inputs(
-        scenario,
-        axis=observed.observation.axis,
-        measured=observed.statistics,
-        resolve=resolve,
-        show_progress=show_progress,
-    )
-
-    def moves(item: BudgetInput) -> tuple[Move, ...]:
-        return tuple(partial(item.direction, k) for k in range(min(item.size, MOST_DIRECTIONS)))
-
-    return [Input(item.name, item.kind, item.correlation, moves(item)) for item in found]

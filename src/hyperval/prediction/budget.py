@@ -1,8 +1,4 @@
-"""The uncertain inputs of a prediction.
-
-An input has K independent directions with factors of mean 0 and variance 1; a departure of the truth follows from
-any set of factors.  Monte Carlo, linearisation, sensitivities and what-ifs all go through it.
-"""
+"""The uncertain inputs of a prediction, as its scenario states them (``uncertainty:``)."""
 
 from __future__ import annotations
 
@@ -10,26 +6,61 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
-from hyperval.prediction.budget_atmosphere import atmosphere_inputs
-from hyperval.prediction.budget_input import BudgetInput, Given
-from hyperval.prediction.budget_scene import scene_inputs
-from hyperval.prediction.budget_sensor import sensor_inputs
-from hyperval.prediction.departure import Departure, combined
+from hyperval.errors import UsageError
+from hyperval.prediction.departure import Departure, StatisticsDeparture, combined
+from hyperval.prediction.field_spectra import spectrum_error_sd
+from hyperval.prediction.forms import covariance_directions
+from hyperval.prediction.input import Input, Kind, number_input, spectral_input
+from hyperval.prediction.input_paths import Given, input_path
 from hyperval.prediction.inputs import Resolve, Sources
 from hyperval.prediction.setup import instrument, with_sensor_blur
 from hyperval.prediction.terms import remembered
 from hyperval.scenario import Scenario
+from hyperval.scenario_uncertainty import SampledStatistics, SpectralForm
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.specification import Sensor
 from hyperval.spectra.axis import SpectralAxis
 
-__all__ = ["BudgetInput", "Given", "budget_inputs", "drawn_truth", "inputs_of"]
+Array = npt.NDArray[np.float64]
+
+ENGINE, ENGINE_LINES, ENGINE_PATH = (
+    "radiative-transfer engine", "engine's fine structure", "engine's path radiance"
+)  # fmt: skip
+AEROSOL, WATER, SURROUNDINGS, BLUR = (
+    "aerosol optical depth", "water vapour", "surroundings", "blur (PSF width)"
+)  # fmt: skip
+# Numbers: name for users, kind, path, field of ``uncertainty``.
+_NUMBERS: tuple[tuple[str, Kind, str, str], ...] = (
+    (AEROSOL, "atmosphere", "atmosphere.aot550", "aot550"),
+    ("meteorological range", "atmosphere", "atmosphere.meteorological_range_km", "meteorological_range_km"),
+    (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", "water_vapour_g_cm2"),
+    ("ozone", "atmosphere", "atmosphere.ozone_atm_cm", "ozone_atm_cm"),
+    ("solar zenith angle", "atmosphere", "atmosphere.solar_zenith_deg", "solar_zenith_deg"),
+    ("solar azimuth", "atmosphere", "atmosphere.solar_azimuth_deg", "solar_azimuth_deg"),
+    ("view zenith angle", "atmosphere", "atmosphere.view_zenith_deg", "view_zenith_deg"),
+    ("view azimuth", "atmosphere", "atmosphere.view_azimuth_deg", "view_azimuth_deg"),
+    ("sensor altitude", "atmosphere", "atmosphere.sensor_altitude_km", "sensor_altitude_km"),
+    ("ground height", "atmosphere", "atmosphere.ground_altitude_km", "ground_altitude_km"),
+    ("solar irradiance", "atmosphere", "light.irradiance", "solar_irradiance_relative"),
+    (SURROUNDINGS, "scene", "light.surroundings", "adjacency_reflectance_relative"),
+)
+# Over wavelength, of the sensor: name, path, field of ``uncertainty``, whether it needs light.
+_SENSOR: tuple[tuple[str, str, str, bool], ...] = (
+    ("sensor gain", "sensor.gain", "sensor_gain", False),
+    ("sensor offset", "sensor.offset", "sensor_offset", False),
+    ("noise", "sensor.noise", "noise", True),
+    ("electrons per radiance", "sensor.electrons", "electrons", True),
+    ("wavelength shift", "sensor.wavelength_shift_nm", "wavelength_shift", False),
+    ("reflectance of the dark panel", "line.dark", "elm_panels", False),
+    ("reflectance of the bright panel", "line.bright", "elm_panels", False),
+)
 
 
-def inputs_of(given: Given, *, shapes: bool = True) -> list[BudgetInput]:
+def inputs_of(given: Given, *, shapes: bool = True) -> list[Input]:
     """The uncertain inputs in the order in which budgets list them: light, surfaces, sensor.
 
     ``shapes=False`` leaves out the errors of engine and field spectra, whose covariances a prediction uses as they
@@ -39,10 +70,10 @@ def inputs_of(given: Given, *, shapes: bool = True) -> list[BudgetInput]:
     ------
     UsageError : an uncertainty of what the scenario does not have.
     """
-    return [*atmosphere_inputs(given, shapes), *scene_inputs(given, shapes), *sensor_inputs(given)]
+    return [*_of_light(given, shapes), *_of_scene(given, shapes), *_of_sensor(given)]
 
 
-def budget_inputs(
+def given_of(
     scenario: Scenario,
     *,
     axis: SpectralAxis | None = None,
@@ -52,14 +83,10 @@ def budget_inputs(
     show_progress: bool | None = None,
     engine: Callable[[AtmosphericState], AtmosphericTerms] | None = None,
     sensor: Sensor | None = None,
-) -> list[BudgetInput]:
-    """The uncertain inputs that a scenario states (``uncertainty:``); parameters as those of ``predict``.
+) -> Given:
+    """What the inputs of a scenario are made of; parameters as those of ``predict``.
 
     The engine is run only where the error of the engine depends on the absorption of gases.
-
-    Raises
-    ------
-    UsageError : an uncertainty of what the scenario does not have.
     """
     find = resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
     known = measured or {}
@@ -79,9 +106,157 @@ def budget_inputs(
         call = atmospheric_terms
         return remembered(call, state, used.true_axis, cache_dir=cache_dir, show_progress=show_progress)
 
-    return inputs_of(Given(scenario, used.axis, used.sensor, surfaces, terms))
+    return Given(scenario, used.axis, used.sensor, surfaces, terms)
 
 
-def drawn_truth(inputs: list[BudgetInput], rng: np.random.Generator) -> Departure:
+def drawn_truth(inputs: list[Input], rng: np.random.Generator) -> Departure:
     """One truth with every input drawn from its distribution, independently of the others."""
     return combined(*(item.drawn(rng) for item in inputs))
+
+
+def gas_depth(gas_transmittance: Array) -> Array:
+    """-ln T_gas, at most that of a transmittance of 1e-6 [1]."""
+    return np.asarray(-np.log(np.clip(gas_transmittance, 1e-6, 1.0)))
+
+
+def field_spectrum_of(subject: str) -> str:
+    """Name of the input that is the error of a subject's field spectrum."""
+    return f"field spectrum of {subject}"
+
+
+def spectrum_inputs(given: Given) -> list[Input]:
+    """Errors of field spectra, as stated or as replicate spectra say of their own mean."""
+    found: list[Input] = []
+    number: dict[str, int] = {}
+    for item in given.scenario.uncertainty.field_spectra:
+        subject = item.subject
+        number[subject] = number.get(subject, 0) + 1
+        name = field_spectrum_of(subject) + ("" if number[subject] == 1 else f" ({number[subject]})")
+        sd = spectrum_error_sd(item, given.surfaces[subject], given.axis)
+        found.append(spectral_input(given, name, "surface", f"surfaces.[{subject}].mean", sd, item))
+    for subject, surface in given.surfaces.items():
+        if subject not in number and surface.mean_error is not None:
+            rows = covariance_directions(np.nan_to_num(surface.mean_error))
+            words = "as between replicate spectra"
+            found.append(_mean_input(given, field_spectrum_of(subject), "surface", subject, rows, words))
+    return found
+
+
+def _mean_input(given: Given, name: str, kind: Kind, subject: str, rows: Array, words: str) -> Input:
+    path = f"surfaces.[{subject}].mean"
+    at = input_path(given, path)
+    return Input(name, kind, path, at.nominal, rows, at.to, correlation=words)
+
+
+def _of_light(given: Given, shapes: bool) -> list[Input]:
+    """Atmosphere, sun and view; the engine's errors on the ground-reflected radiance and on the path."""
+    u = given.scenario.uncertainty
+    if given.scenario.atmosphere is None:
+        return []
+    found = [
+        number_input(given, name, kind, path, spread)
+        for name, kind, path, field in _NUMBERS
+        if (spread := getattr(u, field)) is not None
+    ]
+    if u.engine is None or not shapes:
+        return found
+    for name, part in ((ENGINE, u.engine), (ENGINE_LINES, u.engine.fine_structure)):
+        if part is None or not (part.relative > 0 or part.per_optical_depth > 0):
+            continue
+        sd = np.full(len(given.axis), part.relative)
+        if part.per_optical_depth > 0:  # greater where gases absorb
+            sd = sd + part.per_optical_depth * gas_depth(given.terms().gas_transmittance)
+        found.append(spectral_input(given, name, "engine", "light.ground", sd, part))
+    if u.engine.path_relative > 0:
+        found.append(spectral_input(given, ENGINE_PATH, "engine", "light.path", u.engine.path_relative, u.engine))
+    return found
+
+
+def _of_scene(given: Given, shapes: bool) -> list[Input]:
+    """Surfaces, then fills and fractions, then what sampling leaves open."""
+    u = given.scenario.uncertainty
+    found = spectrum_inputs(given) if shapes else []
+    for item in u.fills:
+        found.append(
+            number_input(given, f"fill of {item.subject}", "scene", f"fill.[{item.subject}]", item.absolute)
+        )
+    for item in u.fractions:
+        name = f"area fraction of {item.subject}"
+        found.append(number_input(given, name, "scene", f"fraction.[{item.subject}]", item.absolute))
+    for sampled in u.sampled_statistics:
+        found += _sampled(sampled, given)
+    return found
+
+
+def _of_sensor(given: Given) -> list[Input]:
+    """Gain, offset, noise, electrons, places of the bands, panels of the line, blur; the image's compensation."""
+    u, light = given.scenario.uncertainty, given.scenario.atmosphere is not None
+    found = []
+    for name, path, field, needs_light in _SENSOR:
+        form = getattr(u, field)
+        if form is not None and (light or not needs_light):
+            sd = form.relative if hasattr(form, "relative") else form.absolute
+            found.append(spectral_input(given, name, "sensor", path, sd, form))
+    widths = [p.fill.geometry for t in given.scenario.scene.targets for p in t.populations]
+    if u.psf_fwhm_pixels is not None and any(g is not None for g in widths):
+        found.append(number_input(given, BLUR, "sensor", "blur", u.psf_fwhm_pixels))
+    stated = u.collected_reflectance
+    if stated is not None and not light:  # what the image's reflectance is off by
+        form = SpectralForm(correlation_nm=stated.correlation_nm)
+        for name, path, sd in (
+            ("compensation (gain)", "sensor.gain", stated.relative),
+            ("compensation (offset)", "sensor.offset", stated.absolute),
+        ):
+            if sd > 0:
+                found.append(spectral_input(given, name, "sensor", path, sd, form))
+    return found
+
+
+def _sampled(item: SampledStatistics, given: Given) -> list[Input]:
+    """Mean and covariance that were estimated from n independent normal samples.
+
+    The mean is normal with covariance S / n.  The truth behind S is an inverse Wishart draw,
+    Sigma^-1 ~ W(S^-1 / (n - 1), nu).  With nu = n - B the separation d^T Sigma^-1 d of a matched filter is
+    distributed as its pivot says, (n - 1) d^T Sigma^-1 d / d^T S^-1 d ~ chi-square(n - B) (Muirhead, Aspects of
+    Multivariate Statistical Theory, 1982, theorem 3.2.12).  Below n = 2 B + 2 the covariance moves by one factor.
+    """
+    subject, surface = item.subject, given.surfaces[item.subject]
+    n = item.effective_n or surface.n
+    if n is None:
+        raise UsageError(
+            f"uncertainty: sampled_statistics of {subject!r}: its source does not say how many samples",
+            mend="give effective_n",
+        )
+    found = []
+    covariance, words = surface.covariance, f"sampling of {n:.4g} independent samples"
+    if item.mean:
+        rows = covariance_directions(covariance / n)
+        if rows.shape[0]:
+            found.append(_mean_input(given, f"sampled mean of {subject}", "sampling", subject, rows, words))
+    # The variance of any one score: s^2 of n - 1 degrees of freedom, log-normal with half of it on its root.
+    path = f"surfaces.[{subject}].spread"
+    at = input_path(given, path)
+    spread = Input(
+        f"sampled covariance of {subject}", "sampling", path, at.nominal,
+        np.array([[np.sqrt(0.5 / (n - 1.0))]]), at.to, "log-normal", words,
+        draws=lambda rng: Departure(statistics={subject: drawn_covariance(covariance, n, rng)}),
+    )  # fmt: skip
+    return [*found, spread]
+
+
+def drawn_covariance(covariance: Array, n: float, rng: np.random.Generator) -> StatisticsDeparture:
+    """A truth behind a covariance (B, B) that was estimated from ``n`` samples (see :func:`_sampled`)."""
+    live = np.diag(covariance) > 0
+    bands = int(live.sum())
+    nu = round(n - bands)
+    if nu < bands + 2:
+        return StatisticsDeparture(factor=float((n - 1.0) / rng.chisquare(n - 1.0)))
+    sd = np.sqrt(np.diag(covariance)[live])
+    root = np.linalg.cholesky(covariance[np.ix_(live, live)] / np.outer(sd, sd) + 1e-12 * np.eye(bands))
+    # Bartlett: A A^T ~ W(I, nu) with A lower triangular; Sigma = (n - 1) R A^-T A^-1 R^T has the law asked for.
+    a = np.tril(rng.standard_normal((bands, bands)), -1)
+    a[np.diag_indices(bands)] = np.sqrt(rng.chisquare(nu - np.arange(bands)))
+    half = np.linalg.solve(a, (sd[:, None] * root).T).T  # R A^-T up to the order of factors
+    out = np.zeros_like(covariance)
+    out[np.ix_(live, live)] = (n - 1.0) * half @ half.T
+    return StatisticsDeparture(covariance=out)

@@ -29,11 +29,13 @@ Array = npt.NDArray[np.float64]
 Number = float | Array
 
 _FACTORS = (
-    "ground", "path", "irradiance", "surroundings", "recorded_gain", "noise_factor", "signal_factor",
-    "retrieval_gain",
+    "ground", "path", "irradiance", "spherical_albedo", "surroundings", "recorded_gain", "noise_factor",
+    "signal_factor", "retrieval_gain",
 )  # fmt: skip
 _SUMS = ("recorded_offset", "retrieval_offset", "wavelength_shift_nm", "solar_zenith_deg", "solar_azimuth_deg")
-_OF_RADIANCE = ("ground", "path", "irradiance", "surroundings", "noise_factor", "signal_factor")
+_OF_RADIANCE = (
+    "ground", "path", "irradiance", "spherical_albedo", "surroundings", "noise_factor", "signal_factor"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,7 @@ class Departure:
     solar_zenith_deg, solar_azimuth_deg : added to the angles of the sun [deg]
     ground, path, irradiance : factors on the radiance that was reflected by the ground, on the path
         radiance, and on both [1]
+    spherical_albedo : factor on the spherical albedo of the atmosphere [1]
     surroundings : factor on the reflectance of the surroundings [1]
     recorded_gain, recorded_offset : the recorded radiance is gain L + offset [1], [uW cm-2 sr-1 nm-1]; noise
         goes along.  Where the scenario has no atmosphere it is the reflectance of all surfaces that were not
@@ -89,6 +92,7 @@ class Departure:
     ground: Number = 1.0
     path: Number = 1.0
     irradiance: Number = 1.0
+    spherical_albedo: Number = 1.0
     surroundings: Number = 1.0
     recorded_gain: Number = 1.0
     recorded_offset: Number = 0.0
@@ -300,6 +304,7 @@ def departed_terms(terms: AtmosphericTerms, departure: Departure) -> Atmospheric
         path_radiance=np.asarray(g * (e * departure.path * terms.path_radiance) + departure.recorded_offset),
         direct=np.asarray(seen * terms.direct),
         adjacency=np.asarray(seen * terms.adjacency),
+        spherical_albedo=np.asarray(departure.spherical_albedo * terms.spherical_albedo),
         ground_irradiance=np.asarray(e * terms.ground_irradiance),
     )
 

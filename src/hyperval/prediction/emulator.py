@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.atmosphere.interpolation import InterpolatedTerms, interpolated_terms
-from hyperval.prediction.budget_atmosphere import state_value
-from hyperval.prediction.budget_input import BudgetInput
 from hyperval.prediction.departure import departed_scenario
+from hyperval.prediction.input import Input
+from hyperval.prediction.input_paths import state_value
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
 
@@ -60,9 +60,7 @@ def _beside(name: str, stated: float, value: float) -> float:
     return stated + (value - stated + 180.0) % 360.0 - 180.0 if name.endswith("azimuth_deg") else value
 
 
-def emulator(
-    scenario: Scenario, inputs: Sequence[BudgetInput], engine: Engine, axis: SpectralAxis | None
-) -> Emulator:
+def emulator(scenario: Scenario, inputs: Sequence[Input], engine: Engine, axis: SpectralAxis | None) -> Emulator:
     """Run the engine at the nodes of every uncertain field of the atmosphere.
 
     Parameters
@@ -80,8 +78,8 @@ def emulator(
     axes: dict[str, Array] = {}
     runs, moving = [stated], []
     for item in inputs:
-        name = item.settings[0].removeprefix("atmosphere.") if item.settings else ""
-        if item.kind != "atmosphere" or not name:
+        room, _, name = item.path.partition(".")
+        if room != "atmosphere":
             continue
         assert scenario.atmosphere is not None  # noqa: S101 - inputs of the atmosphere
         values = [state_value(scenario.atmosphere, name)]
@@ -101,7 +99,7 @@ def emulator(
     found = Emulator(interpolated_terms(axes, runs, star=True, bounded=False), stated, len(runs) + 1, (0.0, 0.0))
     off = scenario
     for item in moving:
-        off = departed_scenario(off, item.moved(1.0)) if item.settings else off
+        off = departed_scenario(off, item.moved(1.0))
     assert off.atmosphere is not None  # noqa: S101
     return replace(found, error=_error(found(off.atmosphere), run(off)))
 

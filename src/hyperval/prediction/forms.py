@@ -77,23 +77,32 @@ def standardised(distribution: Distribution, rng: np.random.Generator, size: int
     return rng.standard_normal(size)
 
 
-def value_at(value: float, spread: Spread, z: float) -> float:
-    """A number ``z`` standard uncertainties from ``value``.
+def number_directions(value: float | Array, spread: Spread | Array) -> Array:
+    """(1, n) direction of a number, or of several that move together, with standard uncertainty ``spread``.
 
-    A log-normal one has its median there and the factor exp(s z) with s^2 = ln(1 + (u / value)^2), which gives it
-    the coefficient of variation u / value.
+    A log-normal error has its median at the value and the factor exp(s z) with s^2 = ln(1 + (u / value)^2), which
+    gives it the coefficient of variation u / value.
+
+    Raises
+    ------
+    UsageError : a log-normal error of a value that is not positive.
     """
+    at = np.atleast_1d(np.asarray(value, dtype=float))
+    u = np.broadcast_to(np.asarray(spread, dtype=float), at.shape)
     if getattr(spread, "distribution", "normal") != "log-normal":
-        return value + float(spread) * z
-    if value <= 0.0:
-        raise UsageError(f"a log-normal error of the value {value:g}", expected="a positive value")
-    return value * float(np.exp(np.sqrt(np.log1p((float(spread) / value) ** 2)) * z))
+        return u[None, :]
+    if np.any(at <= 0.0):
+        raise UsageError(f"a log-normal error of the value {at.min():g}", expected="a positive value")
+    return np.asarray(at * np.sqrt(np.log1p((u / at) ** 2)))[None, :]
 
 
-def factor_at(rows: Array, distribution: Distribution, c: Array) -> Array:
-    """(B,) factor 1 + c D of a relative error with directions D (K, B), or exp(c D) where it is log-normal."""
-    change = c @ rows
-    return np.asarray(np.exp(change) if distribution == "log-normal" else 1.0 + change)
+def value_along(nominal: float | Array, rows: Array, distribution: Distribution, c: Array) -> Array:
+    """(n,) value v + c D with directions D (K, n) and factors c (K,); v exp(c D / v) where it is log-normal."""
+    if distribution != "log-normal":
+        return np.asarray(nominal + c @ rows)
+    v = np.broadcast_to(np.asarray(nominal, dtype=float), rows.shape[1:])
+    relative = np.divide(rows, v, out=np.zeros_like(rows), where=v > 0)
+    return np.asarray(v * np.exp(c @ relative))
 
 
 def _groups(form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None) -> list[npt.NDArray[np.bool_]]:

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.prediction.budget import drawn_truth
-from hyperval.prediction.budget_input import BudgetInput
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.emulator import Emulator, emulator
+from hyperval.prediction.input import Input
 from hyperval.prediction.propagation import Agreement, Draws, Linear, agreement, draw_products, linearise
 from hyperval.products import Prediction, RocCurve, SpectralEstimate
 from hyperval.progress import track
@@ -47,7 +47,7 @@ class Propagated:
 def propagate(
     scenario: Scenario,
     stated: Prediction,
-    inputs: Sequence[BudgetInput],
+    inputs: Sequence[Input],
     again: Again,
     *,
     samples: int,

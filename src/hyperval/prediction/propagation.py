@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
-from hyperval.prediction.budget_input import BudgetInput
 from hyperval.prediction.departure import Departure
+from hyperval.prediction.input import Input
 from hyperval.products import Prediction, RocCurve
 
 Array = npt.NDArray[np.float64]
@@ -102,9 +102,7 @@ class Linear:
         return unscaled(key, centre - half), unscaled(key, centre + half)
 
 
-def linearise(
-    stated: Prediction, inputs: Sequence[BudgetInput], predicted: Callable[[Departure], Prediction]
-) -> Linear:
+def linearise(stated: Prediction, inputs: Sequence[Input], predicted: Callable[[Departure], Prediction]) -> Linear:
     """Linearised propagation of all products (JCGM 100:2008, 5.1).
 
     Spectra have it in ``stated``, with every direction of every input.  For scores and curves it is made of central

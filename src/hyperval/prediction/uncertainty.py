@@ -12,8 +12,7 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.prediction.budget_atmosphere import ENGINE, ENGINE_LINES, ENGINE_PATH, gas_depth
-from hyperval.prediction.budget_input import BudgetInput
+from hyperval.prediction.budget import ENGINE, ENGINE_LINES, ENGINE_PATH, gas_depth
 from hyperval.prediction.departure import (
     Departure,
     departed_noise,
@@ -24,6 +23,7 @@ from hyperval.prediction.departure import (
 )
 from hyperval.prediction.detection import Detection, RocKey
 from hyperval.prediction.forms import form_covariance
+from hyperval.prediction.input import Input
 from hyperval.prediction.view import View
 from hyperval.products import Prediction, RocCurve, SpectralEstimate
 from hyperval.scenario import Scenario
@@ -51,7 +51,7 @@ def perturbations(
     view: View,
     scenario: Scenario,
     terms_of: Callable[[AtmosphericState], AtmosphericTerms],
-    inputs: Sequence[BudgetInput],
+    inputs: Sequence[Input],
 ) -> list[Perturbation]:
     """Views of the scene for every input of light and sensor, one standard uncertainty up and down (3.7).
 
@@ -95,7 +95,7 @@ class Moved:
 
 
 def moved_predictions(
-    inputs: Sequence[BudgetInput], again: Callable[[Departure], Prediction], most: int = MOST_DIRECTIONS
+    inputs: Sequence[Input], again: Callable[[Departure], Prediction], most: int = MOST_DIRECTIONS
 ) -> list[Moved]:
     """Predictions for every input that changes surfaces, fills or bands; ``again`` predicts a departed truth."""
     found = []

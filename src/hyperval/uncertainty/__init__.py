@@ -1,0 +1,1 @@
+"""What a comparison could have found: standard errors planted in the model."""

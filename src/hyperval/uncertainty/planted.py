@@ -1,0 +1,203 @@
+"""Standard errors, each planted in the model alone: a comparison that is worth its name sees them.
+
+An error is one or several inputs that stand at another value than stated.  The truth of the model departs, what the
+detectors look for and how bands are labelled stays: the pipeline that is compared is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+from hyperval.predict import predict
+from hyperval.prediction.budget import given_of
+from hyperval.prediction.departure import Departure, combined
+from hyperval.prediction.input_paths import Given, input_path
+from hyperval.products import Prediction, SpectralEstimate
+from hyperval.scenario import Scenario
+from hyperval.scene.builtin import BUILTIN_NAMES, builtin_class
+
+Array = npt.NDArray[np.float64]
+Values = Mapping[str, Any]  # dotted path -> value that stands there
+
+NORMAL_DOF = 1e6  # degrees of freedom of tails that are left out
+
+
+class NotPlantable(UsageError):
+    """An error of something that the scenario does not have."""
+
+
+@dataclass(frozen=True)
+class PlantedError:
+    """An error of a standard size.
+
+    Attributes
+    ----------
+    name : as the power table has it
+    values : what stands where, for what a scenario says
+    line : (gain, offset) of an empirical line that is off; None for any other error
+    """
+
+    name: str
+    values: Callable[[Given], Values] = lambda given: {}
+    line: tuple[float, float] | None = None
+
+    def departure(self, given: Given) -> Departure:
+        """The truth of the model with the error.
+
+        Raises
+        ------
+        NotPlantable : the scenario has nothing of the kind.
+        """
+        try:
+            values = self.values(given) if self.line is None else _off_line(given, *self.line)
+            return combined(*(input_path(given, path).to(np.asarray(value)) for path, value in values.items()))
+        except NotPlantable:
+            raise
+        except UsageError as error:
+            raise NotPlantable(f"{self.name}: {error.what}") from error
+
+
+def planted_errors() -> tuple[PlantedError, ...]:
+    """The standard errors, in the order of the power table."""
+    return (
+        PlantedError("sunlight x 0.95", _times("light.irradiance", 0.95)),
+        PlantedError("sunlight x 1.05", _times("light.irradiance", 1.05)),
+        PlantedError("path radiance x 1.1", _times("light.path", 1.1)),
+        PlantedError("spherical albedo x 1.5", _times("light.spherical_albedo", 1.5)),
+        PlantedError("spectral shift of 0.1 band", _shifted(0.1)),
+        PlantedError("spectral shift of 0.5 band", _shifted(0.5)),
+        PlantedError("wavelengths + 5 nm", lambda given: {"sensor.wavelength_shift_nm": 5.0}),
+        PlantedError("noise x 1.5", _times("sensor.noise", 1.5)),
+        PlantedError("electrons x 1.05", _times("sensor.electrons", 1.05)),
+        PlantedError("class spread x 0.8", _spread(0.8)),
+        PlantedError("class spread x 1.25", _spread(1.25)),
+        PlantedError("tails left out", _without_tails),
+        PlantedError("class means exchanged", _class_means_exchanged),
+        PlantedError("target spectra x 0.8", _darker_targets),
+        PlantedError("target spectra exchanged", _target_spectra_exchanged),
+        PlantedError("target spectra of another material", _other_material),
+        PlantedError("fill x 0.8", _times("fill", 0.8)),
+        PlantedError("blur x 1.5", _times("blur", 1.5)),
+        PlantedError("empirical line gain x 1.02", line=(1.02, 0.0)),
+        PlantedError("empirical line offset + 0.005", line=(1.0, 0.005)),
+    )
+
+
+def planted_prediction(scenario: Scenario, error: PlantedError, **options: Any) -> Prediction:
+    """The prediction of a scenario with one error planted, its budget that of the scenario.
+
+    ``options`` : those of ``predict``; of no use are ``departure`` and a method of propagation by draws.
+
+    Raises
+    ------
+    NotPlantable : the scenario has nothing of the kind.
+    """
+    names = ("axis", "measured", "resolve", "cache_dir", "show_progress", "engine", "sensor")
+    given = given_of(scenario, **{name: options[name] for name in names if name in options})
+    found = predict(scenario, departure=error.departure(given), **options)
+    if error.line is None or scenario.atmosphere is None:
+        return found
+    # The collected reflectance is that of its own line: an error of the model's shows in the predicted one.
+    seen = {name: _through_line(estimate, *error.line) for name, estimate in found.reflectance.items()}
+    return replace(found, reflectance=seen)
+
+
+def _times(path: str, factor: float) -> Callable[[Given], Values]:
+    def values(given: Given) -> Values:
+        nominal = np.asarray(input_path(given, path).nominal, dtype=float)
+        if not np.any(nominal):
+            raise NotPlantable(f"{path} is 0")
+        return {path: factor * nominal}
+
+    return values
+
+
+def _shifted(part: float) -> Callable[[Given], Values]:
+    """True band centres off by a part of each band's width."""
+    return lambda given: {"sensor.wavelength_shift_nm": part * given.axis.fwhm_nm}
+
+
+def _spread(factor: float) -> Callable[[Given], Values]:
+    """Standard deviation of every class."""
+    return lambda given: {f"surfaces.[{c.name}].spread": factor for c in given.scenario.scene.classes}
+
+
+def _without_tails(given: Given) -> Values:
+    paths = [f"surfaces.[{c.name}].tail_dof" for c in given.scenario.scene.classes]
+    heavy = {path: NORMAL_DOF for path in paths if input_path(given, path).nominal < NORMAL_DOF}
+    if not heavy:
+        raise NotPlantable("no class has tails")
+    return heavy
+
+
+def _class_means_exchanged(given: Given) -> Values:
+    """Those of the two classes that cover most."""
+    classes = sorted(given.scenario.scene.classes, key=lambda c: -c.fraction)
+    if len(classes) < 2:
+        raise NotPlantable("there is one class")
+    a, b = classes[0].name, classes[1].name
+    return _means(given, {a: b, b: a})
+
+
+def _darker_targets(given: Given) -> Values:
+    return {path: 0.8 * np.asarray(input_path(given, path).nominal) for path in _target_means(given).values()}
+
+
+def _target_spectra_exchanged(given: Given) -> Values:
+    """Each target has the spectrum of the next one."""
+    names = list(_target_means(given))
+    if len(names) < 2:
+        raise NotPlantable("there is one target")
+    return _means(given, dict(zip(names, (*names[1:], names[0]), strict=True)))
+
+
+def _other_material(given: Given) -> Values:
+    """Of the built-in materials the one that is least like the target."""
+    found = {}
+    others = [builtin_class(n, given.axis).mean for n in BUILTIN_NAMES if not n.endswith("NN")]
+    for name, path in _target_means(given).items():
+        own = given.surfaces[name].mean
+        gaps = [float(np.nanmean((mean - own) ** 2)) for mean in others]
+        found[path] = others[int(np.argmax(gaps))]
+    return found
+
+
+def _target_means(given: Given) -> dict[str, str]:
+    """Target -> path of its mean spectrum."""
+    found = {t.name: f"surfaces.[{t.name}].mean" for t in given.scenario.scene.targets}
+    if not found:
+        raise NotPlantable("there is no target")
+    return found
+
+
+def _means(given: Given, taken: Mapping[str, str]) -> Values:
+    """Path of a mean -> that of another surface, where that is known."""
+    found = {}
+    for name, other in taken.items():
+        own, there = given.surfaces[name].mean, given.surfaces[other].mean
+        found[f"surfaces.[{name}].mean"] = np.nan_to_num(np.where(np.isfinite(there), there, own))
+    return found
+
+
+def _off_line(given: Given, gain: float, offset: float) -> Values:
+    """An empirical line that is off for the detectors; where reflectance was collected, in the surfaces' own."""
+    if given.scenario.atmosphere is None:
+        return {"sensor.gain": gain, "sensor.offset": offset}
+    if given.scenario.processing.elm == "none":
+        raise NotPlantable("there is no empirical line")
+    return {"line.gain": gain, "line.offset": offset}
+
+
+def _through_line(estimate: SpectralEstimate, gain: float, offset: float) -> SpectralEstimate:
+    pixels = estimate.pixel_covariance
+    return replace(
+        estimate,
+        mean=gain * estimate.mean + offset,
+        pixel_covariance=None if pixels is None else gain**2 * pixels,
+    )
