@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from hyperval.attribution.ranking import Candidate, budget_covariance, groups_of, ranking
+from hyperval.attribution.ranking import (
+    COMMON,
+    DIFFERENT,
+    Candidate,
+    budget_covariance,
+    groups_of,
+    ranking,
+    told_apart,
+)
 from hyperval.attribution.schema import AttributionOptions, WhatIf
 from hyperval.attribution.what_ifs import changed_scenarios
 from hyperval.errors import UsageError
@@ -62,6 +70,45 @@ def test_an_input_cannot_move_farther_than_it_may():
     assert (
         "gain (-10 times its step of 1 %, as far as it can) explains most, but none is enough" in found.conclusion
     )
+
+
+def _three_subjects():
+    """Radiances (3 x 20) of three subjects, a gain that they share and one spectrum that is off by a slope."""
+    level = np.stack([1.0 + 0.3 * np.sin(k + np.linspace(0, 3, 20)) for k in range(3)])
+    common = np.concatenate([np.diag(row) for row in level])
+    slope = np.zeros_like(level)
+    slope[1] = 0.1 * level[1] * np.linspace(-1, 1, 20)
+    spectrum = Candidate("spectrum", "surface", "10 %", False)
+    return common, {GAIN: 0.01 * level.reshape(-1, 1), spectrum: slope.reshape(-1, 1)}
+
+
+def test_what_all_subjects_share_is_told_apart_from_what_differs():
+    common, columns = _three_subjects()
+    rng = np.random.default_rng(6)
+    covariance = 0.005**2 * np.eye(60)
+    noise = 0.005 * rng.normal(size=60)
+    parts = told_apart(4 * columns[GAIN][:, 0] + noise, covariance, common, columns)
+    shared, different = (ranking(name, *parts[name]) for name in (COMMON, DIFFERENT))
+    assert (shared.dof, different.dof) == (20, 40)
+    assert shared.ranked[0].candidate is GAIN
+    assert shared.ranked[0].units == pytest.approx(4.0, abs=0.3)
+    assert different.p_value > 0.001  # false failure 1e-3: the noise alone is there
+    assert GAIN not in {r.candidate for r in different.ranked}
+    spectrum = next(c for c in columns if c is not GAIN)
+    parts = told_apart(3 * columns[spectrum][:, 0] + noise, covariance, common, columns)
+    different = ranking(DIFFERENT, *parts[DIFFERENT])
+    assert different.ranked[0].candidate is spectrum
+    assert different.ranked[0].units == pytest.approx(3.0, abs=0.3)
+
+
+def test_the_two_parts_hold_all_of_the_residuals_and_do_not_correlate():
+    common, columns = _three_subjects()
+    rng = np.random.default_rng(8)
+    a = rng.normal(size=(60, 60))
+    covariance, r = a @ a.T / 60 + 0.1 * np.eye(60), rng.normal(size=60)
+    parts = told_apart(r, covariance, common, columns)
+    whole = r @ np.linalg.solve(covariance, r)
+    assert sum(x @ np.linalg.solve(c, x) for x, c, _ in parts.values()) == pytest.approx(whole, rel=1e-9)
 
 
 def test_patterns_name_groups():

@@ -9,7 +9,8 @@ import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.prediction.budget import drawn_truth, given_of, inputs_of
+from hyperval.prediction.budget import given_of, inputs_of
+from hyperval.prediction.designs import drawn_truths
 from hyperval.prediction.forms import (
     covariance_directions,
     directions,
@@ -78,14 +79,13 @@ def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with
         assert any(moved) != (name in blind), name
         assert item.distribution
         assert item.correlation
-    rng = np.random.default_rng(1)
-    draws = [run(plain, departure=drawn_truth(list(found.values()), rng)) for _ in range(3)]
+    draws = [run(plain, departure=truth) for truth in drawn_truths(list(found.values()), 3, 1)]
     assert len({float(d.radiance["grass"].mean[0]) for d in draws}) == 3
 
 
 def test_draws_are_the_same_for_the_same_seed():
     found = list(inputs(scenario(EVERYTHING)).values())
-    a, b = (drawn_truth(found, np.random.default_rng(7)) for _ in range(2))
+    (a,), (b,) = (drawn_truths(found, 1, 7) for _ in range(2))
     assert dict(a.settings) == dict(b.settings)
     np.testing.assert_array_equal(a.spectra["plank"], b.spectra["plank"])
 

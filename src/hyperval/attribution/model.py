@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from hyperval.products import Products
 from hyperval.scenario import Scenario
 
 Observe = Callable[[Mapping[str, Any]], Products]
+Truth = Sequence[Departure]  # one departure for each scenario
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,18 +21,18 @@ class Model:
     Attributes
     ----------
     scenarios : as they stand in the campaign
-    predict : (scenarios, departures) -> their products merged as the campaign compares them
+    predict : (scenarios, truths) -> for each truth their products, merged as the campaign compares them
     observe : measures the collection again with changed settings; None where that cannot be done
     """
 
     scenarios: Sequence[Scenario]
-    predict: Callable[[Sequence[Scenario], Sequence[Departure]], Products]
+    predict: Callable[[Sequence[Scenario], Sequence[Truth]], Iterator[Products]]
     observe: Observe | None = None
 
-    def departed(self, departures: Sequence[Departure]) -> Products:
-        """Products when the truth of each scenario departs by its departure."""
-        return self.predict(self.scenarios, departures)
+    def departed(self, truths: Sequence[Truth]) -> Iterator[Products]:
+        """Products of the scenarios as they stand when the truth is another one."""
+        return self.predict(self.scenarios, truths)
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
-        return self.predict(scenarios, [Departure() for _ in scenarios])
+        return next(self.predict(scenarios, [[Departure() for _ in scenarios]]))

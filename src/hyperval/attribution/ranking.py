@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 import numpy.typing as npt
+from scipy import linalg
 
 from hyperval.attribution.likelihood import Explanation, Whitened, explanation
 
@@ -15,6 +16,7 @@ Array = npt.NDArray[np.float64]
 
 ENOUGH = 0.05  # p-value from which residuals count as explained
 MOST_STEPS = 3
+COMMON, DIFFERENT = "what all subjects share", "what differs between subjects"
 MOST_UNITS = 10.0  # an input that would have to move farther is no reason
 # Candidates whose gains differ by less cannot be told apart: the likelihoods differ by a factor of less than e.
 ALIKE = 2.0
@@ -140,6 +142,38 @@ def ranking(
             widened = widened + (best.needed**2 - float(best.candidate.budgeted)) * g @ g.T
         rest = _all(Whitened(residual, widened), left)
     return Ranking(group, data.chi_square, data.dof, data.p_value, tuple(ranked), tuple(together))
+
+
+def told_apart(
+    residual: Array, covariance: Array, common: Array, columns: Mapping[Candidate, Array]
+) -> dict[str, tuple[Array, Array, dict[Candidate, Array]]]:
+    """What is common to all subjects, and what differs between them: two independent parts of the residuals.
+
+    The common part is the generalised least-squares estimate of one factor for each band; the other is what no such
+    factor can make, N^T r with the columns of N orthogonal to ``common``.  The two do not correlate.
+
+    Parameters
+    ----------
+    residual, covariance : (m,), (m, m) of the spectra
+    common : (m, K) what a unit of each band's factor does
+
+    Returns
+    -------
+    Group -> residuals, covariance and columns, as :func:`ranking` takes them.
+    """
+    whole, _ = linalg.qr(common)
+    rest = whole[:, common.shape[1] :]
+    weighted = linalg.solve(covariance, common, assume_a="pos")
+    spread = linalg.inv(common.T @ weighted)
+    spread = 0.5 * (spread + spread.T)
+    estimate = spread @ weighted.T
+    found = {}
+    for name, m, c in ((COMMON, estimate, spread), (DIFFERENT, rest.T, rest.T @ covariance @ rest)):
+        moved = {candidate: m @ g for candidate, g in columns.items()}
+        least = {k: 1e-9 * float(np.max(np.abs(columns[k]), initial=0.0)) for k in moved}
+        kept = {k: g for k, g in moved.items() if np.max(np.abs(g), initial=0.0) > least[k]}
+        found[name] = (m @ residual, c, kept)
+    return found
 
 
 def _all(data: Whitened, columns: Mapping[Candidate, Array]) -> list[Ranked]:

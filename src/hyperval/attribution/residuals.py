@@ -95,6 +95,16 @@ class Stack:
                 out[rows, np.searchsorted(used, block.bands)] = block.observed
         return out
 
+    def common_bands(self) -> tuple[npt.NDArray[np.intp], Array]:
+        """Entries (m,) of spectra in bands that two and more subjects show, and columns (m, K) of those bands.
+
+        Column k holds what the subjects show in one band, 0 elsewhere: an error that is common to all of them.
+        """
+        columns = self.single_bands()
+        shared = np.count_nonzero(columns, axis=0) > 1
+        rows = np.flatnonzero(np.any(columns[:, shared] != 0.0, axis=1))
+        return rows, columns[np.ix_(rows, np.flatnonzero(shared))]
+
     def slices(self) -> list[slice]:
         """Where each block stands."""
         ends = np.cumsum([b.observed.size for b in self.blocks])

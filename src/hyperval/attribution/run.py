@@ -9,9 +9,9 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.attribution.model import Model
+from hyperval.attribution.model import Model, Truth
 from hyperval.attribution.quantities import Quantity, quantities
-from hyperval.attribution.ranking import Candidate, Ranking, budget_covariance, groups_of, ranking
+from hyperval.attribution.ranking import Candidate, Ranking, budget_covariance, groups_of, ranking, told_apart
 from hyperval.attribution.residuals import Stack, stacked
 from hyperval.attribution.schema import AttributionOptions
 from hyperval.attribution.sensitivity import Indices, quadratic_design, sensitivity_indices
@@ -100,7 +100,7 @@ def attribute(
     ------
     UsageError : nothing that both sides hold, or a what-if that fits no scenario.
     """
-    base = model.departed([Departure() for _ in model.scenarios])
+    base = model.assuming(model.scenarios)
     stack = stacked(base, observed)
     if not stack.blocks:
         raise UsageError("attribution: prediction and collection hold nothing in common")
@@ -110,15 +110,14 @@ def attribute(
     columns: dict[Candidate, Array] = {}
     changes = np.zeros((len(asked), len(reasons)))
     single: dict[tuple[Candidate, int], Array] = {}
-    for i, reason in enumerate(track(reasons, "reasons: inputs", show=show_progress)):
-        moved = []
-        for d in range(reason.size):
-            (up, up_q), (down, down_q) = (evaluate(reason.at(d, z)) for z in (1.0, -1.0))
-            moved.append(0.5 * (up - down))
-            if d == 0:
-                changes[:, i] = 0.5 * (up_q - down_q)
-                single[reason.candidate, 1], single[reason.candidate, -1] = up_q, down_q
-        columns[reason.candidate] = np.stack(moved, axis=1)
+    steps = [(i, d) for i, reason in enumerate(reasons) for d in range(reason.size)]
+    ends = evaluate([reasons[i].at(d, z) for i, d in steps for z in (1.0, -1.0)], "reasons: inputs", show_progress)
+    for i, reason in enumerate(reasons):
+        pairs = [(ends[2 * k], ends[2 * k + 1]) for k, (owner, _) in enumerate(steps) if owner == i]
+        columns[reason.candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
+        (_, up_q), (_, down_q) = pairs[0]
+        changes[:, i] = 0.5 * (up_q - down_q)
+        single[reason.candidate, 1], single[reason.candidate, -1] = up_q, down_q
     if options.unbudgeted and (bands := SINGLE_BANDS * stack.single_bands()).size:
         columns[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False)] = bands
     predicted, values = stack.predicted(base), np.array([q.read(base) for q in asked])
@@ -131,11 +130,16 @@ def attribute(
     if options.totals and counted and asked:
         indices = _indices(counted, evaluate, values, single, show_progress)
     rankings = [ranking(ALL, residual, covariance, columns)]
+    spectra, common = stack.common_bands()
+    if common.size and len(spectra) > common.shape[1]:
+        part = {c: g[spectra] for c, g in columns.items() if np.any(g[spectra])}
+        apart = told_apart(residual[spectra], covariance[np.ix_(spectra, spectra)], common, part)
+        rankings += [ranking(group, *parts) for group, parts in apart.items()]
     for group in groups_of([b.subject for b in stack.blocks], options.each):
         here = _indices_of(stack, group)
         part = {c: g[here] for c, g in columns.items() if np.any(g[here])}
         rankings.append(ranking(group, residual[here], covariance[np.ix_(here, here)], part))
-    outcomes = run_what_ifs(model, stack, asked, covariance, observed, options.what_ifs, show_progress)
+    outcomes = run_what_ifs(model, stack, asked, covariance, observed, options.what_ifs, base, show_progress)
     return Attribution(
         tuple(r.candidate for r in reasons),
         tuple(rankings),
@@ -149,14 +153,14 @@ def attribute(
 
 
 class _Evaluation:
-    """All residual quantities and all single numbers of one departed prediction."""
+    """All residual quantities and all single numbers of predictions of other truths."""
 
     def __init__(self, model: Model, stack: Stack, asked: Sequence[Quantity]):
         self._model, self._stack, self._asked = model, stack, asked
 
-    def __call__(self, departures: Sequence[Departure]) -> tuple[Array, Array]:
-        products = self._model.departed(departures)
-        return self._stack.predicted(products), np.array([q.read(products) for q in self._asked])
+    def __call__(self, truths: Sequence[Truth], title: str, show: bool | None) -> list[tuple[Array, Array]]:
+        found = track(self._model.departed(truths), title, len(truths), show=show)
+        return [(self._stack.predicted(p), np.array([q.read(p) for q in self._asked])) for p in found]
 
 
 def _reasons(stated: Sequence[Sequence[Input]], assumed: Sequence[Sequence[Input]]) -> list[_Reason]:
@@ -191,17 +195,16 @@ def _indices(
     leading = set(np.argsort(-share, kind="stable")[:MOST_TOGETHER])
     design = quadratic_design(len(reasons))
     values = [base, *(single[r.candidate, 1] for r in reasons), *(single[r.candidate, -1] for r in reasons)]
-    pairs = list(combinations(range(len(reasons)), 2))
-    for i, j in track(pairs, "reasons: pairs of inputs", show=show_progress):
+    joint: dict[int, list[Departure]] = {}
+    for i, j in combinations(range(len(reasons)), 2):
         a, b = reasons[i], reasons[j]
-        together = None
         if {i, j} <= leading and not a.candidate.kind == b.candidate.kind == ATMOSPHERE:
             together = _together([a, b], [1.0, 1.0])
-        values.append(
-            single[a.candidate, 1] + single[b.candidate, 1] - base if together is None else evaluate(together)[1]
-        )
+            if together is not None:
+                joint[len(values)] = together
+        values.append(single[a.candidate, 1] + single[b.candidate, 1] - base)
     rng = np.random.default_rng(0)
-    points, there = [], []
+    points, checks = [], []
     for _ in range(_CHECKS):
         z = rng.choice([-1.0, 1.0], size=len(reasons))
         engine = [i for i, r in enumerate(reasons) if r.candidate.kind == ATMOSPHERE]
@@ -209,7 +212,11 @@ def _indices(
         together = _together(reasons, z)
         if together is not None:
             points.append(z)
-            there.append(evaluate(together)[1])
+            checks.append(together)
+    found = [q for _, q in evaluate([*joint.values(), *checks], "reasons: pairs of inputs", show_progress)]
+    for place, value in zip(joint, found, strict=False):
+        values[place] = value
+    there = found[len(joint) :]
     return sensitivity_indices(design, np.array(values), (np.array(points), np.array(there)) if points else None)
 
 

@@ -60,16 +60,18 @@ def run_what_ifs(
     covariance: Array,
     observed: Products,
     what_ifs: Sequence[WhatIf],
+    base: Products,
     show_progress: bool | None = None,
 ) -> list[Outcome]:
     """Run every experiment of a campaign, the one that closes most of the gap first.
+
+    ``base`` : products of the scenarios as they stand.
 
     Raises
     ------
     UsageError : an experiment that fits no scenario, or wants a collection measured again that cannot be.
     """
     out = []
-    base = model.assuming(model.scenarios)
     for item in track(what_ifs, "reasons: what-ifs", show=show_progress):
         scenarios = changed_scenarios(model.scenarios, item)
         seen = observed

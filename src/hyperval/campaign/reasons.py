@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from hyperval.attribution.assumed import assumed_inputs
-from hyperval.attribution.model import Model
+from hyperval.attribution.model import Model, Truth
 from hyperval.attribution.residuals import few_objects
 from hyperval.attribution.rows import attribution_rows
 from hyperval.attribution.run import attribute
@@ -15,14 +15,12 @@ from hyperval.campaign.merge import merged, with_pools, without_circles
 from hyperval.campaign.schema import Campaign
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
-from hyperval.predict import predict
+from hyperval.predict import predictions
 from hyperval.prediction.budget import given_of, inputs_of
-from hyperval.prediction.departure import Departure
 from hyperval.prediction.inputs import Resolve
 from hyperval.products import Prediction, Products
 from hyperval.results import Result
 from hyperval.scenario import Scenario
-from hyperval.scenario_uncertainty import Uncertainty
 from hyperval.settings import with_settings
 
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
@@ -53,24 +51,25 @@ def reasons(
     whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
     draws = OBJECT_DRAWS if whole else False
 
-    def predicted(asked: Sequence[Scenario], departures: Sequence[Departure]) -> Products:
-        parts = [
-            predict(
-                scenario.model_copy(update={"uncertainty": Uncertainty()}),  # bands of its own are not needed
+    def predicted(asked: Sequence[Scenario], truths: Sequence[Truth]) -> Iterator[Products]:
+        streams = [
+            predictions(
+                scenario,
+                [truth[i] for truth in truths],
                 axis=observation.axis,
                 measured=observed.statistics,
                 resolve=resolver_of(scenario),
-                departure=departure,
                 objects=draws,
                 object_curves=False,  # scores and false alarms of pixels and draws of objects are looked at
                 show_progress=show_progress,
             )
-            for scenario, departure in zip(asked, departures, strict=True)
+            for i, scenario in enumerate(asked)
         ]
-        joined = without_circles(merged(parts), asked)
-        if campaign.detection is not None:
-            joined = replace(joined, roc=with_pools(joined.roc, observation, campaign.detection))
-        return joined
+        for parts in zip(*streams, strict=True):
+            joined = without_circles(merged(parts), asked)
+            if campaign.detection is not None:
+                joined = replace(joined, roc=with_pools(joined.roc, observation, campaign.detection))
+            yield joined
 
     def measured_again(changes: Mapping[str, Any]) -> Products:
         changed = with_settings(campaign, changes)

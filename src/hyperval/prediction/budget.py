@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure, StatisticsDeparture, combined
+from hyperval.prediction.departure import Departure, StatisticsDeparture
 from hyperval.prediction.field_spectra import spectrum_error_sd
 from hyperval.prediction.forms import covariance_directions
 from hyperval.prediction.input import Input, Kind, number_input, spectral_input
@@ -107,11 +107,6 @@ def given_of(
         return remembered(call, state, used.true_axis, cache_dir=cache_dir, show_progress=show_progress)
 
     return Given(scenario, used.axis, used.sensor, surfaces, terms)
-
-
-def drawn_truth(inputs: list[Input], rng: np.random.Generator) -> Departure:
-    """One truth with every input drawn from its distribution, independently of the others."""
-    return combined(*(item.drawn(rng) for item in inputs))
 
 
 def gas_depth(gas_transmittance: Array) -> Array:

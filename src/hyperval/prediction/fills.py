@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
@@ -23,8 +25,17 @@ def fill_distribution(fill: Fill) -> FillDistribution:
     if fill.fixed is not None:
         return fixed_fill(fill.fixed)
     if fill.geometry is not None:
-        return ranked_pixel_fill(geometry_of(fill), fill.geometry.n or 1).binned()
+        return _of_geometry(geometry_of(fill), fill.geometry.n or 1)
     return beta_fill(fill.mean or 0.0, fill.sd or 0.0)
+
+
+@lru_cache(maxsize=256)
+def _of_geometry(geometry: TargetGeometry, n: int) -> FillDistribution:
+    """For one geometry, however often it is asked for; not to be written to."""
+    found = ranked_pixel_fill(geometry, n).binned()
+    for part in (found.values, found.weights):
+        part.setflags(write=False)
+    return found
 
 
 def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:

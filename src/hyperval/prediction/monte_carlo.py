@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.prediction.budget import drawn_truth
 from hyperval.prediction.departure import Departure
+from hyperval.prediction.designs import drawn_truths
 from hyperval.prediction.emulator import Emulator, emulator
 from hyperval.prediction.input import Input
 from hyperval.prediction.propagation import Agreement, Draws, Linear, agreement, draw_products, linearise
@@ -75,8 +75,7 @@ def propagate(
     def predicted(d: Departure) -> Prediction:
         return again(d, stand_in)
 
-    rng = np.random.default_rng(seed)
-    truths = [drawn_truth(list(inputs), rng) for _ in range(samples)]
+    truths = drawn_truths(inputs, samples, seed)
 
     def drawn() -> Iterator[Prediction]:
         for d in track(truths, "draws of the budget", show=show_progress):

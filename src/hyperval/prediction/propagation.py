@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
 from hyperval.prediction.departure import Departure
+from hyperval.prediction.designs import one_at_a_time
 from hyperval.prediction.input import Input
 from hyperval.products import Prediction, RocCurve
 
@@ -111,12 +112,11 @@ def linearise(stated: Prediction, inputs: Sequence[Input], predicted: Callable[[
     base = quantities(predicted(Departure()))
     variance = {key: np.zeros(values.shape) for key, values in base.items()}
     by_steps = any(key[0] not in SPECTRA for key in variance)
-    for item in inputs if by_steps else ():
-        for k in range(min(item.size, MOST_DIRECTIONS)):
-            up, down = (quantities(predicted(item.direction(k, z))) for z in (1.0, -1.0))
-            for key, total in variance.items():
-                if key[0] not in SPECTRA:
-                    total += (0.5 * (scaled(key, up[key]) - scaled(key, down[key]))) ** 2
+    for step in one_at_a_time(inputs, MOST_DIRECTIONS) if by_steps else ():
+        up, down = (quantities(predicted(truth)) for truth in step.truths)
+        for key, total in variance.items():
+            if key[0] not in SPECTRA:
+                total += (0.5 * (scaled(key, up[key]) - scaled(key, down[key]))) ** 2
     for product in SPECTRA:
         for subject, estimate in getattr(stated, product).items():
             variance[product, subject] = estimate.standard_uncertainty**2
