@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from hyperval.errors import InputError
-from hyperval.imagery.drawing import Drawing, area_of, clipped
+from hyperval.imagery.drawing import Drawing, area_inside, polygon_of
 from hyperval.imagery.polygons import polygon_mask
 from hyperval.imagery.regions import holes, read_regions
 
@@ -42,19 +42,19 @@ def test_the_cut_is_that_of_a_larger_image():
         # about 16 x 30 x 2 cells, whose errors of half a cell average out.
         fine = polygon_mask(16 * (ring + BORDER), tuple(16 * s for s in larger.shape), where="t")
         inside = fine[16 * BORDER : 16 * (BORDER + SHAPE[0]), 16 * BORDER : 16 * (BORDER + SHAPE[1])]
-        assert area_of(ring) == pytest.approx(fine.sum() / 256, rel=0.01, abs=0.2)
-        assert area_of(clipped(ring, SHAPE)) == pytest.approx(inside.sum() / 256, rel=0.01, abs=0.2)
+        assert polygon_of([ring]).area == pytest.approx(fine.sum() / 256, rel=0.01, abs=0.2)
+        assert area_inside(polygon_of([ring]), SHAPE) == pytest.approx(inside.sum() / 256, rel=0.01, abs=0.2)
 
 
 def test_areas_of_known_figures():
     square = np.array([(2.0, 3), (6, 3), (6, 8), (2, 8)])
-    assert area_of(square) == area_of(square[::-1]) == 20.0
-    assert area_of(square + 4.7e6) == pytest.approx(20.0, rel=1e-9)
-    assert area_of(clipped(square - (4.0, 0.0), SHAPE)) == 10.0
-    assert area_of(clipped(square * 100.0, SHAPE)) == 0.0
+    assert polygon_of([square]).area == polygon_of([square[::-1]]).area == 20.0
+    assert area_inside(polygon_of([square - (4.0, 0.0)]), SHAPE) == 10.0
+    assert area_inside(polygon_of([square * 100.0]), SHAPE) == 0.0
     around = np.array([(-5.0, -5), (50, -5), (50, 50), (-5, 50)])
-    assert area_of(clipped(around, SHAPE)) == 120.0
-    assert area_of(square[:2]) == 0.0
+    assert area_inside(polygon_of([around]), SHAPE) == 120.0
+    # A bow tie is its two triangles, as the mask has it.
+    assert polygon_of([square[[0, 2, 1, 3]]]).area == pytest.approx(10.0)
 
 
 def test_what_is_said_of_a_polygon_that_leaves_the_image():

@@ -13,8 +13,9 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
 from hyperval.errors import InputError, UsageError
+from hyperval.imagery.drawing import Drawing
 from hyperval.imagery.regions import read_regions
-from hyperval.imagery.regions_vector import _geometry
+from hyperval.imagery.regions_vector import _draw
 
 SHAPE = (10, 12)
 SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
@@ -119,13 +120,17 @@ def test_every_layer_is_read_and_names_the_region(tmp_path):
     assert {name: r.n for name, r in regions.items()} == {"grass": 20, "panel": 4}
 
 
-def test_both_byte_orders_of_a_geometry():
-    big = struct.pack(">BII", 0, 3, 1) + struct.pack(">I", 3) + struct.pack(">6d", 0, 0, 1, 0, 1, 1)
-    kind, parts, end = _geometry(big, 0)
-    assert (kind, len(parts), end) == (3, 1, len(big))
-    assert parts[0][0].tolist() == [[0, 0], [1, 0], [1, 1]]
-    with pytest.raises(ValueError, match="cut short"):
-        _geometry(big[:-4], 0)
+def test_a_ring_that_is_not_closed_and_a_geometry_cut_short():
+    big = struct.pack(">BII", 0, 3, 1) + struct.pack(">I", 3) + struct.pack(">6d", 2, 2, 8, 2, 8, 8)
+
+    def place(points, where, ring):
+        return points
+
+    drawing = Drawing(SHAPE)
+    _draw(drawing, big, place, "f")
+    assert drawing.area == 18.0
+    with pytest.raises(InputError, match="not understood"):
+        _draw(drawing, big[:-4], place, "f")
 
 
 def test_a_polygon_that_leaves_the_image_is_cut_and_one_outside_refused(tmp_path):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 
 from hyperval.errors import InputError
 from hyperval.imagery.polygons import Ring, burned, inside_image, outside_error, pixel_mask, point_mask, ring_of
@@ -54,20 +54,13 @@ class Drawing:
         for ring in rings:
             if np.abs(ring).max() > FARTHEST:
                 raise outside_error(ring, self.shape, where)
-        whole = _net_area(rings)
-        self.area += whole
-        if all(inside_image(r, self.shape) for r in rings):
-            self.mask |= burned(rings, self.shape)
-            self.area_inside += whole
-            self._polygons.append(rings)
-            return
-        self._bounds.append(rings[0])
-        self.area_inside += _net_area([clipped(r, self.shape) for r in rings])
-        # A frame of one pixel: what runs along the cut lies on no pixel's centre.
-        framed = [clipped(r, self.shape, margin=1.0) for r in rings]
-        if len(framed[0]) >= 3:
-            self._polygons.append([r for r in framed if len(r) >= 3])
-            self.mask |= burned(self._polygons[-1], self.shape)
+        whole = polygon_of(rings)
+        self.area += whole.area
+        self.area_inside += area_inside(whole, self.shape)
+        self.mask |= burned(rings, self.shape)
+        self._polygons.append(rings)
+        if not all(inside_image(r, self.shape) for r in rings):
+            self._bounds.append(rings[0])
 
     def add_points(self, points: npt.ArrayLike, *, where: str) -> None:
         """Add the pixels that hold points (sample, line) in continuous coordinates."""
@@ -115,43 +108,14 @@ class Drawing:
             raise outside_error(np.vstack(self._bounds), self.shape, where)
 
 
-def area_of(ring: Array) -> float:
-    """Area of a ring of (n, 2) vertices by the shoelace formula; 0 for fewer than three."""
-    if len(ring) < 3:
-        return 0.0
-    x, y = (ring - ring[0]).T  # about a vertex: map coordinates far from 0 would lose digits
-    return abs(0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+def polygon_of(rings: Sequence[Array]) -> shapely.Geometry:
+    """The exterior less the holes; where sides cross, the parts that are enclosed an odd number of times."""
+    return shapely.make_valid(shapely.Polygon(rings[0], rings[1:]))
 
 
-def _net_area(rings: Sequence[Array]) -> float:
-    """Area of a polygon: of its exterior less its holes."""
-    return max(area_of(rings[0]) - sum(area_of(r) for r in rings[1:]), 0.0)
-
-
-def clipped(ring: Array, shape: tuple[int, int], margin: float = 0.0) -> Array:
-    """The part of a ring (n, 2) inside the image widened by ``margin`` pixels; may be empty.
-
-    One side of the rectangle after the other cuts off what lies beyond it (Sutherland & Hodgman, Commun. ACM 17,
-    32-42, 1974).  Parts that fall apart stay joined along the border, which adds no area.
-    """
-    lines, samples = shape
-    for axis, limit, sign in ((0, -margin, 1), (0, samples + margin, -1), (1, -margin, 1), (1, lines + margin, -1)):
-        if len(ring) == 0:
-            return ring
-        ahead = np.roll(ring, -1, axis=0)
-        here, there = sign * (ring[:, axis] - limit), sign * (ahead[:, axis] - limit)
-        crosses = (here >= 0) != (there >= 0)
-        with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            share = np.where(crosses, here / (here - there), 0.0)
-        cut = ring + share[:, None] * (ahead - ring)
-        cut[crosses, axis] = limit
-        both = np.empty((2 * len(ring), 2))
-        both[0::2], both[1::2] = ring, cut
-        keep = np.empty(2 * len(ring), bool)
-        keep[0::2], keep[1::2] = here >= 0, crosses
-        ring = both[keep]
-    return ring
+def area_inside(polygon: shapely.Geometry, shape: tuple[int, int]) -> float:
+    """Area of what an image (lines, samples) holds of a polygon [pixels]."""
+    return float(polygon.intersection(shapely.box(0, 0, shape[1], shape[0])).area)
 
 
 def _percent(part: float) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import struct
 import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
@@ -23,8 +23,7 @@ Array = npt.NDArray[np.float64]
 MAX_BYTES = 256 << 20
 MAX_FEATURES = 100_000
 _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
-_POINT, _LINE, _POLYGON, _MULTI_POINT, _MULTI_POLYGON = 1, 2, 3, 4, 6
-_KINDS = {2: "LineString", 5: "MultiLineString", 7: "GeometryCollection"}
+_KINDS = ("Polygon", "MultiPolygon", "Point", "MultiPoint")
 
 
 def is_vector(head: bytes) -> bool:
@@ -167,53 +166,18 @@ def _draw(drawing: Drawing, wkb: bytes | None, place: Any, where: str) -> None:
     if wkb is None:
         raise InputError("a feature without geometry", where=where)
     try:
-        kind, parts, _ = _geometry(bytes(wkb), 0)
-    except (struct.error, ValueError, IndexError):
-        raise InputError("a geometry that is not understood", where=where) from None
-    if kind in _KINDS or not parts:
-        what = f"geometry {_KINDS[kind]!r}" if kind in _KINDS else "an empty geometry"
-        raise InputError(what, where=where, expected="Polygon, MultiPolygon, Point, MultiPoint")
-    if kind in (_POINT, _MULTI_POINT):
-        points = place(np.vstack([ring for part in parts for ring in part]), where, False)
-        drawing.add_points(points, where=where)
+        geometry = shapely.from_wkb(bytes(wkb), on_invalid="fix")  # a ring that is not closed is
+    except shapely.errors.ShapelyError:
+        geometry = None
+    if geometry is None:
+        raise InputError("a geometry that is not understood", where=where)
+    if geometry.geom_type not in _KINDS or geometry.is_empty:
+        what = "an empty geometry" if geometry.geom_type in _KINDS else f"geometry {geometry.geom_type!r}"
+        raise InputError(what, where=where, expected=", ".join(_KINDS))
+    if geometry.geom_type.endswith("Point"):
+        drawing.add_points(place(shapely.get_coordinates(geometry), where, False), where=where)
         return
-    for rings in parts:
+    for polygon in shapely.get_parts(geometry):
+        rings = [shapely.get_coordinates(ring) for ring in (polygon.exterior, *polygon.interiors)]
         outer, *inner = [place(ring, where, True) for ring in rings]
         drawing.add_polygon(outer, inner, where=where)
-
-
-def _geometry(raw: bytes, at: int) -> tuple[int, list[list[Array]], int]:
-    """Kind of a well-known-binary geometry, its parts (lists of rings of (n, 2) points), and where it ends.
-
-    The layout is that of OGC 06-103r4, section 8.2: byte order, kind, counts, pairs of doubles.
-    """
-    end = "<" if raw[at] == 1 else ">"
-    (kind,) = struct.unpack_from(f"{end}I", raw, at + 1)
-    at += 5
-
-    def points(count: int, at: int) -> tuple[Array, int]:
-        if at + 16 * count > len(raw):
-            raise ValueError("cut short")
-        return np.frombuffer(raw, f"{end}f8", 2 * count, at).reshape(-1, 2).astype(float), at + 16 * count
-
-    if kind == _POINT:
-        xy, at = points(1, at)
-        return kind, [[xy]] if np.all(np.isfinite(xy)) else [], at
-    (count,) = struct.unpack_from(f"{end}I", raw, at)
-    at += 4
-    parts: list[list[Array]] = []
-    if kind == _POLYGON:
-        rings = []
-        for _ in range(count):
-            (n,) = struct.unpack_from(f"{end}I", raw, at)
-            ring, at = points(n, at + 4)
-            rings.append(ring)
-        return kind, [rings] if rings else [], at
-    if kind in (_MULTI_POINT, _MULTI_POLYGON):
-        for _ in range(count):
-            _, inner, at = _geometry(raw, at)
-            parts += inner
-        return kind, parts, at
-    if kind in _KINDS:
-        return kind, [], at
-    raise ValueError(f"kind {kind}")

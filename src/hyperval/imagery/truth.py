@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from hyperval.imagery.regions import Region, guard, objects
 from hyperval.imagery.regions_files import read_table
 from hyperval.paths import checked_file
 
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 # First line and sample of a window, and a mask within it.
 Placed = tuple[tuple[int, int], Mask]
@@ -145,82 +147,109 @@ def read_targets(
             where=f"{path}:1",
             expected="material and one of " + "; ".join(",".join(p) for p in _PLACES),
         )
-    if pixel_size_m is None and isinstance(transform, Affine):
-        pixel_size_m = math.sqrt(abs(transform.determinant))
-    elif isinstance(transform, LookupTable) and transform.pixel_area_m2 is not None:
-        pixel_size_m = math.sqrt(transform.pixel_area_m2)
-    if pixel_size_m is None or not pixel_size_m > 0:
-        raise UsageError(
-            "the ground size of a pixel is not known", where=str(path), mend="state targets.pixel_size_m"
-        )
-    out: list[TargetObject] = []
-    names: set[str] = set()
+    image = _Image(shape, transform, _pixel_size(pixel_size_m, transform, str(path)))
+    out: dict[str, TargetObject] = {}
     for line, row in rows:
-        where = f"{path}:{line}"
-        number = {key: _number(row.get(key), key, where) for key in fields if key not in ("name", "material")}
-        material = row["material"]
-        name = row.get("name") or f"{material} {line - 1}"
-        if not material or name in names:
-            raise InputError("no material, or a name that stands twice", where=where)
-        names.add(name)
-        side_m, width, length = (number.get(key, math.nan) for key in ("side_m", "width_m", "length_m"))
-        width = side_m if math.isnan(width) else width  # a list may hold squares and rectangles
-        length = width if math.isnan(length) else length
-        area = number.get("area_m2", math.nan)
-        doubt = number.get("position_uncertainty_m", math.nan)
-        for key, value in (("area_m2", area), ("position_uncertainty_m", doubt)):
-            if value < 0:
-                raise InputError(f"{key} is {value:g}", where=where, expected="0 or more, or an empty cell")
-        if math.isnan(width) and math.isnan(length) and doubt > 0:
-            width = length = 0.0  # a place known to so many metres, of a target whose size nobody states
-        elif not width > 0 or not length > 0:
-            raise InputError(
-                "no size",
-                where=where,
-                expected="side_m, or width_m and length_m, above 0",
-                mend="where no size is known, state position_uncertainty_m: the target is looked for within it",
-            )
-        outline = _outline_of(row, width, length, where)
-        if math.isnan(area) and width > 0:
-            area = width * length * (math.pi / 4 if outline is _ellipse else 1.0)
-        first, second = number[place[0]], number[place[1]]
-        if math.isnan(first) or math.isnan(second):
-            raise InputError(f"no {place[0]}, {place[1]}", where=where)
-        shift = _PLACES[place]
-        if shift is None:
-            x, y = map_to_pixel([(first, second)], transform, where=where)[0]
-        else:
-            x, y = second + shift, first + shift
-        heading = number.get("heading_deg", 0.0)
-        heading = 0.0 if math.isnan(heading) else heading
-        if shift is None and isinstance(transform, LookupTable):
-            unit = transform.metres_per_unit
-            around = outline(0.0, 0.0, width / unit, length / unit, heading)
-            on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
-            corners = map_to_pixel(on_map, transform, where=where)
-        else:
-            corners = outline(x, y, width / pixel_size_m, length / pixel_size_m, heading)
-        if not inside_image(corners, shape):
-            low, high = corners.min(axis=0), corners.max(axis=0)
-            raise InputError(
-                f"the target {name!r} leaves the image: it takes lines {low[1]:.1f} to {high[1]:.1f}, "
-                f"samples {low[0]:.1f} to {high[0]:.1f}",
-                where=where,
-                expected=f"lines 0 to {shape[0]}, samples 0 to {shape[1]} (continuous pixel coordinates)",
-                mend="check what kind its coordinates are; a target that the image cuts is taken out of the list",
-            )
-        if width > 0:
-            placed = cut_out(polygon_mask(corners, shape, where=where, touched=True))
-        else:
-            placed = cut_out(point_mask([(x, y)], shape, where=where))
-        if doubt > 0:
-            placed = _grown(placed, doubt / pixel_size_m, shape)
-        side = width if width == length and width > 0 and outline is _rectangle else math.nan
-        centre = (math.floor(y), math.floor(x))
-        out.append(TargetObject(name, material, side, area, shape, *placed, centre, dict(row)))
+        target = _target(row, place, image, line, f"{path}:{line}")
+        if target.name in out:
+            raise InputError("no material, or a name that stands twice", where=f"{path}:{line}")
+        out[target.name] = target
     if not out:
         raise InputError("the list holds no target", where=str(path))
-    return out
+    return list(out.values())
+
+
+@dataclass(frozen=True)
+class _Image:
+    """The image that the targets lie in: its shape (lines, samples), its place, the side of a pixel [m]."""
+
+    shape: tuple[int, int]
+    transform: Position
+    pixel_m: float
+
+
+def _pixel_size(stated: float | None, transform: Position, where: str) -> float:
+    """Ground size of a pixel [m]: as stated, else that of the transform."""
+    size = stated
+    if size is None:
+        area = transform.determinant if isinstance(transform, Affine) else getattr(transform, "pixel_area_m2", None)
+        size = 0.0 if area is None else math.sqrt(abs(area))
+    if not size > 0:
+        raise UsageError("the ground size of a pixel is not known", where=where, mend="state targets.pixel_size_m")
+    return size
+
+
+def _target(row: Mapping[str, str], place: tuple[str, str], image: _Image, line: int, where: str) -> TargetObject:
+    """The target of one row of the list."""
+    name = row.get("name") or f"{row['material']} {line - 1}"
+    if not row["material"]:
+        raise InputError("no material, or a name that stands twice", where=where)
+    number = {key: _number(row.get(key), key, where) for key in _NUMERIC}
+    width, length, doubt = _size(number, where)
+    outline = _outline_of(row, width, length, where)
+    area = number["area_m2"]
+    if math.isnan(area) and width > 0:
+        area = width * length * (math.pi / 4 if outline is _ellipse else 1.0)
+    centre, corners = _position(number, place, image, partial(outline, width=width, length=length), where)
+    if not inside_image(corners, image.shape):
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        raise InputError(
+            f"the target {name!r} leaves the image: it takes lines {low[1]:.1f} to {high[1]:.1f}, "
+            f"samples {low[0]:.1f} to {high[0]:.1f}",
+            where=where,
+            expected=f"lines 0 to {image.shape[0]}, samples 0 to {image.shape[1]} (continuous pixel coordinates)",
+            mend="check what kind its coordinates are; a target that the image cuts is taken out of the list",
+        )
+    if width > 0:
+        placed = cut_out(polygon_mask(corners, image.shape, where=where, touched=True))
+    else:
+        placed = cut_out(point_mask([centre], image.shape, where=where))
+    if doubt > 0:
+        placed = _grown(placed, doubt / image.pixel_m, image.shape)
+    side = width if width == length and width > 0 and outline is _rectangle else math.nan
+    pixel = (math.floor(centre[1]), math.floor(centre[0]))
+    return TargetObject(name, row["material"], side, area, image.shape, *placed, pixel, dict(row))
+
+
+def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]:
+    """Width and length [m], 0 where nobody states a size, and the uncertainty of the position [m], maybe NaN."""
+    for key in ("area_m2", "position_uncertainty_m"):
+        if number[key] < 0:
+            raise InputError(f"{key} is {number[key]:g}", where=where, expected="0 or more, or an empty cell")
+    # A list may hold squares and rectangles.
+    width = number["side_m"] if math.isnan(number["width_m"]) else number["width_m"]
+    length = width if math.isnan(number["length_m"]) else number["length_m"]
+    doubt = number["position_uncertainty_m"]
+    if math.isnan(width) and math.isnan(length) and doubt > 0:
+        return 0.0, 0.0, doubt  # a place known to so many metres, of a target whose size nobody states
+    if not width > 0 or not length > 0:
+        raise InputError(
+            "no size",
+            where=where,
+            expected="side_m, or width_m and length_m, above 0",
+            mend="where no size is known, state position_uncertainty_m: the target is looked for within it",
+        )
+    return width, length, doubt
+
+
+def _position(
+    number: Mapping[str, float], place: tuple[str, str], image: _Image, outline: Callable[..., Array], where: str
+) -> tuple[tuple[float, float], Array]:
+    """Centre (sample, line) and corners (n, 2) of a target, in continuous pixel coordinates."""
+    first, second = number[place[0]], number[place[1]]
+    if math.isnan(first) or math.isnan(second):
+        raise InputError(f"no {place[0]}, {place[1]}", where=where)
+    heading = 0.0 if math.isnan(number["heading_deg"]) else number["heading_deg"]
+    shift = _PLACES[place]
+    if shift is not None:
+        x, y = second + shift, first + shift
+    else:
+        x, y = map_to_pixel([(first, second)], image.transform, where=where)[0]
+    if shift is None and isinstance(image.transform, LookupTable):
+        around = outline(0.0, 0.0, scale=image.transform.metres_per_unit, heading_deg=heading)
+        on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
+        return (x, y), map_to_pixel(on_map, image.transform, where=where)
+    return (x, y), outline(x, y, scale=image.pixel_m, heading_deg=heading)
 
 
 def intersected_objects(
@@ -304,27 +333,36 @@ def _grown(placed: Placed, radius_pixels: float, shape: tuple[int, int]) -> Plac
     return (first, start), guard(room, radius_pixels)
 
 
-def _rectangle(x: float, y: float, width: float, length: float, heading_deg: float) -> npt.NDArray[np.float64]:
-    """(4, 2) corners (sample, line) of a rectangle around (x, y), its length along the heading."""
+def _rectangle(x: float, y: float, width: float, length: float, scale: float, heading_deg: float) -> Array:
+    """(4, 2) corners (sample, line) of a rectangle around (x, y), its length along the heading.
+
+    ``width`` and ``length`` [m] are divided by ``scale``, the metres of a unit of the coordinates.
+    """
+    return _turned(
+        x, y, np.array([(-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5)]), width, length, scale, heading_deg
+    )
+
+
+def _ellipse(x: float, y: float, width: float, length: float, scale: float, heading_deg: float) -> Array:
+    """(72, 2) points (sample, line) around an ellipse of these diameters; otherwise as :func:`_rectangle`."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    unit = np.column_stack([np.cos(turn), np.sin(turn)]) / 2
+    return _turned(x, y, unit, width, length, scale, heading_deg)
+
+
+def _turned(
+    x: float, y: float, unit: Array, width: float, length: float, scale: float, heading_deg: float
+) -> Array:
+    """Points (along, across) of a figure of unit size, stretched, turned to the heading and put at (x, y)."""
     h = math.radians(heading_deg)
     along, across = np.array([math.sin(h), -math.cos(h)]), np.array([math.cos(h), math.sin(h)])
-    half = [(-1, -1), (-1, 1), (1, 1), (1, -1)]
-    return np.array([np.array([x, y]) + a * length / 2 * along + b * width / 2 * across for a, b in half])
-
-
-def _ellipse(x: float, y: float, width: float, length: float, heading_deg: float) -> npt.NDArray[np.float64]:
-    """(72, 2) points (sample, line) around an ellipse of these diameters, its length along the heading."""
-    h, turn = math.radians(heading_deg), np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)[:, None]
-    along, across = np.array([math.sin(h), -math.cos(h)]), np.array([math.cos(h), math.sin(h)])
-    return np.array([x, y]) + np.cos(turn) * length / 2 * along + np.sin(turn) * width / 2 * across
+    return np.array([x, y]) + unit[:, :1] * (length / scale) * along + unit[:, 1:] * (width / scale) * across
 
 
 _OUTLINES = {"": _rectangle, "square": _rectangle, "rectangle": _rectangle, "circle": _ellipse, "ellipse": _ellipse}
 
 
-def _outline_of(
-    row: Mapping[str, str], width: float, length: float, where: str
-) -> Callable[[float, float, float, float, float], npt.NDArray[np.float64]]:
+def _outline_of(row: Mapping[str, str], width: float, length: float, where: str) -> Callable[..., Array]:
     """How the outline of a target is drawn; InputError for a shape that is none or that its sizes contradict."""
     shape = row.get("shape", "").lower()
     if shape not in _OUTLINES:
@@ -343,23 +381,20 @@ def _outline_of(
     return _OUTLINES[shape]
 
 
-def _number(text: str | None, key: str, where: str) -> float:
-    if text is None or not text.strip():
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        return math.nan if key not in _NUMERIC else _refuse(text, key, where)
-    if not math.isfinite(value):
-        return _refuse(text, key, where)
-    return value
-
-
 _NUMERIC = frozenset(
     {"side_m", "width_m", "length_m", "area_m2", "heading_deg", "position_uncertainty_m"}
     | {column for pair in _PLACES for column in pair}
 )
 
 
-def _refuse(text: str, key: str, where: str) -> float:
-    raise InputError(f"{key} is {text[:40]!r}", where=where, expected="a number")
+def _number(text: str | None, key: str, where: str) -> float:
+    """The number of a cell, NaN where it is empty."""
+    if text is None or not text.strip():
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.inf
+    if not math.isfinite(value):
+        raise InputError(f"{key} is {text[:40]!r}", where=where, expected="a number")
+    return value
