@@ -17,6 +17,7 @@ from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.predict import predictions
 from hyperval.prediction.budget import given_of, inputs_of
+from hyperval.prediction.departure import Departure, departs
 from hyperval.prediction.inputs import Resolve
 from hyperval.products import Prediction, Products
 from hyperval.results import Result
@@ -51,21 +52,35 @@ def reasons(
     whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
     draws = OBJECT_DRAWS if whole else False
 
+    def asked_again(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[Prediction]:
+        return predictions(
+            scenario,
+            truths,
+            axis=observation.axis,
+            measured=observed.statistics,
+            resolve=resolver_of(scenario),
+            objects=draws,
+            object_curves=False,  # scores and false alarms of pixels and draws of objects are looked at
+            show_progress=show_progress,
+        )
+
+    as_stated: list[tuple[Scenario, Prediction]] = []  # predicted once, however often nothing is moved in it
+
+    def still(scenario: Scenario) -> Prediction:
+        known = next((p for s, p in as_stated if s is scenario), None)
+        if known is None:
+            known = next(asked_again(scenario, [Departure()]))
+            as_stated.append((scenario, known))
+        return known
+
+    def side(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[Prediction]:
+        moved = asked_again(scenario, [truth for truth in truths if departs(truth)])
+        for truth in truths:
+            yield next(moved) if departs(truth) else still(scenario)
+
     def predicted(asked: Sequence[Scenario], truths: Sequence[Truth]) -> Iterator[Products]:
-        streams = [
-            predictions(
-                scenario,
-                [truth[i] for truth in truths],
-                axis=observation.axis,
-                measured=observed.statistics,
-                resolve=resolver_of(scenario),
-                objects=draws,
-                object_curves=False,  # scores and false alarms of pixels and draws of objects are looked at
-                show_progress=show_progress,
-            )
-            for i, scenario in enumerate(asked)
-        ]
-        for parts in zip(*streams, strict=True):
+        sides = [side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(asked)]
+        for parts in zip(*sides, strict=True):
             joined = without_circles(merged(parts), asked)
             if campaign.detection is not None:
                 joined = replace(joined, roc=with_pools(joined.roc, observation, campaign.detection))
