@@ -6,11 +6,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from hyperval.attribution.assumed import assumed_inputs
-from hyperval.attribution.model import Model, Truth
-from hyperval.attribution.residuals import few_objects
-from hyperval.attribution.rows import attribution_rows
-from hyperval.attribution.run import attribute
 from hyperval.campaign.merge import merged, with_pools, without_circles
 from hyperval.campaign.schema import Campaign
 from hyperval.observe import Observed
@@ -23,6 +18,11 @@ from hyperval.products import Prediction, Products
 from hyperval.results import Result
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
+from hyperval.uncertainty.attribution.assumed import assumed_inputs
+from hyperval.uncertainty.attribution.model import Model, Truth
+from hyperval.uncertainty.attribution.residuals import few_objects
+from hyperval.uncertainty.attribution.rows import attribution_rows
+from hyperval.uncertainty.attribution.run import attribute
 
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600

@@ -8,13 +8,13 @@ from typing import Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from hyperval.attribution.schema import AttributionOptions
 from hyperval.campaign.template import campaign_runs
 from hyperval.collection import Classification, Collection, Detection
 from hyperval.compare.gates import Gate
 from hyperval.config import Model, load_yaml, validate
 from hyperval.errors import UsageError
 from hyperval.scenario import Scenario
+from hyperval.uncertainty.attribution.schema import AttributionOptions
 
 
 class Outline(Model):

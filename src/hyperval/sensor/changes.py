@@ -9,6 +9,7 @@ from pydantic import Field
 
 from hyperval.config import Model
 from hyperval.sensor.noise import NoiseModel
+from hyperval.sensor.recorded import with_signal
 
 
 class SensorChanges(Model):
@@ -25,20 +26,15 @@ class SensorChanges(Model):
 def changed_noise(noise: NoiseModel, changes: SensorChanges) -> NoiseModel:
     """The noise (3.13)-(3.19) of a sensor with other numbers.
 
-    Measured noise |a sqrt(b + L) + c| changes through its electrons: with g = 1/a^2 electrons per radiance the
-    shot term is sqrt(L / g), and b g is the variance of the fixed noise [electrons^2].  A changed word length
-    moves the step of quantisation at the same full scale.
+    The light acts by :func:`with_signal`; b g of measured noise is the variance of its fixed part [electrons^2].
+    A changed word length moves the step of quantisation at the same full scale.
     """
-    s, f = changes.signal_factor, changes.fixed_noise_factor
-    found = replace(
-        noise,
-        electrons_per_radiance=noise.electrons_per_radiance * s,
-        fixed_noise=noise.fixed_noise * f,
-        full_scale=None if noise.full_scale is None else noise.full_scale / s,  # the well stays as large as it is
-    )
-    if noise.measured is not None:
-        a, b, c = noise.measured
-        found = replace(found, measured=(a / np.sqrt(s), b * f**2 / s, c / s))
+    found = with_signal(noise, changes.signal_factor)
+    f = changes.fixed_noise_factor
+    found = replace(found, fixed_noise=found.fixed_noise * f)
+    if found.measured is not None:
+        a, b, c = found.measured
+        found = replace(found, measured=(a, b * f**2, c))
     if changes.calibration_error_percent is not None:
         c_r = np.full_like(noise.calibration_percent, changes.calibration_error_percent)
         found = replace(found, calibration_percent=c_r)

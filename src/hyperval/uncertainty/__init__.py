@@ -1,1 +1,1 @@
-"""What a comparison could have found: standard errors planted in the model."""
+"""Designs over inputs: which one explains a difference, and which error a comparison would have shown."""

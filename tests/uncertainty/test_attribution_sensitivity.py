@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hyperval.attribution.sensitivity import quadratic_design, sensitivity_indices
 from hyperval.errors import UsageError
+from hyperval.uncertainty.attribution.sensitivity import quadratic_design, sensitivity_indices
 
 
 def test_a_polynomial_of_degree_two_is_met_exactly():

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from hyperval.attribution.false_alarms import AlarmRatio, reason_for
-from hyperval.attribution.likelihood import closing_change
-from hyperval.attribution.ranking import ENOUGH, Ranking, told
-from hyperval.attribution.run import Attribution
-from hyperval.attribution.what_ifs import Outcome
 from hyperval.results import Result
+from hyperval.uncertainty.attribution.false_alarms import AlarmRatio, reason_for
+from hyperval.uncertainty.attribution.likelihood import closing_change
+from hyperval.uncertainty.attribution.ranking import ENOUGH, Ranking, told
+from hyperval.uncertainty.attribution.run import Attribution
+from hyperval.uncertainty.attribution.what_ifs import Outcome
 
 _EVERYTHING = "every input"
 

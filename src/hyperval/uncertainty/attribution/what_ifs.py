@@ -9,17 +9,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from hyperval.attribution.false_alarms import AlarmRatio, alarm_ratios
-from hyperval.attribution.likelihood import Whitened
-from hyperval.attribution.model import Model
-from hyperval.attribution.quantities import Quantity
-from hyperval.attribution.residuals import Stack, stacked
-from hyperval.attribution.schema import WhatIf
 from hyperval.errors import UsageError
 from hyperval.products import Products
 from hyperval.progress import track
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
+from hyperval.uncertainty.attribution.false_alarms import AlarmRatio, alarm_ratios
+from hyperval.uncertainty.attribution.likelihood import Whitened
+from hyperval.uncertainty.attribution.model import Model
+from hyperval.uncertainty.attribution.quantities import Quantity
+from hyperval.uncertainty.attribution.residuals import Stack, stacked
+from hyperval.uncertainty.attribution.schema import WhatIf
 
 Array = npt.NDArray[np.float64]
 

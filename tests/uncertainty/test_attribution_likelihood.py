@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from hyperval.attribution.likelihood import Whitened, closing_change, explanation
 from hyperval.errors import UsageError
+from hyperval.uncertainty.attribution.likelihood import Whitened, closing_change, explanation
 
 
 def _world(rng, n=40, k=3):

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from hyperval.attribution.ranking import (
+from hyperval.errors import UsageError
+from hyperval.scenario import load_scenario
+from hyperval.uncertainty.attribution.ranking import (
     COMMON,
     DIFFERENT,
     Candidate,
@@ -12,10 +14,8 @@ from hyperval.attribution.ranking import (
     ranking,
     told_apart,
 )
-from hyperval.attribution.schema import AttributionOptions, WhatIf
-from hyperval.attribution.what_ifs import changed_scenarios
-from hyperval.errors import UsageError
-from hyperval.scenario import load_scenario
+from hyperval.uncertainty.attribution.schema import AttributionOptions, WhatIf
+from hyperval.uncertainty.attribution.what_ifs import changed_scenarios
 
 N = 50
 X = np.linspace(0.0, 1.0, N)

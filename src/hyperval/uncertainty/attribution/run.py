@@ -9,18 +9,25 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.attribution.model import Model, Truth
-from hyperval.attribution.quantities import Quantity, quantities
-from hyperval.attribution.ranking import Candidate, Ranking, budget_covariance, groups_of, ranking, told_apart
-from hyperval.attribution.residuals import Stack, stacked
-from hyperval.attribution.schema import AttributionOptions
-from hyperval.attribution.sensitivity import Indices, quadratic_design, sensitivity_indices
-from hyperval.attribution.what_ifs import Outcome, run_what_ifs
 from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure, combined
 from hyperval.prediction.input import Input
 from hyperval.products import Products, background_of
 from hyperval.progress import track
+from hyperval.uncertainty.attribution.model import Model, Truth
+from hyperval.uncertainty.attribution.quantities import Quantity, quantities
+from hyperval.uncertainty.attribution.ranking import (
+    Candidate,
+    Ranking,
+    budget_covariance,
+    groups_of,
+    ranking,
+    told_apart,
+)
+from hyperval.uncertainty.attribution.residuals import Stack, stacked
+from hyperval.uncertainty.attribution.schema import AttributionOptions
+from hyperval.uncertainty.attribution.sensitivity import Indices, quadratic_design, sensitivity_indices
+from hyperval.uncertainty.attribution.what_ifs import Outcome, run_what_ifs
 
 Array = npt.NDArray[np.float64]
 

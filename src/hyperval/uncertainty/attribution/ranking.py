@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
-from hyperval.attribution.likelihood import Explanation, Whitened, explanation
+from hyperval.uncertainty.attribution.likelihood import Explanation, Whitened, explanation
 
 Array = npt.NDArray[np.float64]
 
