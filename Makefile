@@ -1,4 +1,4 @@
-# Everything a newcomer runs: `make validate` (the main job) and `make test`.
+# Everything a newcomer runs: `make validate` (the main job) and `make test`; `make test-slow` is the rest of the tests.
 # Either makes .venv first when it is lacking or older than the lock.
 
 PYTHON ?= python3
@@ -16,7 +16,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check scoreboard test lint check-style format types lock clean coverage
+.PHONY: help setup validate check scoreboard test test-slow test-data lint check-style format types lock clean coverage
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -37,8 +37,14 @@ check: $(READY)  ## compare every campaign and sensor with the accepted numbers
 scoreboard: $(READY)  ## rank detectors, engines and formulations on every campaign; the page is in reports/scoreboard
 	$(BIN)/hyperval benchmark campaigns/*/campaign.yaml -o $(SCORES)
 
-test: $(READY)  ## run the tests
-	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
+test: $(READY)  ## run the tests, but for the slow ones
+	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile -m "not slow" $(TEST_FLAGS)
+
+test-slow: $(READY)  ## run the slow tests: twins, grids of the atmosphere engine, a cluster that loses a worker
+	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile -m slow $(TEST_FLAGS)
+
+test-data: $(READY)  ## run the tests of real collections (HYPERVAL_DATA), slow ones too
+	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile -m data $(TEST_FLAGS)
 
 coverage: $(READY)  ## how often the 95 % intervals hold, over simulated collections (minutes)
 	$(BIN)/python validation/coverage/study.py --output reports/coverage

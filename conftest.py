@@ -28,13 +28,20 @@ def data_dir() -> Callable[[str], Path]:
     return locate
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What asks for a file of a collection is a test of real data, by whatever way it asks."""
+    for item in items:
+        if "data_dir" in getattr(item, "fixturenames", ()):
+            item.add_marker("data")
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """With HYPERVAL_REQUIRE_DATA=1 a test of real data that is skipped, however, has failed."""
     report = yield
-    wanted = item.get_closest_marker("data") is not None or "data_dir" in getattr(item, "fixturenames", ())
+    wanted = item.get_closest_marker("data") is not None
     if report.skipped and wanted and os.environ.get(REQUIRED) == "1":
         report.outcome = "failed"
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr

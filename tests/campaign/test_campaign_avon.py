@@ -190,6 +190,7 @@ def as_xml(geojson: Path) -> str:
     return "\n".join([*out, "</RegionsOfInterest>"])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own_atmosphere")
 def test_filled_in_it_runs_through(no_data, tmp_path):
     collected(no_data)

@@ -23,6 +23,7 @@ def folder(tmp_path_factory):
     return found
 
 
+@pytest.mark.slow
 def test_the_first_campaign_runs_and_passes(folder):
     campaign, out = str(folder / "campaign.yaml"), folder / "first"
     assert run(["-q", "validate", "--dry-run", campaign]) == 0

@@ -260,6 +260,7 @@ def test_pools_of_targets_have_the_first_place_among_too_many_curves():
     assert _best_counted(list(curves)[:5], curves) == list(curves)[:5]
 
 
+@pytest.mark.slow
 def test_large_run_stays_below_five_megabytes():
     big = make_run(bands=360, subjects=[f"subject {i}" for i in range(12)], curves=4, shape=(300, 300))
     drawings = draw_figures(big)

@@ -107,6 +107,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(make_study, tmp_path, quic
     assert tables(tmp_path / "broken") == tables(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_bytes(make_study, tmp_path, quick):
     _, path = make_study(TEXT)
     study_to_folder(path, tmp_path / "one")
