@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import os
 import re
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -263,7 +267,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Handler]]:
     """A registry of one set, `toy`, served by this machine."""
     content = {"/a.txt": b"first", "/b.chn": b"packed" * 100}
     handler = type("Local", (Handler,), {"content": dict(content), "asked": []})
-    with HTTPServer(("127.0.0.1", 0), handler) as http:
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as http:
         thread = threading.Thread(target=partial(http.serve_forever, poll_interval=0.01))
         thread.start()
         root = f"http://127.0.0.1:{http.server_port}"
@@ -354,6 +358,40 @@ def test_a_failed_attempt_is_repeated(server, places, monkeypatch):
     datasets.fetch("toy")
     assert len(answers) == 2
     assert (places[1] / "toy/a.txt").read_bytes() == body
+
+
+def test_eight_processes_that_fetch_the_same_files_all_get_them(server, places, monkeypatch):
+    # Threads stand for processes: nothing but the folder is shared.  All of them find nothing there at first.
+    monkeypatch.setattr(datasets, "_find", lambda path: None)
+    with ThreadPoolExecutor(8) as pool:
+        fetched = list(pool.map(lambda _: datasets.fetch("toy"), range(8)))
+    assert [len(paths) for paths in fetched] == [2] * 8
+    monkeypatch.undo()
+    assert files_below(places[1]) == ["toy/a.txt", "toy/b.chn.gz"]
+    assert gzip.decompress((places[1] / "toy/b.chn.gz").read_bytes()) == b"packed" * 100
+
+
+def test_what_a_killed_fetch_left_is_removed(server, places):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    left = put(places[1], f"toy/.hyperval-fetch-{ended.pid}-abc/published").parent
+    live = put(places[1], f"toy/.hyperval-fetch-{os.getpid()}-abc/published").parent
+    for folder in (left, live):
+        os.utime(folder, (0, 0))
+    datasets.fetch("toy")
+    assert not left.exists()
+    assert live.exists()
+
+
+def test_a_server_that_sends_next_to_nothing_is_given_up(server, places, monkeypatch):
+    clock = iter(range(0, 10_000, 45))
+    monkeypatch.setattr(download, "ATTEMPTS", 3)
+    monkeypatch.setattr(download, "monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr(download, "CHUNK_BYTES", 1)  # one byte in 45 seconds
+    with pytest.raises(InputError, match="cannot be downloaded: the server sends 0 bytes a second"):
+        datasets.fetch("toy")
+    assert server.asked == ["/a.txt"]
+    assert files_below(places[1]) == []
 
 
 def test_no_connection_is_one_clear_error(server, monkeypatch):

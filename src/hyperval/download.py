@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import gzip
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from hyperval.errors import InputError
 from hyperval.files import whole_file
+from hyperval.locks import is_left
 
 ATTEMPTS = 3
 TIMEOUT_S = 60
-CHUNK_BYTES = 1 << 14
+# Small, since nothing is seen of a chunk before it is full; the registered files have a few MB at most.
+CHUNK_BYTES = 1 << 8
+PATIENCE_S = 60.0
+LEAST_BYTES_PER_S = 200.0
 
 
 def download(address: str, target: Path, *, size: int, sha256: str, pack: bool = False, mend: str = "") -> Path:
@@ -32,25 +42,27 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
     import requests
 
     pooch.get_logger().setLevel("WARNING")
-    published = target.with_suffix("") if pack else target
-    store = pooch.create(
-        published.parent,
-        base_url="",
-        registry={published.name: f"sha256:{sha256}"},
-        urls={published.name: address},
-        retry_if_failed=ATTEMPTS - 1,
-    )
 
     def attempt(url: str, output: str, _: Any) -> None:
         _stream(url, output, size)
 
     try:
-        store.fetch(published.name, downloader=attempt)
-        if pack:
+        with _folder_beside(target) as folder:
+            # A folder for this process alone: others may fetch the same file at this moment.
+            store = pooch.create(
+                folder,
+                base_url="",
+                registry={"published": f"sha256:{sha256}"},
+                urls={"published": address},
+                retry_if_failed=ATTEMPTS - 1,
+            )
+            published = Path(store.fetch("published", downloader=attempt))
             with whole_file(target) as temporary:
                 # No time in the header: the same content gives the same bytes.
-                temporary.write_bytes(gzip.compress(published.read_bytes(), mtime=0))
-            published.unlink()
+                content = published.read_bytes()
+                temporary.write_bytes(gzip.compress(content, mtime=0) if pack else content)
+    except _TooSlow as error:
+        raise InputError(f"cannot be downloaded: {error}", where=address, mend=mend) from error
     except requests.RequestException as error:
         raise InputError(f"cannot be downloaded: {_reason(error)}", where=address, mend=mend) from error
     except ValueError as error:
@@ -65,11 +77,32 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
     return target
 
 
+class _TooSlow(Exception):
+    """A server that sends so little that it is given up, and not asked again."""
+
+
+@contextmanager
+def _folder_beside(target: Path) -> Iterator[Path]:
+    """A folder for what is on its way; those of killed processes are removed first."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    for left in target.parent.glob(".hyperval-fetch-*-*"):
+        number = left.name.split("-")[2]
+        if number.isdigit() and is_left(left, int(number)):
+            shutil.rmtree(left, ignore_errors=True)
+    prefix = f".hyperval-fetch-{os.getpid()}-"
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=target.parent) as name:
+        yield Path(name)
+
+
 def _stream(address: str, output: str, size: int) -> None:
-    """Write the answer to ``output``; an answer longer than ``size`` bytes is cut off with ValueError."""
+    """Write the answer to ``output``.
+
+    An answer longer than ``size`` bytes is cut off with ValueError, one that comes at less than
+    LEAST_BYTES_PER_S over PATIENCE_S with _TooSlow.
+    """
     import requests
 
-    received = 0
+    received, since, mark = 0, monotonic(), 0
     with requests.get(address, stream=True, timeout=TIMEOUT_S) as answer, open(output, "wb") as stream:
         answer.raise_for_status()
         for chunk in answer.iter_content(CHUNK_BYTES):
@@ -77,6 +110,11 @@ def _stream(address: str, output: str, size: int) -> None:
             if received > size:
                 raise ValueError("the answer is longer than the registered file")
             stream.write(chunk)
+            passed = monotonic() - since
+            if passed > PATIENCE_S:
+                if received - mark < LEAST_BYTES_PER_S * passed:
+                    raise _TooSlow(f"the server sends {(received - mark) / passed:.0f} bytes a second")
+                since, mark = monotonic(), received
 
 
 def _reason(error: Exception) -> str:

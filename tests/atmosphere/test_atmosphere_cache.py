@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
-from hyperval.atmosphere.cache import cache_folder, cache_key, cached
+from hyperval.atmosphere.cache import _digest, cache_folder, cache_key, cached
 
 INPUTS = {"depth": 0.1, "card": "4\n"}
 
@@ -35,7 +36,27 @@ def test_key_follows_the_values_not_their_order():
     assert cache_key(INPUTS) != cache_key({**INPUTS, "depth": 0.1000001})
 
 
-@pytest.mark.parametrize("harm", ["truncated", "garbage", "empty", "other inputs", "nan"])
+def test_any_flipped_byte_of_an_entry_is_seen_or_harmless(tmp_path):
+    compute = Counter({"a": np.arange(3.0), "b": np.ones((2, 2))})
+    cached(tmp_path, "kind", INPUTS, compute)
+    (entry,) = (tmp_path / "kind").iterdir()
+    raw = entry.read_bytes()
+    again = 0
+    for at in range(len(raw)):
+        entry.write_bytes(raw[:at] + bytes([raw[at] ^ 0x55]) + raw[at + 1 :])
+        before = compute.calls
+        result = cached(tmp_path, "kind", INPUTS, compute)
+        again += compute.calls - before
+        assert sorted(result) == ["a", "b"]
+        np.testing.assert_array_equal(result["a"], np.arange(3.0))
+        np.testing.assert_array_equal(result["b"], np.ones((2, 2)))
+    assert again > len(raw) / 2
+
+
+@pytest.mark.parametrize(
+    "harm",
+    ["truncated", "garbage", "empty", "other inputs", "nan", "an array less", "another shape", "another name"],
+)
 def test_corrupted_entry_is_computed_again(tmp_path, harm):
     compute = Counter()
     cached(tmp_path, "kind", INPUTS, compute)
@@ -48,11 +69,16 @@ def test_corrupted_entry_is_computed_again(tmp_path, harm):
     elif harm == "empty":
         entry.write_bytes(b"")
     elif harm == "other inputs":
-        np.savez(entry, inputs=np.array("{}"), a=np.zeros(3))
+        np.savez(entry, inputs=np.array("{}"), content=np.array(_digest(compute.arrays)), **compute.arrays)
     else:
-        import json
-
-        np.savez(entry, inputs=np.array(json.dumps(INPUTS, sort_keys=True)), a=np.full(3, np.nan))
+        held = {
+            "nan": {"a": np.full(3, np.nan)},
+            "an array less": {},
+            "another shape": {"a": np.arange(3.0)[None]},
+            "another name": {"b": np.arange(3.0)},
+        }[harm]
+        content = _digest(held if harm == "nan" else compute.arrays)
+        np.savez(entry, inputs=np.array(json.dumps(INPUTS, sort_keys=True)), content=np.array(content), **held)
     result = cached(tmp_path, "kind", INPUTS, compute)
     assert compute.calls == 2
     np.testing.assert_array_equal(result["a"], np.arange(3.0))

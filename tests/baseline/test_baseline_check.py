@@ -125,6 +125,12 @@ def test_a_run_that_fails_its_gates_is_no_baseline(small, place, capsys):
     assert [*place.rglob("*.yaml")] == []
 
 
+def test_a_mistyped_folder_of_baselines_is_not_made(place, capsys):
+    assert cli.run(["check", "--sensors", "casi-1500", "--baselines", "validation/baseline"]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    assert list(place.iterdir()) == []
+
+
 def test_a_finished_run_of_other_files_is_refused(small, finished, place, capsys):
     small.data["title"] = "Another title"
     assert cli.run(["check", str(small.write()), "--from", str(finished)]) == 2

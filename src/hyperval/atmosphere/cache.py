@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -37,8 +36,8 @@ def cache_key(inputs: Mapping[str, Any]) -> str:
 def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable[[], Arrays]) -> Arrays:
     """The arrays stored for ``inputs``, computed and stored first where there are none.
 
-    An entry that cannot be read, belongs to other inputs or holds NaN counts as none.  A cache that
-    cannot be written (a read-only home) is no error: the result is computed every time.
+    An entry that cannot be read, belongs to other inputs or holds other content than was written counts as none.
+    A cache that cannot be written (a read-only home) is no error: the result is computed every time.
     """
     path = folder / kind / f"{cache_key(inputs)[:40]}.npz"
     stored = _load(path, inputs)
@@ -47,7 +46,8 @@ def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable
     arrays = compute()
     try:
         with whole_file(path) as temporary, open(temporary, "wb") as stream:
-            np.savez(stream, inputs=np.array(json.dumps(inputs, sort_keys=True)), **arrays)  # type: ignore[arg-type]
+            about = json.dumps(inputs, sort_keys=True)
+            np.savez(stream, inputs=np.array(about), content=np.array(_digest(arrays)), **arrays)  # type: ignore[arg-type]
     except OSError:
         pass
     return arrays
@@ -58,9 +58,21 @@ def _load(path: Path, inputs: Mapping[str, Any]) -> Arrays | None:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as entry:
             if str(entry["inputs"]) != json.dumps(inputs, sort_keys=True):
                 return None
-            arrays = {name: np.asarray(entry[name], dtype=float) for name in entry.files if name != "inputs"}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            names = [name for name in entry.files if name not in ("inputs", "content")]
+            arrays = {name: np.asarray(entry[name], dtype=float) for name in names}
+            whole = str(entry["content"]) == _digest(arrays)
+    except Exception:  # whatever a damaged archive raises: what it holds is computed again
         return None
-    if not arrays or not all(np.all(np.isfinite(a)) for a in arrays.values()):
+    if not whole or not all(np.all(np.isfinite(a)) for a in arrays.values()):
         return None
     return arrays
+
+
+def _digest(arrays: Mapping[str, Array]) -> str:
+    """SHA-256 over names, shapes and values."""
+    found = hashlib.sha256()
+    for name in sorted(arrays):
+        values = np.ascontiguousarray(arrays[name], dtype="<f8")
+        found.update(f"{name}{np.shape(arrays[name])}\n".encode())
+        found.update(values.tobytes())
+    return found.hexdigest()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hyperval.cli.shared import app, note, print_table, settings
+from hyperval.errors import UsageError
 
 if TYPE_CHECKING:
     from hyperval.baseline.check import Checked
@@ -44,6 +45,8 @@ def check(
     from hyperval.baseline import check as run
     from hyperval.baseline.store import DEFAULT_FOLDER
 
+    if baselines is not None and not baselines.is_dir():
+        raise UsageError("no such folder", where=str(baselines), mend="name the folder of accepted numbers")
     outcome = run(
         campaigns or [],
         sensors or [],
