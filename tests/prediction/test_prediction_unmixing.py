@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.prediction.classification import predicted_classification
+from hyperval.prediction.departure import Departure
 from hyperval.prediction.inputs import Sources
 from hyperval.prediction.unmixing import UnmixedSubject, labelled, predicted_areas
 from hyperval.processing.unmixing import abundance_covariance
@@ -26,7 +27,7 @@ def scenario(fill, pixels=1):
     return Scenario.model_validate({"name": "s", "scene": scene})
 
 
-def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariances=None, draws=4000):
+def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariances=None, draws=4000, departure=None):
     grass = SpectralEstimate(GRASS, np.zeros((B, B)), spread)
     prediction = Prediction(AXIS, reflectance={"grass": grass}, distribution={"grass": PixelDistribution()})
     subject = UnmixedSubject(
@@ -34,7 +35,7 @@ def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariance
     )
     found = predicted_areas(
         scenario(fill), prediction, [subject], np.ones(B, bool), covariances or {"fcls": None}, 4.0,
-        Sources(AXIS, {}, lambda name: name), draws=draws,
+        Sources(AXIS, {}, lambda name: name), draws=draws, departure=departure,
     )  # fmt: skip
     return found["paint 1 m", method]
 
@@ -46,6 +47,14 @@ def test_spread_is_the_linear_error_where_no_limit_binds():
     # A standard deviation of 4000 draws is known to 1.1 %, and so is that of the pool they are from: 5 % is three
     # of both.
     assert area.standard_uncertainty == pytest.approx(4.0 * np.sqrt(error), rel=0.05)
+
+
+def test_a_truth_with_another_fill_or_material_is_unmixed_with_the_endmembers_as_they_were():
+    smaller = predicted({"fixed": 0.4}, departure=Departure(fill={"paint 1 m": -0.08}))
+    assert smaller.area_m2 == pytest.approx(4.0 * 0.32, abs=0.01)
+    # A target a tenth of the way to the background looks like nine tenths of its area.
+    greener = predicted({"fixed": 0.4}, departure=Departure(spectra={"paint": 0.1 * (GRASS - 0.3)}))
+    assert greener.area_m2 == pytest.approx(0.9 * 1.6, abs=0.01)
 
 
 def test_an_empty_pixel_is_biased_upwards():

@@ -24,7 +24,7 @@ BASE = run(SCENE)
 
 
 def planted(name: str, s=SCENE):
-    return planted_prediction(s, BY_NAME[name], axis=AXIS, engine=engine)
+    return planted_prediction(s, BY_NAME[name], axis=AXIS, engine=engine)[0]
 
 
 def ratio(name: str, product: str = "radiance", subject: str = "panel"):

@@ -10,6 +10,7 @@ from hyperval.collection import Classification, Detection
 from hyperval.observe import Observed
 from hyperval.observe.classification import class_sets
 from hyperval.prediction.classification import predicted_classification
+from hyperval.prediction.departure import Departure
 from hyperval.prediction.inputs import Sources
 from hyperval.prediction.unmixing import predicted_areas
 from hyperval.products import Abundance, Observation, Prediction
@@ -33,13 +34,18 @@ def predicted_unmixing(
     resolvers: Sequence[Callable[[str], Path]],
     detection: Detection | None,
     observed: Observed,
+    truths: Sequence[Departure] | None = None,
 ) -> dict[tuple[str, str], Abundance]:
-    """The areas that unmixing would find, by (subject, method); empty where the campaign does not unmix."""
+    """The areas that unmixing would find, by (subject, method); empty where the campaign does not unmix.
+
+    ``truths`` : how the truth departs from each scenario, that of the predictions; None: not at all.
+    """
     out: dict[tuple[str, str], Abundance] = {}
     unmixed = observed.unmixed
     if unmixed is None or detection is None or detection.unmixing is None:
         return out
-    for scenario, prediction, resolve in zip(scenarios, predictions, resolvers, strict=True):
+    truths = truths or [Departure() for _ in scenarios]
+    for scenario, prediction, resolve, truth in zip(scenarios, predictions, resolvers, truths, strict=True):
         out |= predicted_areas(
             scenario,
             prediction,
@@ -50,5 +56,6 @@ def predicted_unmixing(
             Sources(prediction.axis, observed.statistics, resolve),
             draws=detection.unmixing.draws,
             seed=detection.unmixing.seed,
+            departure=truth,
         )
     return out

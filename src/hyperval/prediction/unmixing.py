@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.prediction.departure import Departure, departed_scenario
 from hyperval.prediction.fills import fills_of_objects
 from hyperval.prediction.inputs import Sources, correlation, cut
 from hyperval.processing.filters import PositiveDefinite
@@ -67,6 +68,7 @@ def predicted_areas(
     *,
     draws: int = 400,
     seed: int = 0,
+    departure: Departure | None = None,
 ) -> dict[tuple[str, str], Abundance]:
     """Mean and spread of the area that unmixing would find, by (subject, method).
 
@@ -78,10 +80,14 @@ def predicted_areas(
 
     Parameters
     ----------
+    prediction : of the same truth
     covariances : method -> (F, F) weights of the fit, None for equal ones
+    departure : how the truth departs from the scenario; the endmembers stay what they are
     """
     if scenario.atmosphere is not None:
         return {}
+    truth = departure or Departure()
+    scenario = departed_scenario(scenario, truth)
     index = np.flatnonzero(bands)
     noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
     populations = {(t.name, p.name): (t, p) for t in scenario.scene.targets for p in t.populations}
@@ -91,7 +97,8 @@ def predicted_areas(
         if found is None:
             continue
         rng = np.random.default_rng([seed, number])
-        pixels, endmembers = _objects(*found, item, prediction, sources, index, draws, rng)
+        other = np.broadcast_to(truth.spectra.get(found[0].name, 0.0), item.spectrum.shape)
+        pixels, endmembers = _objects(*found, item, prediction, sources, index, draws, rng, other)
         for method, factor in noise.items():
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
             area = abundance.sum(axis=1) * pixel_area_m2
@@ -111,8 +118,12 @@ def _objects(
     index: npt.NDArray[np.intp],
     draws: int,
     rng: np.random.Generator,
+    other: Array,
 ) -> tuple[Array, Array]:
-    """Pixels (draws, n, F) of drawn objects and the endmembers (draws, 2, F) that each is unmixed with."""
+    """Pixels (draws, n, F) of drawn objects and the endmembers (draws, 2, F) that each is unmixed with.
+
+    ``other`` : (B,) by how much the target's reflectance truly differs from its endmember.
+    """
     host = prediction.reflectance[target.host]
     known = prediction.distribution.get(target.host)
     law = ClassLaw(
@@ -124,7 +135,7 @@ def _objects(
     f = fills[rng.integers(fills.shape[0], size=draws)][..., None]
     shape = f.shape[:2]
     background = law.draw(_POOL, rng)[rng.integers(_POOL, size=shape)]
-    material = spread.draw(_POOL, rng)[rng.integers(_POOL, size=shape)] + spectrum
+    material = spread.draw(_POOL, rng)[rng.integers(_POOL, size=shape)] + spectrum + other[index]
     if item.relative_uncertainty > 0:
         material += _errors(item, sources.axis, index, draws, rng)[:, None]
     around = law.mean + (law.draw(draws, rng) - law.mean) / np.sqrt(max(item.ring, 1))

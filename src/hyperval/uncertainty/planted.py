@@ -89,8 +89,8 @@ def planted_errors() -> tuple[PlantedError, ...]:
     )
 
 
-def planted_prediction(scenario: Scenario, error: PlantedError, **options: Any) -> Prediction:
-    """The prediction of a scenario with one error planted, its budget that of the scenario.
+def planted_prediction(scenario: Scenario, error: PlantedError, **options: Any) -> tuple[Prediction, Departure]:
+    """The prediction of a scenario with one error planted, its budget as stated; and the truth behind it.
 
     ``options`` : those of ``predict``; of no use are ``departure`` and a method of propagation by draws.
 
@@ -99,8 +99,11 @@ def planted_prediction(scenario: Scenario, error: PlantedError, **options: Any) 
     NotPlantable : the scenario has nothing of the kind.
     """
     names = ("axis", "measured", "resolve", "cache_dir", "show_progress", "engine", "sensor")
-    given = given_of(scenario, **{name: options[name] for name in names if name in options})
-    found = predict(scenario, departure=error.departure(given), **options)
+    truth = error.departure(given_of(scenario, **{name: options[name] for name in names if name in options}))
+    return _seen(predict(scenario, departure=truth, **options), scenario, error), truth
+
+
+def _seen(found: Prediction, scenario: Scenario, error: PlantedError) -> Prediction:
     if error.line is None or scenario.atmosphere is None:
         return found
     # The collected reflectance is that of its own line: an error of the model's shows in the predicted one.
