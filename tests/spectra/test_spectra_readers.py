@@ -27,6 +27,11 @@ def spectrum(tmp_path: Path, text: str | bytes, name: str = "s.txt", **options):
     return read_spectrum(path, **options)
 
 
+def read_all(tmp_path: Path, text: str, name: str):
+    (tmp_path / name).write_text(text)
+    return read_records(tmp_path / name)
+
+
 def rows(*columns, sep: str = " ", end: str = "\n") -> str:
     return "".join(sep.join(f"{v:g}" for v in row) + end for row in zip(*columns, strict=True))
 
@@ -446,14 +451,14 @@ def test_channels_of_a_library_without_a_value_are_left_out(tmp_path: Path, entr
         assert "1 channels without a value left out" in found.notes
 
 
-def test_a_library_with_a_header_offset_is_refused(tmp_path: Path):
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_a_library_is_read_behind_its_header_offset_and_a_byte_order_mark(tmp_path: Path, mark: str):
     path = library(tmp_path)
+    plain = [s.values for s in read_records(path)]
     path.write_bytes(bytes(12) + path.read_bytes())
     header = path.with_suffix(".hdr")
-    header.write_text(header.read_text().replace("header offset = 0", "header offset = 12"))
-    with pytest.raises(InputError, match="header offset of 12") as caught:
-        read_records(path)
-    assert "lib.hdr:5" in str(caught.value)
+    header.write_text(mark + header.read_text().replace("header offset = 0", "header offset = 12"), "utf-8")
+    assert np.array_equal([s.values for s in read_records(path)], plain)
 
 
 @pytest.mark.parametrize("mark", [-9999, -999, -32768])
@@ -489,3 +494,52 @@ def test_a_library_with_capital_endings(tmp_path: Path):
     path.with_suffix(".hdr").rename(tmp_path / "LIB.HDR")
     for name in ("LIB.SLI", "LIB.HDR"):
         assert [r.name for r in read_records(tmp_path / name)] == ["red tile", "grey tile"]
+
+
+# One spectrum a row -----------------------------------------------------------------------------
+
+
+def test_one_spectrum_a_row_with_metadata_before_it(tmp_path: Path):
+    text = (
+        'site,name,Wavelength Units,400,500,600,700,\n"a, b",oak,Nanometers,0.1,0.2,0.3,0.4,\n'
+        "c,elm,nm,0.2,NA,0.4,0.5,\n"
+    )
+    found = {s.name: s for s in read_all(tmp_path, text, "r.csv")}
+    assert list(found) == ["oak", "elm"]
+    assert found["oak"].wavelength_nm.tolist() == [400, 500, 600, 700]
+    assert found["elm"].wavelength_nm.tolist() == [400, 600, 700]
+    assert spectrum(tmp_path, text, "r.csv", record="elm").values.tolist() == [0.2, 0.4, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name,400,500,600,700\na,0.1,0.2,0.3\n", r"r\.csv:2: 4 cells"),
+        ("name,400,500,600,700\na,0.1,x,0.3,0.4\n", r"r\.csv:2: the cell under '500' is no number"),
+        ("name,400,500,600,700\n", "no spectrum"),
+        (
+            "name,Measurement Units,400,500,600,700\na,Percent,0.1,0.2,0.3,0.4\n",
+            r"(?s)says percent.*reflectance_unit",
+        ),
+    ],
+)
+def test_row_tables_that_contradict_themselves(tmp_path: Path, text: str, message: str):
+    with pytest.raises((InputError, UsageError), match=message):
+        read_all(tmp_path, text, "r.csv")
+
+
+def test_two_columns_without_a_header_are_asked_for_by_the_right_key(tmp_path: Path):
+    text = rows(WAVE, RHO, 0.02 * RHO)
+    with pytest.raises(UsageError, match=r"(?s)holds 2 spectra.*state columns: \[0, 1, 2\]"):
+        spectrum(tmp_path, text)
+    found = spectrum(tmp_path, text, columns=(0, 1, 2))
+    assert np.allclose(found.standard_deviation, 0.02 * RHO)
+
+
+def test_text_padded_with_nul_is_text_and_other_binaries_are_not(tmp_path: Path):
+    path = tmp_path / "p.txt"
+    path.write_bytes(b"a comment" + bytes(40) + b"\r\nnm rho\r\n" + rows(WAVE, RHO).encode())
+    assert np.allclose(read_spectrum(path).values, RHO)
+    path.write_bytes(b"a\x01b" + bytes(40) + rows(WAVE, RHO).encode())
+    with pytest.raises(InputError, match="binary file of unknown format"):
+        read_spectrum(path)

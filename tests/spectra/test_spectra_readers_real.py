@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import spectral
 
-from hyperval.errors import InputError
+from hyperval.errors import InputError, UsageError
 from hyperval.spectra.readers import read_records, read_spectrum
 
 pytestmark = pytest.mark.data
@@ -146,3 +146,36 @@ def test_columns_in_pairs_are_replicates(data_dir):
     assert mean.n == 10
     assert np.allclose(mean.values, table.mean(axis=1))
     assert np.allclose(mean.standard_deviation, table.std(axis=1, ddof=1))
+
+
+def test_spectral_evolution_radiance_file_holds_a_reflectance(data_dir):
+    path = data_dir("formats/darwin.sed")
+    table = np.genfromtxt(path, skip_header=27)
+    found = read_spectrum(path)
+    assert np.allclose(found.values, table[:, 3] / 100.0, rtol=0, atol=1e-12)
+    power = read_spectrum(path, quantity="radiance")
+    assert np.allclose(power.values, 100.0 * table[:, 2], rtol=1e-12)  # W m-2 sr-1 nm-1 in uW cm-2
+    assert np.nanmedian(np.abs(found.values / (table[:, 2] / table[:, 1]) - 1.0)) < 1e-3
+
+
+def test_viewspec_text_padded_with_nul(data_dir):
+    path = data_dir("formats/tree100001.asd.ref.txt")
+    lines = path.read_bytes().replace(b"\0", b"").decode("latin-1").splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("Wavelength"))
+    table = np.loadtxt(lines[start + 1 :])
+    found = read_spectrum(path)
+    assert np.array_equal(found.wavelength_nm, table[:, 0])
+    assert np.array_equal(found.values, table[:, 1])
+
+
+def test_ecosis_has_one_spectrum_a_row(data_dir):
+    path = data_dir("formats/ecosis_one_spectrum_a_row.csv")
+    with pytest.raises(UsageError, match=r"(?s)the file says percent.*reflectance_unit: fraction"):
+        read_records(path)
+    found = read_records(path, reflectance_unit="fraction")
+    with open(path, newline="") as stream:
+        table = list(csv.DictReader(stream))
+    assert [s.name for s in found] == [row["sample name"] for row in table]
+    for spectrum, row in zip(found, table, strict=True):
+        assert spectrum.values.tolist() == [float(row[f"{nm:g}"]) for nm in spectrum.wavelength_nm]
+    assert found[0].wavelength_nm.size == 2151

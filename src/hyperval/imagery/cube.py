@@ -14,11 +14,13 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError
+from hyperval.imagery import interchange
 from hyperval.imagery.band_table import BandTable, band_table, ordered_bands, wavelengths_in_nm
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, TiffRaster, open_raster
 from hyperval.imagery.scaling import Scaling, scaling_of
 from hyperval.imagery.validity import equals, usable_pixels
+from hyperval.imagery.value_check import check_values_of
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -33,10 +35,6 @@ _TAKEN = (
     "wavelength", "wavelength units", "fwhm", "bbl", "map info", "coordinate system string",
     "data ignore value", "description",
 )  # fmt: skip
-# Above these the 95th percentile of a cube says that its scale was not stated.
-CHECKED_SAMPLES = 64  # in each of 16 lines
-PLAUSIBLE_REFLECTANCE = 1.5
-PLAUSIBLE_RADIANCE = 200.0  # [uW cm-2 sr-1 nm-1]; a white surface under the zenith sun gives about 65
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +158,14 @@ class Cube:
         for first in range(0, self.lines, step):
             yield self.read(first, min(step, self.lines - first), dtype)
 
+    def to_spy(self) -> Any:
+        """As an image of SPy: :func:`hyperval.imagery.interchange.cube_to_spy`."""
+        return interchange.cube_to_spy(self)
+
+    def to_xarray(self) -> Any:
+        """As a lazy array of xarray: :func:`hyperval.imagery.interchange.cube_to_xarray`."""
+        return interchange.cube_to_xarray(self)
+
     def kept_open(self) -> AbstractContextManager[object]:
         """Inside, an ENVI file is opened once for all reads."""
         return self.raster.kept_open()
@@ -247,7 +253,7 @@ class Cube:
 
 
 def open_cube(
-    path: Path | str,
+    path: Path | str | Any,
     *,
     quantity: Quantity,
     unit: str | None = None,
@@ -265,7 +271,7 @@ def open_cube(
 
     Parameters
     ----------
-    path : data file, ENVI header, GeoTIFF or its METADATA.XML
+    path : data file, ENVI header, GeoTIFF or its METADATA.XML; or an image of SPy, or an array of xarray
     quantity : what the values are; "other" is handed out as stored
     unit : unit of the (scaled) values; required for a radiance whose file states none
     scale : multiplies the stored values and replaces the header's scale factors; None takes those
@@ -282,7 +288,10 @@ def open_cube(
     InputError : missing, truncated or overlong files, headers that contradict them, implausible values.
     UsageError : a unit that is not stated, or paths that may not be opened.
     """
-    raster = open_raster(path, header=header, root=root, variable=variable, engine=engine)
+    if not isinstance(path, Path | str):
+        raster = interchange.raster_of(path, variable)
+    else:
+        raster = open_raster(path, header=header, root=root, variable=variable, engine=engine)
     return cube_of(
         raster,
         quantity=quantity,
@@ -344,7 +353,7 @@ def cube_of(
         notes=notes,
     )
     if check_values:
-        _check_values(cube)
+        check_values_of(cube)
     return cube
 
 
@@ -369,32 +378,3 @@ def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_ban
         expected=f"'wavelength = {{...}}' with {raster.bands} values in an ENVI header",
         mend="give the header that lists them (cube.header), or a table of the bands (collection.bands)",
     )
-
-
-def _some_values(cube: Cube, line: int) -> npt.NDArray[Any]:
-    """(n,) values of valid pixels of a line, spread over its samples, in the good bands."""
-    rows = np.full(min(cube.samples, CHECKED_SAMPLES), line)
-    cols = np.linspace(0, cube.samples - 1, rows.size).astype(int)
-    return cube.spectra((rows, cols))[:, cube.axis.good].ravel()
-
-
-def _check_values(cube: Cube) -> None:
-    """Raise InputError when the values are too large for the quantity: a scale that was not stated."""
-    limit = {"reflectance": PLAUSIBLE_REFLECTANCE, "radiance": PLAUSIBLE_RADIANCE}.get(cube.quantity)
-    if limit is None:
-        return
-    lines = np.unique(np.linspace(0, cube.lines - 1, 16).astype(int))
-    found = np.concatenate([_some_values(cube, int(line)) for line in lines])
-    if found.size == 0:
-        return
-    high = float(np.percentile(found, 95))
-    if high > limit:
-        raise InputError(
-            f"95 % of the {cube.quantity} values reach up to {high:.4g} {cube.unit}".removesuffix(" 1"),
-            where=str(cube.raster.path),
-            expected=f"at most {limit:g}",
-            mend="state scale: (what multiplies the stored values) or unit:"
-            if cube.quantity == "radiance"
-            else "state scale: what multiplies the stored values (0.01 where they are percent, 0.0001 where they "
-            "are reflectance times 10000)",
-        )

@@ -103,11 +103,18 @@ def layouts() -> Layouts:
 
 
 def tree_of(file: h5py.File) -> Tree | None:
-    """The layout whose arrays the file holds, None when it is none of them."""
+    """The layout whose images and wavelengths the file holds, None when it is none of them."""
     for tree in layouts().trees:
-        if all(isinstance(found(file, array.path), h5py.Dataset) for array in tree.arrays):
+        if all(_held(file, array.path) and _held(file, array.wavelength) for array in tree.arrays):
             return tree
     return None
+
+
+def _held(file: h5py.File, reference: str) -> bool:
+    """Whether a file has the array or the attribute of a reference."""
+    name, at, attribute = reference.partition("@")
+    item = found(file, name) if name else file
+    return item is not None and attribute in item.attrs if at else isinstance(item, h5py.Dataset)
 
 
 @dataclass(frozen=True)

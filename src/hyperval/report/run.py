@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.imagery.interchange import map_to_spy, map_to_xarray
 from hyperval.products import Observation, Prediction
 from hyperval.results import ResultTable
 
@@ -34,6 +35,14 @@ class ScoreMap:
     crs: str | None = None
     outlines: Mapping[str, Mask] = field(default_factory=dict)
     pixel_size_m: float | None = None
+
+    def to_xarray(self) -> Any:
+        """As an array of xarray (line, sample) with its position."""
+        return map_to_xarray(self.values, self.transform, self.crs, "score")
+
+    def to_spy(self) -> Any:
+        """As an image of SPy with one band."""
+        return map_to_spy(self.values, "score")
 
 
 @dataclass(frozen=True)

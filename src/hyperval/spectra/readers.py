@@ -8,11 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from hyperval.errors import InputError, UsageError
 from hyperval.paths import checked_file
-from hyperval.spectra import readers_asd, readers_instruments, readers_library, readers_text
+from hyperval.spectra import readers_asd, readers_instruments, readers_library, readers_rows, readers_text
 from hyperval.spectra.readers_record import MAX_BYTES, FieldSpectrum, Record, finished, mean_of
+
+# Printable characters of any 8-bit code, tabulators, ends of lines and pages.
+_TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])
 
 __all__ = ["FieldSpectrum", "read_records", "read_spectrum"]
 
@@ -34,8 +38,8 @@ def read_spectrum(
 
     Parameters
     ----------
-    path : text or CSV, ENVI ASCII plot, ECOSTRESS text, ENVI spectral library (data or header), SVC .sig,
-        Spectral Evolution .sed, ASD binary
+    path : text or CSV (a spectrum a column, or a row), ENVI ASCII plot, ECOSTRESS text, ENVI spectral library (data
+        or header), SVC .sig, Spectral Evolution .sed, ASD binary
     record : which spectrum of a file with several: its name, a part that only one name has, its number
         from 0, or "mean" for mean, standard deviation and number of all
     quantity : "reflectance" (values are handed out as fractions), "radiance" (uW cm-2 sr-1 nm-1), "irradiance"
@@ -71,7 +75,7 @@ def read_spectrum(
 
 
 def read_records(
-    path: Path | str,
+    path: Path | str | Any,
     *,
     records: Sequence[str | int] | None = None,
     quantity: str = "reflectance",
@@ -82,14 +86,19 @@ def read_records(
 ) -> list[FieldSpectrum]:
     """Read the spectra of a file, by the rules of :func:`read_spectrum`.
 
-    ``records`` are the names, or numbers from 0, of those wanted; other names are passed over.
+    ``records`` are the names, or numbers from 0, of those wanted; other names are passed over.  In place of a path
+    stands a library of SPy, or an array of xarray (spectrum, wavelength).
 
     Raises
     ------
     InputError : as for :func:`read_spectrum`.
     UsageError : the same, and numbers that the file does not have.
     """
-    path = checked_file(path, root=root, what="spectrum file")
+    if isinstance(path, Path | str):
+        path = checked_file(path, root=root, what="spectrum file")
+        listed = _records(path, None, root, quantity)
+    else:
+        listed = readers_library.records_at_hand(path)
     return [
         finished(
             record,
@@ -98,7 +107,7 @@ def read_records(
             reflectance_unit=reflectance_unit,
             unit=unit,
         )
-        for record in _wanted(_records(path, None, root, quantity), records, str(path))
+        for record in _wanted(listed, records, listed[0].where if listed else "library")
     ]
 
 
@@ -129,12 +138,17 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | Non
     if header is not None:
         return readers_library.library_records(path, header, root)
     if b"\0" in head:
+        raw = without_padding(raw)
+    if b"\0" in raw[:4096]:
         raise InputError(
             "a binary file of unknown format",
             where=str(path),
             expected="text, ENVI spectral library with its header, ASD, SVC .sig or Spectral Evolution .sed",
         )
-    return readers_text.text_records(decoded(raw), path, columns)
+    text = decoded(raw)
+    if columns is None and readers_rows.is_row_table(text):
+        return readers_rows.row_records(text, path)
+    return readers_text.text_records(text, path, columns)
 
 
 def _read(path: Path) -> bytes:
@@ -145,6 +159,12 @@ def _read(path: Path) -> bytes:
     if not raw.strip():
         raise InputError("the file is empty", where=str(path))
     return raw
+
+
+def without_padding(raw: bytes) -> bytes:
+    """Text without the NUL that ViewSpec pads a comment with; unchanged where other signs tell a binary file."""
+    text = raw.replace(b"\0", b"")
+    return raw if text.translate(None, _TEXT) or len(text) < 0.5 * len(raw) else text
 
 
 def decoded(raw: bytes) -> str:
@@ -159,8 +179,14 @@ def _chosen(records: list[Record], record: str | int | None, where: str) -> Reco
     names = ", ".join(repr(r.name) for r in records[:40])
     if record is None:
         if len(records) > 1:
+            pair = len(records) == 2 and all(r.name.startswith("column ") for r in records)
             raise UsageError(
-                f"the file holds {len(records)} spectra", where=where, expected=f"record: one of {names}, or 'mean'"
+                f"the file holds {len(records)} spectra",
+                where=where,
+                expected=f"record: one of {names}, or 'mean'",
+                mend="where the third column is the standard deviation of the second, state columns: [0, 1, 2]"
+                if pair
+                else None,
             )
         return records[0]
     if isinstance(record, int):

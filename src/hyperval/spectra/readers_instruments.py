@@ -72,7 +72,7 @@ def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
 
 
 def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
-    """A spectrum of a Spectral Evolution .sed file: the column "Reflect. %" or "Reflect. [1.0]".
+    """A spectrum of a Spectral Evolution .sed file: the column "Reflect. %", "Reflect. [1.0]" or "Tgt./Ref. %".
 
     ``quantity`` "radiance" or "irradiance" takes the column "Rad. (Target)" or "Irr. (Target)", whose unit stands
     in the line ``Units:``.
@@ -84,12 +84,12 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     titles = [t.strip() for t in lines[begin + 1].split("\t")]
     if quantity in ("radiance", "irradiance"):
         return _sed_power(lines, begin, titles, path, quantity)
-    found = [i for i, title in enumerate(titles) if re.match(r"reflect", title, re.IGNORECASE)]
+    found = [i for i, title in enumerate(titles) if re.match(r"reflect|tgt\.?\s*/\s*ref", title, re.IGNORECASE)]
     if len(found) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE):
         raise InputError(
             "no reflectance column: " + ", ".join(titles),
             where=f"{path}:{begin + 2}",
-            expected="Wvl and one column 'Reflect. %' or 'Reflect. [1.0]'",
+            expected="Wvl and one column 'Reflect. %', 'Reflect. [1.0]' or 'Tgt./Ref. %'",
         )
     unit = reflectance_unit_in(titles[found[0]])
     if unit is None:

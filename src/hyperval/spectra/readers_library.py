@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from spectral.io import envi
 
 from hyperval.envi_header import EnviHeader, read_header
-from hyperval.errors import InputError
+from hyperval.errors import InputError, UsageError
 from hyperval.paths import checked_file
 from hyperval.spectra.readers_record import MAX_BYTES, Record
 
@@ -22,6 +22,35 @@ def library_header(path: Path) -> EnviHeader | None:
         if candidate.is_file() and candidate != path:
             return read_header(candidate)
     return None
+
+
+def records_at_hand(library: Any) -> list[Record]:
+    """The spectra of a library of SPy, or of an array of xarray (spectrum, wavelength).
+
+    Raises
+    ------
+    UsageError : another kind of object, or one without wavelengths.
+    """
+    if hasattr(library, "spectra") and hasattr(library, "bands") and library.bands.centers is not None:
+        wavelength, rows, names = library.bands.centers, library.spectra, library.names
+        unit = library.bands.band_unit
+    elif hasattr(library, "coords") and "wavelength" in library.coords and library.ndim == 2:
+        ordered = library.transpose(..., "wavelength")
+        wavelength, rows = ordered["wavelength"].values, ordered.values
+        named = ordered.dims[0] in ordered.coords
+        names = ordered[ordered.dims[0]].values if named else [f"spectrum {i + 1}" for i in range(len(rows))]
+        unit = ordered["wavelength"].attrs.get("units")
+    else:
+        raise UsageError(
+            f"an object of type {type(library).__name__} without wavelengths",
+            expected="a path, a library of SPy (spectral), or an array of xarray (spectrum, wavelength)",
+        )
+    unit = None if unit in (None, "", "<unspecified>") else str(unit)
+    axis = np.asarray(wavelength, float)
+    return [
+        Record(str(name), axis, np.asarray(row, float), "library at hand", wavelength_unit=unit)
+        for name, row in zip(names, rows, strict=True)
+    ]
 
 
 def library_records(path: Path, header: EnviHeader | None, root: Path | None = None) -> list[Record]:
@@ -45,13 +74,6 @@ def library_records(path: Path, header: EnviHeader | None, root: Path | None = N
             where=header.where("file type"),
             expected="ENVI Spectral Library with one band",
         )
-    if header.header_offset:  # the parser would begin at the first byte all the same
-        raise InputError(
-            f"a library with a header offset of {header.header_offset} cannot be read",
-            where=header.where("header offset"),
-            expected="0",
-            mend="write the library again without it",
-        )
     size = path.stat().st_size
     if size != header.expected_bytes or size > MAX_BYTES:
         raise InputError(
@@ -69,10 +91,9 @@ def library_records(path: Path, header: EnviHeader | None, root: Path | None = N
     names = header.strings("spectra names") or tuple(f"spectrum {i + 1}" for i in range(header.lines))
     if len(names) != header.lines:
         raise InputError(f"{len(names)} names for {header.lines} spectra", where=header.where("spectra names"))
-    # The checks above are what the parser leaves out: it takes a file of any size and any number of wavelengths.
-    stored = np.asarray(envi.open(str(header.path), str(path)).spectra)
+    stored = np.fromfile(path, header.dtype, offset=header.header_offset).reshape(header.lines, header.samples)
     values = stored.astype(float)
-    # Nor does it know an ignore value or a list of bad bands; both are channels without a value.
+    # An ignore value and a list of bad bands both say that channels hold no value.
     ignore = header.number("data ignore value")
     if ignore is not None:
         values[stored == ignore] = np.nan

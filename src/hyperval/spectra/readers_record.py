@@ -57,7 +57,10 @@ class FieldSpectrum:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A spectrum as it stands in a file; units are None where the file states none."""
+    """A spectrum as it stands in a file; units are None where the file states none.
+
+    ``doubt`` says why the unit of a reflectance must be stated although the file seems to tell it.
+    """
 
     name: str
     wavelength: Array
@@ -70,6 +73,7 @@ class Record:
     quantity: str | None = None
     notes: tuple[str, ...] = ()
     unit: str | None = None
+    doubt: str | None = None
 
 
 def reflectance_factor(unit: str) -> float:
@@ -253,6 +257,13 @@ def _reflectance(record: Record, given: str | None) -> float:
     stated = record.reflectance_unit
     if stated is not None and given is not None and reflectance_factor(stated) != reflectance_factor(given):
         raise UsageError(f"the file states reflectance in {stated}, the caller in {given}", where=record.where)
+    if record.doubt is not None and given is None:
+        raise UsageError(
+            record.doubt,
+            where=record.where,
+            expected="values in the unit that the file states",
+            mend="state reflectance_unit: fraction (or percent)",
+        )
     factor = reflectance_factor(stated or given or "fraction")
     marks = np.isin(record.values, FILLS)
     if marks.any():

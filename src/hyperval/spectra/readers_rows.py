@@ -1,0 +1,153 @@
+"""Tables with one spectrum a row: metadata, then a column for each wavelength (EcoSIS, spectrolab, EMIT)."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+
+from hyperval.errors import InputError
+from hyperval.spectra.readers_record import MAX_ROWS, Record
+from hyperval.units import only_wavelength_unit
+
+FEWEST_BANDS = 4
+MAX_CELLS = 2_000_000
+_WAVELENGTH = re.compile(r"^[Xx]?([0-9]+(?:\.[0-9]+)?)\s*(nm|um)?$")
+_NAMES = (
+    "name",
+    "sample_name",
+    "sample name",
+    "spectrum",
+    "spectra",
+    "sample",
+    "sample_id",
+    "id",
+    "fname",
+    "names",
+)
+
+
+def is_row_table(text: str) -> bool:
+    """Whether the first line has wavelengths as titles of its last columns, behind others or at once."""
+    titles = next(csv.reader(io.StringIO(text.split("\n", 1)[0])), [])
+    return _first_band(titles) is not None
+
+
+def row_records(text: str, path: Path) -> list[Record]:
+    """The spectra of a table with one in each row.
+
+    A name comes from the first column of an obvious title whose values differ, else the spectra are numbered.  The
+    columns ``Wavelength Units`` and ``Measurement Units`` are read where they stand; a percent that the values
+    contradict is not believed, and the unit must be stated.
+
+    Raises
+    ------
+    InputError : rows of another length than the first, cells that are no numbers, or more than can be a table.
+    """
+    reader = csv.reader(io.StringIO(text))
+    try:
+        titles = _without_end([t.strip() for t in next(reader)])
+        first = _first_band(titles) or 0
+        wavelength = np.array([float(_WAVELENGTH.match(t)[1]) for t in titles[first:]])  # type: ignore[index]
+        rows: list[tuple[int, list[str]]] = []
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            where = f"{path}:{reader.line_num}"
+            cells = _without_end([cell.strip() for cell in cells], len(titles))
+            if len(cells) != len(titles):
+                raise InputError(
+                    f"{len(cells)} cells", where=where, expected=f"{len(titles)}, as in the first line"
+                )
+            rows.append((reader.line_num, cells))
+            if len(rows) > MAX_ROWS or len(rows) * len(titles) > MAX_CELLS:
+                raise InputError(f"more than {MAX_ROWS} rows or {MAX_CELLS} cells", where=where)
+    except csv.Error as error:
+        raise InputError(f"not a CSV file: {error}", where=f"{path}:{reader.line_num}") from error
+    if not rows:
+        raise InputError("the table has titles and no spectrum", where=str(path))
+    lower = [t.lower() for t in titles[:first]]
+    column = next((c for n in _NAMES if n in lower and _differ(rows, c := lower.index(n))), None)
+    return [
+        _record(cells, number, i, titles, lower, column, first, wavelength, path)
+        for i, (number, cells) in enumerate(rows)
+    ]
+
+
+def _record(
+    cells: list[str],
+    number: int,
+    index: int,
+    titles: list[str],
+    lower: list[str],
+    column: int | None,
+    first: int,
+    wavelength: np.ndarray,
+    path: Path,
+) -> Record:
+    try:
+        values = np.array([float(c) if c and c.lower() not in ("na", "nan") else np.nan for c in cells[first:]])
+    except ValueError:
+        bad = next(t for t, c in zip(titles[first:], cells[first:], strict=True) if not _is_number(c))
+        raise InputError(f"the cell under {bad!r} is no number", where=f"{path}:{number}") from None
+
+    def stated(title: str) -> str:
+        return cells[lower.index(title)].lower() if title in lower else ""
+
+    suffix = _WAVELENGTH.match(titles[first])
+    unit = (suffix[2] if suffix else None) or _wavelength_unit(stated("wavelength units"))
+    percent, doubt = "percent" in stated("measurement units"), None
+    if percent and np.nanmax(values, initial=0.0) <= 1.5:
+        percent = False
+        doubt = f"the file says percent, and the values reach {np.nanmax(values):.3g}"
+    return Record(
+        name=cells[column] if column is not None else f"row {index + 1}",
+        wavelength=wavelength,
+        values=values,
+        where=f"{path}:{number}",
+        wavelength_unit=unit,
+        reflectance_unit="percent" if percent else None,
+        doubt=doubt,
+    )
+
+
+def _first_band(titles: list[str]) -> int | None:
+    """Where the titles become wavelengths that increase or fall to the end; None where they do not."""
+    titles = _without_end(titles)
+    first = len(titles)
+    while first and _WAVELENGTH.match(titles[first - 1].strip()):
+        first -= 1
+    numbers = np.array([float(_WAVELENGTH.match(t.strip())[1]) for t in titles[first:]])  # type: ignore[index]
+    if numbers.size < FEWEST_BANDS or only_wavelength_unit(numbers) is None:
+        return None
+    step = np.diff(numbers)
+    return first if np.all(step > 0) or np.all(step < 0) else None
+
+
+def _without_end(cells: list[str], least: int = 0) -> list[str]:
+    """The cells without empty ones at the end, which a comma before the end of a line leaves."""
+    while len(cells) > least and not cells[-1].strip():
+        cells = cells[:-1]
+    return cells
+
+
+def _differ(rows: list[tuple[int, list[str]]], column: int) -> bool:
+    values = [cells[column] for _, cells in rows]
+    return all(values) and len(set(values)) == len(values)
+
+
+def _wavelength_unit(text: str) -> str | None:
+    if text.startswith("nano") or text == "nm":
+        return "nm"
+    return "um" if text.startswith("micro") or text in ("um", "µm") else None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or "nan")
+    except ValueError:
+        return cell.lower() == "na"
+    return True
