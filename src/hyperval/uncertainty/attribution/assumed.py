@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyperval.prediction.budget import AEROSOL, SURROUNDINGS, WATER, field_spectrum_of
+from hyperval.prediction.budget import AEROSOL, SURROUNDINGS, WATER, field_spectrum_of, inputs_of
 from hyperval.prediction.forms import form_in_words
 from hyperval.prediction.input import Input, Kind, number_input, spectral_input
 from hyperval.prediction.input_paths import Given
@@ -30,7 +30,12 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
 
 
 def assumed_inputs(given: Given) -> list[Input]:
-    """Every input of a scenario that may be off, with a usual standard uncertainty."""
+    """Every input of a scenario that may be off and whose uncertainty it does not state, with a usual one."""
+    stated = {item.path for item in inputs_of(given)}
+    return [item for item in _usual(given) if item.path not in stated]
+
+
+def _usual(given: Given) -> list[Input]:
     unmoved = _unmoved(given)
     found = [_part(given, *row) for row in _PARTS if row[2] not in unmoved]
     if given.scenario.atmosphere is not None:
@@ -76,19 +81,15 @@ def _unmoved(given: Given) -> set[str]:
 
 
 def _spectra(given: Given) -> list[Input]:
-    """Mean spectra that neither the collection itself nor a stated uncertainty vouches for.
+    """Mean spectra that the collection itself does not vouch for.
 
     Those of targets are left out: mixed with their hosts they look like their fill, which is there already.
     """
-    scenario, form = given.scenario, SpectralForm(correlation_nm=SURFACE_NM)
-    scene, u = scenario.scene, scenario.uncertainty
-    stated = {item.subject for item in u.field_spectra}
-    stated |= {item.subject for item in u.sampled_statistics if item.mean}
+    scene, form = given.scenario.scene, SpectralForm(correlation_nm=SURFACE_NM)
     found = []
     for s in (*scene.classes, *scene.panels, *scene.sites):
-        surface = given.surfaces[s.name]
-        if s.spectrum.measured is None and s.name not in stated and surface.mean_error is None:
-            sd = SURFACE * np.nan_to_num(surface.mean)
+        if s.spectrum.measured is None:
+            sd = SURFACE * np.nan_to_num(given.surfaces[s.name].mean)
             one = spectral_input(given, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
             words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
             found.append(replace(one, source="usual", correlation=words))

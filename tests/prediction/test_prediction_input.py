@@ -1,0 +1,126 @@
+"""Inputs by their dotted paths: what stands there, what truth has another value, and what leads nowhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
+
+from hyperval.errors import UsageError
+from hyperval.prediction.budget import given_of, inputs_of
+from hyperval.prediction.departure import Departure
+from hyperval.prediction.designs import drawn_truths, one_at_a_time
+from hyperval.prediction.input import number_input, spectral_input
+from hyperval.prediction.input_paths import input_path
+from hyperval.scenario_uncertainty import RelativeUncertainty, Spread
+from hyperval.settings import with_settings
+from hyperval.uncertainty.attribution.assumed import assumed_inputs
+
+B = len(AXIS)
+SCENE = scenario()
+GIVEN = given_of(SCENE, axis=AXIS, engine=engine)
+KEY = ("tenth", "cem", "pixel")
+
+
+@pytest.mark.parametrize(
+    ("path", "nominal"),
+    [
+        ("atmosphere.aot550", 0.2),
+        ("atmosphere.solar_zenith_deg", 30.0),
+        ("light.irradiance", 1.0),
+        ("sensor.gain", 1.0),
+        ("sensor.offset", 0.0),
+        ("line.dark", 1.0),
+        ("fraction.grass", 0.7),
+        ("fill.tenth", 0.1),
+        ("surfaces.plank.spread", 1.0),
+        ("surfaces.grass.tail_dof", np.inf),
+        ("scene.targets.plank.subjects.tenth.fill.fixed", 0.1),
+    ],
+)
+def test_what_stands_at_a_path_and_that_nothing_moves_where_it_stays(path, nominal):
+    at = input_path(GIVEN, path)
+    np.testing.assert_allclose(np.ravel(at.nominal), np.ravel(nominal))
+    if np.all(np.isfinite(at.nominal)):
+        same = run(SCENE, departure=at.to(np.asarray(at.nominal)))
+        np.testing.assert_allclose(same.roc[KEY].pd, run(SCENE).roc[KEY].pd, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "setting"),
+    [
+        ("atmosphere.aot550", 0.3, {"atmosphere.aot550": 0.3}),
+        ("atmosphere.solar_zenith_deg", 35.0, {"atmosphere.solar_zenith_deg": 35.0}),
+        ("fraction.grass", 0.6, {"scene.classes.grass.fraction": 0.6, "scene.classes.asphalt.fraction": 0.4}),
+        ("fill.tenth", 0.12, {"scene.targets.plank.subjects.tenth.fill.fixed": 0.12}),
+        ("surfaces.grass.tail_dof", 7.0, {"scene.classes.grass.tail_dof": 7.0}),
+        ("processing.seed", 3.0, {"processing.seed": 3}),
+    ],
+)
+def test_a_value_at_a_path_is_the_setting_of_the_scenario(path, value, setting):
+    found = run(SCENE, departure=input_path(GIVEN, path).to(np.array([value])))
+    there = run(with_settings(SCENE, setting))
+    np.testing.assert_allclose(found.roc[KEY].pd, there.roc[KEY].pd, rtol=1e-9)
+    np.testing.assert_allclose(found.radiance["grass"].mean, there.radiance["grass"].mean, rtol=1e-12)
+
+
+def test_numbers_stop_at_the_ends_of_their_range_and_reflectance_at_nothing():
+    assert input_path(GIVEN, "atmosphere.aot550").to(np.array([-1.0])).settings["atmosphere.aot550"] == 0.0
+    assert input_path(GIVEN, "sensor.noise").to(np.array([-2.0])).noise_factor == pytest.approx(1e-3)
+    dark = input_path(GIVEN, "surfaces.asphalt.mean").to(np.full(B, -0.5)).spectra["asphalt"]
+    np.testing.assert_allclose(dark, -GIVEN.surfaces["asphalt"].mean)
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("surfaces.nobody.mean", "no such surface"),
+        ("surfaces.plank.tail_dof", "no class 'plank'"),
+        ("fraction.plank", "no such class"),
+        ("fill.nobody", "fill.nobody"),
+        ("blur", "geometry"),
+        ("atmosphere.view", "no 'view'"),
+        ("nothing.at.all", "no 'nothing'"),
+    ],
+)
+def test_a_path_that_leads_nowhere_is_refused(path, words):
+    with pytest.raises(UsageError, match=words):
+        input_path(GIVEN, path)
+
+
+def test_light_needs_an_atmosphere():
+    with pytest.raises(UsageError, match="no atmosphere"):
+        input_path(given_of(scenario(""), axis=AXIS), "light.irradiance")
+
+
+def test_a_log_normal_factor_multiplies_and_a_normal_one_adds():
+    law = Spread(0.3, "log-normal")
+    item = number_input(GIVEN, "light", "atmosphere", "light.irradiance", law)
+    up, down = item.moved(1.0).irradiance, item.moved(-1.0).irradiance
+    assert up * down == pytest.approx(1.0)
+    draws = np.array([t.irradiance for t in drawn_truths([item], 4000, 2)])
+    assert draws.std() / draws.mean() == pytest.approx(0.3, rel=0.08)  # 4,000 draws: five standard errors
+    form = RelativeUncertainty.model_validate({"relative": 0.02, "correlation_nm": 300})
+    wide = spectral_input(GIVEN, "gain", "sensor", "sensor.gain", 0.02, form)
+    total = sum((wide.direction(k, 1.0).recorded_gain - 1.0) ** 2 for k in range(wide.size))
+    np.testing.assert_allclose(np.sqrt(total), 0.02, rtol=1e-5)
+
+
+def test_one_at_a_time_goes_up_and_down_along_the_leading_directions():
+    form = RelativeUncertainty.model_validate({"relative": 0.02, "correlation": "random"})
+    wide = spectral_input(GIVEN, "gain", "sensor", "sensor.gain", 0.02, form)
+    steps = one_at_a_time([wide], 3)
+    assert [s.direction for s in steps] == [0, 1, 2]
+    up, down = steps[1].truths
+    np.testing.assert_allclose(np.asarray(up.recorded_gain) + np.asarray(down.recorded_gain), 2.0)
+    assert isinstance(up, Departure)
+
+
+def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate():
+    text = ATMOSPHERE + "uncertainty: {noise: {relative: 0.1}, fractions: [{subject: grass, absolute: 0.1}]}\n"
+    given = given_of(scenario(text), axis=AXIS, engine=engine)
+    assumed = {i.path for i in assumed_inputs(given)}
+    assert not assumed & {i.path for i in inputs_of(given)}
+    assert {"sensor.gain", "surfaces.[grass].mean", "surfaces.[panel].mean"} <= assumed
+    assert "surfaces.[plank].mean" not in assumed
+    assert all(i.source == "usual" for i in assumed_inputs(given))
