@@ -60,7 +60,7 @@ format: $(READY)  ## mend style
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-types: $(READY)  ## check the types of the rooms that hold formulas
+types: $(READY)  ## check the types
 	$(BIN)/mypy src
 
 lock:  ## renew requirements.lock after a change of dependencies (needs uv)

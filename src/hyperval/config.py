@@ -57,7 +57,7 @@ class Placeholder:
     what: str
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]
     """YAML 1.2 core scalars only: no dates, no octals, no sexagesimals, no yes/no, no underscores."""
 
 

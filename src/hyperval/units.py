@@ -95,7 +95,9 @@ def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_c
     band response is applied.
     """
     nu = np.asarray(wavenumber_cm, dtype=float)
-    return np.asarray(radiance_per_wavenumber, dtype=float) * nu**2 * _RADIANCE_TO_INTERNAL["W m-2 sr-1 um-1"]
+    return np.asarray(
+        np.asarray(radiance_per_wavenumber, dtype=float) * nu**2 * _RADIANCE_TO_INTERNAL["W m-2 sr-1 um-1"]
+    )
 
 
 def _factor(table: dict[str, float], unit: str, quantity: str) -> float:

@@ -104,7 +104,7 @@ def test_every_equation_is_named_somewhere():
         for text in [Path(importlib.import_module(module).__file__ or "").read_text(encoding="utf-8")]
         for number in EQUATION.findall(text)
     }
-    ranges = {n for n in (17, 23, 24, 32)}  # inside "3.15-3.20", "3.22-3.25" and "3.30-3.33" as well
+    ranges = {17, 23, 24, 32}  # inside "3.15-3.20", "3.22-3.25" and "3.30-3.33" as well
     assert set(range(7, 34)) - named - ranges == set()
 
 

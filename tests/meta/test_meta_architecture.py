@@ -60,12 +60,12 @@ def test_a_wrong_import_breaks_each_contract(contract, tmp_path):
         stream.write(f"\n{line}\n")
     outcome = lint_imports(tmp_path, tmp_path)
     assert outcome.returncode == 1, outcome.stderr
-    assert re.search(rf"^{re.escape(contract['name'])}\s*BROKEN", outcome.stdout, re.M), outcome.stdout
+    assert re.search(rf"^{re.escape(contract['name'])}\s*BROKEN", outcome.stdout, re.MULTILINE), outcome.stdout
 
 
 def test_the_page_names_every_room_in_the_order_of_the_arrows():
     page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
-    rows = [re.findall(r"`(\w+)(?:\.py)?/?`", row) for row in re.findall(r"^\| (`.*?) \|", page, re.M)]
+    rows = [re.findall(r"`(\w+)(?:\.py)?/?`", row) for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)]
     named = [room for row in rows for room in row]
     assert sorted(named) == sorted(set.union(*layers()))
     height = {room: -i for i, line in enumerate(layers()) for room in line}

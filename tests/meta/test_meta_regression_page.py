@@ -16,7 +16,9 @@ from hyperval.baseline.schema import Accepted, split_key
 from hyperval.config import parse_yaml
 
 PAGE = (Path(__file__).parents[2] / "docs" / "regression.md").read_text("utf-8")
-EXAMPLES: list[Any] = [yaml.safe_load(text) for text in re.findall(r"^```yaml\n(.*?)^```", PAGE, re.M | re.S)]
+EXAMPLES: list[Any] = [
+    yaml.safe_load(text) for text in re.findall(r"^```yaml\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+]
 
 
 def texts(node: Any) -> list[str]:

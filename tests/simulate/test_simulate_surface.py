@@ -40,7 +40,7 @@ def test_draws_have_the_mean_and_covariance_of_the_class(classes):
 def test_rendered_pixels_have_the_statistics_of_their_class(make_scene, classes):
     scene = make_scene(targets=[], panels=[])
     renderer = SurfaceRenderer(scene, lay_out(scene), classes)
-    for name, lines in (("grass", range(0, 30)), ("asphalt", range(30, 60))):
+    for name, lines in (("grass", range(30)), ("asphalt", range(30, 60))):
         assert_drawn_from(np.concatenate([renderer.reflectance(line) for line in lines]), classes[name])
 
 

@@ -126,7 +126,7 @@ def test_3_11_covariance_by_monte_carlo():
 def test_3_12_by_hand():
     # f = 0.4 +- 0.1: E[f^2] = 0.17, E[(1-f)^2] = 0.37; contrast 0.5; g_T = 2, g_B = 3.
     # 0.17 * 2 * 1e-4 + 0.37 * 3 * 2e-4 + 0.01 * 0.25 = 2.756e-3
-    common = dict(target_gain=2.0, host_gain=3.0)
+    common = {"target_gain": 2.0, "host_gain": 3.0}
     found = target_pixel_covariance(0.4, 0.01, [0.6], [[1e-4]], [0.1], [[2e-4]], **common)
     assert found == pytest.approx(np.array([[2.756e-3]]), rel=1e-12)
     # Printed: 0.16 * 2e-4 + 0.36 * 6e-4 = 2.48e-4

@@ -147,7 +147,7 @@ def inside(name: str, nodes: Array, x: npt.ArrayLike) -> Array:
             expected=f"{low:g} to {high:g}",
             mend="change the state, or compute a larger table: a table is never extrapolated",
         )
-    return np.clip(points, low, high)
+    return np.asarray(np.clip(points, low, high))
 
 
 @dataclass(frozen=True)

@@ -307,4 +307,4 @@ def over_continuum(wavelength_nm: Array, coefficient: Array, reach_nm: float = 0
     else:
         level = np.interp(inside, wavelength_nm, coefficient)
     continuum = np.exp(np.interp(np.log(wavelength_nm), np.log(inside), np.log(np.maximum(level, 1e-30))))
-    return np.clip(coefficient / continuum, 0.0, 1.0)
+    return np.asarray(np.clip(coefficient / continuum, 0.0, 1.0))

@@ -100,7 +100,7 @@ def _extinction(range_km: float) -> Array:
     boundary = rows[:, i] + w * (rows[:, i + 1] - rows[:, i])
     w23 = min(1.0, (x - 1 / 50.0) / (1 / 23.0 - 1 / 50.0))
     troposphere = _TROPOSPHERE[1] + w23 * (_TROPOSPHERE[0] - _TROPOSPHERE[1])
-    return np.maximum(np.concatenate([boundary, troposphere, _STRATOSPHERE, _UPPER]), 1e-12)
+    return np.asarray(np.maximum(np.concatenate([boundary, troposphere, _STRATOSPHERE, _UPPER]), 1e-12))
 
 
 def _levels_above_ground(ground_km: float) -> Array:

@@ -91,7 +91,7 @@ def all_runs(
     found = _campaign_runs(campaigns, source, keep, show_progress) if campaigns else []
     names = [run.name for run in found]
     if twice := {n for n in names if names.count(n) > 1}:
-        raise UsageError(f"two campaigns are named {sorted(twice)[0]!r}")
+        raise UsageError(f"two campaigns are named {min(twice)!r}")
     return [*found, *(_sensor_run(s, engine) for s in track(chosen, "sensors", len(chosen), show=show_progress))]
 
 

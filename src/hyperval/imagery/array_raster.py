@@ -111,7 +111,8 @@ class ArrayRaster:
 
     def kept_open(self) -> AbstractContextManager[object]:
         """Inside, the file is opened once for all reads."""
-        return self.store.kept_open()
+        inside: AbstractContextManager[object] = self.store.kept_open()
+        return inside
 
     def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
         """(count, samples, bands) values of consecutive lines."""

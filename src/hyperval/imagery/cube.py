@@ -17,8 +17,9 @@ from hyperval.errors import InputError, UsageError
 from hyperval.imagery import interchange
 from hyperval.imagery.band_table import BandTable, band_table, ordered_bands, wavelengths_in_nm
 from hyperval.imagery.georeference import pixel_area_m2
-from hyperval.imagery.rasters import Raster, TiffRaster, open_raster
+from hyperval.imagery.rasters import Raster, open_raster
 from hyperval.imagery.scaling import Scaling, scaling_of
+from hyperval.imagery.tiff_raster import TiffRaster
 from hyperval.imagery.validity import equals, usable_pixels
 from hyperval.imagery.value_check import check_values_of
 from hyperval.spectra.axis import SpectralAxis

@@ -135,7 +135,8 @@ class _LazyCube(BackendArray):
         self.dtype = np.dtype(np.float64)
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> npt.NDArray[Any]:
-        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
+        part = indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
+        return np.asarray(part)
 
     def _read(self, key: tuple[Any, ...]) -> npt.NDArray[Any]:
         lines = np.arange(self.cube.lines)[key[0]]

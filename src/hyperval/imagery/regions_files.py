@@ -19,7 +19,8 @@ from rasterio.errors import CRSError
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.drawing import Drawing
 from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
-from hyperval.imagery.rasters import TiffRaster, open_raster
+from hyperval.imagery.rasters import open_raster
+from hyperval.imagery.tiff_raster import TiffRaster
 from hyperval.imagery.validity import equals
 
 Mask = npt.NDArray[np.bool_]

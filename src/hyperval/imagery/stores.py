@@ -109,7 +109,8 @@ class Hdf5Store(OpenedFile):
     def chunks(self, name: str) -> tuple[int, ...] | None:
         """Size of the blocks that an array is stored in."""
         with self.kept_open() as file:
-            return file[name].chunks
+            size: tuple[int, ...] | None = file[name].chunks
+            return size
 
 
 def check_own_values(path: Path) -> None:
@@ -167,7 +168,8 @@ class XarrayStore(OpenedFile):
     def chunks(self, name: str) -> tuple[int, ...] | None:
         """Size of the blocks that an array is stored in."""
         with self.kept_open() as data:
-            return data[name].encoding.get("chunksizes")
+            size: tuple[int, ...] | None = data[name].encoding.get("chunksizes")
+            return size
 
 
 def as_stored(engine: str | None) -> dict[str, Any]:

@@ -74,7 +74,7 @@ class TiffRaster:
         if first < 0 or count < 1 or first + count > self.lines:
             raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
         with _opened(self.path) as dataset:
-            return dataset.read(window=Window(0, first, self.samples, count))
+            return np.asarray(dataset.read(window=Window(0, first, self.samples, count)))
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
         """(n, bands) stored numbers of single pixels."""

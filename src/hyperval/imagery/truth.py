@@ -346,17 +346,17 @@ def _rectangle(x: float, y: float, width: float, length: float, scale: float, he
 def _ellipse(x: float, y: float, width: float, length: float, scale: float, heading_deg: float) -> Array:
     """(72, 2) points (sample, line) around an ellipse of these diameters; otherwise as :func:`_rectangle`."""
     turn = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
-    unit = np.column_stack([np.cos(turn), np.sin(turn)]) / 2
-    return _turned(x, y, unit, width, length, scale, heading_deg)
+    return _turned(x, y, np.column_stack([np.cos(turn), np.sin(turn)]) / 2, width, length, scale, heading_deg)
 
 
 def _turned(
     x: float, y: float, unit: Array, width: float, length: float, scale: float, heading_deg: float
 ) -> Array:
-    """Points (along, across) of a figure of unit size, stretched, turned to the heading and put at (x, y)."""
+    """Points (along, across) of a figure of unit size, stretched, turned and put at (x, y)."""
     h = math.radians(heading_deg)
     along, across = np.array([math.sin(h), -math.cos(h)]), np.array([math.cos(h), math.sin(h)])
-    return np.array([x, y]) + unit[:, :1] * (length / scale) * along + unit[:, 1:] * (width / scale) * across
+    sides = unit * (length / scale, width / scale)
+    return np.asarray(np.array([x, y]) + sides[:, :1] * along + sides[:, 1:] * across)
 
 
 _OUTLINES = {"": _rectangle, "square": _rectangle, "rectangle": _rectangle, "circle": _ellipse, "ellipse": _ellipse}

@@ -15,7 +15,7 @@ def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
     kept = ignore_in_type(stored.dtype, ignore)
     if kept is None:
         return np.zeros(stored.shape, bool)
-    return np.isnan(stored) if np.isnan(ignore) else stored == kept
+    return np.asarray(np.isnan(stored) if np.isnan(ignore) else stored == kept)
 
 
 def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:

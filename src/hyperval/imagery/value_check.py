@@ -19,7 +19,7 @@ def _some_values(cube: Any, line: int) -> npt.NDArray[Any]:
     """(n,) values of valid pixels of a line, spread over its samples, in the good bands."""
     rows = np.full(min(cube.samples, CHECKED_SAMPLES), line)
     cols = np.linspace(0, cube.samples - 1, rows.size).astype(int)
-    return cube.spectra((rows, cols))[:, cube.axis.good].ravel()
+    return np.asarray(cube.spectra((rows, cols))[:, cube.axis.good].ravel())
 
 
 def check_values_of(cube: Any) -> None:

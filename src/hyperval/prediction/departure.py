@@ -220,9 +220,7 @@ def _with_fills(scenario: Scenario, offsets: Mapping[str, float]) -> Scenario:
     if left:
         known = [t.name for t in scenario.scene.targets]
         known += [s.name for t in scenario.scene.targets for s in t.subjects]
-        raise UsageError(
-            f"no target {sorted(left)[0]!r} to change the fill of", expected="one of " + ", ".join(known)
-        )
+        raise UsageError(f"no target {min(left)!r} to change the fill of", expected="one of " + ", ".join(known))
     scene = scenario.scene.model_copy(update={"targets": targets})
     return scenario.model_copy(update={"scene": scene})
 

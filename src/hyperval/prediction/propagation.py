@@ -179,5 +179,8 @@ def agreement(key: Key, linear: Linear, draws: Draws, index: int | None = None, 
         gap = np.maximum(np.abs(low - drawn_low), np.abs(high - drawn_high))[live]
         gap = gap / tolerance(np.maximum(lin, mc)[live], draws.samples)
         ratio, widths = mc[live] / lin[live], (drawn_high - drawn_low)[live] / (high - low)[live]
-    middle = lambda x: float(np.median(x))  # noqa: E731
+
+    def middle(x: Array) -> float:
+        return float(np.median(x))
+
     return Agreement(key, at, middle(lin[live]), middle(mc[live]), middle(ratio), middle(widths), middle(gap))

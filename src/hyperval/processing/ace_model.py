@@ -143,7 +143,7 @@ def exceedance_at(threshold: npt.ArrayLike, population: Exceedance) -> Array:
     """P(ACE > threshold) of a population between the scores it was evaluated at (3.31)."""
     x = np.arctanh(np.sqrt(np.clip(np.asarray(threshold, dtype=float), 0.0, 1.0 - 1e-12)))
     log_p = np.log(np.maximum(population.probability, 1e-300))
-    return np.exp(np.interp(x, np.arctanh(np.sqrt(population.scores)), log_p))
+    return np.asarray(np.exp(np.interp(x, np.arctanh(np.sqrt(population.scores)), log_p)))
 
 
 def _drawn_closer(z: Array, decades: Sequence[float]) -> Array:

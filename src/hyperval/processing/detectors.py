@@ -154,10 +154,10 @@ def _only_quadratic(_: Array, value: Array | None) -> Array:
 
 def _squared_cosine(y: Array, value: Array | None) -> Array:
     assert value is not None  # noqa: S101 - asked for
-    return np.divide(y[0] ** 2, value, out=np.full_like(value, np.nan), where=value > 0)
+    return np.asarray(np.divide(y[0] ** 2, value, out=np.full_like(value, np.nan), where=value > 0))
 
 
 def _minus_angle(y: Array, value: Array | None) -> Array:
     assert value is not None  # noqa: S101 - asked for
     cosine = np.divide(y[0], np.sqrt(value), out=np.full_like(value, np.nan), where=value > 0)
-    return -np.arccos(np.clip(cosine, -1.0, 1.0))
+    return np.asarray(-np.arccos(np.clip(cosine, -1.0, 1.0)))

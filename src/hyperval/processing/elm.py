@@ -85,7 +85,7 @@ class EmpiricalLine:
 
     def radiance(self, reflectance: npt.ArrayLike) -> Array:
         """(..., B) radiance b + k rho of a reflectance (..., B)."""
-        return self.offset + self.gain * np.asarray(reflectance, dtype=float)
+        return np.asarray(self.offset + self.gain * np.asarray(reflectance, dtype=float))
 
     def reflectance_error_variance(self, radiance: npt.ArrayLike, radiance_variance: npt.ArrayLike = 0.0) -> Array:
         """(..., B) variance of the reflectance: [var L + var b + rho^2 var k + 2 rho cov(k, b)]/k^2."""

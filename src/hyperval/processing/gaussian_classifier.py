@@ -60,7 +60,7 @@ class GaussianClassifier:
             offset - 0.5 * np.sum(factor.whiten((x - mean).T) ** 2, axis=0)
             for (mean, factor), offset in zip(self._laws, self._offsets, strict=True)
         ]
-        return np.argmax(likelihoods, axis=0)
+        return np.asarray(np.argmax(likelihoods, axis=0))
 
 
 def predicted_error(laws: Sequence[ClassLaw], rng: np.random.Generator, draws: int = 20_000) -> ClassificationError:

@@ -147,7 +147,7 @@ class Sums:
         centre = stored[:, lines[some], samples[some]].mean(axis=1, dtype=np.float64)
         if self.whole:
             return np.asarray(np.rint(centre))
-        return centre if self.directions is None else centre.astype(np.float32).astype(np.float64)
+        return np.asarray(centre if self.directions is None else centre.astype(np.float32).astype(np.float64))
 
     def _about_reference(self, stored: npt.NDArray[Any], space: Workspace) -> npt.NDArray[Any]:
         """(B, lines, samples) differences from the reference."""

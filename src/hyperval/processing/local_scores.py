@@ -214,7 +214,7 @@ class _MovingMeans:
     def _weighted(self, line: int) -> Array:
         at = line % self._window.outer
         weight = self._weight[at]
-        return self._ring[at] if weight.all() else self._ring[at] * weight
+        return np.asarray(self._ring[at] if weight.all() else self._ring[at] * weight)
 
 
 def _along(values: Array, side: int) -> Array:

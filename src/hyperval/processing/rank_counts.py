@@ -37,7 +37,7 @@ class RankCounts:
     def below(self) -> Array:
         """(K,) share of the background below each target score, ties counted half."""
         under = np.cumsum(self.between[:-1]) + np.concatenate([[0], np.cumsum(self.ties)[:-1]])
-        return (under + 0.5 * self.ties) / (self.between.sum() + self.ties.sum())
+        return np.asarray((under + 0.5 * self.ties) / (self.between.sum() + self.ties.sum()))
 
 
 def rank_counts(target: Array, background: Array) -> RankCounts:

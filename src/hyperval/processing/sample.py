@@ -73,7 +73,7 @@ class SampleStatistics:
     def shrunk_covariance(self) -> Array:
         """(B, B) well-conditioned covariance: (1 - a) S + a (tr S/B) I with a = :attr:`shrinkage`."""
         a, s = self.shrinkage, self.covariance
-        return (1.0 - a) * s + a * np.trace(s) / s.shape[0] * np.eye(s.shape[0])
+        return np.asarray((1.0 - a) * s + a * np.trace(s) / s.shape[0] * np.eye(s.shape[0]))
 
     def as_class(self, name: str, axis: SpectralAxis, *, shrink: bool = False, source: str = "") -> ClassStatistics:
         """The same numbers as a surface class, with the shrunk covariance on request."""

@@ -205,7 +205,7 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     across = _step_response(reach_right, s_x) - _step_response(reach_left, s_x)
     z = (y + at[:, 1:2])[:, :, None] - pixels
     along = _aperture(z, s_y) * dy[:, :, None]
-    return np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0)  # rounding alone leaves 0-1
+    return np.asarray(np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0))  # rounding alone leaves 0-1
 
 
 def _sigmas(blur: Blur) -> tuple[float, float]:

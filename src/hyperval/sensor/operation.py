@@ -90,7 +90,10 @@ def binned_noise(noise: NoiseModel, count: int) -> NoiseModel:
         sign = np.sign(_groups(c, count).sum(axis=1))
         measured = (1.0 / np.sqrt(g), fixed**2 / g, sign * root_sum(c / a**2) / g)
     full = None if noise.full_scale is None else _groups(noise.full_scale, count).min(axis=1)
-    whole = lambda x: _groups(np.broadcast_to(x, noise.fixed_noise.shape), count)[:, 0]  # noqa: E731
+
+    def whole(x: npt.ArrayLike) -> Array:
+        return _groups(np.broadcast_to(x, noise.fixed_noise.shape), count)[:, 0]
+
     return replace(
         noise,
         electrons_per_radiance=g,

@@ -37,7 +37,7 @@ class Quantity(Model):
         if self.table is None:
             return np.full(wavelength_nm.shape, self.value, dtype=float)
         w, v = np.array(self.table).T
-        return np.interp(wavelength_nm, w, v)
+        return np.asarray(np.interp(wavelength_nm, w, v))
 
     @property
     def assumed(self) -> bool:

@@ -213,7 +213,7 @@ class Sensor:
                 expected="bands within "
                 + ", ".join(f"{a.range_nm[0]:g}-{a.range_nm[1]:g} nm" for a in self.specification.arms),
             )
-        return gap.argmin(axis=0)
+        return np.asarray(gap.argmin(axis=0))
 
     def _assumptions(self) -> list[str]:
         found = []

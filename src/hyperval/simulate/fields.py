@@ -36,7 +36,7 @@ def texture_factor(scene: SceneFile) -> Field | None:
         return None
     rng = streams.generator(scene.seed, streams.FIELDS, _TEXTURE)
     field = correlated_field((scene.lines, scene.samples), texture.correlation_pixels, rng)
-    return np.maximum(1.0 + np.float32(texture.relative_sd) * field, np.float32(0.1))
+    return np.asarray(np.maximum(1.0 + np.float32(texture.relative_sd) * field, np.float32(0.1)))
 
 
 def illumination(scene: SceneFile, open_sky: npt.NDArray[np.bool_]) -> Field | None:
@@ -62,11 +62,11 @@ def admixture_share(scene: SceneFile, admixture: Admixture, number: int) -> Fiel
     mean = admixture.mean
     total = mean * (1.0 - mean) / admixture.sd**2 - 1.0  # beta parameters from its two moments
     share = special.betaincinv(mean * total, (1.0 - mean) * total, special.ndtr(field.astype(np.float64)))
-    return share.astype(np.float32)
+    return np.asarray(share.astype(np.float32))
 
 
 def blur(image: Field, psf_fwhm_pixels: float) -> Field:
     """A pixel map as the system response mixes it."""
     weights = pixel_weights(psf_fwhm_pixels).astype(np.float32)
     once = ndimage.correlate1d(image, weights, axis=0, mode="nearest")
-    return ndimage.correlate1d(once, weights, axis=1, mode="nearest")
+    return np.asarray(ndimage.correlate1d(once, weights, axis=1, mode="nearest"))

@@ -40,7 +40,7 @@ def pixel_weights(psf_fwhm_pixels: float, cells: int = SUPERSAMPLING) -> Array:
     pixels = 2 * math.ceil((response.size / cells - 1.0) / 2.0) + 1
     pad = (pixels * cells - response.size) // 2
     weights = np.pad(response, (pad, pixels * cells - response.size - pad)).reshape(pixels, cells).sum(axis=1)
-    return 0.5 * (weights + weights[::-1])
+    return np.asarray(0.5 * (weights + weights[::-1]))
 
 
 @dataclass(frozen=True)

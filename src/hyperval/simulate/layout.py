@@ -147,7 +147,7 @@ def class_region(ground: Ground, surface: str, border_pixels: int, guard_pixels:
     for plank in ground.planks:
         centres[int(plank.centre_line), int(plank.centre_sample)] = True
     guard = ndimage.binary_dilation(centres, np.ones((2 * guard_pixels + 1,) * 2, bool))
-    return mask & ~seen & ~guard
+    return np.asarray(mask & ~seen & ~guard)
 
 
 def regions(scene: SceneFile, ground: Ground) -> dict[str, Mask]:

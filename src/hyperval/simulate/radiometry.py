@@ -67,7 +67,7 @@ class Detector:
         noise = rng.standard_normal(radiance.shape, dtype=np.float32)
         if s.measured is not None:  # a sensor known by its noise alone: no electrons to count
             a, b, c = (x.astype(np.float32) for x in s.measured)
-            return noise * np.abs(a * np.sqrt(np.maximum(b + radiance, 0.0)) + c)
+            return np.asarray(noise * np.abs(a * np.sqrt(np.maximum(b + radiance, 0.0)) + c))
         gain = s.electrons_per_radiance.astype(np.float32)
         electrons = radiance * gain  # (3.13)
         np.maximum(electrons, 0.0, out=electrons)  # a dark draw emits no photons

@@ -67,4 +67,4 @@ def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> npt.NDArray[np.float64]:
     centre = np.asarray(centre_nm, dtype=float)
     if centre.size < 2:
         raise UsageError("a single band needs its FWHM stated: there is no spacing to take it from")
-    return np.gradient(centre)
+    return np.asarray(np.gradient(centre))

@@ -209,8 +209,7 @@ def power_unit_in(text: str) -> str | None:
         return None
     watt = {"": "W", "m": "mW"}.get((found.group(1) or "").lower(), "uW")
     angle = "sr-1 " if re.search(r"(?<![a-z])sr(?![a-z])", words, re.IGNORECASE) else ""
-    unit = f"{watt} {'cm' if area.group(1) else 'm'}-2 {angle}{'nm' if per.group(1).lower() == 'n' else 'um'}-1"
-    return unit
+    return f"{watt} {'cm' if area.group(1) else 'm'}-2 {angle}{'nm' if per.group(1).lower() == 'n' else 'um'}-1"
 
 
 def _cells(line: str) -> list[str]:

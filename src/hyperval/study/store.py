@@ -71,8 +71,9 @@ class Store:
         """Add the rows (n, columns) that follow, and the reasons by the number of the point."""
         # Reasons first: rows without their reasons would count as finished.
         with open(self.folder / _REASONS, "a", encoding="utf-8") as stream:
-            for point in sorted(reasons):
-                stream.write(json.dumps([point, reasons[point]], ensure_ascii=False) + "\n")
+            stream.writelines(
+                json.dumps([point, reasons[point]], ensure_ascii=False) + "\n" for point in sorted(reasons)
+            )
             stream.flush()
             os.fsync(stream.fileno())
         with open(self.folder / _VALUES, "ab") as stream:
