@@ -374,8 +374,8 @@ def test_eight_processes_that_fetch_the_same_files_all_get_them(server, places, 
 def test_what_a_killed_fetch_left_is_removed(server, places):
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
-    left = put(places[1], f"toy/.hyperval-fetch-{ended.pid}-abc/published").parent
-    live = put(places[1], f"toy/.hyperval-fetch-{os.getpid()}-abc/published").parent
+    left = put(places[1], f"toy/.hyperval-fetch-{ended.pid}-abcdefgh/published").parent
+    live = put(places[1], f"toy/.hyperval-fetch-{os.getpid()}-abcdefgh/published").parent
     for folder in (left, live):
         os.utime(folder, (0, 0))
     datasets.fetch("toy")

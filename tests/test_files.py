@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from hyperval.errors import InputError
-from hyperval.files import sha256_of, whole_file, write_text
+from hyperval.files import scratch_folder, sha256_of, whole_file, write_text
 
 
 class Broken(Exception):
@@ -138,3 +138,26 @@ def test_sha256_equals_the_plain_computation(tmp_path: Path):
 def test_sha256_of_nothing_is_an_input_error(tmp_path: Path):
     with pytest.raises(InputError, match="cannot read"):
         sha256_of(tmp_path / "none")
+
+
+def test_scratch_of_killed_processes_goes_with_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    script = f"""
+        import os, signal, tempfile
+        tempfile.tempdir = {str(tmp_path)!r}
+        from hyperval.files import scratch_folder
+        with scratch_folder("trial") as folder:
+            (folder / "cube.img").write_bytes(bytes(100))
+            os.utime(folder, (0, 0))
+            os.kill(os.getpid(), signal.SIGKILL)
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], check=False)
+    assert done.returncode == -9
+    (left,) = tmp_path.iterdir()
+    other = tmp_path / f"hyperval-trial-{os.getpid()}-abcdefgh"
+    other.mkdir()
+    os.utime(other, (0, 0))
+    with scratch_folder("trial") as folder:
+        assert {p.name for p in tmp_path.iterdir()} == {folder.name, other.name}
+    assert not left.exists()
+    assert list(tmp_path.iterdir()) == [other]

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import gzip
-import os
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 from hyperval.errors import InputError
-from hyperval.files import whole_file
-from hyperval.locks import is_left
+from hyperval.files import scratch_folder, whole_file
 
 ATTEMPTS = 3
 TIMEOUT_S = 60
@@ -47,7 +41,7 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
         _stream(url, output, size)
 
     try:
-        with _folder_beside(target) as folder:
+        with scratch_folder("fetch", target.parent) as folder:
             # A folder for this process alone: others may fetch the same file at this moment.
             store = pooch.create(
                 folder,
@@ -79,19 +73,6 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
 
 class _TooSlow(Exception):
     """A server that sends so little that it is given up, and not asked again."""
-
-
-@contextmanager
-def _folder_beside(target: Path) -> Iterator[Path]:
-    """A folder for what is on its way; those of killed processes are removed first."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    for left in target.parent.glob(".hyperval-fetch-*-*"):
-        number = left.name.split("-")[2]
-        if number.isdigit() and is_left(left, int(number)):
-            shutil.rmtree(left, ignore_errors=True)
-    prefix = f".hyperval-fetch-{os.getpid()}-"
-    with tempfile.TemporaryDirectory(prefix=prefix, dir=target.parent) as name:
-        yield Path(name)
 
 
 def _stream(address: str, output: str, size: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -45,6 +46,29 @@ def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text whole, with Unix line ends."""
     with whole_file(path) as temporary:
         temporary.write_bytes(text.encode("utf-8"))
+
+
+@contextmanager
+def scratch_folder(purpose: str, beside: Path | None = None) -> Iterator[Path]:
+    """Give a folder for temporary files, removed at the end; those that killed processes left are removed first.
+
+    Parameters
+    ----------
+    purpose : one word that stands in its name
+    beside : the folder in which it is made, made where it is not there; default: that of temporary files
+    """
+    place = Path(tempfile.gettempdir()) if beside is None else beside
+    place.mkdir(parents=True, exist_ok=True)
+    start = f".hyperval-{purpose}-" if beside is not None else f"hyperval-{purpose}-"
+    exact = re.compile(re.escape(start) + r"(\d+)-[a-z0-9_]{8}")
+    for name in os.listdir(place):
+        found = exact.fullmatch(name)
+        if found and is_left(place / name, int(found[1])):
+            shutil.rmtree(place / name, ignore_errors=True)
+    with tempfile.TemporaryDirectory(
+        prefix=f"{start}{os.getpid()}-", dir=place, ignore_cleanup_errors=True
+    ) as folder:
+        yield Path(folder)
 
 
 def sha256_of(path: Path) -> str:

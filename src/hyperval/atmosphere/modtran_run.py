@@ -11,7 +11,6 @@ import os
 import shutil
 import signal
 import subprocess
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -33,7 +32,7 @@ from hyperval.atmosphere.modtran_write import (
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import EngineError
-from hyperval.files import sha256_of
+from hyperval.files import scratch_folder, sha256_of
 from hyperval.progress import track
 
 EXECUTABLE, VERSION, DATA = "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
@@ -132,7 +131,7 @@ def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | N
     }
 
     def compute() -> Arrays:
-        with tempfile.TemporaryDirectory(prefix="hyperval-modtran-") as scratch:
+        with scratch_folder("modtran") as scratch:
             for _ in track([0], f"MODTRAN {modtran.version}", total=1, show=show_progress):
                 outputs = run_modtran(state, runs, modtran, Path(scratch))
             return _stored(read_modtran_runs(outputs, [run.albedo for run in runs]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from hyperval.campaign.one import Job, jobs_of
 from hyperval.campaign.provenance import source_revision
 from hyperval.campaign.run import validate
 from hyperval.errors import InputError, UsageError
-from hyperval.files import sha256_of
+from hyperval.files import scratch_folder, sha256_of
 from hyperval.progress import track
 from hyperval.report.stored import read_run
 from hyperval.results import Status
@@ -121,8 +120,8 @@ def _folder(keep: Path | None) -> Iterator[Path]:
     if keep is not None:
         yield keep
         return
-    with tempfile.TemporaryDirectory(prefix="hyperval-check-") as name:
-        yield Path(name) / "runs"
+    with scratch_folder("check") as scratch:
+        yield scratch / "runs"
 
 
 def _read(job: Job | Waiting, source: Path, *, finished: bool) -> Run:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +25,7 @@ from hyperval.compare import apply_gates, compare_products
 from hyperval.config import load_yaml, validate
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError, UsageError
+from hyperval.files import scratch_folder
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.predict import predict
@@ -179,12 +178,11 @@ def collected(
     """
     campaign, inputs = job.campaign, Inputs(job.folder)
     inputs.log.add(job.path.resolve(), job.path.name)
-    scratch: Path | None = None
-    try:
+    with ExitStack() as stack:
         scenarios = [_scenario(s, inputs, campaign.run) for s in campaign.scenarios]
         seed = None
         if campaign.collection.simulate:
-            scratch = Path(tempfile.mkdtemp(prefix="hyperval-simulated-"))
+            scratch = stack.enter_context(scratch_folder("simulated"))
             seed = _simulate(campaign.collection.simulate, inputs, scratch, show_progress)
         if asked is not None:
             campaign = asked(scenarios, inputs)
@@ -198,9 +196,6 @@ def collected(
         if observed.place is not None:
             inputs.record_beside(observed.place.source_files)
         yield Collected(inputs, scenarios, observed, seed)
-    finally:
-        if scratch is not None:
-            shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _with_every_set(job: Job, error: MissingDataError) -> str:
