@@ -413,3 +413,56 @@ def test_scoring_refuses_what_does_not_fit(tmp_path):
     elm.gain[1] = np.nan
     with pytest.raises(UsageError, match="no gain in 1 of"):
         score_cube(cube, {"a": cem}, elm)
+
+
+def outlying(x, part, size, seed=4):
+    """The same scene with a part of its pixels far out, in a direction of their own."""
+    rng = np.random.default_rng(seed)
+    out = x.copy()
+    there = rng.random(x.shape[:2]) < part
+    out[there] += size * rng.standard_normal((int(there.sum()), x.shape[2]))
+    return out
+
+
+def against_exact(cube):
+    exact = region_statistics(cube, precision="exact")["scene"]
+    found = region_statistics(cube, precision="fast")["scene"]
+    values, vectors = np.linalg.eigh(exact.covariance)
+    white = (vectors / np.sqrt(values)).T
+    error = np.linalg.norm(white @ (found.covariance - exact.covariance) @ white.T, 2)
+    return found, max(0.0, error - 10 * np.finfo(float).eps * values[-1] / values[0])  # less that of float64 itself
+
+
+@pytest.mark.parametrize(("part", "size"), [(0.0, 0.0), (0.001, 1e4), (0.001, 1e7), (0.05, 1e5)])
+def test_fast_keeps_the_quiet_directions_beside_outliers(tmp_path, part, size):
+    # 0.1 % of the pixels 1e3 to 1e6 standard deviations out: their squares swallowed those of the others.
+    x = outlying(numbers(lines=400), part, size).astype(np.float32)
+    found, error = against_exact(opened(write(tmp_path, x, dtype="<f4")))
+    assert error < 1e-5
+    assert error <= found.rounding + 1e-12 <= 1e-3
+
+
+def test_one_pixel_far_out_leaves_a_definite_matrix(tmp_path):
+    x = numbers(lines=200).astype(np.float32)
+    x[100, 10] += 6e7
+    found, error = against_exact(opened(write(tmp_path, x, dtype="<f4")))
+    assert error < 1e-5
+    assert np.linalg.eigvalsh(found.covariance)[0] > 0.0
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-17, 1e-8, 1e8, 1e17, 1e30])
+def test_fast_holds_whatever_the_unit(tmp_path, scale):
+    x = (numbers(lines=200) * scale).astype(np.float32)
+    _, error = against_exact(opened(write(tmp_path, x, dtype="<f4")))
+    assert error < 1e-5
+
+
+def test_rounding_beyond_the_bound_is_summed_again(tmp_path, monkeypatch):
+    cube = opened(write(tmp_path, numbers()))
+    exact = region_statistics(cube, precision="exact")["scene"]
+    assert region_statistics(cube, precision="fast")["scene"].rounding > 0.0
+    assert exact.rounding == 0.0
+    monkeypatch.setattr(statistics_module, "MOST_ROUNDING", 1e-12)
+    again = region_statistics(cube, precision="fast")["scene"]
+    np.testing.assert_array_equal(again.covariance, exact.covariance)
+    assert again.rounding == 0.0

@@ -158,7 +158,7 @@ def observe(
         distribution={name: held for name, held in found.items() if held is not None},
         classification=classification_errors(place, classification) if classification else {},
         notes=(*notes, *(detected.notes if detected else ())),
-        provenance={"quantity": cube.quantity, "description": cube.description},
+        provenance={"quantity": cube.quantity, "description": cube.description, **_rounding(measured)},
     )
     # Of the surface itself: over all bands noise dilutes what makes false alarms.
     tails = {n: d.leading_tail_dof for n, d in observation.distribution.items() if np.isfinite(d.leading_tail_dof)}
@@ -266,3 +266,9 @@ def _classes(
         source = f"{sample.n} pixels of region {name}"
         out[name] = ClassStatistics(name, axis, mean, (covariance + covariance.T) / 2.0, sample.n, source, tail)
     return out
+
+
+def _rounding(measured: Mapping[str, SampleStatistics]) -> dict[str, str]:
+    """What sums in single precision may have changed, where there were any."""
+    most = max((s.rounding for s in measured.values()), default=0.0)
+    return {"rounding_of_variances": f"at most {most:.1e} of each (float32 sums)"} if most else {}

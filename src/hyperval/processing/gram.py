@@ -9,11 +9,14 @@ estimate, hold nearly all of the variance; rounding is relative to them and woul
 a detector works in.  So z is split into its coordinates y = P^T z along those directions and the rest
 z - P y, and the products of the two side by side are summed: each is rounded relative to its own size.  Any y near
 those coordinates will do, since z = (z - P y) + P y; where some bands tell them well, only those are asked.
+
+A sum in single precision forgets what is small beside its greatest term.  A batch whose squares are far above those
+of a typical pixel holds outliers that would swallow the others: its products are made again in float64.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +30,10 @@ Mask = npt.NDArray[np.bool_]
 
 # The coordinates come from every third band, unless that would magnify noise more than twice as much as it must.
 EVERY = 3
+CHI_SQUARED_MEDIAN = 0.4549
 LEAST_SHARE = 0.5
+# A batch whose mean squares are so many times those of a typical pixel is summed in float64.
+MOST_OF_TYPICAL = 256.0
 # Pixels are taken about the mean of at least so many of the first batch.
 CENTRED_ON = 64
 
@@ -42,21 +48,34 @@ class Directions:
     every : the coordinates are told from one band in so many
     forward : (K + 1, ceil(B / every)) coordinates from those bands; a last row of zeros, since eight rows are
         multiplied faster than seven
+    typical : (B + K,) mean squares of the rest and the coordinates of a typical pixel; None where nothing is known
     """
 
     basis: npt.NDArray[np.float32]
     every: int
     forward: npt.NDArray[np.float32]
+    typical: Array | None = None
 
     @classmethod
-    def of(cls, basis: Array) -> Directions:
-        """The least-squares coordinates of some bands, or P^T where they would magnify noise."""
+    def of(cls, basis: Array, sample: Array | None = None) -> Directions:
+        """The least-squares coordinates of some bands, or P^T where they would magnify noise.
+
+        Parameters
+        ----------
+        sample : (B, N) pixels about their centre, of which half or more are typical
+        """
         some, every = basis[::EVERY], EVERY
         # P^T P = 1, so that the same share of every direction would be left in a third of the bands.
         if some.shape[0] < some.shape[1] or np.linalg.svd(some)[1][-1] < LEAST_SHARE / np.sqrt(EVERY):
             some, every = basis, 1
         forward = np.pad(np.linalg.pinv(some), ((0, 1), (0, 0)))
-        return cls(np.ascontiguousarray(basis, np.float32), every, np.ascontiguousarray(forward, np.float32))
+        made = cls(np.ascontiguousarray(basis, np.float32), every, np.ascontiguousarray(forward, np.float32))
+        if sample is None or sample.shape[1] == 0:
+            return made
+        y = forward[:-1] @ sample[::every]
+        # The median of the squares: a few pixels far out say nothing of the typical one.
+        squares = np.median(np.concatenate([sample - basis @ y, y]) ** 2, axis=1) / CHI_SQUARED_MEDIAN
+        return replace(made, typical=squares)
 
     @property
     def rows(self) -> int:
@@ -94,6 +113,8 @@ class Sums:
     first : (B,) sum of x - reference, without what ``split`` holds
     second : (B, B) sum of products about the reference, without what ``split`` holds; None where that is all
     split : (B + K + 1, B + K + 1) sum of products of (z - P y, y, 1), with directions
+    n_split : pixels in ``split``
+    above_typical : how far the mean squares of a batch in ``split`` are above those of a typical pixel, at most
     """
 
     bands: int
@@ -101,6 +122,8 @@ class Sums:
     directions: Directions | None = None
     reference: Array | None = None
     n: int = 0
+    n_split: int = 0
+    above_typical: float = 0.0
     first: Array = field(init=False)
     second: Array | None = None
     split: Array = field(init=False)
@@ -129,16 +152,47 @@ class Sums:
         columns = as_columns(pixels)
         # NumPy makes the product of an array and its transpose a symmetric rank-k update: half the work.
         if self.directions is None:
-            self._add_products(columns @ columns.T)
-            self.first += columns @ np.ones(columns.shape[1])
+            self._add_exactly(columns)
         else:
             both = as_columns(space.columns("both", stored, self.directions.rows, np.float32))
             self.directions.split(columns, both)
             both[-1] = 1.0 if keep is None else keep.ravel()
             if self._product.shape != self.split.shape:
                 self._product = np.empty(self.split.shape, np.float32)
-            np.matmul(both, both.T, out=self._product)
-            self.split += self._product
+            with np.errstate(over="ignore", invalid="ignore"):
+                np.matmul(both, both.T, out=self._product)
+            above = self._above_typical(count)
+            if above <= MOST_OF_TYPICAL:
+                self.split += self._product
+                self.n_split += count
+                self.above_typical = max(self.above_typical, above)
+            else:
+                self._add_exactly(as_columns(self._in_double(stored, pixels, keep)))
+
+    def _above_typical(self, count: int) -> float:
+        """How far the mean squares of a batch of ``count`` pixels are above those of a typical pixel, at most."""
+        assert self.directions is not None  # noqa: S101 - asked of single precision alone
+        squares = np.diagonal(self._product)[:-1].astype(np.float64) / count
+        if not np.all(np.isfinite(squares)):
+            return float("inf")
+        typical = self.directions.typical
+        if typical is None:
+            return 1.0
+        return float(np.max(squares / np.maximum(typical, np.finfo(float).tiny)))
+
+    def _in_double(self, stored: npt.NDArray[Any], pixels: npt.NDArray[Any], keep: Mask | None) -> Array:
+        """The differences from the reference: those of whole numbers are exact already."""
+        if self.whole:
+            return pixels.astype(np.float64)
+        assert self.reference is not None  # noqa: S101 - add has set it
+        exact = stored.astype(np.float64) - self.reference[:, None, None]
+        if keep is not None:
+            exact[:, ~keep] = 0.0
+        return np.asarray(exact)
+
+    def _add_exactly(self, columns: Array) -> None:
+        self._add_products(columns @ columns.T)
+        self.first += columns @ np.ones(columns.shape[1])
 
     def _near(self, stored: npt.NDArray[Any], keep: Mask | None, count: int) -> Array:
         """A point (B,) near the pixels, exact in the type that it is subtracted in."""
@@ -182,6 +236,8 @@ class Sums:
             half = other.total + 0.5 * other.n * e
             self._add_products(np.column_stack([e, half]) @ np.stack([half, e]))  # and its transpose
         self.n += other.n
+        self.n_split += other.n_split
+        self.above_typical = max(self.above_typical, other.above_typical)
         self.first += other.first + other.n * e
         self.split += other.split
         if other.second is not None:

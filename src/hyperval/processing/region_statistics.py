@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -33,6 +33,14 @@ SAMPLED_LINES = 16
 SAMPLED_PIXELS = 1024
 # Directions that are taken apart in single precision; scenes seldom have more that stand out.
 DIRECTIONS = 7
+# What single precision may do to a variance before all is summed again in double; batches it is measured on.
+MOST_ROUNDING = 1e-3
+CHECKED_BLOCKS = 8
+MARGIN = 4.0  # other batches may be worse than the worst of these
+# Mean squares of stored numbers that single precision can hold with room on both sides.
+REPRESENTABLE = (1e-20, 1e20)
+# Directions with less than this part of the greatest variance are rounding error of the sums themselves.
+LEAST_VARIANCE = 1e-10
 _BITS = 62
 
 
@@ -58,9 +66,12 @@ def region_statistics(
     exclude : (lines, samples) True on pixels left out of the scene
     precision : "auto" is exact where that takes about a second at most, and fast above.  "fast" multiplies in
         float32 and sums in float64, in a way that keeps the quiet directions (see
-        :mod:`hyperval.processing.gram`).  "exact" does all in float64: for numbers stored as 16-bit integers the
-        sums then have no rounding error at all and nothing depends on the cut into blocks.  Numbers stored in
-        more than 32 bits, or as 32-bit integers, are always summed in float64.
+        :mod:`hyperval.processing.gram`), and is checked: some batches are summed both ways at the end, and
+        what they differ by, times MARGIN and how far any batch stands out, bounds the error (``rounding`` of the
+        statistics).
+        Where it exceeds MOST_ROUNDING all is summed again in float64.  "exact" does all in float64: for numbers
+        stored as 16-bit integers the sums then have no rounding error at all and nothing depends on the cut into
+        blocks.  Numbers stored in more than 32 bits, or as 32-bit integers, are always summed in float64.
     threads, block_lines : None chooses them
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
@@ -102,13 +113,55 @@ def region_statistics(
                 else:
                     total[key] = value
         out = {}
+        errors = _rounding_errors(cube, directions, step) if directions is not None else []
         for i, name in enumerate(regions.names):
             joined = Sums(cube.bands, whole, directions)
             for key, value in total.items():
                 if key[i]:
                     joined.merge(value)
-            out[name] = _statistics(cube, name, joined, int(left_out[i]))
+            found = _statistics(cube, name, joined, int(left_out[i]))
+            if joined.n_split:
+                parts = [max(1.0, joined.above_typical / above) * _part(error, found.covariance, cube.gain)
+                         for above, error in errors]  # fmt: skip
+                bound = MARGIN * max(parts, default=np.inf) * joined.n_split / joined.n
+                found = replace(found, rounding=bound)
+            if not found.rounding <= MOST_ROUNDING:  # NaN too
+                options = {"threads": threads, "block_lines": block_lines, "watch": watch}
+                return region_statistics(cube, masks, exclude, precision="exact", **options)  # type: ignore[arg-type]
+            out[name] = found
         return out
+
+
+def _rounding_errors(cube: StoredCube, directions: Directions, step: int) -> list[tuple[float, Array]]:
+    """Of some batches: how far they stand out, and what single precision changes in their covariance (B, B)."""
+    found, whole = [], cube.dtype.kind in "iu"
+    last = (cube.lines - 1) // step
+    for at in np.unique(np.linspace(0, last, CHECKED_BLOCKS).astype(int)).tolist():
+        count = min(step, cube.lines - at * step)
+        pair = []
+        for chosen in (directions, None):
+            sums = Sums(cube.bands, whole, chosen)
+            stored, usable = cube.read_stored(at * step, count)
+            sums.add(stored, usable)
+            pair.append(sums)
+        if pair[0].n_split >= 2:
+            error = pair[0].mean_and_covariance()[1] - pair[1].mean_and_covariance()[1]
+            found.append((pair[0].above_typical, error))
+    return found
+
+
+def _part(error: Array, covariance: Array, gain: Array) -> float:
+    """The greatest part of a variance, in any direction that has one, that the error of stored numbers is."""
+    if not np.all(np.isfinite(covariance)):
+        return float("inf")
+    values, vectors = np.linalg.eigh(covariance)
+    if values[0] < -LEAST_VARIANCE * values[-1]:
+        return float("inf")
+    keep = values > LEAST_VARIANCE * values[-1]
+    if not keep.any():
+        return 0.0
+    white = (vectors[:, keep] / np.sqrt(values[keep])).T * gain
+    return float(np.linalg.norm(white @ error @ white.T, 2))
 
 
 def _statistics(cube: StoredCube, name: str, sums: Sums, left_out: int) -> SampleStatistics:
@@ -251,8 +304,8 @@ def _kinds(inside: Mask) -> list[tuple[bytes, Mask]]:
     return [(inside[:, i].tobytes(), which == k) for k, i in enumerate(at.tolist())]
 
 
-def _brightest_directions(cube: StoredCube) -> Directions:
-    """Directions of the greatest variance of some lines."""
+def _brightest_directions(cube: StoredCube) -> Directions | None:
+    """Directions of the greatest variance of some lines; None where single precision does not hold the squares."""
     found = []
     for line in np.unique(np.linspace(0, cube.lines - 1, SAMPLED_LINES).astype(int)).tolist():
         stored, usable = cube.read_stored(line, 1)
@@ -260,10 +313,13 @@ def _brightest_directions(cube: StoredCube) -> Directions:
         some = slice(None, None, -(-rows.size // (SAMPLED_PIXELS // SAMPLED_LINES)) or 1)
         found.append(stored[:, rows[some], columns[some]].astype(np.float64))
     pixels = np.concatenate(found, axis=1)
-    pixels -= pixels.sum(axis=1, keepdims=True) / max(pixels.shape[1], 1)
+    pixels -= np.median(pixels, axis=1, keepdims=True) if pixels.shape[1] else 0.0
+    size = float(np.mean(pixels**2)) if pixels.size else 0.0
+    if size and not REPRESENTABLE[0] < size < REPRESENTABLE[1]:
+        return None
     # Subspace iteration: these need not be the very eigenvectors, only span what stands out.
     directions = np.random.default_rng(0).normal(size=(cube.bands, min(DIRECTIONS, cube.bands)))
     with single_blas_thread():
         for _ in range(4):
             directions = np.linalg.qr(pixels @ (pixels.T @ directions))[0]
-        return Directions.of(directions)
+        return Directions.of(directions, pixels)

@@ -26,6 +26,7 @@ class SampleStatistics:
     n : pixels used
     n_left_out : pixels of the region left out as invalid or not finite
     fourth : sum over pixels of |x - mean|^4, for the shrinkage intensity; NaN where it was not summed
+    rounding : bound of the relative error of any variance that comes from sums in single precision; 0 without them
     """
 
     mean: Array
@@ -33,6 +34,7 @@ class SampleStatistics:
     n: int
     n_left_out: int = 0
     fourth: float = 0.0
+    rounding: float = 0.0
 
     @property
     def full_rank_possible(self) -> bool:
