@@ -15,8 +15,9 @@ from hyperval.scenario_uncertainty import SpectralForm
 SHIFT_NM = 0.2
 SPREAD = 0.10
 FRACTION = 0.10
-# A surface that is described by another one of its kind: part of its reflectance, over so many nm together.
-SURFACE, SURFACE_NM = 0.10, 150.0
+# A surface that is described by another one of its kind: part of its reflectance, over so many nm together, along
+# the directions that hold nine tenths of its variance between 400 and 2500 nm.
+SURFACE, SURFACE_NM, SURFACE_DIRECTIONS = 0.10, 300.0, 4
 # Name, kind, path, usual size as a part of what stands there.
 _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
     (SURROUNDINGS, "scene", "light.surroundings", 0.10),
@@ -92,5 +93,5 @@ def _spectra(given: Given) -> list[Input]:
             sd = SURFACE * np.nan_to_num(given.surfaces[s.name].mean)
             one = spectral_input(given, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
             words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
-            found.append(replace(one, source="usual", correlation=words))
+            found.append(replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words))
     return found
