@@ -27,7 +27,7 @@ class CubeSource(Model):
     wavelength_unit: WavelengthUnit | None = Field(None, description="stated when the header does not say nm or um")
     sort_bands: bool = Field(False, description="sort bands whose wavelengths fall, as where detectors overlap")
     glt: str | None = Field(
-        None, description="geographic lookup table of a cube in scanner geometry; None: the product's own"
+        None, description="lookup table (GLT) or places of pixels (IGM); None: the product's own, or one beside it"
     )
 
     @property

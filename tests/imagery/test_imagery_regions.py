@@ -81,9 +81,9 @@ def roi_ascii(mask: np.ndarray, name: str = "grass", dimension: str = "12 x 10")
     )
 
 
-def roi_binary(name: str, *, points=(), polygons=(), size=(12, 10)) -> bytes:
+def roi_binary(name: str, *, points=(), polygons=(), size=(12, 10), count: int = 0) -> bytes:
     table = [0] * 45
-    table[0], table[1], table[3] = size[0], size[1], len(points)
+    table[0], table[1], table[3] = size[0], size[1], len(points) or count
     table[42], table[44] = len(polygons), int(bool(points))
     padded = name.encode() + b"\0" * (-len(name) % 4)
     out = b"JoeB" + struct.pack(">3i", 1, len(name), len(name)) + padded + struct.pack(">45i", *table)
@@ -345,6 +345,16 @@ def test_geojson_must_be_told_its_coordinates(tmp_path: Path):
         read_regions(path, SHAPE)
     with pytest.raises(InputError, match="has no position"):
         read_regions(path, SHAPE, coordinates="map")
+
+
+@pytest.mark.parametrize(("count", "notes"), [(0, 0), (20, 0), (24, 1)])
+def test_the_pixel_count_of_a_classic_polygon_is_compared(tmp_path: Path, count: int, notes: int):
+    path = tmp_path / "b.roi"
+    path.write_bytes(roi_binary("grass", polygons=[SQUARE], count=count))
+    region = read_regions(path, SHAPE)["grass"]
+    assert region.n == 20
+    wanted = ["the region 'grass' has 24 pixels as its file says; 20 have their centre inside"]
+    assert region.remarks == wanted * notes
 
 
 def test_geojson_is_longitude_and_latitude_without_being_asked(tmp_path: Path):

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 from skimage.exposure import adjust_gamma, rescale_intensity
 from skimage.util import img_as_ubyte
 
+from hyperval.imagery.cube import Cube
 from hyperval.imagery.truth import all_pixels
 from hyperval.observe import Observed
 from hyperval.report import Quicklook, ScoreMap
 
 # Wavelength [nm] of red, green, blue and the solar irradiance there relative to green (ASTM G173, rounded).
 COLOURS = ((650.0, 0.84), (550.0, 1.0), (470.0, 1.07))
+MOST_PIXELS = 4_000_000  # of the picture: of larger images every second, third ... line and sample is shown
 GAMMA = 0.6  # lifts the dark part of the scene, where most surfaces are
 
 
@@ -45,7 +51,8 @@ def quicklook(observed: Observed) -> Quicklook | None:
     cube = observed.place.cube
     centre = cube.axis.centre_nm
     bands = [int(np.argmin(np.abs(centre - at))) for at, _ in COLOURS]
-    picture = np.concatenate([block.values[..., bands] for block in cube.blocks(dtype=np.float32)])
+    step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MOST_PIXELS)))
+    picture = _some_pixels(cube, bands, step)
     if observed.elm is not None and np.all(observed.elm.usable[bands]):
         picture = (picture - observed.elm.offset[bands]) / observed.elm.gain[bands]
     elif cube.quantity == "radiance":
@@ -55,12 +62,21 @@ def quicklook(observed: Observed) -> Quicklook | None:
         rescale_intensity(np.nan_to_num(picture), in_range=(0.0, high), out_range=(0.0, 1.0)), GAMMA
     )
     size = observed.place.pixel_area_m2
-    outlines = {n: mask for n, mask in observed.place.regions.items() if n not in observed.place.by_rule}
+    masks = {n: mask for n, mask in observed.place.regions.items() if n not in observed.place.by_rule}
     if observed.place.targets:
-        outlines["targets"] = all_pixels(observed.place.targets, cube.shape)
+        masks["targets"] = all_pixels(observed.place.targets, cube.shape)
+    outlines = {name: mask[::step, ::step] for name, mask in masks.items()}
     return Quicklook(
         img_as_ubyte(scaled),
         outlines,
         tuple(float(centre[b]) for b in bands),
-        float(np.sqrt(size)) if size else None,
+        step * float(np.sqrt(size)) if size else None,
     )
+
+
+def _some_pixels(cube: Cube, bands: list[int], step: int) -> npt.NDArray[Any]:
+    """(lines, samples, bands) values of every ``step``-th line and sample, as float32."""
+    if step == 1:
+        return np.concatenate([block.values[..., bands] for block in cube.blocks(dtype=np.float32)])
+    lines = [cube.read(line, 1, np.float32).values[:, ::step, bands] for line in range(0, cube.lines, step)]
+    return np.concatenate(lines)

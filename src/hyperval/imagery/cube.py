@@ -14,7 +14,6 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery import interchange
 from hyperval.imagery.band_table import BandTable, band_table, ordered_bands, wavelengths_in_nm
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, open_raster
@@ -161,10 +160,14 @@ class Cube:
 
     def to_spy(self) -> Any:
         """As an image of SPy: :func:`hyperval.imagery.interchange.cube_to_spy`."""
+        from hyperval.imagery import interchange  # SPy and xarray take 70 MB, which most runs need not
+
         return interchange.cube_to_spy(self)
 
     def to_xarray(self) -> Any:
         """As a lazy array of xarray: :func:`hyperval.imagery.interchange.cube_to_xarray`."""
+        from hyperval.imagery import interchange
+
         return interchange.cube_to_xarray(self)
 
     def kept_open(self) -> AbstractContextManager[object]:
@@ -290,6 +293,8 @@ def open_cube(
     UsageError : a unit that is not stated, or paths that may not be opened.
     """
     if not isinstance(path, Path | str):
+        from hyperval.imagery import interchange
+
         raster = interchange.raster_of(path, variable)
     else:
         raster = open_raster(path, header=header, root=root, variable=variable, engine=engine)

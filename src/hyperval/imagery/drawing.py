@@ -28,6 +28,7 @@ class Drawing:
     shape : (lines, samples) of the image
     mask : (lines, samples) the pixels of the region
     area, area_inside : of its polygons, and of what the image holds of them [pixels]
+    stated_pixels : number of pixels as the file states it, None when it does not
     points, points_outside : single points, and those that the image does not hold
     """
 
@@ -35,6 +36,7 @@ class Drawing:
     mask: Mask = field(init=False)
     area: float = 0.0
     area_inside: float = 0.0
+    stated_pixels: int | None = None
     points: int = 0
     points_outside: int = 0
     _bounds: list[Array] = field(default_factory=list)
@@ -100,6 +102,9 @@ class Drawing:
             out.append(
                 f"{WARNING}leaves the image: {self.points_outside} of {self.points} points are outside, {left}"
             )
+        drawn = int(self.mask.sum())
+        if self.stated_pixels not in (None, drawn):
+            out.append(f"has {self.stated_pixels} pixels as its file says; {drawn} have their centre inside")
         return tuple(out)
 
     def check(self, where: str) -> None:

@@ -18,7 +18,8 @@ from rasterio.errors import CRSError
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.description import Description
-from hyperval.imagery.stores import MemoryStore, Store, XarrayStore, as_stored
+from hyperval.imagery.stores import MemoryStore, Store
+from hyperval.imagery.xarray_store import XarrayStore, as_stored
 from hyperval.units import radiance_to_internal, wavelength_to_nm
 
 Array = npt.NDArray[np.float64]

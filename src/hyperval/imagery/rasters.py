@@ -8,7 +8,6 @@ from hyperval.envi_header import read_header
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.envi_raster import EnviRaster, check_size, header_beside
-from hyperval.imagery.labelled import open_labelled
 from hyperval.imagery.sidecars import image_of
 from hyperval.imagery.stores import check_own_values
 from hyperval.imagery.tiff_raster import TIFF_SUFFIXES, TiffRaster, open_tiff
@@ -54,9 +53,9 @@ def open_raster(
         return open_tiff(checked_file(path, root=root, what="GeoTIFF"), header, root)
     data = Path(path)
     if data.suffix.lower() == ".zarr":
-        return open_labelled(checked_folder(data, root=root, what="Zarr store"), variable, engine)
+        return _labelled(checked_folder(data, root=root, what="Zarr store"), variable, engine)
     if engine is not None:
-        return open_labelled(checked_file(data, root=root, what="file of arrays"), variable, engine)
+        return _labelled(checked_file(data, root=root, what="file of arrays"), variable, engine)
     if data.suffix.lower() == ".xml" and header is None:
         found = image_of(checked_file(data, root=root, what="metadata file"))
         return open_tiff(checked_file(found, root=root, what="GeoTIFF"), None, root)
@@ -71,10 +70,10 @@ def open_raster(
         container = container_of(data)
         if container in _ARRAYS:
             if container != _HDF5:
-                return open_labelled(data, variable, "scipy")
+                return _labelled(data, variable, "scipy")
             check_own_values(data)
             tree = open_tree(data) if variable is None else None
-            return tree if tree is not None else open_labelled(data, variable, "h5netcdf")
+            return tree if tree is not None else _labelled(data, variable, "h5netcdf")
         if container is not None:
             raise InputError(
                 f"a {container} file, which is not read as a cube",
@@ -90,6 +89,12 @@ def open_raster(
     parsed = read_header(checked_file(beside, root=root, what="ENVI header"))
     check_size(data, parsed)
     return EnviRaster(data, parsed)
+
+
+def _labelled(path: Path, variable: str | None, engine: str | None) -> ArrayRaster:
+    from hyperval.imagery.labelled import open_labelled  # xarray takes 70 MB, which most runs need not
+
+    return open_labelled(path, variable, engine)
 
 
 def needs_header(path: Path) -> bool:

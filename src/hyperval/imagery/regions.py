@@ -193,6 +193,8 @@ def holes(mask: Mask) -> tuple[int, int]:
         return 0, 0
     lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     part = mask[lines[0] : lines[-1] + 1, samples[0] : samples[-1] + 1]
+    if part.all():
+        return 0, 0
     labels, count = label(~np.pad(part, 1), connectivity=1, return_num=True)
     return int(count) - 1, int(np.count_nonzero(labels > 1))  # the first label is that of the surroundings
 

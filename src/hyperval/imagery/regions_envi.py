@@ -199,6 +199,8 @@ def binary_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
             words(1)
             addresses = np.array(words(table[3]), dtype=np.int64)
             drawing.add_pixels(addresses // shape[1], addresses % shape[1], where=where)
+        elif table[3] > 0:
+            drawing.stated_pixels = table[3]
         for _ in range(table[42]):
             vertices = words(2)[0]
             ring = np.column_stack([words(vertices, "f"), words(vertices, "f")])

@@ -24,11 +24,12 @@ from hyperval.collection_files import (
 )
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.acquisition import acquisition_notes
-from hyperval.imagery.array_raster import ArrayRaster
+from hyperval.imagery.companions import table_of
 from hyperval.imagery.cube import Cube, open_cube
+from hyperval.imagery.location import location_table
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
+from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.regions import Region, guard, holes, overlaps, read_regions, rectangle_region
-from hyperval.imagery.trees import lookup_raster
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.progress import track
@@ -108,7 +109,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     if collection.cube is None:
         raise UsageError("the collection has no cube")
     cube = open_source(collection.cube, resolve, collection.bands)
-    table = _lookup_table(cube, collection.cube, resolve)
+    table, found = _lookup_table(cube, collection.cube, resolve)
     regions = _regions(cube, table, collection.regions, resolve, show_progress)
     targets, remarks = _targets(cube, table, collection.targets, resolve) if collection.targets else ([], [])
     near = all_pixels(targets, cube.shape)
@@ -119,7 +120,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         if name not in regions:
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
         left_out |= regions[name].mask
-    notes = [*cube.notes, *header_notes(cube)]
+    notes = [*cube.notes, *found, *header_notes(cube)]
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
         notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
@@ -140,17 +141,20 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     )
 
 
-def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> LookupTable | None:
+def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LookupTable | None, tuple[str, ...]]:
+    """What places the pixels of a cube in scanner geometry, stated or found, and notes on it."""
     if source.glt is None:
-        own = lookup_raster(cube.raster) if isinstance(cube.raster, ArrayRaster) else None
-        return None if own is None else open_lookup_table(own, cube.shape)
+        return table_of(cube.raster)
     if cube.transform is not None:
         raise UsageError(
             "the cube has a map position, and 'cube.glt' is stated",
             where=source.path,
             mend="take glt out, or name the cube in scanner geometry",
         )
-    return open_lookup_table(resolve(source.glt), cube.shape)
+    raster = open_raster(resolve(source.glt))
+    if raster.dtype.kind == "f" and raster.transform is None:
+        return location_table(raster, cube.shape), ()
+    return open_lookup_table(raster, cube.shape), ()
 
 
 def _pixel_area_m2(cube: Cube, table: LookupTable | None, truth: TargetTruth | None) -> float | None:
@@ -186,7 +190,9 @@ def region_notes(regions: Iterable[Region], by_rule: frozenset[str] = frozenset(
 
 def target_overlaps(regions: Iterable[Region], targets: Sequence[TargetObject], near: Mask) -> list[str]:
     """Which regions hold pixels of targets or of their guard, and what becomes of these; likewise two targets."""
-    notes = []
+    notes: list[str] = []
+    if not targets:
+        return notes
     touched = np.zeros(near.shape, np.int32)
     for target in targets:
         touched[target.window] += target.part

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.imagery.interchange import map_to_spy, map_to_xarray
 from hyperval.products import Observation, Prediction
 from hyperval.results import ResultTable
 
@@ -38,10 +37,14 @@ class ScoreMap:
 
     def to_xarray(self) -> Any:
         """As an array of xarray (line, sample) with its position."""
+        from hyperval.imagery.interchange import map_to_xarray
+
         return map_to_xarray(self.values, self.transform, self.crs, "score")
 
     def to_spy(self) -> Any:
         """As an image of SPy with one band."""
+        from hyperval.imagery.interchange import map_to_spy
+
         return map_to_spy(self.values, "score")
 
 

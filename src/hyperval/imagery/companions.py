@@ -1,0 +1,70 @@
+"""Files that belong to a cube in scanner geometry: lookup table (GLT), places of its pixels (IGM, LOC)."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from hyperval.errors import HypervalError
+from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
+from hyperval.imagery.envi_raster import EnviRaster
+from hyperval.imagery.location import location_table
+from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
+from hyperval.imagery.rasters import Raster, open_raster
+from hyperval.imagery.trees import location_names, lookup_raster
+
+# Parts of names that tell the files of one line apart, such as ang20160217t083024_rdn_v1n2_img and ..._rdn_glt.
+_KINDS = re.compile(r"^(img|rdn|rad|rfl|refl|radiance|reflectance|ort|raw|data|corr|glt|igm|loc|obs|v[0-9]\w*)$")
+
+
+def companion(image: Path, kind: str) -> Path | None:
+    """The file of a kind ("glt", "igm", "loc") beside an image, by the names that producers give; None else.
+
+    Their names are the same but for the words that say what a file is; none is taken where two would fit.
+    """
+    own, _ = _name(image)
+    fits = []
+    for header in sorted(image.parent.glob("*.[hH][dD][rR]")):
+        data = header.with_suffix("")
+        if not data.is_file():
+            data = next((p for p in (data.with_suffix(end) for end in (".img", ".dat")) if p.is_file()), data)
+        name, words = _name(data)
+        if data != image and data.is_file() and kind in words and name == own:
+            fits.append(data)
+    return fits[0] if len(fits) == 1 else None
+
+
+def table_of(raster: Raster) -> tuple[LookupTable | None, tuple[str, ...]]:
+    """What places the pixels of an image without a map position, and notes: its own table, or one beside it."""
+    if raster.transform is not None:
+        return None, ()
+    shape = (raster.lines, raster.samples)
+    if isinstance(raster, ArrayRaster):
+        own = lookup_raster(raster)
+        if own is not None:
+            return open_lookup_table(own, shape), ()
+        names = location_names(raster)
+        if names is None:
+            return None, ()
+        pieces = tuple(Piece((Term(name),), "ls", shape, np.dtype(np.float64)) for name in names)
+        return location_table(ArrayRaster(raster.path, raster.store, pieces), shape), ()
+    if not isinstance(raster, EnviRaster):
+        return None, ()
+    for kind in ("glt", "igm", "loc"):
+        path = companion(raster.path, kind)
+        if path is None:
+            continue
+        try:
+            table = open_lookup_table(path, shape) if kind == "glt" else location_table(open_raster(path), shape)
+        except HypervalError as error:
+            return None, (f"warning: {path.name} lies beside the cube and is left aside: {error.what}",)
+        return table, (f"{path.name} lies beside the cube and places its pixels",)
+    return None, ()
+
+
+def _name(path: Path) -> tuple[tuple[str, ...], set[str]]:
+    """The words of a file's name that name the line, and those that say what the file is."""
+    words = re.split(r"[_.\-]", path.name.lower())
+    return tuple(w for w in words if w and not _KINDS.match(w)), {w for w in words if _KINDS.match(w)}
