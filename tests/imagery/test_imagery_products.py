@@ -370,3 +370,13 @@ def test_lines_of_a_block_are_read_once(tmp_path: Path, monkeypatch):
     for line in range(LINES):
         raster.read_bands(line, 1)
     assert [(c[1].start, c[1].stop) for c in calls] == [(0, 4), (4, 8), (8, 12)]
+
+
+def test_an_hdf5_tree_without_dimensions_is_a_cube_where_wavelengths_lie_beside(tmp_path: Path):
+    values = shells.radiances(7)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["scene/image"] = values
+        file["scene/wavelength"] = np.linspace(400.0, 1000.0, 7)
+        file["scene/dark"] = np.zeros((3, 4))
+    cube = open_cube(tmp_path / "a.h5", quantity="radiance", unit="uW cm-2 sr-1 nm-1")
+    assert np.allclose(values_of(cube), values, rtol=1e-6)

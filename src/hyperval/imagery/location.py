@@ -149,7 +149,8 @@ class LocationTable(LookupTable):
             return None
         design = np.column_stack([np.ones(rows.size), cols + left - sample, rows + top - line])
         origin: Array = np.array([x[good][0], y[good][0]])  # small numbers keep their digits
-        plane: Array = np.linalg.lstsq(design, np.column_stack([x[good], y[good]]) - origin, rcond=None)[0]
+        wanted = np.column_stack([x[good], y[good]]) - origin
+        plane = np.asarray(np.linalg.lstsq(design, wanted, rcond=None)[0], dtype=np.float64)
         change = plane[1:].T
         return (plane[0] + origin, change) if abs(np.linalg.det(change)) > 0 else None
 
@@ -162,7 +163,7 @@ class LocationTable(LookupTable):
         good = np.isfinite(x) & np.isfinite(y) & (x > -9990.0) & ((x != 0) | (y != 0))
         if self.crs is not None and self.crs.is_geographic:
             good &= (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
-        return good
+        return np.asarray(good)
 
 
 def metres_per_degree(latitude: float) -> tuple[float, float]:

@@ -28,12 +28,7 @@ class XarrayStore(OpenedFile):
         """The group; InputError when no installed engine opens it."""
         try:
             return xr.open_dataset(
-                self.path,
-                engine=self.engine,
-                group=self.group,
-                mask_and_scale=False,
-                decode_times=False,
-                cache=False,
+                self.path, engine=self.engine, group=self.group, cache=False, **as_stored(self.engine)
             )
         except Exception as error:  # each engine has errors of its own
             raise InputError(f"no engine of xarray opens it: {error}", where=str(self.path)) from error
@@ -46,7 +41,8 @@ class XarrayStore(OpenedFile):
     def chunks(self, name: str) -> tuple[int, ...] | None:
         """Size of the blocks that an array is stored in."""
         with self.kept_open() as data:
-            return data[name].encoding.get("chunksizes")
+            size: tuple[int, ...] | None = data[name].encoding.get("chunksizes")
+            return size
 
 
 def as_stored(engine: str | None) -> dict[str, Any]:
