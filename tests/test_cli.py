@@ -17,7 +17,7 @@ import hyperval
 from hyperval import cli
 from hyperval.errors import EngineError, InputError, MissingDataError, UsageError
 from hyperval.report.tables import results_json
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result, Role
 
 
 @pytest.fixture(autouse=True)
@@ -66,7 +66,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
 @pytest.mark.parametrize("option", ["-o", "--output"])
 def test_each_command_calls_its_function(calls, arguments, function, first, option):
     assert cli.run([*arguments, option, "out"]) == 0
-    own = {"observe": {"write_reflectance": None}, "validate": {"scheduler": None}}
+    own = {"observe": {"write_reflectance": None}, "validate": {"scheduler": None, "strict": False}}
     asked = {"show_progress": False} | own.get(function, {})
     assert calls[function] == ((first, Path("out")), asked)
 
@@ -186,21 +186,49 @@ def test_notes_go_to_standard_error_and_quiet_leaves_them_out(calls, capsys):
 
 def test_validate_says_the_verdict_of_each_campaign_and_errors_even_when_quiet(calls, capsys, tmp_path):
     rows = [
-        Result("one", "radiance", "lawn", "sixs", "m", value=0.1, status=Status.PASS),
-        Result("two", "radiance", "turf", "*", "m", status=Status.ERROR, reason="turf.txt: no such file"),
-        Result("three", "radiance", "lot", "*", "m", status=Status.SKIPPED, reason="hyperval data fetch x"),
-        Result("four", "radiance", "lot", "*", "m", status=Status.SKIPPED, reason="hyperval data fetch x"),
+        Result("one", "radiance", "lawn", "sixs", "z", value=0.1, role=Role.GATE, outcome=Outcome.AGREES),
+        Result(
+            "two",
+            "radiance",
+            "turf",
+            "*",
+            "z",
+            role=Role.GATE,
+            outcome=Outcome.ERROR,
+            reason="turf.txt: no such file",
+        ),
+        Result(
+            "three",
+            "radiance",
+            "lot",
+            "*",
+            "z",
+            role=Role.GATE,
+            outcome=Outcome.SKIPPED,
+            reason="hyperval data fetch x",
+        ),
+        Result(
+            "four",
+            "radiance",
+            "lot",
+            "*",
+            "z",
+            role=Role.GATE,
+            outcome=Outcome.SKIPPED,
+            reason="hyperval data fetch x",
+        ),
     ]
     (tmp_path / "results.json").write_text(results_json(rows), "utf-8")
     cli.run(["validate", "a.yaml", "-o", str(tmp_path)])
     out, err = capsys.readouterr()
     assert out == ""
-    assert "one: Agrees within the stated limits" in err
-    assert "two: Nothing was checked" in err
-    assert "two: ERROR: turf.txt: no such file\n" in err
-    assert "\nthree, four: SKIPPED: hyperval data fetch x\n" in err
+    assert "one: Agrees. 1 model gate agrees." in err
+    assert "two: Does not agree. 1 model gate ended in an error" in err
+    assert err.endswith("gates: 1 agree, 1 in error, 2 skipped\n")
+    assert "two: error: turf.txt: no such file\n" in err
+    assert "\nthree, four: skipped: hyperval data fetch x\n" in err
     cli.run(["-q", "validate", "a.yaml", "-o", str(tmp_path)])
-    assert capsys.readouterr() == ("", "two: ERROR: turf.txt: no such file\n")
+    assert capsys.readouterr() == ("", "two: error: turf.txt: no such file\n")
 
 
 def test_data_list_is_tab_separated_for_programs(capsys):

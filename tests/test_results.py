@@ -6,33 +6,43 @@ import math
 
 import pytest
 
-from hyperval.results import COLUMNS, Result, ResultTable, Status
+from hyperval.errors import UsageError
+from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role
 
 
-def row(status: Status = Status.INFO, **fields) -> Result:
-    base = {"campaign": "c", "product": "radiance", "subject": "grass", "method": "m", "metric": "bias"}
-    return Result(**{**base, **fields}, status=status)
+def row(outcome: Outcome = Outcome.NONE, **fields) -> Result:
+    base = {
+        "campaign": "c",
+        "product": "radiance",
+        "subject": "grass",
+        "method": "m",
+        "metric": "bias_ratio",
+        "role": Role.GATE,
+    }
+    return Result(**{**base, **fields}, outcome=outcome)
 
 
 @pytest.mark.parametrize(
     ("statuses", "code"),
     [
         ([], 5),
-        ([Status.INFO], 5),
-        ([Status.SKIPPED, Status.INFO], 5),
-        ([Status.PASS], 0),
-        ([Status.PASS, Status.SKIPPED, Status.INFO], 0),
-        ([Status.PASS, Status.FAIL], 1),
-        ([Status.FAIL], 1),
-        ([Status.PASS, Status.ERROR], 1),
-        ([Status.ERROR], 1),
+        ([Outcome.NONE], 5),
+        ([Outcome.SKIPPED, Outcome.NONE], 5),
+        ([Outcome.AGREES], 0),
+        ([Outcome.AGREES, Outcome.SKIPPED, Outcome.NONE], 0),
+        ([Outcome.AGREES, Outcome.DISAGREES], 1),
+        ([Outcome.DISAGREES], 1),
+        ([Outcome.AGREES, Outcome.ERROR], 1),
+        ([Outcome.ERROR], 1),
+        ([Outcome.UNDECIDED], 5),
+        ([Outcome.AGREES, Outcome.UNDECIDED], 0),
     ],
 )
 def test_exit_code(statuses, code):
     assert ResultTable(row(s) for s in statuses).exit_code() == code
 
 
-@pytest.mark.parametrize("code_of", [[Status.PASS, Status.FAIL], [Status.FAIL, Status.PASS]])
+@pytest.mark.parametrize("code_of", [[Outcome.AGREES, Outcome.DISAGREES], [Outcome.DISAGREES, Outcome.AGREES]])
 def test_exit_code_does_not_depend_on_the_order(code_of):
     assert ResultTable(row(s) for s in code_of).exit_code() == 1
 
@@ -40,11 +50,11 @@ def test_exit_code_does_not_depend_on_the_order(code_of):
 def test_frame_has_the_columns_of_the_contract():
     contract = [
         "campaign", "product", "subject", "method", "band_nm", "metric", "value", "unit", "lower", "upper", "n",
-        "threshold", "status",
+        "limit_low", "limit_high", "role", "evidence", "outcome", "cause", "detectable", "reason",
     ]  # fmt: skip
     frame = ResultTable([row(value=0.1, n=3), row()]).frame()
     assert list(frame.columns) == list(COLUMNS)
-    assert list(frame.columns)[: len(contract)] == contract
+    assert list(frame.columns) == contract
 
 
 def test_frame_keeps_missing_numbers_missing():
@@ -52,7 +62,8 @@ def test_frame_keeps_missing_numbers_missing():
     assert frame["n"].tolist()[0] == 3
     assert frame["n"].isna().tolist() == [False, True]
     assert math.isnan(frame["value"][1])
-    assert frame["status"].tolist() == ["INFO", "INFO"]
+    assert frame["outcome"].tolist() == ["none", "none"]
+    assert frame["evidence"].tolist() == ["model", "model"]
 
 
 def test_empty_table_still_has_its_columns():
@@ -62,20 +73,47 @@ def test_empty_table_still_has_its_columns():
 
 
 def test_where_and_gates_pick_rows():
-    table = ResultTable([row(Status.PASS, metric="a"), row(Status.INFO, metric="a"), row(Status.FAIL, metric="b")])
-    assert len(table.where(metric="a")) == 2
-    assert [r.status for r in table.gates()] == [Status.PASS, Status.FAIL]
-    assert len(table.where(metric="a", status=Status.PASS)) == 1
+    table = ResultTable(
+        [
+            row(Outcome.AGREES),
+            row(Outcome.NONE, role=Role.INFORM),
+            row(Outcome.DISAGREES, metric="z"),
+        ]
+    )
+    assert len(table.where(metric="bias_ratio")) == 2
+    assert [r.outcome for r in table.gates()] == [Outcome.AGREES, Outcome.DISAGREES]
+    assert len(table.where(metric="bias_ratio", outcome=Outcome.AGREES)) == 1
 
 
 def test_where_refuses_a_field_that_does_not_exist():
     with pytest.raises(AttributeError):
-        ResultTable([row()]).where(metrics="a")
+        ResultTable([row()]).where(metrics="z")
 
 
 def test_rows_are_added_in_order_and_cannot_be_changed():
     table = ResultTable()
-    table.add(row(metric="a"), row(metric="b"))
-    assert [r.metric for r in table] == ["a", "b"]
+    table.add(row(metric="bias_ratio"), row(metric="z"))
+    assert [r.metric for r in table] == ["bias_ratio", "z"]
     with pytest.raises(AttributeError):
         next(iter(table)).value = 1.0
+
+
+def test_a_metric_that_the_table_does_not_have_cannot_be_put_in_a_row():
+    with pytest.raises(UsageError, match=r"'bias_ration' is not a metric(.|\n)*did you mean 'bias_ratio'"):
+        row(metric="bias_ration")
+
+
+def test_what_informs_decides_nothing():
+    assert ResultTable([row(Outcome.DISAGREES, role=Role.INFORM)]).exit_code() == 5
+    assert ResultTable([row(Outcome.DISAGREES, role=Role.INFORM), row(Outcome.AGREES)]).exit_code() == 0
+
+
+def test_strict_wants_every_gate_decided():
+    for outcome in (Outcome.UNDECIDED, Outcome.SKIPPED):
+        assert ResultTable([row(Outcome.AGREES), row(outcome)]).exit_code(strict=True) == 1
+    assert ResultTable([row(Outcome.AGREES)]).exit_code(strict=True) == 0
+
+
+def test_every_cause_is_in_words_of_its_own():
+    words = [cause.value for cause in Cause]
+    assert len(set(words)) == len(words)

@@ -187,12 +187,14 @@ class Abundance:
     area_m2, standard_uncertainty : estimate and its standard uncertainty [m2]
     n : pixels summed
     nominal_m2 : area that the truth states, where both sides estimate it; None where the prediction is that area
+    modelled : False where the predicted area is the truth's, which no model moves
     """
 
     area_m2: float
     standard_uncertainty: float
     n: int | None = None
     nominal_m2: float | None = None
+    modelled: bool = True
 
 
 @dataclass(frozen=True)

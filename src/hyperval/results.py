@@ -10,23 +10,75 @@ from typing import Any
 
 import pandas as pd
 
+from hyperval.metrics import Evidence, metric_of
 
-class Status(StrEnum):
-    """What became of one planned comparison."""
 
-    PASS = "PASS"  # noqa: S105
-    FAIL = "FAIL"
-    ERROR = "ERROR"
-    SKIPPED = "SKIPPED"
-    INFO = "INFO"
+class Outcome(StrEnum):
+    """What a comparison concludes; ``none`` where nothing was planned."""
+
+    AGREES = "agrees"
+    DISAGREES = "disagrees"
+    UNDECIDED = "undecided"
+    SKIPPED = "skipped"
+    ERROR = "error"
+    NONE = "none"
+
+
+class Role(StrEnum):
+    """Whether a row decides, or informs."""
+
+    GATE = "gate"
+    INFORM = "inform"
+
+
+class Cause(StrEnum):
+    """Why a row is undecided, skipped or in error: the one list, each in the words that a page shows."""
+
+    NONE = ""
+    # undecided
+    WIDE_INTERVAL = "the interval reaches beyond the range"
+    NO_INTERVAL = "the value has no interval"
+    NO_POWER = "the test has too little power"
+    COVERAGE = "inside an interval, which is coverage and not agreement"
+    MULTIPLICITY = "not below its part of the campaign's level"
+    NOT_JUDGED = "a statistic that its own test judges"
+    # skipped
+    NO_PREDICTION = "not predicted"
+    NO_OBSERVATION = "not measured"
+    NO_DATA = "data not on this machine"
+    NO_BANDS = "no comparable band"
+    NO_UNCERTAINTY = "no stated uncertainty"
+    CIRCULAR = "one side was made from the other"
+    FEW_PIXELS = "too few pixels"
+    FEW_ALARMS = "background too small for that rate"
+    BEYOND_CURVE = "a curve does not reach that far"
+    NO_SCORES = "curves without scores"
+    VACUOUS = "the interval accepts nearly any value"
+    NO_GROUND_AREA = "ground area unknown"
+    NOT_POSITIVE = "a value is not positive"
+    REFUSED = "a part that could not run"
+    AFTER_FAILURE = "another check failed before"
+    NO_VALUE = "no point has a value"
+    ONE_RUN = "in one run only"
+    # error
+    ABSENT = "planned but absent"
+    NOT_A_NUMBER = "not a number"
+    BAD_INTERVAL = "the interval does not hold the value"
+    BROKEN = "ended in an error"
 
 
 @dataclass(frozen=True)
 class Result:
     """One row.
 
-    ``lower`` and ``upper`` bound ``value`` at 95 % unless the metric says otherwise; ``threshold`` is
-    what a gate compares with; ``reason`` says why a row was skipped, failed or is not a gate.
+    ``lower`` and ``upper`` bound ``value`` at 95 % unless the metric says otherwise.  ``limit_low`` and
+    ``limit_high`` are the range that was planned, NaN on a side without one.  ``detectable`` is the smallest error
+    of its kind that would have disagreed with 80 % probability.  ``evidence`` is that of the metric unless given.
+    ``reason`` is for people: nothing reads it.
+
+    Raises
+    ------
+    UsageError : a metric that the table of metrics does not have.
     """
 
     campaign: str
@@ -40,15 +92,41 @@ class Result:
     lower: float = math.nan
     upper: float = math.nan
     n: int | None = None
-    threshold: float = math.nan
-    status: Status = Status.INFO
+    limit_low: float = math.nan
+    limit_high: float = math.nan
+    role: Role = Role.INFORM
+    evidence: Evidence | None = None
+    outcome: Outcome = Outcome.NONE
+    cause: Cause = Cause.NONE
+    detectable: float = math.nan
     reason: str = ""
+
+    def __post_init__(self) -> None:
+        found = metric_of(self.metric)
+        if self.evidence is None:
+            object.__setattr__(self, "evidence", found.evidence)
+
+    @property
+    def gates(self) -> bool:
+        """Whether the row decides."""
+        return self.role is Role.GATE
+
+    @property
+    def planned(self) -> bool:
+        """Whether an outcome was asked for."""
+        return self.outcome is not Outcome.NONE
+
+    @property
+    def per_band(self) -> bool:
+        """Whether the row is about one band."""
+        return math.isfinite(self.band_nm)
 
 
 COLUMNS = (
-    "campaign", "product", "subject", "method", "band_nm", "metric", "value", "unit",
-    "lower", "upper", "n", "threshold", "status", "reason",
+    "campaign", "product", "subject", "method", "band_nm", "metric", "value", "unit", "lower", "upper", "n",
+    "limit_low", "limit_high", "role", "evidence", "outcome", "cause", "detectable", "reason",
 )  # fmt: skip
+_WORDS = ("role", "evidence", "outcome", "cause")
 
 
 class ResultTable:
@@ -72,25 +150,29 @@ class ResultTable:
         return ResultTable(r for r in self._rows if all(getattr(r, k) == v for k, v in equal.items()))
 
     def gates(self) -> ResultTable:
-        """The rows that decide pass or fail: everything that is not INFO."""
-        return ResultTable(r for r in self._rows if r.status is not Status.INFO)
+        """The rows that decide."""
+        return ResultTable(r for r in self._rows if r.gates)
 
     def frame(self) -> pd.DataFrame:
         """The table in the column order of the output contract."""
         names = [f.name for f in fields(Result)]
         frame = pd.DataFrame([astuple(r) for r in self._rows], columns=names)
         frame["n"] = frame["n"].astype("Int64")
-        frame["status"] = frame["status"].astype(str)
+        for name in _WORDS:
+            frame[name] = frame[name].astype(str)
         return frame[list(COLUMNS)]
 
-    def exit_code(self) -> int:
-        """The exit code of the contract: 1 failed, 3 input error, 5 nothing checked, 0 otherwise.
+    def exit_code(self, *, strict: bool = False) -> int:
+        """The exit code of the contract: 1 a gate disagrees or is in error, 5 no gate was decided, 0 otherwise.
 
-        An ERROR row counts as a failed comparison unless the caller knows a better code.
+        Parameters
+        ----------
+        strict : undecided and skipped gates give 1, too
         """
-        counts = [r.status for r in self._rows]
-        if Status.FAIL in counts or Status.ERROR in counts:
+        outcomes = {r.outcome for r in self._rows if r.gates}
+        broken = any(r.outcome is Outcome.ERROR for r in self._rows)
+        if broken or Outcome.DISAGREES in outcomes:
             return 1
-        if Status.PASS not in counts:
-            return 5
-        return 0
+        if strict and outcomes & {Outcome.UNDECIDED, Outcome.SKIPPED}:
+            return 1
+        return 0 if Outcome.AGREES in outcomes else 5

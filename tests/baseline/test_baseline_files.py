@@ -17,7 +17,7 @@ from hyperval.baseline.store import accepted_of, baseline_path, candidate_path, 
 from hyperval.baseline.tolerances import DIGITS, Tolerance, default_tolerance, rounded
 from hyperval.errors import UsageError
 from hyperval.processing.intervals import clopper_pearson
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result
 
 MEDIAN = "median_difference_ratio_windows"
 KEY = key_of("radiance", "white panel", "sixs", MEDIAN)
@@ -37,10 +37,10 @@ def number(value: float, metric_key: str = KEY, **more) -> Accepted:
 
 def test_a_baseline_comes_back_as_it_was_written(tmp_path):
     measured = {
-        KEY: Measured(0.0123456789, 0.01, Status.PASS),
+        KEY: Measured(0.0123456789, 0.01, Outcome.AGREES),
         PD: Measured(0.5),
         key_of("roc", "a | b", "cem/object", "pd_inside_interval@1e-2"): Measured(
-            math.nan, status=Status.SKIPPED, reason="no data"
+            math.nan, outcome=Outcome.SKIPPED, reason="no data"
         ),
         key_of("scores", "x", "cem", "score_mean_difference"): Measured(0.02, 0.004),
     }
@@ -78,7 +78,7 @@ def test_the_date_is_that_of_the_sources(monkeypatch):
         ("{accepted: 0.5, tolerance: .nan, of: unit}", "finite number"),
         ("{accepted: .inf, tolerance: 0.001, of: unit}", "finite number"),
         ("{accepted: 0.5, tolerance: 0.001, of: everything}", "Input should be"),
-        ("{accepted: 0.5, tolerance: 0.001, of: unit, status: FAIL}", "Input should be"),
+        ("{accepted: 0.5, tolerance: 0.001, of: unit, outcome: FAIL}", "Input should be"),
         ("{accepted: 0.5, tolerence: 0.001, of: unit}", "did you mean 'tolerance'"),
     ],
 )
@@ -153,7 +153,7 @@ def test_the_verdict_turns_at_the_tolerance(value, part):
     accepted = Accepted.model_validate({"accepted": value, "tolerance": 0.2, "of": "value", "why": "a test"})
     (found,) = compare("it", {key: accepted}, {key: Measured(value * (1.0 + part))})
     if abs(abs(part) - 0.2) > 1e-9:
-        assert (found.status is Status.FAIL) == (abs(part) > 0.2)
+        assert (found.outcome is Outcome.DISAGREES) == (abs(part) > 0.2)
 
 
 def test_digits_kept():
@@ -177,7 +177,7 @@ def test_digits_kept():
         ("objects_inside_95_p_value", None, Tolerance(0.05, "unit")),
         ("pit_uniformity_p_value", None, Tolerance(0.05, "unit")),
         ("score_mean_difference", 0.1, Tolerance(0.1, "interval")),
-        ("something_new", None, Tolerance(0.01, "value")),
+        ("reduced_chi_square", None, Tolerance(0.01, "value")),
     ],
 )
 def test_defaults(metric, half, expected):
@@ -193,38 +193,39 @@ def test_one_count_more_or_less_is_tolerated():
             assert default_tolerance("pd_measured@1e-2", half).width(hits / n, half) > 1.0 / n
 
 
-def row(metric: str, value: float = 0.1, status: Status = Status.INFO, subject: str = "s", **more) -> Result:
+def row(metric: str, value: float = 0.1, outcome: Outcome = Outcome.NONE, subject: str = "s", **more) -> Result:
     named = {"product": "roc", "method": "cem/pixel", **more}
-    return Result("c", subject=subject, metric=metric, value=value, status=status, **named)
+    return Result("c", subject=subject, metric=metric, value=value, outcome=outcome, **named)
 
 
 def test_what_a_baseline_keeps_of_a_campaign():
     rows = [
-        row("pd_inside_interval@1e-2_fraction", 1.0, Status.PASS, "near *, far *"),
+        row("pd_inside_interval@1e-2_fraction", 1.0, Outcome.AGREES, "near *, far *"),
         row("pd_predicted@1e-2", subject="near 1"),
         row("pd_predicted@1e-2", subject="elsewhere"),
         row("pd_predicted@1e-2", subject="near 1", method="ace/pixel"),
         row("pd_difference@1e-2", subject="near 1"),
-        row("auc", reason="would pass; informs only: so"),
-        row("difference_ratio", 0.1, Status.PASS, band_nm=500.0),
-        row("twice", 0.3, Status.PASS),
-        row("twice", 0.3, Status.SKIPPED),
+        row("auc", outcome=Outcome.UNDECIDED),
+        row("partial_auc_measured", reason="would pass; informs only: so"),
+        row("difference_ratio", 0.1, Outcome.AGREES, band_nm=500.0),
+        row("pd", 0.3, Outcome.AGREES),
+        row("pd", 0.3, Outcome.SKIPPED),
     ]
     found = campaign_metrics(rows)
     assert sorted(split_key(k)[1:] for k in found) == [
         ("near *, far *", "cem/pixel", "pd_inside_interval@1e-2_fraction"),
         ("near 1", "cem/pixel", "pd_predicted@1e-2"),
         ("s", "cem/pixel", "auc"),
-        ("s", "cem/pixel", "twice"),
+        ("s", "cem/pixel", "pd"),
     ]
-    assert found[key_of("roc", "s", "cem/pixel", "twice")].status is Status.SKIPPED
+    assert found[key_of("roc", "s", "cem/pixel", "pd")].outcome is Outcome.SKIPPED
     assert "pd_predicted@*" in BEHIND["roc"]
 
 
 def test_a_campaign_is_skipped_when_all_of_it_is():
-    lost = row("a", math.nan, Status.SKIPPED, reason="no data")
+    lost = row("pd", math.nan, Outcome.SKIPPED, reason="no data")
     assert skipped_reason([lost, lost]) == "no data"
-    assert skipped_reason([lost, row("b")]) is None
+    assert skipped_reason([lost, row("z")]) is None
     assert skipped_reason([]) is None
 
 
@@ -239,21 +240,21 @@ def test_a_campaign_is_skipped_when_all_of_it_is():
         (number(math.nan), Measured(math.nan), ""),
         (number(0.1), None, r"missing: the run does not give this number \(accepted 0\.1\)"),
         (None, Measured(0.1), "not accepted"),
-        (number(0.1, status=Status.PASS), Measured(0.1, status=Status.FAIL, reason="too large"),
-         r"the verdict changed from PASS to FAIL \(too large\)"),
-        (number(0.1, status=Status.PASS), Measured(0.1), "the verdict changed from PASS to INFO"),
+        (number(0.1, outcome=Outcome.AGREES), Measured(0.1, outcome=Outcome.DISAGREES, reason="too large"),
+         r"the outcome changed from agrees to disagrees \(too large\)"),
+        (number(0.1, outcome=Outcome.AGREES), Measured(0.1), "the outcome changed from agrees to none"),
     ],
 )  # fmt: skip
 def test_what_fails(accepted, now, words):
     (found,) = compare("it", {KEY: accepted} if accepted else {}, {KEY: now} if now else {})
-    assert found.status is (Status.FAIL if words else Status.PASS)
+    assert found.outcome is (Outcome.DISAGREES if words else Outcome.AGREES)
     assert re.search(words, found.words)
     assert bool(found.words) == bool(words)
 
 
 def test_a_row_tells_the_limit_that_was_crossed():
     (found,) = compare("it", {KEY: number(0.1)}, {KEY: Measured(0.09)})
-    assert found.row().threshold == pytest.approx(0.098)
+    assert (found.row().limit_low, found.row().limit_high) == pytest.approx((0.098, 0.102))
     assert found.row().subject == "white panel"
 
 

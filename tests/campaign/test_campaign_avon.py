@@ -83,7 +83,7 @@ def test_without_the_collection_it_is_skipped_and_the_run_does_not_fail(no_data,
     assert validate([CAMPAIGN], tmp_path / "out", show_progress=False) == 5  # nothing was checked, nothing failed
     rows = json.loads((tmp_path / "out" / "results.json").read_text())
     rows = rows["rows"] if isinstance(rows, dict) else rows
-    assert {r["status"] for r in rows} == {"SKIPPED"}
+    assert {r["outcome"] for r in rows} == {"skipped"}
     assert {r["campaign"] for r in rows} == {f"share2012-avon-{line}" for line in LINES}
     assert all("held by Rochester Institute of Technology" in r["reason"] for r in rows)
 
@@ -207,7 +207,7 @@ def test_filled_in_it_runs_through(no_data, tmp_path):
     }
     assert set(decided) == {"white-panel", "black-panel", "grass-field", "asphalt-court"}
     # The stand-in atmosphere is the same on both sides, so the radiances must meet.
-    assert all(r.status.name == "PASS" for s, r in decided.items() if s != "asphalt-court")
+    assert all(r.outcome == "agrees" for s, r in decided.items() if s != "asphalt-court")
     explained = {
         (r.product, r.subject): r.value
         for r in rows
@@ -219,9 +219,9 @@ def test_filled_in_it_runs_through(no_data, tmp_path):
     assert all(p > 1e-3 / 6 for p in explained.values())
     curves = {key[0] for key in run.observation.roc} & {key[0] for key in run.prediction.roc}
     assert {"yellow-planks", "green-planks"} <= curves
-    assert not [r for r in rows if r.status.name == "ERROR"]
+    assert not [r for r in rows if r.outcome == "error"]
     # The small scene has too few background pixels for the lowest false-alarm rate, and the two panels of the line
     # give themselves back: both are said.
     known = ("alarms", "no evidence")
-    assert not [r for r in rows if r.status.name == "SKIPPED" and not any(k in r.reason for k in known)]
+    assert not [r for r in rows if r.outcome == "skipped" and not any(k in r.reason for k in known)]
     assert run.campaign == "share2012-avon-0920-1631"

@@ -135,7 +135,7 @@ def test_without_any_file_of_the_collection_it_is_skipped_with_who_holds_it(plac
     jobs = jobs_of(places)
     assert [j.campaign.name for j in jobs] == ["line-0920-1631", "line-0920-1638"]
     rows = list(run_campaign(jobs[0]).table)
-    assert [(r.subject, r.status.name) for r in rows] == [("a", "SKIPPED"), ("b", "SKIPPED")]
+    assert [(r.subject, r.outcome) for r in rows] == [("a", "skipped"), ("b", "skipped")]
     assert "held by Rochester Institute of Technology" in rows[0].reason
     assert "2 values are to be filled in then" in rows[0].reason
     assert validate([places], tmp_path / "out", show_progress=False) == 5  # nothing was checked
@@ -166,7 +166,7 @@ def test_a_filled_in_campaign_whose_cube_is_missing_is_skipped(places, tmp_path)
     path = complete(tmp_path)
     (tmp_path / "data/share2012/lines/0920-1638_rad.dat").unlink()
     rows = list(run_campaign(jobs_of(path)[1], show_progress=False).table)
-    assert {r.status.name for r in rows} == {"SKIPPED"}
+    assert {r.outcome for r in rows} == {"skipped"}
     assert "held by Rochester" in rows[0].reason
 
 

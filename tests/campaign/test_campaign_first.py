@@ -9,7 +9,7 @@ import pytest
 
 from hyperval.cli import run
 from hyperval.report.stored import read_run
-from hyperval.results import Status
+from hyperval.results import Outcome
 
 PAGE = Path(__file__).parents[2] / "docs" / "first-campaign.md"
 
@@ -29,7 +29,7 @@ def test_the_first_campaign_runs_and_passes(folder):
     assert run(["-q", "validate", "--dry-run", campaign]) == 0
     assert run(["-q", "validate", campaign, "-o", str(out)]) == 0
     table = read_run(out).table
-    passed = table.where(status=Status.PASS)
+    passed = table.where(outcome=Outcome.AGREES)
     assert {r.subject for r in passed} == {"field", "court", "white-panel", "black-panel"}
     assert "would pass" in next(r.reason for r in table if r.metric == "pd_inside_interval@1e-2")
 

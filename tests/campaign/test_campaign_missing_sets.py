@@ -9,7 +9,7 @@ import pytest
 from hyperval.campaign.dry_run import dry_run
 from hyperval.campaign.one import Job, jobs_of, run_campaign
 from hyperval.errors import UsageError
-from hyperval.results import Status
+from hyperval.results import Outcome
 
 PASADENA = Path(__file__).resolve().parents[2] / "campaigns" / "pasadena-2017" / "campaign.yaml"
 
@@ -21,7 +21,7 @@ def test_every_missing_set_is_named_at_once(tmp_path, monkeypatch):
     assert isinstance(job, Job)
     rows = list(run_campaign(job).table)
     assert rows
-    assert {row.status for row in rows} == {Status.SKIPPED}
+    assert {row.outcome for row in rows} == {Outcome.SKIPPED}
     assert all(row.reason.endswith("hyperval data fetch pasadena aviris-ng solar") for row in rows)
 
 

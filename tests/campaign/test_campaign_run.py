@@ -13,7 +13,7 @@ from hyperval.campaign.one import Job, run_campaign
 from hyperval.campaign.provenance import command_without_output
 from hyperval.campaign.schema import load_campaign
 from hyperval.errors import MissingDataError, UsageError
-from hyperval.results import COLUMNS, Status
+from hyperval.results import COLUMNS, Outcome
 from hyperval.units import wavelength_to_nm
 from small_campaign import SmallCampaign, scene_data, write_yaml
 
@@ -64,8 +64,8 @@ def test_the_folder_holds_every_file_of_the_contract_and_repeats_to_the_byte(fig
 
     rows = rows_of(first)
     assert tuple(rows[0]) == COLUMNS
-    assert [r["status"] for r in rows].count("PASS") == 10
-    assert {r["status"] for r in rows} <= {"PASS", "INFO", "SKIPPED"}
+    assert [r["outcome"] for r in rows].count("agrees") == 10
+    assert {r["outcome"] for r in rows} <= {"agrees", "undecided", "none", "skipped"}
     assert len(json.loads((first / "results.json").read_text())["rows"]) == len(rows)
     assert "simulated" in (first / "report.html").read_text()
     record = json.loads((first / "provenance.json").read_text())
@@ -84,7 +84,7 @@ def test_observe_alone_writes_what_the_collection_says(small, tmp_path):
     assert cli.run(["-q", "observe", str(small.write()), "-o", str(out)]) == 0
     assert set(files_of(out)) >= CONTRACT | {"scores/yellow-cem.tif"}
     rows = rows_of(out)
-    assert {r["status"] for r in rows} == {"INFO"}
+    assert {r["outcome"] for r in rows} == {"none"}
     expected = {"radiance", "snr", "reflectance", "covariance", "scores", "roc", "abundance"}
     assert {r["product"] for r in rows} == expected
 
@@ -114,7 +114,7 @@ def test_a_missing_data_set_is_skipped_with_the_command_that_fetches_it(small, t
     out = tmp_path / "out"
     assert cli.run(["-q", "validate", str(data_only(small).write()), "-o", str(out)]) == 5
     rows = rows_of(out)
-    assert {r["status"] for r in rows} == {"SKIPPED"}
+    assert {r["outcome"] for r in rows} == {"skipped"}
     planned = [(g["product"], s, g["metric"]) for g in small.data["comparisons"] for s in g["subjects"]]
     assert [(r["product"], r["subject"], r["metric"]) for r in rows] == planned
     assert all("hyperval data fetch hysu" in r["reason"] for r in rows)
@@ -139,7 +139,7 @@ def test_a_fault_of_ours_is_named_with_its_place_in_the_rows_of_its_campaign(mak
     out = tmp_path / "out"
     assert cli.run(["-q", "validate", str(one.write()), str(two.write()), "-o", str(out)]) == 4
     rows = rows_of(out)
-    assert {r["status"] for r in rows} == {"ERROR"}
+    assert {r["outcome"] for r in rows} == {"error"}
     assert all("AttributeError" in r["reason"] and "(at hyperval/units.py:" in r["reason"] for r in rows)
 
 
@@ -150,9 +150,9 @@ def test_a_skipped_campaign_beside_a_passing_one_passes(make_small, tmp_path, no
     assert cli.run(["-q", "validate", str(one.write()), str(two.write()), "-o", str(out)]) == 0
     statuses = {r["campaign"]: set() for r in rows_of(out)}
     for row in rows_of(out):
-        statuses[row["campaign"]].add(row["status"])
-    assert statuses["other"] == {"SKIPPED"}
-    assert "PASS" in statuses["small"]
+        statuses[row["campaign"]].add(row["outcome"])
+    assert statuses["other"] == {"skipped"}
+    assert "agrees" in statuses["small"]
     assert set(files_of(out)) >= {
         "results.csv",
         "results.json",
@@ -172,9 +172,9 @@ def test_one_broken_campaign_does_not_hide_the_other(make_small, tmp_path):
     rows = rows_of(out)
     lost = [r for r in rows if r["campaign"] == "broken"]
     assert len(lost) == sum(len(g["subjects"]) for g in broken.data["comparisons"])
-    assert {r["status"] for r in lost} == {"ERROR"}
+    assert {r["outcome"] for r in lost} == {"error"}
     assert all("small_rad.img" in r["reason"] and "bytes" in r["reason"] for r in lost)
-    assert sum(r["status"] == "PASS" for r in rows if r["campaign"] == "small") == 10
+    assert sum(r["outcome"] == "agrees" for r in rows if r["campaign"] == "small") == 10
     assert (out / "broken" / "report.html").is_file()
 
 
@@ -218,13 +218,13 @@ def test_statistics_taken_from_the_collection_are_not_compared_with_it(small):
     for subject in ("field", "court"):
         (row,) = run.table.where(product="radiance", subject=subject)
         # The plan names them, so their absence is an error and not silence.
-        assert row.status is Status.ERROR
+        assert row.outcome is Outcome.ERROR
         assert "no radiance of" in row.reason
     small.gate("radiance")["subjects"] = ["*-panel", "grey-panel-35"]
     small.data["comparisons"] = [small.gate("radiance")]
     run = run_alone(small)
     (row,) = run.table.where(product="radiance", subject="court")
-    assert row.status is Status.INFO
+    assert row.outcome is Outcome.NONE
     assert row.reason.startswith("not compared: ")
     assert run.table.exit_code() == 0
 
@@ -241,7 +241,7 @@ def test_pools_are_predicted_and_compared(small):
     assert predicted["both", "cem", "object"].pd == pytest.approx((parts[0] + parts[1]) / 2, abs=1e-12)
     assert run.observation.roc["both", "cem", "object"].n_target == 96
     (row,) = run.table.where(subject="both", method="cem/object", metric="pd_inside_interval@1e-2")
-    assert row.status is Status.PASS
+    assert row.outcome is Outcome.AGREES
 
 
 def test_areas_are_compared_with_the_truth(small):
@@ -262,12 +262,12 @@ def test_nothing_planned_is_missing(small):
     ]  # fmt: skip
     table = run_alone(small).table
     (slip,) = table.where(product="radiance", subject="nowhere")
-    assert slip.status is Status.ERROR
+    assert slip.outcome is Outcome.ERROR
     assert "planned but absent" in slip.reason
     (unmeasured,) = table.where(product="snr", subject="field")
-    assert unmeasured.status is Status.ERROR
+    assert unmeasured.outcome is Outcome.ERROR
     assert "no snr of field in the observation" in unmeasured.reason
-    assert [r.status for r in table.where(product="roc", metric="pd_inside_interval@1e-9")] == [Status.ERROR]
+    assert [r.outcome for r in table.where(product="roc", metric="pd_inside_interval@1e-9")] == [Outcome.ERROR]
     assert table.exit_code() == 1
 
 
@@ -275,7 +275,7 @@ def test_products_without_a_plan_are_information(small):
     table = run_alone(small).table
     one_sided = [r for r in table if r.metric == "comparison"]
     assert one_sided
-    assert {r.status for r in one_sided} == {Status.INFO}
+    assert {r.outcome for r in one_sided} == {Outcome.NONE}
     assert all(r.reason.startswith("not compared: no ") for r in one_sided)
 
 
@@ -312,7 +312,7 @@ def test_missing_data_of_a_scenario_is_skipped_too(small, no_data):
         "file": "data:hysu/published/svc/DLR_HySU_SVC.lib", "record": "Bitumen", "reflectance_unit": "scaled:10000",
     }  # fmt: skip
     table = run_alone(small).table
-    assert {r.status for r in table} == {Status.SKIPPED}
+    assert {r.outcome for r in table} == {Outcome.SKIPPED}
     with pytest.raises(MissingDataError):
         run_alone(data_only(small), predicts=False)
 

@@ -19,7 +19,7 @@ from hyperval.products import (
     Prediction,
     SpectralEstimate,
 )
-from hyperval.results import Status
+from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis
 
 AXIS = SpectralAxis(np.array([450.0, 550, 650, 750, 870, 1400, 1650]), 10.0)
@@ -99,11 +99,11 @@ def test_absorption_bands_do_not_count():
 
 def test_few_pixels_have_no_determinant_and_say_so():
     rows = rows_of(estimate(truth()), sample(5))
-    assert rows["bhattacharyya_distance"].status is Status.SKIPPED
+    assert rows["bhattacharyya_distance"].outcome is Outcome.SKIPPED
     assert "5 independent pixels for 6 directions" in rows["bhattacharyya_distance"].reason
     assert rows["eigenvalue_ratio@1"].lower < 1.0 < rows["eigenvalue_ratio@1"].upper
     (only,) = rows_of(estimate(truth()), sample(2)).values()
-    assert only.status is Status.SKIPPED
+    assert only.outcome is Outcome.SKIPPED
 
 
 def test_what_one_side_lacks_gives_no_row():
@@ -170,7 +170,7 @@ def test_rows_of_classification():
     assert (rows["error_bounds"].lower, rows["error_bounds"].upper) == (0.04, 0.2)
     wrong = errors(predicted, ClassificationError(0.20, 0.17, 0.24, 500, 300.0, 0.9))
     assert wrong["error_inside_interval"].value == 0.0
-    assert errors(predicted, None)["comparison"].status is Status.SKIPPED
+    assert errors(predicted, None)["comparison"].outcome is Outcome.SKIPPED
 
 
 def test_area_errors_by_size():

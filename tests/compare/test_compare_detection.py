@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hyperval.compare import Gate, judged
 from hyperval.compare.abundance import compare_abundance
 from hyperval.compare.difference import difference_interval
-from hyperval.compare.gates import Gate, apply_gates
 from hyperval.compare.products import compare_products
 from hyperval.compare.roc import compare_roc, equivalent
 from hyperval.compare.roc_areas import curve_area
@@ -24,7 +24,7 @@ from hyperval.products import (
     ScoreDistribution,
     SpectralEstimate,
 )
-from hyperval.results import Status
+from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis
 
 NAMES = {"campaign": "c", "subject": "planks", "method": "cem/object"}
@@ -121,11 +121,11 @@ def test_equivalence_needs_a_narrow_interval_not_a_missing_difference():
 
 def test_lower_false_alarm_rates_only_where_the_background_allows():
     small = by_metric(compare_roc(model_curve(3.0), measured_curve(3.0, background=2000), **NAMES))
-    assert small["pd_difference@1e-3"].status is Status.SKIPPED
+    assert small["pd_difference@1e-3"].outcome is Outcome.SKIPPED
     assert "2000 background samples expect 2 alarms" in small["pd_difference@1e-3"].reason
     assert "pd_difference@1e-4" not in small
     large = by_metric(compare_roc(model_curve(3.0), measured_curve(3.0, background=200_000), **NAMES))
-    assert large["pd_difference@1e-4"].status is Status.INFO
+    assert large["pd_difference@1e-4"].outcome is Outcome.NONE
     assert "pd_difference@1e-5" not in large
 
 
@@ -149,14 +149,14 @@ def test_one_object_gives_values_but_no_verdict():
     assert rows["pd_predicted@1e-2"].value < 1e-9
     for metric in ("pd_inside_interval", "pd_inside_measured_interval", "pd_equivalent"):
         row = rows[f"{metric}@1e-2"]
-        assert row.status is Status.SKIPPED
+        assert row.outcome is Outcome.SKIPPED
         assert row.reason == "the measured interval 0.025 to 1 from 1 object accepts nearly any prediction"
     # A gate on it is red, and a pool counts it apart.
     plan = {"product": "roc", "metric": "pd_inside_interval@1e-2", "reason": "why"}
-    gated = apply_gates(rows.values(), [Gate(**plan, at_least=1.0)])
-    assert {r.status for r in gated if r.metric == "pd_inside_interval@1e-2"} == {Status.ERROR}
-    pooled = apply_gates(rows.values(), [Gate(**plan, fraction_at_least=0.5)])[-1]
-    assert (pooled.status, pooled.value) == (Status.FAIL, 0.0)
+    gated = judged(rows.values(), [Gate(**plan, at_least=1.0)])
+    assert {r.outcome for r in gated if r.metric == "pd_inside_interval@1e-2"} == {Outcome.ERROR}
+    pooled = judged(rows.values(), [Gate(**plan, fraction_at_least=0.5)])[-1]
+    assert (pooled.outcome, pooled.value) == (Outcome.DISAGREES, 0.0)
     assert "0 of 1 rows at least 1, 1 without a verdict of their own" in pooled.reason
     several = empirical_roc(np.full(5, 5.0), np.random.default_rng(1).normal(size=20000), unit="object")
     assert by_metric(compare_roc(model_curve(-9.0), several, **NAMES))["pd_inside_interval@1e-2"].value == 0.0
@@ -185,7 +185,7 @@ def test_auc_with_and_without_estimates():
     assert curve_area(cut(0.6), WHOLE) == pytest.approx(truth, abs=5e-3)
     pixel = model_curve(2.0, unit="pixel")
     assert by_metric(compare_roc(cut(0.6), pixel, **NAMES))["auc_difference"].value == pytest.approx(0, abs=5e-3)
-    assert by_metric(compare_roc(cut(0.3), pixel, **NAMES))["auc_difference"].status is Status.SKIPPED
+    assert by_metric(compare_roc(cut(0.3), pixel, **NAMES))["auc_difference"].outcome is Outcome.SKIPPED
     curve = with_summary(empirical_roc(t, b, unit="object"), t, b)
     rows = by_metric(compare_roc(model_curve(2.0), curve, **NAMES))
     assert rows["auc_difference"].lower < rows["auc_difference"].value < rows["auc_difference"].upper
@@ -205,9 +205,9 @@ def test_score_moments():
     assert rows["score_sd_ratio"].value == pytest.approx(2.0)
     assert rows["score_sd_ratio"].lower < 2.0 < rows["score_sd_ratio"].upper
     single = by_metric(compare_scores(predicted, ScoreDistribution(0.4, 0.0, 1), **NAMES))
-    assert single["score_sd_ratio"].status is Status.SKIPPED
+    assert single["score_sd_ratio"].outcome is Outcome.SKIPPED
     (row,) = compare_scores(predicted, None, **NAMES)
-    assert (row.status, row.reason) == (Status.SKIPPED, "no scores of planks in the observation")
+    assert (row.outcome, row.reason) == (Outcome.SKIPPED, "no scores of planks in the observation")
 
 
 def test_sd_ratio_interval_covers():
@@ -234,8 +234,8 @@ def test_areas():
     half = 1.959964 * np.hypot(0.03, 11 * 0.4 / 100)
     assert rows["area_difference_ratio"].upper == pytest.approx(0.1 + half, rel=1e-6)
     none = by_metric(compare_abundance(Abundance(11.0, 0.0), Abundance(-1.0, 0.0), **NAMES))
-    assert none["area_difference_ratio"].status is Status.SKIPPED
-    assert none["area_inside_95"].status is Status.SKIPPED
+    assert none["area_difference_ratio"].outcome is Outcome.SKIPPED
+    assert none["area_inside_95"].outcome is Outcome.SKIPPED
 
 
 def test_every_subject_of_either_side_has_rows():
@@ -259,7 +259,7 @@ def test_every_subject_of_either_side_has_rows():
     )
     rows = compare_products(predicted, observed, campaign="c")
     skipped = {
-        (r.product, r.subject, r.method) for r in rows if r.status is Status.SKIPPED and r.metric == "comparison"
+        (r.product, r.subject, r.method) for r in rows if r.outcome is Outcome.SKIPPED and r.metric == "comparison"
     }
     assert skipped == {
         ("radiance", "only model", "model"),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.compare.gates import Gate, apply_gates
+from hyperval.compare import Gate, judged
 from hyperval.compare.products import compare_products
 from hyperval.products import Observation, Prediction, RocCurve
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result
 from hyperval.spectra.axis import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.array([5.0, 5.0]))
@@ -22,7 +22,7 @@ def test_a_side_that_lacks_a_curve_is_told_with_what_it_has():
     predicted = Prediction(AXIS, roc={("planks", "cem", "pixel"): curve(), ("planks", "ace", "pixel"): curve()})
     observed = Observation(AXIS, roc={("planks", "rx", "pixel"): curve(), ("mask 1", "cem", "pixel"): curve()})
     rows = compare_products(predicted, observed, campaign="c")
-    told = {(r.subject, r.method): r.reason for r in rows if r.product == "roc" and r.status is Status.SKIPPED}
+    told = {(r.subject, r.method): r.reason for r in rows if r.product == "roc" and r.outcome is Outcome.SKIPPED}
     assert told["planks", "rx/pixel"] == "no roc of planks in the prediction, which has it by cem, ace"
     assert told["mask 1", "cem/pixel"] == "no roc of mask 1 in the prediction, which has 'planks'"
     assert told["planks", "cem/pixel"] == "no roc of planks in the observation, which has it by rx"
@@ -35,7 +35,7 @@ def test_a_side_that_lacks_a_curve_is_told_with_what_it_has():
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"metric": "pd_inside@1e-3"}, "did you mean 'pd_inside_interval@1e-3'"),
+        ({"metric": "pd_inside_interval_preset"}, "did you mean 'pd_inside_interval@1e-"),
         ({"subjects": ("blau",)}, "rows with it: 'planks' (cem/pixel)"),
         ({"method": "ace/*"}, "rows with it: 'planks' (cem/pixel)"),
         ({"metric": "chi2_reduced_full"}, None),
@@ -44,7 +44,7 @@ def test_a_side_that_lacks_a_curve_is_told_with_what_it_has():
 def test_a_gate_that_meets_no_row_is_told_what_comes_near(change, told):
     rows = [Result("c", "roc", "planks", "cem/pixel", f"pd_inside_interval@{p}", 1.0) for p in ("1e-2", "1e-3")]
     given = {"product": "roc", "metric": "pd_inside_interval", "at_least": 1, "reason": "r", **change}
-    (row,) = [r for r in apply_gates(rows, [Gate(**given)], "c") if r.status is Status.ERROR]
+    (row,) = [r for r in judged(rows, [Gate(**given)], "c") if r.outcome is Outcome.ERROR]
     assert row.reason.startswith("planned but absent: no roc row")
     assert told is None or told in row.reason
     assert told is not None or "; " not in row.reason

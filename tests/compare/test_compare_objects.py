@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hyperval.compare import Gate, judged
 from hyperval.compare.exceedance import compare_exceedance
-from hyperval.compare.gates import Gate, apply_gates
 from hyperval.compare.objects import (
     compare_object_scores,
     distance_from_uniform,
@@ -14,7 +14,7 @@ from hyperval.compare.objects import (
 )
 from hyperval.errors import UsageError
 from hyperval.products import ExceedanceCurve, ObjectScores
-from hyperval.results import ResultTable, Status
+from hyperval.results import Outcome, ResultTable
 
 ROWS, COLUMNS = 200, 40
 
@@ -63,9 +63,9 @@ def test_independent_objects_give_the_exact_tests():
     found = judged_together(predicted, truth)
     u = [float(probability_integral_transform(truth[k], predicted[k].values)[0]) for k in predicted]
     # 4,000 reference sets: sd of a p-value at most 0.008, four of them 0.032.
-    assert found.uniformity_p_value == pytest.approx(stats.kstest(u, "uniform").pvalue, abs=0.04)
+    assert found.uniformity.p_value == pytest.approx(stats.kstest(u, "uniform").pvalue, abs=0.04)
     inside = round(found.inside * 25)
-    assert found.inside_p_value == pytest.approx(stats.binom.cdf(inside, 25, 0.95), abs=0.04)
+    assert found.count.p_value == pytest.approx(stats.binom.cdf(inside, 25, 0.95), abs=0.04)
 
 
 def test_right_predictions_with_common_errors_pass_at_the_stated_rate():
@@ -77,7 +77,7 @@ def test_right_predictions_with_common_errors_pass_at_the_stated_rate():
         predicted, truth = drawn(0.1, 0.1, rng)
         found = judged_together(predicted, truth)
         u = [float(probability_integral_transform(truth[k], predicted[k].values)[0]) for k in predicted]
-        ours += found.uniformity_p_value < 0.05
+        ours += found.uniformity.p_value < 0.05
         customary += stats.kstest(u, "uniform").pvalue < 0.05
     assert ours <= 14
     assert customary > 30
@@ -93,24 +93,65 @@ def test_falsified_scores_turn_the_verdict():
             at_least=0.01,
             reason="r",
         ),
-        Gate(
-            product="scores", metric="pit_uniformity_p_value", subjects=("all objects",), at_least=0.01, reason="r"
+        *(
+            Gate(product="scores", metric=metric, subjects=("all objects",), at_least=0.01, reason="r")
+            for metric in ("pit_uniformity_p_value", "joint_distance_p_value")
         ),
     ]
 
     def verdicts(rows):
-        return {r.metric: r.status for r in ResultTable(apply_gates(rows, gates, "c")).gates()}
+        return {r.metric: r.outcome for r in ResultTable(judged(rows, gates, "c")).gates()}
 
     right = verdicts(rows_of(predicted, truth))
-    assert set(right.values()) == {Status.PASS}
+    assert set(right.values()) <= {Outcome.AGREES, Outcome.UNDECIDED}  # 25 objects tell little of a width
     for falsify in (lambda x: x + 0.3, lambda x: 0.5 * x, lambda x: x + 0.4 * np.sign(x - 0.5)):
         wrong = verdicts(rows_of(predicted, {k: falsify(v) for k, v in truth.items()}))
-        assert wrong["pit_uniformity_p_value"] is Status.FAIL
-        assert wrong["objects_inside_95_p_value"] is Status.FAIL
+        assert wrong["pit_uniformity_p_value"] is Outcome.DISAGREES
+        assert wrong["objects_inside_95_p_value"] is Outcome.DISAGREES
     # A prediction that is much too unsure holds every object and is found out by the transform values.
     unsure = {k: ObjectScores(p.values.mean() + 10.0 * (p.values - p.values.mean())) for k, p in predicted.items()}
     timid = verdicts(rows_of(unsure, truth))
-    assert timid == {"objects_inside_95_p_value": Status.PASS, "pit_uniformity_p_value": Status.FAIL}
+    assert timid["objects_inside_95_p_value"] is not Outcome.DISAGREES
+    assert timid["pit_uniformity_p_value"] is Outcome.DISAGREES
+    assert timid["joint_distance_p_value"] is Outcome.DISAGREES  # two-sided: too wide fails too
+
+
+def test_a_drift_over_the_objects_is_seen_where_the_sum_of_all_hides_it():
+    """Misfits of opposite sign at both ends of a set of objects, as a wrong size of the blur would make them.
+
+    Half of 25 objects lie 1.2 standard deviations too low and half too high, the weakest expected ones lowest.
+    """
+    rng = np.random.default_rng(11)
+    level = np.linspace(0.2, 1.0, 25)
+    predicted = {str(i): ObjectScores(m + 0.1 * rng.standard_normal((1, 4000))) for i, m in enumerate(level)}
+    right = {k: np.array([float(p.values[0, 7])]) for k, p in predicted.items()}
+    tilted = {k: v + 0.12 * (-1 if i < 12 else 1) for i, (k, v) in enumerate(right.items())}
+    sound, wrong = judged_together(predicted, right), judged_together(predicted, tilted)
+    assert sound.drift is not None
+    assert wrong.drift is not None
+    assert sound.drift.p_value > 0.01
+    assert wrong.drift.p_value < 0.001
+    assert wrong.trend_interval[0] > 1.0 > sound.trend_interval[0]
+    assert sound.joint is not None
+    assert sound.joint.detectable <= 2.0
+
+
+def test_the_joint_distance_and_the_drift_reject_right_models_at_their_level():
+    # 100 worlds at 5 %: 5 rejected, sd 2.2; limit at four of them.
+    rng = np.random.default_rng(12)
+    joint, drift = 0, 0
+    for _ in range(100):
+        shift = rng.uniform(0.2, 1.0, 25)
+        base, truth = drawn(0.1, 0.1, rng)
+        predicted = {k: ObjectScores(p.values + s) for (k, p), s in zip(base.items(), shift, strict=True)}
+        moved = {k: v + s for (k, v), s in zip(truth.items(), shift, strict=True)}
+        found = judged_together(predicted, moved)
+        assert found.joint is not None
+        assert found.drift is not None
+        joint += 2.0 * min(found.joint.p_value, 1.0 - found.joint.p_value) < 0.05
+        drift += found.drift.p_value < 0.05
+    assert joint <= 14
+    assert drift <= 14
 
 
 def test_rows_of_single_objects_and_of_groups():
@@ -130,12 +171,12 @@ def test_rows_of_single_objects_and_of_groups():
     # Of 8,000 draws the ends have a standard error of 0.003.
     assert (interval.lower, interval.upper) == pytest.approx((0.304, 0.696), abs=0.012)
     assert of(rows, "objects_inside_95", "many").n == 60
-    assert of(rows, "object_score_pit", "lost").status is Status.SKIPPED
+    assert of(rows, "object_score_pit", "lost").outcome is Outcome.SKIPPED
     assert of(rows, "objects_inside_95").n == 61
     assert "without lost" in of(rows, "objects_inside_95").reason
     assert not [r for r in rows if r.subject == "not predicted"]
     none = compare_object_scores(predicted, {}, campaign="c", method="cem")
-    assert {r.status for r in none} == {Status.SKIPPED}
+    assert {r.outcome for r in none} == {Outcome.SKIPPED}
 
 
 def test_ratio_of_false_alarms():
@@ -152,5 +193,5 @@ def test_ratio_of_false_alarms():
     few = compare_exceedance(
         model, ExceedanceCurve(x, true, true, true, 500), campaign="c", subject="t", method="cem"
     )
-    assert [r.status for r in few] == [Status.INFO, Status.SKIPPED, Status.SKIPPED]
-    assert compare_exceedance(model, None, campaign="c", subject="t", method="cem")[0].status is Status.SKIPPED
+    assert [r.outcome for r in few] == [Outcome.NONE, Outcome.SKIPPED, Outcome.SKIPPED]
+    assert compare_exceedance(model, None, campaign="c", subject="t", method="cem")[0].outcome is Outcome.SKIPPED

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hyperval.campaign.one_side import product_rows
-from hyperval.compare.gates import Gate, apply_gates
+from hyperval.compare import Gate, judged
 from hyperval.compare.roc import compare_roc
 from hyperval.compare.roc_alarms import joint_rows
 from hyperval.compare.roc_areas import curve_area
@@ -16,7 +16,7 @@ from hyperval.processing.intervals import clopper_pearson, zero_count_upper_limi
 from hyperval.processing.roc import empirical_roc, with_summary
 from hyperval.processing.roc_areas import RocArea
 from hyperval.products import Observation, Prediction, RocCurve
-from hyperval.results import Status
+from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis
 
 NAMES = {"campaign": "c", "subject": "planks", "method": "cem/object"}
@@ -61,7 +61,7 @@ def test_every_row_of_a_true_prediction():
         assert d.value == pytest.approx(p.value - o.value)
         for row in (p, o, d):
             assert row.lower <= row.value <= row.upper
-            assert row.status is Status.INFO
+            assert row.outcome is Outcome.NONE
         assert d.lower <= 0 <= d.upper
     assert rows["far_measured@pd0.5"].unit == "km-2"
     assert rows["auc_measured"].reason == "bootstrap of 30 objects, 1000 draws"
@@ -101,15 +101,15 @@ def test_no_alarm_at_all_still_has_an_upper_limit():
 
 def test_what_is_not_known_is_skipped_with_its_reason():
     rows = by_metric(compare_roc(model_curve(2.5), measured_curve(2.5, area=None), **NAMES))
-    assert rows["far_measured@1e-2"].status is Status.SKIPPED
+    assert rows["far_measured@1e-2"].outcome is Outcome.SKIPPED
     assert "ground area" in rows["far_measured@pd0.9"].reason
     small = by_metric(compare_roc(model_curve(2.5), measured_curve(2.5, background=900), **NAMES))
     row = small["log_auc_difference@1e-3..1e-1"]
-    assert row.status is Status.SKIPPED
+    assert row.outcome is Outcome.SKIPPED
     assert "900 background samples expect 0.9 alarms" in row.reason
     assert "joint_pd@1e-3" not in small
     one = by_metric(compare_roc(model_curve(2.5), measured_curve(2.5, targets=1), **NAMES))
-    assert one["pd_inside_joint_region@1e-2"].status is Status.SKIPPED
+    assert one["pd_inside_joint_region@1e-2"].outcome is Outcome.SKIPPED
     flat = RocCurve(*(np.array(x) for x in ([1e-3, 1.0], [0.95, 1], [0.9, 1], [0.97, 1], [1, 0])), "object")
     unreached = by_metric(compare_roc(flat, measured_curve(2.5), **NAMES))["far_predicted@pd0.5"]
     assert "does not pass P_D 0.5" in unreached.reason
@@ -141,7 +141,7 @@ def test_one_side_alone_has_its_rows_too():
     assert told["auc_predicted"].lower < told["auc_predicted"].value < told["auc_predicted"].upper
     assert not any(name.startswith(("far", "joint")) for name in told)
     bare = by_metric(product_rows("c", Observation(axis, roc={key: measured_curve(2.5, area=None)}), "observed"))
-    assert not any(r.status is Status.SKIPPED for r in bare.values())
+    assert not any(r.outcome is Outcome.SKIPPED for r in bare.values())
 
 
 def test_a_limit_that_no_area_can_break_is_refused():
@@ -149,8 +149,8 @@ def test_a_limit_that_no_area_can_break_is_refused():
         with pytest.raises(ValueError, match="can never fail"):
             Gate(product="roc", metric=metric, at_most=limit, reason="why")
     rows = compare_roc(model_curve(4.5), measured_curve(2.5), **NAMES)
-    judged = apply_gates(rows, [Gate(product="roc", metric="auc_difference", within=(-0.01, 0.01), reason="why")])
-    assert by_metric(judged)["auc_difference"].status is Status.FAIL
+    found = judged(rows, [Gate(product="roc", metric="auc_difference", within=(-0.01, 0.01), reason="why")])
+    assert by_metric(found)["auc_difference"].outcome is Outcome.DISAGREES
 
 
 def test_no_area_exceeds_one_and_a_perfect_curve_has_one():

@@ -7,7 +7,7 @@ from scipy.stats import norm
 from hyperval.compare.roc import compare_roc, equivalence
 from hyperval.processing.roc_model import ClassScore, greatest_class_false_alarm, threshold_at
 from hyperval.products import RocCurve
-from hyperval.results import Status
+from hyperval.results import Outcome
 
 PFA = np.geomspace(1e-4, 0.999, 81)
 
@@ -55,7 +55,7 @@ def test_equivalence_needs_few_doubts_not_few_targets():
 def test_one_target_gives_no_verdict():
     one = RocCurve(PFA, np.ones(81), np.full(81, 0.025), np.ones(81), norm.isf(PFA), "object", 1, 100_000)
     rows = compare_roc(curve(0.9), one, campaign="c", subject="s", method="m", equivalence_margin=0.15)
-    assert next(r for r in rows if r.metric == "pd_equivalence@1e-2").status is Status.SKIPPED
+    assert next(r for r in rows if r.metric == "pd_equivalence@1e-2").outcome is Outcome.SKIPPED
 
 
 def test_both_readings_are_reported_where_they_differ():

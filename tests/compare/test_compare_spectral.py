@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hyperval.compare import Gate, judged
 from hyperval.compare.consistency import (
     bias_and_shape,
     chi_square_diagonal,
@@ -18,13 +19,12 @@ from hyperval.compare.difference import (
     median_interval,
     regions,
 )
-from hyperval.compare.gates import Gate, apply_gates
 from hyperval.compare.radiance import compare_radiance
 from hyperval.compare.reflectance import compare_reflectance
 from hyperval.compare.snr import compare_snr
 from hyperval.errors import UsageError
 from hyperval.products import SpectralEstimate
-from hyperval.results import Status
+from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
@@ -186,7 +186,7 @@ def test_nan_never_reaches_a_test_statistic():
 def test_rows_of_a_known_offset(compare, product):
     rows = compare(spectrum(5.25, 0.01), spectrum(5.0, 0.03), **NAMES)
     assert {r.product for r in rows} == {product}
-    assert {r.status for r in rows} == {Status.INFO}
+    assert {r.outcome for r in rows} == {Outcome.NONE}
     per_band = [r for r in rows if r.metric == "difference_ratio"]
     assert [r.band_nm for r in per_band] == AXIS.centre_nm.tolist()
     half = 1.959964 * np.sqrt((0.1 / 5) ** 2 + (5.25 * np.sqrt(0.03) / 25) ** 2)
@@ -223,7 +223,7 @@ def test_sides_that_are_one_and_the_same_are_no_evidence():
     mean = np.linspace(0.1, 0.9, B)
     rows = compare_radiance(spectrum(mean * (1.0 + 1e-14)), spectrum(mean), **NAMES)
     for metric in ("p_value_full", "chi2_reduced_full", "p_value_shape", "bias_ratio"):
-        assert value(rows, metric).status is Status.SKIPPED
+        assert value(rows, metric).outcome is Outcome.SKIPPED
         assert "no evidence" in value(rows, metric).reason
     assert value(rows, "spectral_angle").value == pytest.approx(0.0, abs=1e-5)
 
@@ -246,7 +246,7 @@ def test_bad_bands_and_gaps_are_left_out():
 
 def test_a_missing_side_or_region_is_skipped_with_its_reason():
     (row,) = compare_radiance(None, spectrum(5.0), **NAMES)
-    assert row.status is Status.SKIPPED
+    assert row.outcome is Outcome.SKIPPED
     assert row.reason == "no radiance of grass in the prediction"
     (row,) = compare_radiance(None, None, **NAMES)
     assert "in the prediction and in the observation" in row.reason
@@ -258,14 +258,14 @@ def test_a_missing_side_or_region_is_skipped_with_its_reason():
     plan = Gate(
         product="radiance", metric="median_abs_difference_ratio_swir2", subjects=["grass"], at_most=0.1, reason="x"
     )
-    assert apply_gates(rows, [plan])[-1].status is Status.ERROR
+    assert judged(rows, [plan])[-1].outcome is Outcome.ERROR
     # One that it sees, but in bad bands only, is skipped with the reason.
     blind = SpectralAxis(AXIS.centre_nm, AXIS.fwhm_nm, AXIS.centre_nm < 1800.0)
     rows = compare_radiance(spectrum(5.0), spectrum(5.0), **{**NAMES, "axis": blind})
     skipped = value(rows, "median_abs_difference_ratio_swir2")
-    assert (skipped.status, skipped.reason) == (Status.SKIPPED, "no comparable band in swir2")
+    assert (skipped.outcome, skipped.reason) == (Outcome.SKIPPED, "no comparable band in swir2")
     exact = spectrum(5.0, 0.0)
-    assert value(compare_radiance(exact, exact, **NAMES), "p_value_full").status is Status.SKIPPED
+    assert value(compare_radiance(exact, exact, **NAMES), "p_value_full").outcome is Outcome.SKIPPED
 
 
 def test_spectra_of_another_axis_are_refused():

@@ -20,7 +20,7 @@ from hyperval.baseline.store import DEFAULT_FOLDER, SENSORS, accepted_of
 from hyperval.campaign.one import Job, run_campaign
 from hyperval.campaign.schema import load_campaign
 from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, matched_filter_weights
-from hyperval.results import Status
+from hyperval.results import Outcome
 from hyperval.scene.fill import fixed_fill
 from hyperval.sensor.specification import library_names, load_sensor
 from small_campaign import SmallCampaign, stand_in_atmosphere
@@ -58,7 +58,7 @@ def sound_campaign(small_collection: Path, tmp_path_factory: pytest.TempPathFact
 
 
 def wrong(accepted: Mapping[str, Accepted], now: Mapping[str, Measured]) -> list[Difference]:
-    return [d for d in compare("it", accepted, now) if d.status is Status.FAIL]
+    return [d for d in compare("it", accepted, now) if d.outcome is Outcome.DISAGREES]
 
 
 def filter_sign(patch: Patch) -> None:
@@ -224,5 +224,5 @@ def test_every_baseline_is_of_a_campaign():
 def test_accepted_numbers_are_numbers():
     held = [(p, k, m) for p in baselines() for k, m in load_baseline(p).metrics.items()]
     assert held
-    assert [(p, k) for p, k, m in held if m.accepted is None and m.status != "SKIPPED"] == []
+    assert [(p, k) for p, k, m in held if m.accepted is None and m.outcome != "skipped"] == []
     assert all(math.isfinite(m.width) for _, _, m in held)

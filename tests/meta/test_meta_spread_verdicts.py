@@ -6,7 +6,7 @@ import pytest
 
 from hyperval.campaign.one import Job, run_campaign
 from hyperval.campaign.schema import load_campaign
-from hyperval.results import ResultTable, Status
+from hyperval.results import Outcome, ResultTable
 from small_campaign import SmallCampaign
 
 CLASSES = ["field", "court"]
@@ -32,15 +32,15 @@ def table_of(small: SmallCampaign) -> ResultTable:
     return run_campaign(Job(load_campaign(path), path), show_progress=False).table
 
 
-def outcome(table: ResultTable, product: str) -> set[Status]:
-    return {row.status for row in table.where(product=product).gates()}
+def outcome(table: ResultTable, product: str) -> set[Outcome]:
+    return {row.outcome for row in table.where(product=product).gates()}
 
 
 def test_a_true_campaign_passes(small):
     gated(small)
     table = table_of(small)
     for product in ("covariance", "classification"):
-        assert outcome(table, product) == {Status.PASS}
+        assert outcome(table, product) == {Outcome.AGREES}
 
 
 def more_spread(small):
@@ -69,7 +69,7 @@ def test_each_falsified_input_turns_its_gate(small, change, product, metric):
     gated(small)
     change(small)
     table = table_of(small)
-    assert Status.FAIL in {row.status for row in table.where(product=product, metric=metric)}
+    assert Outcome.DISAGREES in {row.outcome for row in table.where(product=product, metric=metric)}
     assert table.exit_code() == 1
 
 
@@ -77,9 +77,9 @@ def test_statistics_of_the_collection_itself_are_not_compared_with_themselves(sm
     gated(small)
     small.scenario["scene"]["classes"][0].update(spectrum={"measured": "field"}, tail_dof="measured")
     table = table_of(small)
-    told = {(r.product, r.metric) for r in table.where(subject="field") if r.status is not Status.ERROR}
+    told = {(r.product, r.metric) for r in table.where(subject="field") if r.outcome is not Outcome.ERROR}
     assert ("covariance", "total_variance_ratio") not in told
     assert ("covariance", "tail_inverse_dof_difference") not in told
     assert ("covariance", "background_tail_dof") in told  # measured, and said to have nothing to compare with
-    absent = {r.metric for r in table.where(product="covariance", subject="field", status=Status.ERROR)}
+    absent = {r.metric for r in table.where(product="covariance", subject="field", outcome=Outcome.ERROR)}
     assert absent == {"total_variance_ratio", "tail_inverse_dof_difference"}

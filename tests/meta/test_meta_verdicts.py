@@ -11,7 +11,7 @@ import pytest
 from hyperval import cli
 from hyperval.campaign.one import Job, run_campaign
 from hyperval.campaign.schema import load_campaign
-from hyperval.results import ResultTable, Status
+from hyperval.results import Outcome, ResultTable
 from hyperval.scene.builtin import builtin_class
 from small_campaign import SmallCampaign
 
@@ -25,20 +25,20 @@ def table_of(small: SmallCampaign) -> ResultTable:
 
 
 def failing(table: ResultTable) -> set[tuple[str, str]]:
-    """Product and subject of every FAIL row."""
-    return {(row.product, row.subject) for row in table.where(status=Status.FAIL)}
+    """Product and subject of every gate that disagrees."""
+    return {(row.product, row.subject) for row in table.where(outcome=Outcome.DISAGREES)}
 
 
 def test_the_campaign_passes_as_it_stands(small):
     table = table_of(small)
     assert failing(table) == set()
-    assert {row.product for row in table.where(status=Status.PASS)} == {
+    assert {row.product for row in table.where(outcome=Outcome.AGREES)} == {
         "radiance",
         "reflectance",
         "roc",
         "abundance",
     }
-    assert len(table.where(status=Status.ERROR)) == 0
+    assert len(table.where(outcome=Outcome.ERROR)) == 0
     assert table.exit_code() == 0
 
 
@@ -173,7 +173,7 @@ def test_a_product_that_was_not_falsified_stays_green(small):
     small_fill(small)
     table = table_of(small)
     assert failing(table) == {("roc", "small-planks")}
-    assert len(table.where(status=Status.PASS)) == 9
+    assert len(table.where(outcome=Outcome.AGREES)) == 9
 
 
 def test_the_command_line_says_so(small, tmp_path):
@@ -181,9 +181,9 @@ def test_the_command_line_says_so(small, tmp_path):
     out = tmp_path / "out"
     assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 1
     text = (out / "results.csv").read_text()
-    assert ",FAIL," in text
+    assert ",disagrees," in text
     assert "<failure" in (out / "junit.xml").read_text()
-    assert "FAIL" in (out / "report.html").read_text()
+    assert "Does not agree" in (out / "report.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_the_command_line_says_so(small, tmp_path):
 def test_a_gate_that_meets_nothing_is_an_error(small, change, reason):
     small.gate("radiance").update(change)
     table = table_of(small)
-    errors = list(table.where(status=Status.ERROR))
+    errors = list(table.where(outcome=Outcome.ERROR))
     assert errors
     assert all(reason in row.reason for row in errors)
     assert table.exit_code() == 1
@@ -218,7 +218,7 @@ def test_a_gate_that_meets_nothing_is_an_error(small, change, reason):
 def test_a_product_that_one_side_lacks_is_an_error_where_it_gates(small, remove, product, side):
     remove(small)
     table = table_of(small)
-    errors = list(table.where(status=Status.ERROR, product=product))
+    errors = list(table.where(outcome=Outcome.ERROR, product=product))
     assert errors
     assert any(side in row.reason for row in errors)
     assert table.exit_code() == 1

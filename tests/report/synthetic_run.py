@@ -15,7 +15,7 @@ from hyperval.products import (
     SpectralEstimate,
 )
 from hyperval.report import Quicklook, RunReport, ScoreMap
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Outcome, Result, ResultTable, Role
 from hyperval.spectra.axis import SpectralAxis
 
 NASTY = "<script>alert('x')</script> & $\\bad$"
@@ -100,16 +100,17 @@ def make_run(
             side["snr"][name] = SpectralEstimate(mean, np.diag((0.06 * mean) ** 2), None, 150)
             side["reflectance"][name] = _reflectance(w, level, rng, 0.01 * (side is o))
         ratio = p["radiance"][name].mean / o["radiance"][name].mean - 1
-        status = Status.PASS if i % 3 != 2 else Status.FAIL
+        outcome = Outcome.AGREES if i % 3 != 2 else Outcome.DISAGREES
         table.add(
-            Result(campaign, "radiance", name, "6S", "median |difference ratio|",
+            Result(campaign, "radiance", name, "6S", "median_abs_difference_ratio_windows",
                    float(np.median(np.abs(ratio))), "1",
-                   lower=0.004, upper=0.031, n=bands, threshold=0.06, status=status,
-                   reason="" if status is Status.PASS else "outside the budget of the prediction"),
-            Result(campaign, "radiance", name, "6S", "consistency p-value", 0.31 / (1 + i), n=bands, threshold=0.05,
-                   reason="" if i % 3 != 1 else "disagrees: the budget does not explain the difference"),
+                   lower=0.004, upper=0.031, n=bands, limit_high=0.06, role=Role.GATE, outcome=outcome,
+                   reason="" if outcome is Outcome.AGREES else "outside the budget of the prediction"),
+            Result(campaign, "radiance", name, "6S", "p_value_full", 0.31 / (1 + i), n=bands, limit_low=0.05,
+                   outcome=Outcome.NONE if i % 3 != 1 else Outcome.DISAGREES,
+                   reason="" if i % 3 != 1 else "the budget does not explain the difference"),
         )  # fmt: skip
-        table.add(*(Result(campaign, "radiance", name, "6S", "difference ratio", float(r), "1", band_nm=float(b))
+        table.add(*(Result(campaign, "radiance", name, "6S", "difference_ratio", float(r), "1", band_nm=float(b))
                     for b, r in zip(w, ratio, strict=True)))  # fmt: skip
     names = [f"plank {i + 1}, fill {1 - 0.08 * i:.2f}" for i in range(curves)]
     for i, name in enumerate(names):
@@ -120,12 +121,14 @@ def make_run(
         o["scores"][name, "CEM"] = ScoreDistribution(0.97 - 0.08 * i, 0.12, 20 + 3 * i)
         p["abundance"][name, "CEM"] = Abundance(9.0 / 2**i, 0.4 / 2**i)
         o["abundance"][name, "CEM"] = Abundance(8.2 / 2**i, 0.6 / 2**i, 40)
-        table.add(Result(campaign, "roc", name, "CEM", "P_D difference at P_FA 1e-3", 0.02 * i, "1", lower=-0.1,
-                         upper=0.15, n=20 + 3 * i, threshold=0.2, status=Status.PASS))  # fmt: skip
+        table.add(Result(campaign, "roc", name, "CEM", "pd_difference@1e-3", 0.02 * i, "1", lower=-0.1,
+                         upper=0.15, n=20 + 3 * i, limit_high=0.2, role=Role.GATE,
+                         outcome=Outcome.AGREES))  # fmt: skip
     for side in (p, o):
         side["scores"]["background", "CEM"] = ScoreDistribution(0.0, 0.08, 12203 if side is o else None)
-    table.add(Result(campaign, "roc", "green planks", "ACE", "P_D difference at P_FA 1e-3",
-                     status=Status.SKIPPED, reason="no truth: `hyperval data fetch x` brings it"))  # fmt: skip
+    table.add(Result(campaign, "roc", "green planks", "ACE", "pd_difference@1e-3",
+                     role=Role.GATE, outcome=Outcome.SKIPPED,
+                     reason="no truth: `hyperval data fetch x` brings it"))  # fmt: skip
     table.add(*rows)
     lines, samples = shape
     y, x = np.mgrid[:lines, :samples]

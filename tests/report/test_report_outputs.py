@@ -22,7 +22,7 @@ from hyperval.report.figures_detection import _best_counted
 from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.html import report_page
 from hyperval.report.style import Drawing, house_style, pages
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Outcome, Result, ResultTable, Role
 
 CURVE = RocCurve(*(np.linspace(0.1, 1.0, 4) for _ in range(5)))
 # Elements that never have an end tag.
@@ -144,7 +144,9 @@ def test_simulated_is_said_everywhere(page, files, tmp_path):
 
 
 def test_names_are_escaped(tmp_path):
-    bad = Result("invented", NASTY, NASTY, NASTY, NASTY, 0.5, NASTY, status=Status.FAIL, reason=NASTY)
+    bad = Result(
+        "invented", NASTY, NASTY, NASTY, "z", 0.5, NASTY, role=Role.GATE, outcome=Outcome.DISAGREES, reason=NASTY
+    )
     nasty = make_run(subjects=(NASTY, "_hidden"), curves=1, rows=[bad], shape=(12, 12))
     nasty = dataclasses.replace(
         nasty, title=NASTY, description=NASTY, notes=(NASTY,), references=(NASTY,),
@@ -161,12 +163,12 @@ def test_names_are_escaped(tmp_path):
 
 def test_every_failure_is_on_the_page():
     failures = [
-        Result("invented", "roc", f"target {i}", "CEM", "P_D", 0.25 + i, threshold=0.5, status=Status.FAIL,
-               reason=f"reason {i}") for i in range(70)
+        Result("invented", "roc", f"target {i}", "CEM", "pd", 0.25 + i, limit_high=0.5, role=Role.GATE,
+               outcome=Outcome.DISAGREES, reason=f"reason {i}") for i in range(70)
     ]  # fmt: skip
     failures += [
-        Result("invented", "radiance", "panel", "6S", "z", 3.0, band_nm=400.0 + i, status=Status.FAIL,
-               reason=f"band {i}") for i in range(30)
+        Result("invented", "radiance", "panel", "6S", "z", 3.0, band_nm=400.0 + i, role=Role.GATE,
+               outcome=Outcome.DISAGREES, reason=f"band {i}") for i in range(30)
     ]  # fmt: skip
     text = Page(report_page(make_run(rows=failures, curves=1), [])).text
     for row in failures:
@@ -177,36 +179,77 @@ def test_every_failure_is_on_the_page():
 
 def test_many_skips_are_named_and_do_not_fill_the_page():
     skips = [
-        Result("invented", "roc", f"target {i}", "CEM", "P_D", status=Status.SKIPPED, reason="too few objects")
+        Result(
+            "invented",
+            "roc",
+            f"target {i}",
+            "CEM",
+            "pd",
+            role=Role.GATE,
+            outcome=Outcome.SKIPPED,
+            reason="too few objects",
+        )
         for i in range(200)
     ]
     page = Page(report_page(make_run(rows=skips, curves=1), []))
-    assert sum(tag == "tr" for tag, _ in page.tags) < 40
-    assert all(f"target {i} CEM P_D" in page.text for i in range(200))
-    assert "201 planned comparisons skipped" in page.text
+    assert sum(tag == "tr" for tag, _ in page.tags) < 240  # all but 16 lines of the matrix are folded
+    assert all(f"target {i} CEM pd" in page.text for i in range(200))
+    assert "201 model gates were skipped" in page.text
 
 
-def test_informing_disagreements_come_first():
+def test_disagreements_that_do_not_decide_come_first():
     rows = [
-        Result("invented", "roc", f"t{i}", "CEM", "inside", 1.0, threshold=1.0,
-               reason=f"would {'not ' if i in (50, 70) else ''}pass at least 1; informs only") for i in range(90)
+        Result("invented", "roc", f"t{i}", "CEM", "pd_difference", 1.0,
+               outcome=Outcome.DISAGREES if i in (50, 70) else Outcome.AGREES) for i in range(90)
     ]  # fmt: skip
     text = Page(report_page(make_run(rows=rows, curves=1), [])).text
-    table = text[text.index("disagreements first") :]
+    table = text[text.index("These do not decide") :]
     assert table.index(" t50 ") < table.index(" t70 ") < table.index(" t0 ")
+
+
+def test_every_cell_links_to_its_evidence(page):
+    cells = [a["href"] for tag, a in page.tags if tag == "a" and "aria-label" in a]
+    ids = {a["id"] for _, a in page.tags if "id" in a}
+    assert len(cells) >= 4
+    assert {c.removeprefix("#") for c in cells} <= ids
+
+
+def test_cells_have_a_letter_and_a_class_for_each_outcome(page):
+    text = page.text
+    assert "A agrees D disagrees U undecided: the data cannot tell S skipped E error · not planned" in text
+    classes = " ".join(a.get("class", "") for tag, a in page.tags if tag == "td")
+    assert {"agrees", "skipped", "none"} <= set(classes.split())
+    assert " A d " in text
+
+
+def test_pages_of_one_side_do_not_call_themselves_validations():
+    rows = ResultTable([Result("s", "roc", "t", "cem/pixel", "pd@1e-2", 0.5)])
+    run = RunReport("s", "S", "", False, rows, kind="Prediction of scenario")
+    text = Page(report_page(run, [])).text
+    assert "alidat" not in text
+    assert "Verdict" not in text
+    assert "Campaign" not in text
+    assert "One side alone: nothing is compared here." in text
+
+
+def test_a_choice_after_the_data_is_printed_with_what_it_was():
+    run = dataclasses.replace(make_run(curves=1), chosen_after=[("radiance: at most 0.06", "at most 0.05")])
+    assert (
+        "Chosen after the data were seen: radiance: at most 0.06. Before: at most 0.05"
+        in Page(report_page(run, [])).text
+    )
 
 
 def test_falsified_result_turns_the_page(run):
     assert run.table.exit_code() == 0
     rows = list(run.table)
-    at = next(i for i, r in enumerate(rows) if r.metric.startswith("median") and r.subject == "grass")
-    rows[at] = dataclasses.replace(rows[at], value=9.0, status=Status.FAIL)
+    at = next(i for i, r in enumerate(rows) if r.metric.startswith("median_abs") and r.subject == "grass")
+    rows[at] = dataclasses.replace(rows[at], value=9.0, outcome=Outcome.DISAGREES)
     before = Page(report_page(run, []))
     after = Page(report_page(dataclasses.replace(run, table=ResultTable(rows)), []))
-    assert "Passes its gates (all 5 gating comparisons passed)" in before.text
-    assert "Passes" not in after.text
+    assert "Agrees in part. 1 model gate was skipped (roc green planks), 5 agree." in before.text
     assert "Agrees" not in after.text
-    assert "Does not agree: 1 of 5 gating comparisons failed (radiance grass 6S)." in after.text
+    assert "Does not agree. 1 model gate disagrees (radiance grass)" in after.text
 
 
 def test_page_numbers_are_those_of_the_table(page, run):
@@ -229,7 +272,7 @@ def test_nothing_at_all_is_undecided(tmp_path):
         empty = RunReport("empty", "Empty", "", False, ResultTable(), *sides)
         files = written(empty, tmp_path / str(number))
         text = Page(files["report.html"].decode()).text
-        assert "Nothing was checked" in text
+        assert "nothing is compared here" in text
         assert "Agrees" not in text
         assert not any(name.startswith(("figures/", "scores/")) for name in files)
 
@@ -331,14 +374,16 @@ def test_time_of_writing_only_when_asked(files, run, tmp_path, monkeypatch):
 
 
 def test_index_joins_campaigns(run, tmp_path):
-    failed = Result("second <b>", "roc", "t", "CEM", "P_D", 0.1, status=Status.FAIL, reason="too low")
+    failed = Result(
+        "second <b>", "roc", "t", "CEM", "pd", 0.1, role=Role.GATE, outcome=Outcome.DISAGREES, reason="too low"
+    )
     second = RunReport("second <b>", "Second", "", False, ResultTable([failed]))
     write_index([run, second], tmp_path)
     page = Page((tmp_path / "report.html").read_text())
     links = [attributes["href"] for tag, attributes in page.tags if tag == "a"]
-    assert links == ["second_b_/report.html", "invented/report.html"], "collected imagery before simulated"
+    pages = list(dict.fromkeys(link.partition("#")[0] for link in links))
+    assert pages == ["second_b_/report.html", "invented/report.html"], "collected imagery before simulated"
     assert "Does not agree" in page.text
-    assert "too low" in page.text
-    assert "SIMULATED collections among them: invented" in page.text
+    assert "SIMULATED: made by a computer" in page.text
     assert len(json.loads((tmp_path / "results.json").read_text())["rows"]) == len(run.table) + 1
     assert (tmp_path / "junit.xml").read_text().count("<testsuite ") == 2

@@ -11,12 +11,14 @@ from hyperval.errors import InputError
 from hyperval.report import write_outputs
 from hyperval.report.side_by_side import _names, compare_runs, difference_table, paired
 from hyperval.report.stored import read_results, read_run
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Outcome, Result, ResultTable, Role
 
 
-def _row(metric="m", value=1.0, status=Status.PASS, **more):
+def _row(metric="bias_ratio", value=1.0, outcome=Outcome.AGREES, **more):
     interval = {"lower": value - 0.1, "upper": value + 0.1}
-    return Result("c", "radiance", "grass", "sixs", metric, value, status=status, **interval, **more)
+    return Result(
+        "c", "radiance", "grass", "sixs", metric, value, role=Role.GATE, outcome=outcome, **interval, **more
+    )
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +27,8 @@ def folders(tmp_path_factory):
     run = make_run()
     changed = []
     for row in run.table:
-        if row.status is Status.PASS:
-            row = dataclasses.replace(row, status=Status.FAIL, value=row.value + 1.0, upper=row.upper + 1.0)
+        if row.outcome is Outcome.AGREES:
+            row = dataclasses.replace(row, outcome=Outcome.DISAGREES, value=row.value + 1.0, upper=row.upper + 1.0)
         changed.append(row)
     for name, table in (("a", run.table), ("b", ResultTable(changed))):
         (tmp_path / name).mkdir()
@@ -43,9 +45,9 @@ def test_a_stored_table_is_read_back_as_it_was(folders):
 def test_a_verdict_that_turned_stands_first(folders):
     assert cli.run(["-q", "compare", str(folders / "a"), str(folders / "b"), "-o", str(folders / "out")]) == 0
     page = (folders / "out" / "report.html").read_text("utf-8")
-    changed = page[page.index("Verdicts that changed") : page.index("What moved")]
-    assert "FAIL" in changed
-    assert "PASS" in changed
+    changed = page[page.index("Outcomes that changed") : page.index("What moved")]
+    assert "disagrees" in changed
+    assert "agrees" in changed
     assert not re.search(r'(src|href)="https?:', page)
     assert len(page) < 5_000_000
 
@@ -55,7 +57,7 @@ def test_a_run_against_itself_has_no_difference(folders):
     rows = list(read_results(folders / "same" / "results.json"))
     assert rows
     assert all(r.value == 0 or r.value != r.value for r in rows)
-    assert "Verdicts that changed</h2>\n<p>None." in (folders / "same" / "report.html").read_text("utf-8")
+    assert "Outcomes that changed</h2>\n<p>None." in (folders / "same" / "report.html").read_text("utf-8")
 
 
 def test_differences_count_in_half_intervals():
@@ -80,10 +82,10 @@ def test_runs_in_folders_of_one_name_are_told_apart(tmp_path):
 
 
 def test_a_gate_that_one_run_lacks_is_a_changed_verdict():
-    pairs = paired(ResultTable([_row("m"), _row("n")]), ResultTable([_row("m")]))
+    pairs = paired(ResultTable([_row("bias_ratio"), _row("z")]), ResultTable([_row("bias_ratio")]))
     assert [p.verdict_changed for p in pairs] == [False, True]
     rows = list(difference_table(pairs))
-    assert [r.status for r in rows] == [Status.INFO, Status.SKIPPED]
+    assert [r.outcome for r in rows] == [Outcome.NONE, Outcome.SKIPPED]
     assert rows[1].reason == "only in run A"
 
 

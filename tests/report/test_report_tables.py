@@ -11,11 +11,11 @@ import pytest
 from synthetic_run import NASTY, make_run
 
 from hyperval.report.tables import junit_xml, results_csv, results_json
-from hyperval.results import COLUMNS, Result, ResultTable, Status
+from hyperval.results import COLUMNS, Outcome, Result, ResultTable, Role
 
 ODD = Result(
-    NASTY, "radiance", 'comma, "quote"\nline', "", "ratio", 0.1 + 0.2, "1", band_nm=float(np.float64(1) / 3),
-    lower=-math.inf, n=np.int64(3), status=Status.FAIL, reason="µ \x00 ]]> <&>",
+    NASTY, "radiance", 'comma, "quote"\nline', "", "bias_ratio", 0.1 + 0.2, "1", band_nm=float(np.float64(1) / 3),
+    lower=-math.inf, n=np.int64(3), role=Role.GATE, outcome=Outcome.DISAGREES, reason="µ \x00 ]]> <&>",
 )  # fmt: skip
 
 
@@ -43,8 +43,8 @@ def test_csv_reads_back_exactly(table):
 
 
 def test_csv_writes_numpy_scalars_as_plain_numbers():
-    text = results_csv([Result("c", "p", "s", "m", "x", np.float64(0.1), n=np.int64(4))])
-    assert text.splitlines()[1] == "c,p,s,m,,x,0.1,1,,,4,,INFO,"
+    text = results_csv([Result("c", "p", "s", "m", "z", np.float64(0.1), n=np.int64(4))])
+    assert text.splitlines()[1] == "c,p,s,m,,z,0.1,1,,,4,,,inform,model,none,,,"
 
 
 def test_json_has_the_same_rows_and_is_strict(table):
@@ -52,7 +52,9 @@ def test_json_has_the_same_rows_and_is_strict(table):
         raise AssertionError(f"{name} is not JSON")
 
     document = json.loads(results_json(table), parse_constant=refuse)
-    assert document["counts"] == {"PASS": 5, "FAIL": 1, "ERROR": 0, "SKIPPED": 1, "INFO": 82}
+    assert document["counts"] == {
+        "agrees": 5, "disagrees": 2, "undecided": 0, "skipped": 1, "error": 0, "none": 81,
+    }  # fmt: skip
     assert sum(document["counts"].values()) == len(document["rows"]) == len(table)
     last = document["rows"][-1]
     assert last["value"] == ODD.value
@@ -63,19 +65,23 @@ def test_json_has_the_same_rows_and_is_strict(table):
 
 
 def test_junit_counts_match_the_table(table):
-    table.add(Result("other", "roc", "a", "CEM", "P_D", status=Status.ERROR, reason="singular"))
+    table.add(Result("other", "roc", "a", "CEM", "pd", role=Role.GATE, outcome=Outcome.ERROR, reason="singular"))
     root = ElementTree.fromstring(junit_xml(table))  # noqa: S314 - our own text
     gates = table.gates()
     assert int(root.get("tests")) == len(root.findall(".//testcase")) == len(gates)
-    for status, element in ((Status.FAIL, "failure"), (Status.ERROR, "error"), (Status.SKIPPED, "skipped")):
+    for outcome, element in (
+        (Outcome.DISAGREES, "failure"),
+        (Outcome.ERROR, "error"),
+        (Outcome.SKIPPED, "skipped"),
+    ):
         found = root.findall(f".//{element}")
-        assert len(found) == len(gates.where(status=status))
+        assert len(found) == len(gates.where(outcome=outcome))
         assert all(item.get("message") for item in found)
     assert int(root.get("failures")) == 1
     assert int(root.get("errors")) == 1
     assert int(root.get("skipped")) == 1
     assert [suite.get("name") for suite in root] == ["invented", NASTY, "other"]
-    assert "difference ratio 400" not in junit_xml(table), "INFO rows are not test cases"
+    assert "difference_ratio 400" not in junit_xml(table), "rows that do not decide are no test cases"
 
 
 def test_junit_of_an_empty_table_parses():

@@ -1,91 +1,105 @@
-"""The verdict says "agrees" only when something passed and nothing failed."""
+"""The verdict says "agrees" only where model gates agree and nothing else disagrees."""
 
 import math
-from dataclasses import replace
 
 import pytest
 
-from hyperval.report.glossary import explained, meaning
+from hyperval.metrics import Evidence, explained, metric_of
 from hyperval.report.verdict import (
-    informs_of_disagreement,
+    disagrees_without_gating,
+    gate_fails,
     interval_text,
-    is_planned,
+    last_line,
+    limits_text,
     number_text,
-    threshold_text,
     value_text,
     verdict,
+    worst,
 )
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result, Role
+
+A, D, U, S, E, N = (
+    Outcome.AGREES, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.ERROR, Outcome.NONE,
+)  # fmt: skip
 
 
-def row(status, reason="", subject="grass"):
-    return Result("c", "radiance", subject, "6S", "ratio", 0.01, status=status, reason=reason)
+def row(outcome, subject="grass", role=Role.GATE, evidence=Evidence.MODEL, **more):
+    return Result(
+        "c", "radiance", subject, "6S", "bias_ratio", 0.01, outcome=outcome, role=role, evidence=evidence, **more
+    )
+
+
+def informing(outcome, subject="grass"):
+    return row(outcome, subject, Role.INFORM)
 
 
 @pytest.mark.parametrize(
-    ("statuses", "tone"),
+    ("outcomes", "tone"),
     [
-        ([Status.PASS, Status.PASS], "agree"),
-        ([Status.PASS, Status.SKIPPED], "agree"),
-        ([Status.PASS, Status.FAIL], "disagree"),
-        ([Status.FAIL], "disagree"),
-        ([Status.PASS, Status.ERROR], "undecided"),
-        ([Status.SKIPPED], "undecided"),
-        ([Status.INFO], "undecided"),
-        ([], "undecided"),
+        ([A, A], A), ([A, S], U), ([A, U], U), ([A, D], D), ([D], D), ([A, E], E), ([S], U), ([U], U), ([], N),
     ],
-)
-def test_tone_follows_the_statuses(statuses, tone):
-    found, words = verdict([row(s) for s in statuses])
-    assert found == tone
-    assert words.startswith("Agrees") == (tone == "agree")
-    assert ("Nothing was checked" in words) == (Status.PASS not in statuses and not {Status.FAIL} & set(statuses))
+)  # fmt: skip
+def test_tone_follows_the_outcomes(outcomes, tone):
+    tone_now, words = verdict([row(o) for o in outcomes])
+    assert tone_now is tone
+    assert words.startswith("Agrees.") == (tone is A)
+    assert ("Nothing was decided" in words) == (A not in outcomes and D not in outcomes and E not in outcomes)
 
 
-def test_failures_errors_and_skips_are_named():
-    _, words = verdict([row(Status.FAIL, subject="lawn"), row(Status.ERROR, subject="turf"), row(Status.PASS)])
-    assert "lawn" in words
-    assert "turf" in words
-    assert "1 of 2 gating comparisons failed" in words
+def test_checks_of_the_pipeline_are_counted_apart_and_are_no_agreement_of_the_model():
+    checks = [row(A, evidence=Evidence.PIPELINE) for _ in range(18)]
+    assert "18 checks of the pipeline agree." in verdict(checks)[1]
+    assert verdict(checks)[1].startswith("No comparison with the model was decided.")
+    assert verdict(checks)[0] is U
+    both = verdict([row(A) for _ in range(12)] + checks)
+    assert both == (A, "Agrees. 12 model gates agree. 18 checks of the pipeline agree.")
 
 
-def test_a_falsified_pass_turns_the_verdict():
-    rows = [row(Status.PASS) for _ in range(20)]
-    assert verdict(rows)[0] == "agree"
-    rows[7] = row(Status.FAIL)
-    assert verdict(rows)[0] == "disagree"
+def test_what_disagrees_fails_and_was_skipped_is_named():
+    _, words = verdict([row(D, "lawn"), row(E, "turf"), row(U, "lot"), row(A)])
+    assert words == (
+        "Does not agree. 1 model gate disagrees (radiance lawn), 1 ended in an error (radiance turf), "
+        "1 could not be decided (radiance lot), 1 agrees."
+    )
 
 
-def test_informing_disagreement_is_told_and_does_not_fail():
-    tone, words = verdict([row(Status.PASS), row(Status.INFO, "disagrees: p = 0.001", "green planks")])
-    assert tone == "mixed"
-    assert words.startswith("Passes its gates (the one gating comparison passed), but not everything agrees.")
-    assert "Agrees" not in words
-    assert "found a disagreement (radiance green planks 6S)" in words
+def test_one_falsified_gate_turns_the_verdict():
+    rows = [row(A) for _ in range(20)]
+    assert verdict(rows)[0] is A
+    rows[7] = row(D)
+    assert verdict(rows)[0] is D
 
 
-def test_a_full_test_that_rejects_is_told_but_not_planned():
-    rejected = replace(row(Status.INFO, ""), metric="p_value_full", value=1e-9)
-    assert informs_of_disagreement(rejected)
-    assert not informs_of_disagreement(replace(rejected, value=0.5))
-    assert not is_planned(rejected)
+def test_a_disagreement_that_does_not_decide_is_told_and_forbids_to_agree():
+    tone, words = verdict([row(A), informing(D, "green planks")])
+    assert tone is U
+    assert words.startswith("Agrees in part.")
+    assert "1 comparison that does not decide disagrees (radiance green planks)" in words
 
 
-@pytest.mark.parametrize(
-    ("reason", "told"),
-    [
-        ("would not pass at most 0.06; informs only: aerosol is not known", True),
-        ("8 of 10 rows at most 2; outside: a, b; would not pass at least 0.9", True),
-        ("would be an error: the value is NaN", True),
-        ("differs by more than the margin", True),
-        ("would pass at most 0.06; informs only: first campaign", False),
-        ("", False),
-    ],
-)
-def test_reasons_that_tell_of_a_disagreement(reason, told):
-    assert informs_of_disagreement(row(Status.INFO, reason)) == told
-    assert not informs_of_disagreement(row(Status.PASS, reason))
-    assert is_planned(row(Status.INFO, reason)) == bool(reason)
+def test_the_reason_decides_nothing():
+    told = "disagrees; would not pass at most 1; inconsistent; outside"
+    assert verdict([row(A, reason=told), row(N, role=Role.INFORM, reason=told)])[0] is A
+    assert not disagrees_without_gating(row(N, role=Role.INFORM, reason=told))
+
+
+def test_many_disagreements_are_counted_by_product():
+    others = [informing(D, f"field {i}") for i in range(8)]
+    assert "8 comparisons that do not decide disagree (8 of radiance)" in verdict([row(A), *others])[1]
+
+
+def test_undecided_gates_are_counted_in_the_last_line():
+    assert last_line([row(A), row(U), row(U), informing(D)]) == "gates: 1 agree, 2 undecided"
+    assert last_line([informing(D)]) == "gates: none"
+
+
+def test_the_worst_outcome_counts_for_several_rows():
+    assert worst([row(A), row(U), row(S)]) is U
+    assert worst([row(A), row(D), row(U)]) is D
+    assert worst([]) is N
+    assert gate_fails(row(D))
+    assert not gate_fails(informing(D))
+    assert gate_fails(informing(E))
 
 
 @pytest.mark.parametrize(
@@ -112,56 +126,23 @@ def test_value_and_interval_share_their_digits():
     assert interval_text(r) == "7.1 to 9.4"
 
 
-def _full_test(value):
-    return Result(
-        "c", "reflectance", "panel", "statistics", "p_value_full", value, reason="144 of 163 directions kept"
-    )
-
-
-def test_a_spectrum_that_the_full_test_rejects_is_told_beside_passes():
-    assert verdict([row(Status.PASS), _full_test(0.0)])[0] == "mixed"
-    assert verdict([row(Status.PASS), _full_test(0.02)])[0] == "agree"
-    assert verdict([row(Status.PASS), _full_test(math.nan)])[0] == "agree"
-
-
-def test_many_disagreements_are_counted_by_product():
-    rows = [row(Status.INFO, "differs", f"field {i}") for i in range(8)]
-    _, words = verdict([row(Status.PASS), *rows, _full_test(0.0)])
-    assert "9 comparisons found a disagreement (8 of radiance, 1 of reflectance)" in words
-
-
 @pytest.mark.parametrize(
     ("value", "text"), [(0.0, "< 1e−300"), (0.18472, "0.18"), (3.219e-7, "3.2e−07"), (0.99979, "> 0.999")]
 )
 def test_p_values_have_two_digits_and_are_never_nothing(value, text):
-    assert value_text(_full_test(value)) == text
+    assert value_text(Result("c", "radiance", "panel", "6S", "p_value_full", value)) == text
 
 
 @pytest.mark.parametrize(
-    ("value", "status", "reason", "text"),
-    [
-        (0.9, Status.PASS, "", "≥ 0.75"),
-        (0.6, Status.FAIL, "", "≥ 0.75"),
-        (0.6, Status.PASS, "", "≤ 0.75"),
-        (0.9, Status.INFO, "would not pass within 0.1 to 0.75; informs only: x", "≤ 0.75"),
-        (0.75, Status.INFO, "would pass at least 0.75; informs only: x", "≥ 0.75"),
-        (0.75, Status.PASS, "", "0.75"),
-        (math.nan, Status.ERROR, "", "0.75"),
-    ],
-)
-def test_the_side_of_a_threshold_is_told(value, status, reason, text):
-    one = Result("c", "abundance", "t", "cem", "area_ratio", value, threshold=0.75, status=status, reason=reason)
-    assert threshold_text(one) == text
+    ("low", "high", "text"),
+    [(math.nan, 0.06, "≤ 0.06"), (0.01, math.nan, "≥ 0.01"), (-0.015, 0.015, "−0.015 to 0.015"),
+     (math.nan, math.nan, "")],
+)  # fmt: skip
+def test_a_range_is_printed_from_its_limits_whatever_the_reason_says(low, high, text):
+    assert limits_text(row(A, limit_low=low, limit_high=high, reason="at most a sixth more planks")) == text
 
 
 def test_metrics_are_explained_in_words():
-    assert "predicted over measured variance" in meaning("eigenvalue_ratio@3")
-    assert meaning("nobody's metric") == ""
-    assert explained([_full_test(0.5), _full_test(0.1)]) == [("p_value_full", meaning("p_value_full"))]
-
-
-def test_a_campaign_without_gates_does_not_say_that_nothing_was_found():
-    tone, words = verdict([row(Status.INFO, "differs")])
-    assert tone == "undecided"
-    assert words.startswith("Nothing was checked by a gate: every comparison of this campaign only informs. ")
-    assert "1 comparison found a disagreement" in words
+    words = metric_of("p_value_full").words
+    assert explained(["p_value_full", "p_value_full"]) == [("p_value_full", words)]
+    assert "predicted over measured variance" in metric_of("eigenvalue_ratio@3").words

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result
 from hyperval.scoreboard import agreement as a
 
 BANDS = np.arange(400.0, 2400.0, 10.0)
@@ -28,7 +28,7 @@ def test_rows_are_gathered_in_windows_only():
         row("radiance", "lawn", "difference_ratio", math.nan, band_nm=560.0),
         row("radiance", "lawn", "chi2_reduced_full", 2.0, n=10),
         row("roc", "t", "pd_inside_interval@1e-2", 1.0),
-        row("roc", "t", "pd_inside_interval@1e-2", math.nan, status=Status.SKIPPED),
+        row("roc", "t", "pd_inside_interval@1e-2", math.nan, outcome=Outcome.SKIPPED),
         row("roc", "t", "pd_difference@1e-2", -0.25),
     ]
     found = a.agreement_of(rows)

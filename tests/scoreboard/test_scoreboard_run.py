@@ -52,7 +52,7 @@ def test_every_detector_engine_and_formulation_has_its_rows_and_the_folder_repea
     every = {(r["method"], r["metric"]): r for r in rows if r["subject"] == "all objects"}
     for name in DETECTORS:
         for metric in ("auc", "rank_auc", "first_auc", "pd@1e-2", "rank_far@pd0.5"):
-            assert every[f"{name}/object", metric]["status"] == "INFO"
+            assert every[f"{name}/object", metric]["outcome"] == "none"
         rank = every[f"{name}/object", "rank_auc"]
         assert float(rank["lower"]) <= float(rank["value"]) <= float(rank["upper"])
         assert rank["n"] == "96"
@@ -65,8 +65,8 @@ def test_every_detector_engine_and_formulation_has_its_rows_and_the_folder_repea
 
     variants = {(r["method"], r["metric"]): r for r in rows if r["subject"] == "all subjects"}
     for label in ("sixs, corrected", "sixs, thesis"):
-        assert variants[label, "radiance_median_abs_difference_ratio"]["status"] == "INFO"
-        assert variants[label, "pd_inside_interval@1e-2"]["status"] == "INFO"
+        assert variants[label, "radiance_median_abs_difference_ratio"]["outcome"] == "none"
+        assert variants[label, "pd_inside_interval@1e-2"]["outcome"] == "none"
     assert float(variants["sixs, corrected", "radiance_median_abs_difference_ratio"]["value"]) < 0.02  # closure
     assert variants["modtran, corrected", "agreement"]["reason"] == "HYPERVAL_MODTRAN names no executable"
     names = {p.relative_to(one).as_posix() for p in one.rglob("*") if p.is_file()}
@@ -110,9 +110,9 @@ def test_what_cannot_run_is_skipped_with_the_reason(small, tmp_path, no_drawing)
     assert run(small.write(), "-o", tmp_path / "out") == 0
     rows = {(r["method"], r["metric"]): r for r in rows_of(tmp_path / "out") if r["subject"] == "all objects"}
     for name in ("osp", "sam"):
-        assert rows[f"{name}/object", "rank"]["status"] == "SKIPPED"
+        assert rows[f"{name}/object", "rank"]["outcome"] == "skipped"
         assert "local window" in rows[f"{name}/object", "rank"]["reason"]
-    assert rows["ace/object", "auc"]["status"] == "INFO"
+    assert rows["ace/object", "auc"]["outcome"] == "none"
 
 
 def test_a_detector_that_the_collection_refuses_leaves_the_campaigns_own(small, tmp_path, no_drawing):
@@ -125,7 +125,7 @@ def test_a_detector_that_the_collection_refuses_leaves_the_campaigns_own(small, 
     assert run(small.write(), "--extend", tmp_path / "bad.py", "-o", tmp_path / "out") == 0
     rows = {(r["method"], r["metric"]): r for r in rows_of(tmp_path / "out") if r["subject"] == "all objects"}
     assert "no such thing here" in rows["bad/object", "rank"]["reason"]
-    assert rows["cem/object", "auc"]["status"] == "INFO"
+    assert rows["cem/object", "auc"]["outcome"] == "none"
 
 
 def test_a_broken_campaign_is_an_error_row_beside_the_others(make_small, tmp_path, no_drawing):
@@ -134,7 +134,7 @@ def test_a_broken_campaign_is_an_error_row_beside_the_others(make_small, tmp_pat
     (bad.collection / "small_rad.img").unlink()
     assert run(good.write(), bad.write(), "-o", tmp_path / "out") == 3
     rows = rows_of(tmp_path / "out")
-    assert [r["status"] for r in rows if r["campaign"] == "bad"] == ["ERROR"]
+    assert [r["outcome"] for r in rows if r["campaign"] == "bad"] == ["error"]
     assert any(r["campaign"] == "small" and r["metric"] == "auc" for r in rows)
 
 

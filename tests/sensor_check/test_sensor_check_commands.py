@@ -83,7 +83,7 @@ def test_a_broken_sensor_fails_by_the_contract_and_says_what(here, capsys, no_dr
     assert run(["sensor", "check", "bad.yaml", "-o", "sheet"]) == 1
     assert "too few bits" in capsys.readouterr().out
     with open(here / "sheet" / "results.csv", newline="") as stream:
-        failed = [row for row in csv.DictReader(stream) if row["status"] == "FAIL"]
+        failed = [row for row in csv.DictReader(stream) if row["outcome"] == "disagrees"]
     assert {row["metric"] for row in failed} == {"quantisation_over_other_noise", "computed_over_published"}
     assert all(float(row["value"]) > 1 for row in failed if row["product"] == "noise")
     assert "Not accepted" in (here / "sheet" / "report.html").read_text()
@@ -184,9 +184,9 @@ def test_the_page_s_own_commands_on_its_own_files(here):
         assert run(command) == 0, command
     assert (here / "fieldscan-check" / "report.html").exists()
     with open(here / "fieldscan-campaign" / "results.csv", newline="") as stream:
-        statuses = [row["status"] for row in csv.DictReader(stream)]
-    assert statuses.count("PASS") == 6
-    assert "FAIL" not in statuses
+        statuses = [row["outcome"] for row in csv.DictReader(stream)]
+    assert statuses.count("agrees") == 6
+    assert "disagrees" not in statuses
 
 
 def test_the_page_s_file_refuses_nothing_the_table_names():

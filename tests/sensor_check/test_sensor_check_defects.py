@@ -14,7 +14,7 @@ import hyperval.sensor_check.bands as bands_module
 import hyperval.sensor_check.noise as noise_module
 import hyperval.sensor_check.scenarios as scenarios_module
 from hyperval.errors import UsageError
-from hyperval.results import Status
+from hyperval.results import Outcome
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor_check.suite import SensorCheck, check_sensor
 from small_campaign import stand_in_atmosphere
@@ -28,7 +28,7 @@ def run(data: dict[str, Any]) -> SensorCheck:
 
 
 def failures(check: SensorCheck) -> set[str]:
-    return {f"{r.product}/{r.metric}" for r in check.table if r.status in (Status.FAIL, Status.ERROR)}
+    return {f"{r.product}/{r.metric}" for r in check.table if r.outcome in (Outcome.DISAGREES, Outcome.ERROR)}
 
 
 def rows_of(table: list[list[float]]) -> dict[str, Any]:
@@ -156,7 +156,7 @@ def test_a_defect_of_the_file_fails(name, good):
     check = run(make())
     assert expected in failures(check)
     assert check.exit_code == 1
-    bad = next(r for r in check.table if f"{r.product}/{r.metric}" == expected and r.status is Status.FAIL)
+    bad = next(r for r in check.table if f"{r.product}/{r.metric}" == expected and r.outcome is Outcome.DISAGREES)
     assert bad.reason
 
 
@@ -249,7 +249,9 @@ def test_a_defect_of_the_program_fails(name, monkeypatch):
 
 def test_every_gate_is_shown_to_fail(good):
     gates = {
-        f"{r.product}/{r.metric}" for r in (*good.table, *run(measured_sensor()).table) if r.status is Status.PASS
+        f"{r.product}/{r.metric}"
+        for r in (*good.table, *run(measured_sensor()).table)
+        if r.outcome is Outcome.AGREES
     }
     shown = {expected for _, expected in (*FILE_DEFECTS.values(), *PROGRAM_DEFECTS.values())}
     assert gates - shown == set()
@@ -265,6 +267,6 @@ def test_the_numbers_name_the_size_of_the_defect(monkeypatch):
 
 def test_what_depends_on_a_failed_part_is_skipped():
     check = run(swapped_bands())
-    skipped = {r.product for r in check.table if r.status is Status.SKIPPED}
+    skipped = {r.product for r in check.table if r.outcome is Outcome.SKIPPED}
     assert {"throughput", "noise", "scenario", "sensitivity"} <= skipped
     assert not check.usable

@@ -7,7 +7,7 @@ import pytest
 from sensor_data import SHEET, changed, good_sensor, measured_sensor, sensor_of
 
 from hyperval.errors import UsageError
-from hyperval.results import Status
+from hyperval.results import Outcome, Role
 from hyperval.sensor.published import ReferenceScene
 from hyperval.sensor.specification import load_sensor
 from hyperval.sensor_check.bands import applied_moments, neighbour_ratio, unseen_widths
@@ -78,12 +78,12 @@ def test_published_ratio_by_hand():
 @pytest.mark.parametrize(
     ("entry", "status"),
     [
-        ({"table": [[550, 300]], "radiance": {"value": 10, **Q}}, Status.PASS),
-        ({"table": [[550, 240]], "radiance": {"value": 10, **Q}}, Status.FAIL),  # 28 % above a value
-        ({"table": [[550, 240]], "says": "at least", "radiance": {"value": 10, **Q}}, Status.PASS),
-        ({"table": [[550, 315]], "says": "at least", "radiance": {"value": 10, **Q}}, Status.FAIL),
-        ({"table": [[550, 5000]]}, Status.INFO),  # no radiance stated: not judged
-        ({"table": [[1500, 300]], "radiance": {"value": 10, **Q}}, Status.FAIL),  # no such band
+        ({"table": [[550, 300]], "radiance": {"value": 10, **Q}}, Outcome.AGREES),
+        ({"table": [[550, 240]], "radiance": {"value": 10, **Q}}, Outcome.DISAGREES),  # 28 % above a value
+        ({"table": [[550, 240]], "says": "at least", "radiance": {"value": 10, **Q}}, Outcome.AGREES),
+        ({"table": [[550, 315]], "says": "at least", "radiance": {"value": 10, **Q}}, Outcome.DISAGREES),
+        ({"table": [[550, 5000]]}, Outcome.NONE),  # no radiance stated: not judged
+        ({"table": [[1500, 300]], "radiance": {"value": 10, **Q}}, Outcome.DISAGREES),  # no such band
     ],
 )
 def test_how_published_ratios_are_judged(entry, status):
@@ -92,7 +92,7 @@ def test_how_published_ratios_are_judged(entry, status):
     sensor = sensor_of(changed(good_sensor(), published_snr=[{**entry, **Q}]))
     ledger = Ledger("good")
     check_published(sensor, sensor.axis, ledger, stand_in_atmosphere)
-    assert [r.status for r in ledger.table] == [status]
+    assert [r.outcome for r in ledger.table] == [status]
 
 
 def test_radiance_and_scene_exclude_each_other():
@@ -108,8 +108,8 @@ def test_a_known_discrepancy_informs_with_its_reason():
     data = changed(good_sensor(), published_snr=entry, known_discrepancies=known)
     check = check_sensor(sensor_of(data), engine=stand_in_atmosphere)
     (row,) = check.table.where(product="published_snr")
-    assert row.status is Status.INFO
-    assert row.reason.startswith("disagrees, as known: the sheet averages two frames")
+    assert (row.outcome, row.role) == (Outcome.DISAGREES, Role.INFORM)
+    assert row.reason.startswith("as known: the sheet averages two frames")
     assert check.exit_code == 0
 
 
@@ -148,7 +148,7 @@ def test_measured_noise_without_full_scale_says_so():
     del data["measured_noise"]["saturation_radiance"]
     check = check_sensor(sensor_of(data), engine=stand_in_atmosphere)
     (row,) = check.table.where(product="saturation")
-    assert row.status is Status.INFO
+    assert row.outcome is Outcome.NONE
     assert "does not say" in row.reason
 
 
@@ -161,7 +161,9 @@ def test_bands_part_by_part_and_stated_gaps():
         ],
         **Q,
     }
-    failed = [r for r in check_sensor(sensor_of(data), engine=stand_in_atmosphere).table if r.status is Status.FAIL]
+    failed = [
+        r for r in check_sensor(sensor_of(data), engine=stand_in_atmosphere).table if r.outcome is Outcome.DISAGREES
+    ]
     assert [r.metric for r in failed] == ["widest_gap_fwhm"]
     data["bands"]["gaps"] = [{"range_nm": [662, 740], **Q}]
     assert check_sensor(sensor_of(data), engine=stand_in_atmosphere).exit_code == 0
@@ -175,4 +177,4 @@ def test_published_ratios_of_the_library_in_their_own_scene(name, tmp_path, monk
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path))
     sensor, ledger = load_sensor(name), Ledger(name)
     check_published(sensor, sensor.axis, ledger)
-    assert {r.status for r in ledger.table} == {Status.PASS}
+    assert {r.outcome for r in ledger.table} == {Outcome.AGREES}

@@ -53,7 +53,7 @@ def test_a_study_writes_everything(make_study, tmp_path, quick):
         np.testing.assert_array_equal(data["fill"].values, table["fill"].to_numpy())
         assert data["c"].attrs["units"] == "%"
     rows = json.loads((out / "results.json").read_text())["rows"]
-    assert {r["status"] for r in rows} <= {"INFO", "SKIPPED"}
+    assert {r["outcome"] for r in rows} <= {"none", "skipped"}
     agreement = [r["value"] for r in rows if r["metric"] == "greatest_relative_difference_from_predict"]
     assert agreement[0] < 1e-9
     unsolved = table["signal"].isna()

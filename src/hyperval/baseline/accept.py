@@ -75,7 +75,7 @@ def accept(
 
     Raises
     ------
-    UsageError : no reason, or a run that fails its own gates or ended in an error.
+    UsageError : no reason, or a run that ended in an error.
     """
     words = " ".join(reason.split())
     if not words:
@@ -85,8 +85,8 @@ def accept(
         if run.broken:
             raise UsageError(
                 f"the run of {run.owner} is no baseline: {run.broken[0]}",
-                expected="a run that passes its own gates",
-                mend="mend the code, or make the gate inform, with its reason, in the campaign",
+                expected="a run without errors",
+                mend="mend the code or the campaign",
             )
     plans = [(run, *_plan(run, baselines)) for run in runs if run.skipped is None]
     written, unchanged, changes = {}, [], []

@@ -15,7 +15,7 @@ from hyperval.folders import whole_folder
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.outputs import campaign_folders
 from hyperval.report.tables import junit_xml
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.sensor_check.reference import Engine
 
 RUNS = "runs"
@@ -41,7 +41,7 @@ class Checked:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Checks:
     """What a check found."""
 
     checked: list[Checked] = field(default_factory=list)
@@ -67,7 +67,7 @@ def check(
     junit: Path | None = None,
     engine: Engine | None = None,
     show_progress: bool | None = None,
-) -> Outcome:
+) -> Checks:
     """Compare campaigns and sensors with what was accepted.
 
     Parameters
@@ -103,33 +103,37 @@ def _checked(
     keep: Path | None,
     engine: Engine | None,
     show_progress: bool | None,
-) -> Outcome:
+) -> Checks:
     runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine, show_progress=show_progress)
-    return Outcome([_against(run, baselines) for run in runs])
+    return Checks([_against(run, baselines) for run in runs])
 
 
 def _against(run: Run, folder: Path) -> Checked:
     path = baseline_path(folder, run.kind, run.name)
     if run.skipped is not None:
-        return Checked(run, [], ResultTable([_one(run, Status.SKIPPED, run.skipped)]), path)
+        return Checked(run, [], ResultTable([_one(run, Outcome.SKIPPED, run.skipped)]), path)
     baseline = stored(folder, run.kind, run.name)
     if baseline is not None:
         found = compare(run.owner, baseline.metrics, run.metrics)
         return Checked(run, found, ResultTable(d.row() for d in found), path)
     if run.broken:
         words = f"no baseline ({path}), and this run cannot become one: {run.broken[0]}"
-        return Checked(run, [], ResultTable([_one(run, Status.FAIL, words)]), path)
+        return Checked(run, [], ResultTable([_one(run, Outcome.DISAGREES, words)]), path)
     candidate = candidate_path(folder, run.kind, run.name)
     write_baseline(candidate, run.kind, run.name, "", run.versions, accepted_of(run.metrics, {}), candidate=True)
     words = f"no baseline ({path}); the numbers of this run are in {candidate}"
-    return Checked(run, [], ResultTable([_one(run, Status.FAIL, words)]), path, candidate)
+    return Checked(run, [], ResultTable([_one(run, Outcome.DISAGREES, words)]), path, candidate)
 
 
-def _one(run: Run, status: Status, reason: str) -> Result:
-    return Result(run.owner, "baseline", run.name, run.kind, "baseline", status=status, reason=reason)
+def _one(run: Run, outcome: Outcome, reason: str) -> Result:
+    cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.NONE
+    return Result(
+        run.owner, "baseline", run.name, run.kind, "baseline", role=Role.GATE, outcome=outcome, cause=cause,
+        reason=reason,
+    )  # fmt: skip
 
 
-def _write(outcome: Outcome, folder: Path) -> None:
+def _write(outcome: Checks, folder: Path) -> None:
     """A folder of results: one page for each campaign and sensor, and one that joins them."""
     reports = [
         RunReport(
@@ -137,6 +141,7 @@ def _write(outcome: Outcome, folder: Path) -> None:
             title=f"{item.run.title}: against the accepted numbers",
             description="Each number of this run beside the one that was accepted; it fails beyond its tolerance.",
             simulated=item.run.simulated,
+            kind="Accepted numbers of",
             table=item.rows,
             provenance={
                 "command": command_without_output(),
@@ -151,7 +156,7 @@ def _write(outcome: Outcome, folder: Path) -> None:
         inner = folder / folders[report.campaign]
         inner.mkdir(exist_ok=True)
         write_outputs(report, inner)
-    write_index(reports, folder)
+    write_index(reports, folder, "Accepted numbers")
 
 
 def _inputs(path: Path) -> list[dict[str, str | None]]:

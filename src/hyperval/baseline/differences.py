@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from hyperval.baseline.metrics import Measured
 from hyperval.baseline.schema import Accepted, split_key
 from hyperval.baseline.tolerances import rounded
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result, Role
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Difference:
     owner : campaign, or "sensor NAME"
     key : name of the number
     accepted, now : None where that side does not hold it
-    status : PASS, FAIL
+    outcome : agrees, disagrees
     words : what is wrong, empty when nothing is
     """
 
@@ -29,7 +29,7 @@ class Difference:
     key: str
     accepted: Accepted | None
     now: Measured | None
-    status: Status
+    outcome: Outcome
     words: str = ""
 
     @property
@@ -47,32 +47,31 @@ class Difference:
         return rounded(self.now.value) != self.accepted.accepted
 
     def row(self) -> Result:
-        """As a row of results: the value now, the accepted range as its threshold and in words."""
+        """As a row of results: the value now, the tolerated range as its limits, and in words."""
         product, subject, method, metric = split_key(self.key)
         value = self.now.value if self.now else math.nan
         unit = self.now.unit if self.now else "1"
-        threshold = math.nan
+        low = high = math.nan
         if self.accepted is not None and self.accepted.accepted is not None:
-            sign = -1.0 if self.change < 0 else 1.0
-            threshold = self.accepted.accepted + sign * self.accepted.width
+            low, high = (self.accepted.accepted + sign * self.accepted.width for sign in (-1.0, 1.0))
         return Result(
             self.owner, product, subject, method, metric, value, unit,
-            threshold=threshold, status=self.status, reason=self.words,
+            limit_low=low, limit_high=high, role=Role.GATE, outcome=self.outcome, reason=self.words,
         )  # fmt: skip
 
 
 def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Measured]) -> list[Difference]:
     """One difference for each number of either side, by name.
 
-    FAIL: beyond the tolerance, no longer there, not accepted yet, a value where there was none or none where there
-    was one, another verdict.  A number that was not accepted fails: until it is, nothing guards it.
+    It disagrees: beyond the tolerance, no longer there, not accepted yet, a value where there was none or none
+    where there was one, another outcome.  A number that was not accepted fails: until it is, nothing guards it.
     """
     return [_judged(owner, key, accepted.get(key), now.get(key)) for key in sorted({*accepted, *now})]
 
 
 def _judged(owner: str, key: str, old: Accepted | None, new: Measured | None) -> Difference:
     words = _objection(key, old, new)
-    return Difference(owner, key, old, new, Status.FAIL if words else Status.PASS, words)
+    return Difference(owner, key, old, new, Outcome.DISAGREES if words else Outcome.AGREES, words)
 
 
 def _objection(key: str, old: Accepted | None, new: Measured | None) -> str:
@@ -82,7 +81,7 @@ def _objection(key: str, old: Accepted | None, new: Measured | None) -> str:
         return (
             f"{split_key(key)[-1]} is missing: the run does not give this number (accepted {_text(old.accepted)})"
         )
-    told = f" ({new.reason})" if new.reason and new.status is not Status.INFO else ""
+    told = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
     value = new.value if math.isfinite(new.value) else None
     words = ""
     if (value is None) != (old.accepted is None):
@@ -91,8 +90,8 @@ def _objection(key: str, old: Accepted | None, new: Measured | None) -> str:
         words = (
             f"moved from {old.accepted:.6g} to {value:.6g}: {value - old.accepted:+.3g}, tolerance {old.width:.3g}"
         )
-    if new.status.value != old.status:
-        verdict = f"the verdict changed from {old.status} to {new.status}{told}"
+    if new.outcome.value != old.outcome:
+        verdict = f"the outcome changed from {old.outcome} to {new.outcome}{told}"
         words = f"{words}; {verdict}" if words else verdict
     return f"{split_key(key)[-1]} {words}" if words else ""
 

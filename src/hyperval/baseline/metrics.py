@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 from hyperval.baseline.schema import key_of
-from hyperval.report.verdict import is_per_band, is_planned
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result
 
 # A planned row is often an absolute value or a verdict; these say which way and how far the two sides moved.
 BEHIND: Mapping[str, tuple[str, ...]] = {
@@ -20,16 +19,16 @@ BEHIND: Mapping[str, tuple[str, ...]] = {
     "roc": ("pd_predicted@*", "pd_measured@*"),
     "abundance": ("area_predicted", "area_observed", "area_ratio"),
 }
-_ORDER = (Status.ERROR, Status.FAIL, Status.SKIPPED, Status.PASS, Status.INFO)
+_ORDER = (Outcome.ERROR, Outcome.DISAGREES, Outcome.SKIPPED, Outcome.UNDECIDED, Outcome.AGREES, Outcome.NONE)
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One number of a run: its value (NaN without one), half its 95 % interval, its verdict, and a reason."""
+    """One number of a run: its value (NaN without one), half its 95 % interval, its outcome, and a reason."""
 
     value: float
     half_width: float | None = None
-    status: Status = Status.INFO
+    outcome: Outcome = Outcome.NONE
     unit: str = "1"
     reason: str = ""
 
@@ -38,10 +37,10 @@ def campaign_metrics(rows: Iterable[Result]) -> dict[str, Measured]:
     """The numbers of one campaign that a baseline keeps, sorted by name.
 
     Every planned row that is not about a single band, whether it gates or informs, and for the subjects and
-    methods of those the rows of :data:`BEHIND`.  Of a row that several gates cover the worst verdict counts.
+    methods of those the rows of :data:`BEHIND`.  Of a row that several gates cover the worst outcome counts.
     """
-    whole = [row for row in rows if not is_per_band(row)]
-    planned = [row for row in whole if row.status is not Status.INFO or is_planned(row)]
+    whole = [row for row in rows if not row.per_band]
+    planned = [row for row in whole if row.planned]
     subjects = {
         (r.product, pattern.strip(), r.method) for r in planned for pattern in (r.subject, *r.subject.split(","))
     }
@@ -60,14 +59,14 @@ def campaign_metrics(rows: Iterable[Result]) -> dict[str, Measured]:
         key = key_of(row.product, row.subject, row.method, row.metric)
         new = _measured(row)
         old = found.get(key)
-        found[key] = new if old is None else replace(old, status=min(old.status, new.status, key=_ORDER.index))
+        found[key] = new if old is None else replace(old, outcome=min(old.outcome, new.outcome, key=_ORDER.index))
     return dict(sorted(found.items()))
 
 
 def skipped_reason(rows: Iterable[Result]) -> str | None:
     """Why a campaign as a whole was skipped, None when any of its rows was made."""
     rows = list(rows)
-    if rows and all(row.status is Status.SKIPPED for row in rows):
+    if rows and all(row.outcome is Outcome.SKIPPED for row in rows):
         return rows[0].reason
     return None
 
@@ -75,4 +74,4 @@ def skipped_reason(rows: Iterable[Result]) -> str | None:
 def _measured(row: Result) -> Measured:
     half = (row.upper - row.lower) / 2.0
     known = math.isfinite(half) and half > 0
-    return Measured(row.value, half if known else None, row.status, row.unit, row.reason)
+    return Measured(row.value, half if known else None, row.outcome, row.unit, row.reason)

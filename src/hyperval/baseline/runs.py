@@ -20,7 +20,7 @@ from hyperval.errors import InputError, UsageError
 from hyperval.files import scratch_folder, sha256_of
 from hyperval.progress import track
 from hyperval.report.stored import read_run
-from hyperval.results import Status
+from hyperval.results import Outcome
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
 from hyperval.sensor_check.reference import Engine
 
@@ -55,9 +55,9 @@ class Run:
 
     @property
     def broken(self) -> list[str]:
-        """Numbers that failed or ended in an error."""
-        bad = (Status.FAIL, Status.ERROR)
-        return [f"{key} ({m.status}: {m.reason})" for key, m in self.metrics.items() if m.status in bad]
+        """Numbers that ended in an error: a disagreement is a result, an error is none."""
+        wrong = [(key, m) for key, m in self.metrics.items() if m.outcome is Outcome.ERROR]
+        return [f"{key} ({m.outcome}: {m.reason})" for key, m in wrong]
 
 
 def all_runs(

@@ -21,7 +21,9 @@ class Accepted(Model):
     tolerance: float = Field(description="how far it may move")
     of: Of = Field(description="what the tolerance is a part of: the value, half its 95 % interval, or its unit")
     half_width: float | None = Field(None, gt=0, description="half of the 95 % interval when it was accepted")
-    status: Literal["PASS", "INFO", "SKIPPED"] = Field("INFO", description="verdict of the comparison")
+    outcome: Literal["agrees", "disagrees", "undecided", "skipped", "none"] = Field(
+        "none", description="what the comparison concluded"
+    )
     why: str | None = Field(None, min_length=1, description="needed where the tolerance is above the default")
 
     @property

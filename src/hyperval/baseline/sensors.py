@@ -13,7 +13,7 @@ from hyperval.baseline.schema import key_of
 from hyperval.errors import HypervalError
 from hyperval.predict import predict
 from hyperval.processing.roc_reading import detection_at
-from hyperval.results import Status
+from hyperval.results import Outcome
 from hyperval.scenario import builtin_scenarios, load_scenario
 from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
 from hyperval.sensor.specification import Sensor
@@ -98,7 +98,7 @@ def _scenarios(sensor: Sensor, engine: Engine | None) -> Iterator[tuple[str, Mea
             found = predict(load_scenario(name), sensor=sensor, engine=engine, show_progress=False)
         except HypervalError as error:
             key = key_of("scenario", name, METHOD, "runs")
-            yield key, Measured(np.nan, status=Status.SKIPPED, reason=str(error))
+            yield key, Measured(np.nan, outcome=Outcome.SKIPPED, reason=str(error))
             continue
         for (subject, detector, unit), curve in found.roc.items():
             if unit == "pixel":

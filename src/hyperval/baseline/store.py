@@ -68,7 +68,7 @@ def _accepted(key: str, new: Measured, old: Accepted | None) -> Accepted:
             "tolerance": limit.tolerance,
             "of": limit.of,
             "half_width": half if limit.of == "interval" else None,
-            "status": new.status.value,
+            "outcome": new.outcome.value,
             "why": old.why if old else None,
         }
     )

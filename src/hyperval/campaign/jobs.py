@@ -14,7 +14,7 @@ from hyperval.errors import HypervalError, internal_error
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.progress import track
 from hyperval.report import RunReport, write_outputs
-from hyperval.results import Status
+from hyperval.results import Outcome
 
 INTERNAL_ERROR = 4
 Done = tuple[RunReport, int | None]
@@ -73,7 +73,7 @@ def _run_into(job: AnyJob, folder: Path, show_progress: bool | None) -> Done:
 def _stopped(job: AnyJob, folder: Path, error: Exception) -> Done:
     known = isinstance(error, HypervalError)
     words = str(error) if known else internal_error(error)
-    run = unfinished(job, Status.ERROR, words)
+    run = unfinished(job, Outcome.ERROR, words)
     folder.mkdir(exist_ok=True)
     write_outputs(run, folder)
     return run, error.exit_code if isinstance(error, HypervalError) else INTERNAL_ERROR

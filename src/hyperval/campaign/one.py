@@ -18,10 +18,10 @@ from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import command_without_output, provenance
 from hyperval.campaign.reasons import reasons
 from hyperval.campaign.references import check_names, missing_sets
-from hyperval.campaign.schema import Campaign
+from hyperval.campaign.schema import Campaign, Outline
 from hyperval.campaign.template import filled
 from hyperval.campaign.truth_check import truth_notes
-from hyperval.compare import apply_gates, compare_products
+from hyperval.compare import compare_products, judged
 from hyperval.config import load_yaml, validate
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError, UsageError
@@ -29,9 +29,9 @@ from hyperval.files import scratch_folder
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.predict import predict
-from hyperval.products import Abundance, Prediction, Products
+from hyperval.products import Abundance, Observation, Prediction, Products
 from hyperval.report import RunReport
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 
 SIMULATED = "simulated:"
@@ -119,7 +119,7 @@ def run_campaign(
     HypervalError : anything else that the user can mend.
     """
     if isinstance(job, Waiting):
-        return unfinished(job, Status.SKIPPED, job.reason)
+        return unfinished(job, Outcome.SKIPPED, job.reason)
     try:
         with collected(job, show_progress=show_progress) as held:
             if with_observed is not None:
@@ -141,7 +141,7 @@ def run_campaign(
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
-        return unfinished(job, Status.SKIPPED, _with_every_set(job, error))
+        return unfinished(job, Outcome.SKIPPED, _with_every_set(job, error))
 
 
 @dataclass(frozen=True)
@@ -219,27 +219,8 @@ def _report(
     campaign = job.campaign
     prediction = None
     if predictions:
-        whole = with_errors_of_classes(merged(predictions), campaign.classification, observed.observation)
-        finders = [_resolver(scenario, inputs) for scenario in scenarios]
-        areas = predicted_unmixing(scenarios, predictions, finders, campaign.detection, observed)
-        prediction = replace(without_circles(whole, scenarios), abundance=areas)
-        if observed.detected is not None and observed.detected.nominal_area_m2:
-            nominal = {k: Abundance(v, 0.0) for k, v in observed.detected.nominal_area_m2.items()}
-            prediction = replace(prediction, abundance={**nominal, **areas})
-        if campaign.detection is not None:
-            prediction = replace(
-                prediction, roc=with_pools(prediction.roc, observed.observation, campaign.detection)
-            )
-        engine = "+".join(sorted({s.atmosphere.engine for s in scenarios if s.atmosphere})) or "statistics"
-        rows = compare_products(
-            prediction,
-            observed.observation,
-            campaign=campaign.name,
-            method=engine,
-            equivalence_margin=campaign.equivalence_margin,
-        )
-        rows = [_unplanned_informs(row, campaign) for row in rows]
-        rows = apply_gates(rows, campaign.comparisons, campaign.name)
+        prediction = predicted_side(job, inputs, observed, scenarios, predictions)
+        rows = outcomes(prediction, observed.observation, campaign, scenarios)
         rows += reasons(
             campaign,
             scenarios,
@@ -277,24 +258,72 @@ def _report(
         references=campaign.references,
         eigenvalues=eigenvalue_spectra(prediction, observed.observation) if prediction else {},
         tails=tail_curves(prediction, observed.observation) if prediction else {},
+        chosen_after=chosen_after(campaign),
+        kind="Campaign" if prediction else "Collection of campaign",
     )
 
 
-def _unplanned_informs(row: Result, campaign: Campaign) -> Result:
-    """A comparison that could not be made is SKIPPED where the campaign planned it, and INFO elsewhere."""
-    if row.status is not Status.SKIPPED or any(gate.covers(row) for gate in campaign.comparisons):
-        return row
-    return replace(row, status=Status.INFO, reason=f"not compared: {row.reason}")
+def predicted_side(
+    job: Job, inputs: Inputs, observed: Observed, scenarios: Sequence[Scenario], predictions: Sequence[Prediction]
+) -> Prediction:
+    """The predictions of a campaign's scenarios as the one side that is compared."""
+    campaign = job.campaign
+    whole = with_errors_of_classes(merged(predictions), campaign.classification, observed.observation)
+    finders = [_resolver(scenario, inputs) for scenario in scenarios]
+    areas = predicted_unmixing(scenarios, predictions, finders, campaign.detection, observed)
+    nominal = observed.detected.nominal_area_m2 if observed.detected is not None else {}
+    stated = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
+    prediction = replace(without_circles(whole, scenarios), abundance={**stated, **areas})
+    if campaign.detection is None:
+        return prediction
+    return replace(prediction, roc=with_pools(prediction.roc, observed.observation, campaign.detection))
 
 
-def unfinished(job: Job | Waiting, status: Status, reason: str) -> RunReport:
+def outcomes(
+    prediction: Prediction, observation: Observation, campaign: Campaign, scenarios: Sequence[Scenario] = ()
+) -> list[Result]:
+    """Every comparison of a campaign with its outcome.
+
+    It needs no file and no second look at the collection, so that it can be called for a prediction that was moved.
+
+    Parameters
+    ----------
+    prediction : of :func:`predicted_side`
+    scenarios : name the engine in the rows
+    """
+    engine = "+".join(sorted({s.atmosphere.engine for s in scenarios if s.atmosphere})) or "statistics"
+    rows = compare_products(
+        prediction,
+        observation,
+        campaign=campaign.name,
+        method=engine,
+        equivalence_margin=campaign.equivalence_margin,
+    )
+    return judged(rows, campaign.comparisons, campaign.name)
+
+
+def chosen_after(campaign: Outline) -> list[tuple[str, str]]:
+    """What a campaign chose after its own data were seen, each with what it was before."""
+    stated = [(choice.what, choice.before) for choice in campaign.chosen_after]
+    return stated + [
+        (f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before)
+        for g in campaign.comparisons
+        if g.chosen_after
+    ]
+
+
+def unfinished(job: Job | Waiting, outcome: Outcome, reason: str) -> RunReport:
     """The planned comparisons of a campaign that could not be made, each as a row."""
     campaign = job.campaign
+    cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
     rows = [
-        Result(campaign.name, g.product, subject, g.method, g.metric, status=status, reason=reason)
+        Result(
+            campaign.name, g.product, subject, g.method, g.metric, outcome=outcome,
+            role=Role.GATE if g.gate else Role.INFORM, cause=cause, reason=reason,
+        )
         for g in campaign.comparisons
         for subject in g.subjects
-    ]
+    ]  # fmt: skip
     log = InputLog(job.folder)
     log.add(job.path.resolve(), job.path.name)
     return RunReport(

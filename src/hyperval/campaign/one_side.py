@@ -10,11 +10,11 @@ from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, joint_ro
 from hyperval.compare.roc_areas import area_rows
 from hyperval.compare.rows import RowMaker
 from hyperval.products import Products, RocCurve
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result
 
 
 def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
-    """INFO rows of one side alone: spectra by band, score moments, P_D at decades of P_FA, areas."""
+    """Rows of one side alone: spectra by band, score moments, P_D at decades of P_FA, areas."""
     rows: list[Result] = []
     for product, unit in (("radiance", "uW cm-2 sr-1 nm-1"), ("snr", "1"), ("reflectance", "1")):
         for subject, estimate in getattr(products, product).items():
@@ -92,4 +92,4 @@ def _beyond_points(make: RowMaker, curve: RocCurve) -> list[Result]:
         if pfa * (curve.n_background or 0) >= LEAST_EXPECTED_ALARMS:
             rows += [*far_row(make, curve, pfa), *joint_rows(make, None, curve, pfa)]
     rows += [*far_at_detection_rows(make, None, curve), *area_rows(make, None, curve)]
-    return [row for row in rows if row.status is Status.INFO]  # nothing is planned here, so nothing is skipped
+    return [row for row in rows if row.outcome is Outcome.NONE]  # nothing is planned here, so nothing is skipped

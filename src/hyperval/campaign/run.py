@@ -23,7 +23,12 @@ from hyperval.scenario import load_scenario
 
 
 def validate(
-    paths: Sequence[Path], output: Path, *, scheduler: str | None = None, show_progress: bool | None = None
+    paths: Sequence[Path],
+    output: Path,
+    *,
+    scheduler: str | None = None,
+    strict: bool = False,
+    show_progress: bool | None = None,
 ) -> int:
     """Predict, observe and compare every campaign; write one folder, or one for each and an index.
 
@@ -31,6 +36,7 @@ def validate(
     ----------
     scheduler : address of a Dask scheduler whose workers run the campaigns, where there are several; they see the
         output folder and the data under the same names
+    strict : undecided and skipped gates give 1, too
 
     Returns
     -------
@@ -48,11 +54,11 @@ def validate(
         if len(jobs) == 1:
             run = run_campaign(jobs[0], show_progress=show_progress)
             write_outputs(run, folder)
-            return run.table.exit_code()
+            return run.table.exit_code(strict=strict)
         done = run_jobs(jobs, folder, scheduler=scheduler, show_progress=show_progress)
         write_index([run for run, _ in done], folder)
         first_error = next((code for _, code in done if code is not None), None)
-        return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code()
+        return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
 
 
 def observe(
@@ -104,6 +110,7 @@ def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | 
             title=scenario.title or scenario.name,
             description=scenario.description,
             simulated=False,
+            kind="Prediction of scenario",
             table=ResultTable(product_rows(scenario.name, prediction, "predicted")),
             prediction=prediction,
             provenance=record_of(

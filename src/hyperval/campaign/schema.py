@@ -17,6 +17,13 @@ from hyperval.scenario import Scenario
 from hyperval.uncertainty.attribution.schema import AttributionOptions
 
 
+class Choice(Model):
+    """A budget, a fit or a range that was chosen after the data of its own campaign were seen."""
+
+    what: str = Field(min_length=1, description="what was chosen, and what it gave")
+    before: str = Field(min_length=1, description="what it was before, and what that gave")
+
+
 class Outline(Model):
     """What a campaign says of itself: enough to list what it would compare."""
 
@@ -27,6 +34,10 @@ class Outline(Model):
     simulated: bool = False
     references: list[str] = Field(default_factory=list)
     assumptions: list[str] = Field(default_factory=list, description="stated in the report")
+    chosen_after: list[Choice] = Field(
+        default_factory=list,
+        description="choices made after the data were seen, save those of comparisons, which say so themselves",
+    )
     comparisons: list[Gate] = Field(min_length=1)
 
 

@@ -59,4 +59,4 @@ def _told(item: object) -> str:
         return "-"
     value = "no value" if item.accepted is None else f"{item.accepted:.6g}"
     loose = f", loosened: {item.why}" if item.why else ""
-    return f"{value} ({item.status}, tolerance {item.tolerance:g} of {item.of}{loose})"
+    return f"{value} ({item.outcome}, tolerance {item.tolerance:g} of {item.of}{loose})"

@@ -56,10 +56,10 @@ def check(
         junit=junit,
         show_progress=settings.show_progress,
     )
-    header = ("where", "metric", "accepted", "now", "difference", "tolerance", "status")
+    header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
     shown = [d for item in outcome.checked for d in item.differences if everything or d.words or d.moved]
     lonely = [
-        (r.campaign, r.metric, "", "", "", "", str(r.status))
+        (r.campaign, r.metric, "", "", "", "", str(r.outcome))
         for c in outcome.checked
         if not c.differences
         for r in c.rows
@@ -86,15 +86,15 @@ def _cells(d: Difference) -> tuple[str, ...]:
         f"{d.now.value:.6g}" if d.now and d.now.value == d.now.value else "-",
         f"{d.change:+.3g}" if d.change == d.change else "-",
         f"{d.accepted.width:.3g}" if d.accepted and known else "-",
-        str(d.status),
+        str(d.outcome),
     )
 
 
 def _tell(item: Checked) -> None:
     """One line of summary, and each number that is not as accepted in words."""
-    from hyperval.results import Status
+    from hyperval.results import Outcome
 
-    wrong = [row for row in item.rows if row.status is Status.FAIL]
+    wrong = [row for row in item.rows if row.outcome is Outcome.DISAGREES]
     for row in wrong:
         print(f"{row.campaign}: {row.product} {row.subject} {row.method}: {row.reason}", file=sys.stderr)
     if item.differences and not wrong:

@@ -49,6 +49,9 @@ def validate(
     ] = False,
     junit: Annotated[Path | None, typer.Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
     scheduler: Scheduler = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 1 where a gate is undecided or skipped, too.")
+    ] = False,
 ) -> int:
     """Predict, observe, compare: the main job."""
     if dry_run:
@@ -58,11 +61,12 @@ def validate(
     from hyperval.campaign.run import validate as run
     from hyperval.files import write_text
 
-    code = run(campaigns, output, scheduler=scheduler, show_progress=settings.show_progress)
+    code = run(campaigns, output, scheduler=scheduler, strict=strict, show_progress=settings.show_progress)
     if junit is not None:
         write_text(junit, (output / "junit.xml").read_text("utf-8"))
+    note(f"results in {output}")
     say_verdicts(output)
-    return finished(code, output)
+    return code
 
 
 @app.command()

@@ -51,17 +51,17 @@ def sensor_check(
     ] = 20.0,
 ) -> int:
     """Run the acceptance suite on a sensor; with --output, write its datasheet."""
-    from hyperval.results import Status
+    from hyperval.report.verdict import gate_fails, limits_text
     from hyperval.sensor_check.write import check_to_folder
 
     check = check_to_folder(name, output, vary=vary / 100.0, show_progress=settings.show_progress)
-    decided = [r for r in check.table if r.status is not Status.INFO or r.reason.startswith("disagrees")]
+    decided = [r for r in check.table if r.planned]
     rows = [
-        (str(r.status), r.product, r.subject, r.metric, f"{r.value:.4g}", f"{r.threshold:.4g}", r.reason)
+        (str(r.outcome), r.product, r.subject, r.metric, f"{r.value:.4g}", limits_text(r), r.reason)
         for r in decided
     ]
-    print_table(("status", "part", "subject", "check", "value", "limit", "remark"), rows)
-    failed = sum(r.status in (Status.FAIL, Status.ERROR) for r in decided)
+    print_table(("outcome", "part", "subject", "check", "value", "limit", "remark"), rows)
+    failed = sum(gate_fails(r) for r in decided)
     note(f"{check.sensor.name}: {len(decided) - failed} of {len(decided)} checks passed" if failed
          else f"{check.sensor.name}: accepted, {len(decided)} checks")  # fmt: skip
     return finished(check.exit_code, output) if output is not None else check.exit_code

@@ -86,22 +86,23 @@ def say_verdicts(output: Path) -> None:
     Errors are said under --quiet too.
     """
     from hyperval.report.stored import read_results
-    from hyperval.report.verdict import verdict
-    from hyperval.results import Status
+    from hyperval.report.verdict import last_line, verdict
+    from hyperval.results import Outcome
 
     if not (output / "results.json").is_file():
         return
     rows = list(read_results(output / "results.json"))
     for name in dict.fromkeys(row.campaign for row in rows):
         note(f"{name}: {verdict([row for row in rows if row.campaign == name])[1]}")
-    for status in (Status.ERROR, Status.SKIPPED):
+    for outcome in (Outcome.ERROR, Outcome.SKIPPED):
         concerned: dict[str, dict[str, None]] = {}
         for row in rows:
-            if row.status is status and row.reason:
+            if row.outcome is outcome and row.reason:
                 concerned.setdefault(row.reason, {})[row.campaign] = None
         for reason, campaigns in concerned.items():
-            line = f"{', '.join(campaigns)}: {status}: {reason}"
-            print(line, file=sys.stderr) if status is Status.ERROR else note(line)
+            line = f"{', '.join(campaigns)}: {outcome}: {reason}"
+            print(line, file=sys.stderr) if outcome is Outcome.ERROR else note(line)
+    note(last_line(rows))
 
 
 def note(text: str) -> None:

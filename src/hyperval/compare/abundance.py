@@ -10,8 +10,9 @@ from scipy import stats
 
 from hyperval.compare.difference import Z95
 from hyperval.compare.rows import RowMaker
+from hyperval.metrics import Evidence
 from hyperval.products import Abundance
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 
 
 def compare_abundance(
@@ -36,23 +37,34 @@ def compare_abundance(
     def rows(predicted: Abundance, observed: Abundance) -> list[Result]:
         p, o = predicted.area_m2, observed.area_m2
         up, uo = predicted.standard_uncertainty, observed.standard_uncertainty
+        # Beside the truth's area the pipeline alone moves the row.
+        evidence = None if predicted.modelled else Evidence.PIPELINE
         out = [
-            make.row("area_predicted", p, interval=(p - Z95 * up, p + Z95 * up), unit="m2", n=predicted.n),
+            make.row(
+                "area_predicted",
+                p,
+                interval=(p - Z95 * up, p + Z95 * up),
+                unit="m2",
+                n=predicted.n,
+                evidence=evidence,
+            ),
             make.row("area_observed", o, interval=(o - Z95 * uo, o + Z95 * uo), unit="m2", n=observed.n),
         ]
         if p > 0:
             spread = Z95 * np.hypot(uo / p, o * up / p**2)
-            out.append(make.row("area_ratio", o / p, interval=(o / p - spread, o / p + spread), n=observed.n))
+            ends = o / p - spread, o / p + spread
+            out.append(make.row("area_ratio", o / p, interval=ends, n=observed.n, evidence=evidence))
         else:
-            out.append(make.skipped("the predicted area is not positive", "area_ratio"))
+            out.append(make.skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio"))
         if o > 0:
             half = Z95 * np.hypot(up / o, p * uo / o**2)
             ratio = (p - o) / o
-            out.append(
-                make.row("area_difference_ratio", ratio, interval=(ratio - half, ratio + half), n=observed.n)
-            )
+            ends = ratio - half, ratio + half
+            out.append(make.row("area_difference_ratio", ratio, interval=ends, n=observed.n, evidence=evidence))
         else:
-            out.append(make.skipped("the observed area is not positive", "area_difference_ratio"))
+            out.append(
+                make.skipped(Cause.NOT_POSITIVE, "the observed area is not positive", "area_difference_ratio")
+            )
         if observed.nominal_m2 is not None:
             for name, side, spread in (("predicted", predicted, up), ("observed", observed, uo)):
                 error = side.area_m2 - observed.nominal_m2
@@ -65,10 +77,17 @@ def compare_abundance(
         if not u > 0:
             return [
                 *out,
-                *(make.skipped("neither side states an uncertainty", m) for m in ("area_z", "area_inside_95")),
+                *(
+                    make.skipped(Cause.NO_UNCERTAINTY, "neither side states an uncertainty", m)
+                    for m in ("area_z", "area_inside_95")
+                ),
             ]
         z = (p - o) / u
-        return [*out, make.row("area_z", z), make.row("area_inside_95", float(abs(z) <= Z95))]
+        return [
+            *out,
+            make.row("area_z", z, evidence=evidence),
+            make.row("area_inside_95", float(abs(z) <= Z95), evidence=evidence),
+        ]
 
     return make.compared(predicted, observed, rows)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import optimize, stats
 
 from hyperval.errors import UsageError
 
@@ -17,6 +17,8 @@ Estimated = Sequence[tuple[Array, float]]
 
 # Directions whose variance, in the correlation matrix, is below this part of the greatest are rounding noise.
 EIGENVALUE_CUT = 1e-9
+# A full test is asked what it would have found at this level in both tails, with this probability.
+POWER_LEVEL, POWER = 1e-3, 0.8
 # Fewer degrees of freedom of an estimated covariance for each direction say little of the least of them.
 DOF_PER_DIRECTION = 3.0
 
@@ -100,7 +102,7 @@ def covariance_dof(parts: Estimated) -> float:
 
 
 def _tested(difference: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated) -> tuple[Array, float]:
-    """The vector in the directions that are tested, in units of its standard deviation, and what C is known by."""
+    """A vector, or vectors in columns, in the tested directions in units of their sd, and what C is known by."""
     some, whiten = _whitening(covariance)
     whiten = whiten[:, ::-1]  # greatest variance first
     x = np.asarray(difference, dtype=float)
@@ -145,6 +147,57 @@ def bias_and_shape(
     s = float(c @ r) / weight
     rest = r - s * c
     return BiasAndShape(s, weight**-0.5, ChiSquare(float(rest @ rest), int(kept) - 1, nu))
+
+
+def detectable_tilts(
+    reference: npt.ArrayLike, wavelength_nm: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated = ()
+) -> tuple[float, float]:
+    """Tilts that the full test and the test of shape would reject with 80 % probability.
+
+    A tilt of t multiplies the reference by 1 - t at one end of the bands and by 1 + t at the other.  The statistic
+    of the full test is then noncentral chi-square with t^2 d^T C^-1 d, d the reference times the tilt of 1 (F where
+    part of C was estimated); that of the shape has what of d is no multiple of the reference.  The level is 0.001
+    in both tails together.
+
+    Examples
+    --------
+    >>> full, shape = detectable_tilts([1.0, 1.0], [400.0, 500.0], [[1e-4, 0.0], [0.0, 1e-4]])
+    >>> round(full, 3), round(shape, 3)
+    (0.033, 0.031)
+    """
+    c, w = np.asarray(reference, dtype=float), np.asarray(wavelength_nm, dtype=float)
+    span = float(np.ptp(w))
+    if span == 0.0:
+        return math.nan, math.nan
+    tilt = c * (2.0 * (w - w.min()) / span - 1.0)
+    x, nu = _tested(np.stack([c, tilt], axis=1), covariance, estimated)
+    whole, level = x[:, 1], x[:, 0]
+    rest = whole - level * float(level @ whole) / max(float(level @ level), 1e-300)
+    kept = int(x.shape[0])
+    return _detectable(float(whole @ whole), kept, nu), _detectable(float(rest @ rest), kept - 1, nu)
+
+
+def _detectable(unit: float, dof: int, nu: float) -> float:
+    """Size of a departure of noncentrality ``unit`` at size 1 that is rejected in 80 % of cases; NaN without."""
+    if dof <= 0 or nu <= dof or not unit > 0.0:
+        return math.nan
+    if math.isinf(nu):
+        limit = float(stats.chi2.isf(POWER_LEVEL / 2.0, dof))
+
+        def power(x: float) -> float:
+            return float(stats.ncx2.sf(limit, dof, x))
+    else:
+        limit = float(stats.f.isf(POWER_LEVEL / 2.0, dof, nu - dof + 1.0))
+
+        def power(x: float) -> float:
+            return float(stats.ncf.sf(limit, dof, nu - dof + 1.0, x))
+
+    high = 10.0
+    while power(high) < POWER:
+        high *= 4.0
+        if high > 1e9:
+            return math.nan
+    return math.sqrt(float(optimize.brentq(lambda x: power(x) - POWER, 1e-9, high, rtol=1e-6)) / unit)
 
 
 def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:

@@ -20,7 +20,7 @@ from hyperval.processing.covariance_sampling import (
     statistics_of_covariance,
 )
 from hyperval.products import PixelDistribution, SpectralEstimate
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
@@ -83,14 +83,14 @@ def compare_covariance(
     if found is None:
         return []
     if isinstance(found, str):
-        return [make.skipped(found)]
+        return [make.skipped(Cause.FEW_PIXELS, found)]
     measured, band, n = found.measured, found.band, found.n
     rows = _eigenvalue_rows(make, measured, band, n)
     rows += _space_rows(make, measured, band, found.spaces, n)
     if math.isnan(measured.distance):
         why = f"{found.fewest:.0f} independent pixels for {found.size} directions"
         names = ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
-        return rows + [make.skipped(why, name) for name in names]
+        return rows + [make.skipped(Cause.FEW_PIXELS, why, name) for name in names]
     at = np.ix_(found.bands, found.bands)
     first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
     distance = bhattacharyya_distance(predicted.mean[found.bands], first, observed.mean[found.bands], second)

@@ -16,6 +16,8 @@ from hyperval.spectra.windows import SPECTRAL_REGIONS_NM, in_window
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Z95 = 1.959963984540054
+_DRAWS = 1000
+_SEED = 20180216
 
 
 def difference_ratio(predicted: npt.ArrayLike, collected: npt.ArrayLike) -> Array:
@@ -96,3 +98,31 @@ def median_interval(ratio: Array, covariance: Array) -> tuple[float, float]:
     centre = float(np.median(ratio))
     half = Z95 * float(np.sqrt(max(float(np.mean(covariance)), 0.0)))
     return centre - half, centre + half
+
+
+def size_intervals(ratio: Array, covariance: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+    """95 % intervals of the median and of the greatest |ratio| over bands.
+
+    Errors e of covariance C are drawn and the size taken of ratio - e: its 97.5 % point is the upper end, and the
+    lower end lies as far below the value, not below 0.  Errors alone make a size, so that the draws themselves
+    would put the lower end above it.  NaN where neither side states an error.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> size_intervals(np.array([0.1, -0.2, 0.3]), np.zeros((3, 3)))[0]
+    (nan, nan)
+    """
+    if not np.any(covariance):
+        return (math.nan, math.nan), (math.nan, math.nan)
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.clip(values, 0.0, None))
+    drawn = np.abs(ratio[:, None] - root @ np.random.default_rng(_SEED).standard_normal((values.size, _DRAWS)))
+    out = []
+    for value, sizes in (
+        (float(np.median(np.abs(ratio))), np.median(drawn, axis=0)),
+        (float(np.max(np.abs(ratio))), drawn.max(axis=0)),
+    ):
+        half = max(float(np.quantile(sizes, 0.975)) - value, 0.0)
+        out.append((max(value - half, 0.0), value + half))
+    return out[0], out[1]

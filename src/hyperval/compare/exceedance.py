@@ -5,7 +5,7 @@ from __future__ import annotations
 from hyperval.compare.rows import RowMaker, scientific
 from hyperval.processing.exceedance import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import ExceedanceCurve, background_of
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4)
 
@@ -35,7 +35,11 @@ def compare_exceedance(
             name, expected = f"pfa_ratio@{scientific(level)}", level * (observed.n or 0)
             if expected < LEAST_EXPECTED_ALARMS:
                 if level >= 1e-3:
-                    out.append(make.skipped(f"{observed.n} background pixels expect {expected:.3g} alarms", name))
+                    out.append(
+                        make.skipped(
+                            Cause.FEW_ALARMS, f"{observed.n} background pixels expect {expected:.3g} alarms", name
+                        )
+                    )
                 continue
             ratio = false_alarm_ratio(predicted, observed, level)
             at, model = ratio.at, ratio.predicted

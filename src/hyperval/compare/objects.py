@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,13 +14,20 @@ from hyperval.compare.rows import RowMaker
 from hyperval.errors import UsageError
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.products import ObjectScores
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 
 Array = npt.NDArray[np.float64]
 
 EVERY_OBJECT = "all objects"
+JOINT, TREND = "joint_distance_p_value", "pit_trend"
 OF_ONE = ("object_score_pit", "object_score_inside_95")
 OF_ALL = ("objects_inside_95", "objects_inside_95_p_value", "pit_uniformity_p_value")
+# Spread of the scores about their medians, over the predicted one, that the tests are asked about.
+WIDTHS = (1.25, 1.5, 2.0, 3.0)
+POWER_DRAWS = 1000
+POWER_LEVEL, POWER = 0.01, 0.8
+# Objects whose joint distribution the draws can tell: ten draws for each.
+MOST_JOINED = 200
 # Sets of objects drawn from the prediction, for what the model itself expects of them together.
 REPLICATES = 4000
 _SEED = 17
@@ -49,6 +57,14 @@ def distance_from_uniform(values: npt.ArrayLike) -> Array:
 
 
 @dataclass(frozen=True)
+class Test:
+    """A test by draws of the model: ``p_value``, and the departure of its kind that it rejects in 80 % of draws."""
+
+    p_value: float
+    detectable: float = math.nan
+
+
+@dataclass(frozen=True)
 class Together:
     """Objects judged together.
 
@@ -57,15 +73,24 @@ class Together:
     inside : part of the objects in their predicted 95 % intervals
     interval : exact 95 % interval of that part if the objects were independent
     expected : 95 % range of it that the model expects, with what its objects have in common
-    inside_p_value : probability of so few (or fewer) inside, by the model
-    uniformity_p_value : probability of so large a distance of the transform values from uniformity, by the model
+    count : test of so few (or fewer) inside
+    uniformity : test of so large a distance of the transform values from uniformity
+    joint : test of the Mahalanobis distance of the normal scores, correlation counted, near 1 where the predicted
+        spread is too wide; None for too many objects
+    trend, trend_interval : drift of the normal scores from the weakest expected object to the strongest, and the
+        95 % interval of that drift; None where all are expected alike
+    drift : its test
     """
 
     inside: float
     interval: tuple[float, float]
     expected: tuple[float, float]
-    inside_p_value: float
-    uniformity_p_value: float
+    count: Test
+    uniformity: Test
+    joint: Test | None
+    trend: float
+    trend_interval: tuple[float, float]
+    drift: Test | None
 
 
 def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str, Array]) -> Together:
@@ -73,7 +98,8 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
 
     Objects of one material share the error of its spectrum and all share the blur, so their values are not
     independent and the customary tests would reject right models.  The reference is therefore drawn from the
-    prediction: one row of it (one draw of the inputs) for all objects, then each object within that row.
+    prediction: one row of it (one draw of the inputs) for all objects, then each object within that row.  The same
+    draws, spread about their medians, say which width the tests would have found.
 
     Parameters
     ----------
@@ -84,26 +110,85 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
     if len(rows) > 1:
         raise UsageError("the predicted scores of the subjects do not share their draws of the inputs")
     row = rng.integers(rows.pop(), size=REPLICATES)
-    values, drawn = [], []
+    values, drawn, wider, strength = [], [], [], []
     for subject, scores in measured.items():
         draws = predicted[subject].values
         values.append(probability_integral_transform(scores, draws))
         rank = stats.rankdata(draws, method="average").reshape(draws.shape) / (draws.size + 1.0)
         column = rng.integers(draws.shape[1], size=(REPLICATES, scores.size))
         drawn.append(rank[row[:, None], column])
-    u, reference = np.concatenate(values), np.concatenate(drawn, axis=1)
+        middle = float(np.median(draws))
+        some = draws[row[:POWER_DRAWS, None], column[:POWER_DRAWS]] - middle
+        wider.append(np.stack([probability_integral_transform(middle + f * some, draws) for f in WIDTHS]))
+        strength += [middle] * scores.size
+    u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
     count, n = int(np.sum(central(u))), u.size
     expected = central(reference).sum(axis=1)
-    distances = distance_from_uniform(reference)
     low, high = clopper_pearson(count, n)
     span = np.quantile(expected, [0.025, 0.975], method="nearest") / n
+    outside = _test(-count, -expected, -central(wide).sum(axis=2))
+    distance = distance_from_uniform(reference)
+    trend, interval, drift = _trend(u, reference, np.array(strength))
     return Together(
         count / n,
         (float(low), float(high)),
         (float(span[0]), float(span[1])),
-        float((1 + np.sum(expected <= count)) / (1 + REPLICATES)),
-        float((1 + np.sum(distances >= distance_from_uniform(u))) / (1 + REPLICATES)),
+        outside,
+        _test(float(distance_from_uniform(u)), distance, distance_from_uniform(wide)),
+        _joint_test(u, reference, wide),
+        trend,
+        interval,
+        drift,
     )
+
+
+def _test(statistic: float, reference: Array, wide: Array, both: bool = False) -> Test:
+    """Share of the reference (R,) at or beyond the statistic, and the least of the widths that it would reject.
+
+    Parameters
+    ----------
+    wide : (F, D) the statistic of draws of each width
+    both : whether the other tail counts too, so that the level is halved
+    """
+    p = float((1 + np.sum(reference >= statistic)) / (1 + reference.size))
+    limit = np.quantile(reference, 1.0 - (POWER_LEVEL / 2.0 if both else POWER_LEVEL))
+    power = np.mean(wide > limit, axis=1)
+    seen = [f for f, share in zip(WIDTHS, power, strict=True) if share >= POWER]
+    return Test(p, min(seen, default=math.nan))
+
+
+def _joint_test(u: Array, reference: Array, wide: Array) -> Test | None:
+    """Mahalanobis distance of the normal scores; their covariance is that of one half of the draws.
+
+    The other half is what the distance is compared with: neither it nor the measured set had a part in the
+    covariance.
+    """
+    if u.size > MOST_JOINED:
+        return None
+    z, x, w = (np.asarray(stats.norm.ppf(v)) for v in (u, reference, wide))
+    half = x.shape[0] // 2
+    inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
+
+    def distance(v: Array) -> Array:
+        return np.asarray(np.einsum("...i,ij,...j->...", v, inverse, v))
+
+    return _test(float(distance(z)), distance(x[half:]), distance(w), both=True)
+
+
+def _trend(u: Array, reference: Array, strength: Array) -> tuple[float, tuple[float, float], Test | None]:
+    """Drift of the normal scores along the rank of the expected score, its interval and its test."""
+    place = stats.rankdata(strength, method="dense")
+    if place.max() < 2:
+        return math.nan, (math.nan, math.nan), None
+    x = (place - place.mean()) / (place.max() - 1.0)
+    weight = x / float(x @ x)
+    slope = float(np.asarray(stats.norm.ppf(u)) @ weight)
+    drawn = np.asarray(stats.norm.ppf(reference)) @ weight
+    low, high = (float(q) for q in np.quantile(drawn, [0.025, 0.975]))
+    p = float((1 + np.sum(np.abs(drawn) >= abs(slope))) / (1 + drawn.size))
+    limit = float(np.quantile(np.abs(drawn), 1.0 - POWER_LEVEL))
+    detectable = limit - float(np.quantile(drawn, 1.0 - POWER))
+    return slope, (slope - max(high, 0.0), slope - min(low, 0.0)), Test(p, detectable)
 
 
 def central(values: Array) -> npt.NDArray[np.bool_]:
@@ -124,7 +209,9 @@ def compare_object_scores(
     A subject of one object gives ``object_score_measured``, ``object_score_predicted`` (median and 95 % interval),
     ``object_score_pit`` and ``object_score_inside_95`` (1 or 0); a subject of several gives the summary below for
     itself.  All together (``subject``): ``objects_inside_95`` the share inside with its Clopper-Pearson interval,
-    ``objects_inside_95_p_value`` and ``pit_uniformity_p_value``, both by :func:`judged_together`.  Subjects that
+    and
+    by :func:`judged_together` ``objects_inside_95_p_value``, ``pit_uniformity_p_value``,
+    ``joint_distance_p_value``, ``pit_trend`` and ``pit_trend_p_value``.  Subjects that
     were measured and not predicted are left out; one that was predicted and has no valid score gives SKIPPED rows
     and is named in the reason of the summary.
     """
@@ -136,7 +223,7 @@ def compare_object_scores(
         scores = measured[name].values if name in measured else np.empty(0)
         scores = scores[np.isfinite(scores)]
         if scores.size == 0:
-            out += [make.skipped("no measured score", metric) for metric in OF_ONE]
+            out += [make.skipped(Cause.NO_OBSERVATION, "no measured score", metric) for metric in OF_ONE]
             lost.append(name)
             continue
         held[name] = scores
@@ -158,28 +245,40 @@ def compare_object_scores(
         ]
     make = RowMaker(campaign, "scores", subject, method)
     if not held:
-        return [*out, *(make.skipped("no object has both sides", metric) for metric in OF_ALL)]
+        return [
+            *out,
+            *(make.skipped(Cause.NO_OBSERVATION, "no object has both sides", metric) for metric in OF_ALL),
+        ]
     return [*out, *_together_rows(make, predicted, held, f"; without {', '.join(lost)}" if lost else "")]
 
 
 def _together_rows(
-    make: RowMaker, predicted: Mapping[str, ObjectScores], held: Mapping[str, Array], lost: str
+    make: RowMaker, predicted: Mapping[str, ObjectScores], scores: Mapping[str, Array], lost: str
 ) -> list[Result]:
-    found, n = judged_together(predicted, held), sum(x.size for x in held.values())
+    found, n = judged_together(predicted, scores), sum(x.size for x in scores.values())
     low, high = found.expected
-    return [
-        make.row(
-            OF_ALL[0],
-            found.inside,
-            interval=found.interval,
-            n=n,
-            reason=f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{lost}",
-        ),
-        make.row(OF_ALL[1], found.inside_p_value, n=n, reason=f"that so few lie inside, by the model{lost}"),
-        make.row(
-            OF_ALL[2],
-            found.uniformity_p_value,
-            n=n,
-            reason=f"Kolmogorov-Smirnov distance, against sets of objects drawn from the model{lost}",
+    told = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{lost}"
+
+    def test(metric: str, result: Test, reason: str) -> Result:
+        return make.row(metric, result.p_value, n=n, detectable=result.detectable, reason=f"{reason}{lost}")
+
+    rows = [
+        make.row(OF_ALL[0], found.inside, interval=found.interval, n=n, reason=told),
+        test(OF_ALL[1], found.count, "that so few lie inside, by the model"),
+        test(
+            OF_ALL[2], found.uniformity, "Kolmogorov-Smirnov distance, against sets of objects drawn from the model"
         ),
     ]
+    if found.joint is None:
+        why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
+        rows.append(make.skipped(Cause.FEW_PIXELS, why, JOINT))
+    else:
+        rows.append(
+            test(JOINT, found.joint, "Mahalanobis distance of the normal scores, against draws of the model")
+        )
+    if found.drift is not None:
+        rows.append(
+            make.row(TREND, found.trend, interval=found.trend_interval, n=n, reason="against draws of the model")
+        )
+        rows.append(test(f"{TREND}_p_value", found.drift, "drift of the normal scores, against draws of the model"))
+    return rows

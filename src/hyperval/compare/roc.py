@@ -17,7 +17,7 @@ from hyperval.errors import UsageError
 from hyperval.processing.roc_areas import RocArea
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import RocCurve
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 
 Array = npt.NDArray[np.float64]
 ALWAYS = (1e-1, 1e-2, 1e-3)
@@ -129,11 +129,12 @@ def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, mar
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
         reason = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
         reason += f"{LEAST_EXPECTED_ALARMS:g} are needed to place the threshold"
-        return [make.skipped(reason, name) for name in names]
+        return [make.skipped(Cause.FEW_ALARMS, reason, name) for name in names]
     p, o = float(detection_at(predicted, pfa)), float(detection_at(observed, pfa))
     if math.isnan(p) or math.isnan(o):
         side = "predicted" if math.isnan(p) else "measured"
-        return [make.skipped(f"the {side} curve has no point at P_FA {label}", name) for name in names]
+        why = f"the {side} curve has no point at P_FA {label}"
+        return [make.skipped(Cause.BEYOND_CURVE, why, name) for name in names]
     p_interval = limits_at(predicted, pfa)
     o_interval = limits_at(observed, pfa)
     if any(math.isnan(x) for x in p_interval):  # a curve without a band is a curve without width
@@ -151,7 +152,10 @@ def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, mar
     if o_interval[1] - o_interval[0] > WIDEST_INTERVAL:
         reason = f"the measured interval {o_interval[0]:.2g} to {o_interval[1]:.2g}"
         reason += f" from {n} {observed.unit}{'' if n == 1 else 's'}" if n is not None else ""
-        return [*out, *(make.skipped(f"{reason} accepts nearly any prediction", name) for name in names[3:])]
+        return [
+            *out,
+            *(make.skipped(Cause.VACUOUS, f"{reason} accepts nearly any prediction", name) for name in names[3:]),
+        ]
     out += [
         make.row(names[3], inside, n=n),
         make.row(names[4], inside_measured, n=n),
@@ -207,7 +211,11 @@ def _bare(make: RowMaker, predicted: RocCurve, observed: RocCurve) -> Result:
     """The difference of areas of curves without scores."""
     low = max(float(predicted.pfa[0]), float(observed.pfa[0]))
     if low >= 0.1 or min(float(predicted.pfa[-1]), float(observed.pfa[-1])) < LEAST_END:
-        return make.skipped(f"the curves do not both reach from P_FA below 0.1 to {LEAST_END:g}", "auc_difference")
+        return make.skipped(
+            Cause.BEYOND_CURVE,
+            f"the curves do not both reach from P_FA below 0.1 to {LEAST_END:g}",
+            "auc_difference",
+        )
     area = RocArea(low, 1.0)
     return make.row(
         "auc_difference",

@@ -11,7 +11,7 @@ from hyperval.compare.rows import RowMaker, scientific
 from hyperval.processing.intervals import clopper_pearson, joint_region, zero_count_upper_limit
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import AlarmsAtDetection, RocCurve
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 
 PER_AREA = "km-2"
 AREA_UNKNOWN = "the ground area of the background is not known"
@@ -42,7 +42,7 @@ def far_row(make: RowMaker, observed: RocCurve, pfa: float) -> list[Result]:
     if alarms is None or observed.n_background is None:
         return []
     if math.isnan(density):
-        return [make.skipped(AREA_UNKNOWN, name)]
+        return [make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, name)]
     low, high = (float(x) * density for x in clopper_pearson(alarms, observed.n_background))
     reason = f"{alarms} alarms on {observed.background_area_km2:.4g} km2"
     rate = alarms / float(observed.background_area_km2 or math.nan)
@@ -61,7 +61,7 @@ def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: 
     for found in observed.at_detection:
         names = {side: f"far_{side}@pd{found.pd:g}" for side in ("predicted", "measured", "difference")}
         if math.isnan(density):
-            rows.append(make.skipped(AREA_UNKNOWN, names["measured"]))
+            rows.append(make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, names["measured"]))
             continue
         m_interval = (found.pfa_lower * density, found.pfa_upper * density)
         rate, n = found.pfa * density, observed.n_target
@@ -73,7 +73,11 @@ def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: 
         p = _pfa_at(predicted, predicted.pd, found.pd)
         if math.isnan(p):
             why = f"the predicted curve does not pass P_D {found.pd:g} within its range of P_FA"
-            rows += [make.skipped(why, names["predicted"]), measured, make.skipped(why, names["difference"])]
+            rows += [
+                make.skipped(Cause.BEYOND_CURVE, why, names["predicted"]),
+                measured,
+                make.skipped(Cause.BEYOND_CURVE, why, names["difference"]),
+            ]
             continue
         low, high = (_pfa_at(predicted, limit, found.pd) for limit in (predicted.pd_upper, predicted.pd_lower))
         # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
@@ -118,7 +122,7 @@ def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, p
     name = f"pd_inside_joint_region@{label}"
     if region.pd_upper - region.pd_lower > 0.9:
         why = f"the region of {m} {observed.unit}{'' if m == 1 else 's'} accepts nearly any prediction"
-        return [*rows, make.skipped(why, name)]
+        return [*rows, make.skipped(Cause.VACUOUS, why, name)]
     # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
     inside = ends[1] >= region.pd_lower and ends[0] <= region.pd_upper
     return [*rows, make.row(name, float(inside), n=m)]

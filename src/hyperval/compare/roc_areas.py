@@ -13,7 +13,7 @@ from hyperval.compare.difference import difference_interval
 from hyperval.compare.rows import RowMaker
 from hyperval.processing.roc_areas import AREAS, RocArea
 from hyperval.products import AreaEstimate, RocCurve
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 
 Array = npt.NDArray[np.float64]
 _POINTS = 4001
@@ -78,15 +78,15 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
                 rows.append(make.row(label["predicted"], p, interval=p_interval))
             else:
                 reason = f"the predicted curve does not reach the range P_FA {span or '0..1'}"
-                rows.append(make.skipped(reason, label["predicted"]))
+                rows.append(make.skipped(Cause.BEYOND_CURVE, reason, label["predicted"]))
         if observed is None:
             continue
         found = measured.get(full)
         if found is None:
-            lacking = _why_not(observed, area, span)
-            rows.append(make.skipped(lacking, label["measured"]))
+            cause, lacking = _why_not(observed, area, span)
+            rows.append(make.skipped(cause, lacking, label["measured"]))
             if predicted is not None:
-                rows.append(make.skipped(lacking, label["difference"]))
+                rows.append(make.skipped(cause, lacking, label["difference"]))
             continue
         o_interval = (found.lower, found.upper)
         n = observed.n_target
@@ -94,7 +94,7 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
         if predicted is None:
             continue
         if reason:
-            rows.append(make.skipped(reason, label["difference"]))
+            rows.append(make.skipped(Cause.BEYOND_CURVE, reason, label["difference"]))
         else:
             interval = difference_interval(p, p_interval, found.value, o_interval)
             rows.append(make.row(label["difference"], p - found.value, interval=interval, n=n))
@@ -104,8 +104,9 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
 _SIDES = ("predicted", "measured", "difference")
 
 
-def _why_not(observed: RocCurve, area: RocArea, span: str) -> str:
+def _why_not(observed: RocCurve, area: RocArea, span: str) -> tuple[Cause, str]:
     n = observed.n_background
     if area.logarithmic and n is not None and observed.areas:
-        return f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {span}; 10 are needed"
-    return "the measured curve comes without its scores, so its area has no interval"
+        told = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {span}; 10 are needed"
+        return Cause.FEW_ALARMS, told
+    return Cause.NO_SCORES, "the measured curve comes without its scores, so its area has no interval"

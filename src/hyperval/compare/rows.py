@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from hyperval.results import Result, Status
+from hyperval.metrics import Evidence
+from hyperval.results import Cause, Outcome, Result
 
 # The metric of a row that stands for a whole comparison which could not be made.
 COMPARISON = "comparison"
@@ -33,28 +34,33 @@ class RowMaker:
         unit: str = "1",
         band_nm: float = math.nan,
         n: int | None = None,
+        detectable: float = math.nan,
+        evidence: Evidence | None = None,
         reason: str = "",
     ) -> Result:
-        """An INFO row; gates turn it into a verdict later."""
+        """A row without an outcome; what is planned gives it one later."""
         return Result(
             self.campaign, self.product, self.subject, self.method, metric, float(value), unit, float(band_nm),
-            float(interval[0]), float(interval[1]), n, math.nan, Status.INFO, reason,
+            float(interval[0]), float(interval[1]), n, evidence=evidence, detectable=float(detectable),
+            reason=reason,
         )  # fmt: skip
 
-    def skipped(self, reason: str, metric: str = COMPARISON) -> Result:
-        """A planned row that has no value, with the reason."""
+    def skipped(self, cause: Cause, reason: str, metric: str = COMPARISON) -> Result:
+        """A planned row that has no value, with the cause and words."""
         return Result(
-            self.campaign, self.product, self.subject, self.method, metric, status=Status.SKIPPED, reason=reason
-        )
+            self.campaign, self.product, self.subject, self.method, metric, outcome=Outcome.SKIPPED, cause=cause,
+            reason=reason,
+        )  # fmt: skip
 
     def compared(
         self, predicted: T | None, observed: T | None, rows: Callable[[T, T], list[Result]]
     ) -> list[Result]:
-        """The rows, or one SKIPPED row that says which side has no such product."""
+        """The rows, or one skipped row that says which side has no such product."""
         if predicted is not None and observed is not None:
             return rows(predicted, observed)
         missing = [name for name, side in (("prediction", predicted), ("observation", observed)) if side is None]
-        return [self.skipped(f"no {self.product} of {self.subject} in the {' and in the '.join(missing)}")]
+        cause = Cause.NO_PREDICTION if predicted is None else Cause.NO_OBSERVATION
+        return [self.skipped(cause, f"no {self.product} of {self.subject} in the {' and in the '.join(missing)}")]
 
 
 def scientific(value: float) -> str:

@@ -7,7 +7,7 @@ from scipy import stats
 
 from hyperval.compare.rows import RowMaker
 from hyperval.products import ScoreDistribution
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 
 
 def sd_ratio_interval(predicted_sd: float, observed_sd: float, n: int) -> tuple[float, float]:
@@ -52,7 +52,11 @@ def compare_scores(
             interval = sd_ratio_interval(predicted.sd, observed.sd, n)
             out.append(make.row("score_sd_ratio", predicted.sd / observed.sd, interval=interval, n=n))
         else:
-            out.append(make.skipped("fewer than two observed scores, or no spread among them", "score_sd_ratio"))
+            out.append(
+                make.skipped(
+                    Cause.FEW_PIXELS, "fewer than two observed scores, or no spread among them", "score_sd_ratio"
+                )
+            )
         return out
 
     return make.compared(predicted, observed, rows)

@@ -12,6 +12,7 @@ from hyperval.compare.consistency import (
     bias_and_shape,
     chi_square_diagonal,
     chi_square_full,
+    detectable_tilts,
     spectral_angle_degrees,
     z_scores,
 )
@@ -22,10 +23,11 @@ from hyperval.compare.difference import (
     difference_ratio_covariance,
     median_interval,
     regions,
+    size_intervals,
 )
 from hyperval.compare.rows import RowMaker
 from hyperval.products import SpectralEstimate
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -96,7 +98,15 @@ def _rows(
     estimated = (*predicted.estimated, *observed.estimated)
     leading = leading_source(predicted, observed, window)
     out += _consistency(
-        make, predicted.mean, observed.mean, covariance, window, (ratio, ratio_covariance), estimated, leading
+        make,
+        predicted.mean,
+        observed.mean,
+        covariance,
+        window,
+        axis.centre_nm,
+        (ratio, ratio_covariance),
+        estimated,
+        leading,
     )
     return out
 
@@ -123,13 +133,14 @@ def _summary(
     metrics.append(f"max_abs_difference_ratio_{name}")
     count = int(bands.sum())
     if count == 0:
-        return [make.skipped(f"no comparable band in {name}", metric) for metric in metrics]
+        return [make.skipped(Cause.NO_BANDS, f"no comparable band in {name}", metric) for metric in metrics]
     r = ratio[bands]
-    interval = median_interval(r, covariance[np.ix_(bands, bands)])
+    here = covariance[np.ix_(bands, bands)]
+    middle, largest = size_intervals(r, here)
     return [
-        make.row(metrics[0], float(np.median(r)), interval=interval, n=count),
-        make.row(metrics[1], float(np.median(np.abs(r))), n=count),
-        make.row(metrics[2], float(np.max(np.abs(r))), n=count),
+        make.row(metrics[0], float(np.median(r)), interval=median_interval(r, here), n=count),
+        make.row(metrics[1], float(np.median(np.abs(r))), interval=middle, n=count),
+        make.row(metrics[2], float(np.max(np.abs(r))), interval=largest, n=count),
     ]
 
 
@@ -139,6 +150,7 @@ def _consistency(
     observed: Array,
     covariance: Array,
     window: npt.NDArray[np.bool_],
+    centre_nm: Array,
     relative: tuple[Array, Array],
     estimated: Sequence[tuple[Array, float]] = (),
     leading: str = "",
@@ -148,22 +160,23 @@ def _consistency(
         "bias_ratio", "chi2_reduced_shape", "p_value_shape", "fraction_inside_95", "spectral_angle",
     )  # fmt: skip
     if not window.any():
-        return [make.skipped("no comparable band in windows", name) for name in names]
+        return [make.skipped(Cause.NO_BANDS, "no comparable band in windows", name) for name in names]
     r = (predicted - observed)[window]
     cov = covariance[np.ix_(window, window)]
     parts_here = [(c[np.ix_(window, window)], nu) for c, nu in estimated]
+    cause = Cause.NONE
     if not np.all(np.diag(cov) > 0):
-        reason = "neither side states an uncertainty in some bands"
+        cause, reason = Cause.NO_UNCERTAINTY, "neither side states an uncertainty in some bands"
     elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(observed[window])):
         # Such as a panel that an empirical line of two panels goes through.
         reason = "both sides are equal to rounding: one was made from the other, which is no evidence"
-    else:
-        reason = ""
-    if reason:
-        out = [make.skipped(reason, name) for name in names[:-1]]
+        cause = Cause.CIRCULAR
+    if cause is not Cause.NONE:
+        out = [make.skipped(cause, reason, name) for name in names[:-1]]
     else:
         diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, cov, parts_here)
         parts = bias_and_shape(r, observed[window], cov, parts_here)
+        tilts = detectable_tilts(observed[window], centre_nm[window], cov, parts_here)
         z = np.abs(z_scores(r, cov))
         bias, bias_sd = _mean_ratio(*relative, window)
         kept = f"{full.dof} of {int(window.sum())} directions kept" if full.dof < window.sum() else ""
@@ -175,7 +188,7 @@ def _consistency(
             make.row(names[0], diagonal.reduced, n=diagonal.dof),
             make.row(names[1], diagonal.p_value, n=diagonal.dof),
             make.row(names[2], full.reduced, n=full.dof, reason=kept),
-            make.row(names[3], full.p_value, n=full.dof, reason=kept),
+            make.row(names[3], full.p_value, n=full.dof, detectable=tilts[0], reason=kept),
             make.row(
                 names[4],
                 bias,
@@ -183,7 +196,7 @@ def _consistency(
                 n=full.dof,
             ),
             make.row(names[5], parts.shape.reduced, n=parts.shape.dof),
-            make.row(names[6], parts.shape.p_value, n=parts.shape.dof),
+            make.row(names[6], parts.shape.p_value, n=parts.shape.dof, detectable=tilts[1]),
             make.row(names[7], float(np.mean(z <= Z95)), n=int(z.size)),
         ]
     angle = spectral_angle_degrees(predicted[window], observed[window])

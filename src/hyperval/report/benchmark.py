@@ -12,7 +12,7 @@ from hyperval.report.figures_benchmark import agreement_figures, detector_figure
 from hyperval.report.html import common_words, environment
 from hyperval.report.style import Drawing, house_style
 from hyperval.report.verdict import number_text
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Outcome, Result, ResultTable
 
 EVERY_OBJECT = "all objects"
 EVERY_SUBJECT = "all subjects"
@@ -59,7 +59,7 @@ def draw_benchmark(report: BenchmarkReport) -> list[Drawing]:
 def alike(rows: Sequence[Result], measures: Mapping[str, str]) -> list[tuple[str, ...]]:
     """Detectors in groups that have the same value of every metric on all objects: they order the pixels alike."""
     found: dict[tuple[float, ...], list[str]] = {}
-    own = [r for r in rows if r.subject == EVERY_OBJECT and r.metric in measures and r.status is Status.INFO]
+    own = [r for r in rows if r.subject == EVERY_OBJECT and r.metric in measures and r.outcome is Outcome.NONE]
     for method in dict.fromkeys(r.method for r in own):
         key = tuple(r.value for r in own if r.method == method)
         found.setdefault(key, []).append(method.removesuffix("/object"))
@@ -68,11 +68,11 @@ def alike(rows: Sequence[Result], measures: Mapping[str, str]) -> list[tuple[str
 
 def benchmark_page(report: BenchmarkReport, drawings: Sequence[Drawing]) -> str:
     """The page."""
-    skipped = [r for r in report.table if r.status in (Status.SKIPPED, Status.ERROR)]
+    skipped = [r for r in report.table if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)]
     entries = []
     for item in report.campaigns:
         rows = list(report.table.where(campaign=item.name))
-        if not any(r.status is Status.INFO for r in rows):
+        if not any(r.outcome is Outcome.NONE for r in rows):
             continue  # named under what was not run
         groups = alike(rows, report.measures)
         entries.append(
@@ -96,7 +96,7 @@ def leads(rows: Sequence[Result], groups: Sequence[tuple[str, ...]], measures: M
     out = []
     for metric, title in measures.items():
         ranks = {r.method: r for r in rows if r.subject == EVERY_OBJECT and r.metric == f"rank_{metric}"}
-        ranks = {k: r for k, r in ranks.items() if r.status is Status.INFO}
+        ranks = {k: r for k, r in ranks.items() if r.outcome is Outcome.NONE}
         if not ranks:
             continue
         first = [" = ".join(g) for g in groups if f"{g[0]}/object" in ranks and ranks[f"{g[0]}/object"].value == 1]

@@ -11,7 +11,7 @@ from matplotlib.colors import ListedColormap
 
 from hyperval.report import style
 from hyperval.report.style import COLLECTED, PREDICTED, Drawing
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result
 
 EVERY_OBJECT = "all objects"
 EVERY_SUBJECT = "all subjects"
@@ -36,7 +36,7 @@ def detector_figures(
     simulated: bool,
 ) -> list[Drawing]:
     """One panel for each metric on all objects: value, interval, rank with its set."""
-    here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_OBJECT and r.status is Status.INFO}
+    here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_OBJECT and r.outcome is Outcome.NONE}
     shown = [m for m in measures if any(metric == m for _, metric in here)]
     if not shown or not groups:
         return []
@@ -78,7 +78,7 @@ def rank_figures(
     metric = next((m for m in _RANK_METRICS if any(r.metric == f"rank_{m}" for r in rows)), None)
     if metric is None:
         return []
-    here = {(r.subject, r.method): r for r in rows if r.metric == f"rank_{metric}" and r.status is Status.INFO}
+    here = {(r.subject, r.method): r for r in rows if r.metric == f"rank_{metric}" and r.outcome is Outcome.NONE}
     every = list(dict.fromkeys(s for s, _ in here))
     subjects = every[:_MOST_SUBJECTS]
     if len(subjects) < 2 or not groups:
@@ -120,7 +120,7 @@ def rank_figures(
 
 def agreement_figures(name: str, rows: Sequence[Result], *, simulated: bool) -> list[Drawing]:
     """Engines and formulations: one panel for each figure of agreement."""
-    here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_SUBJECT and r.status is Status.INFO}
+    here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_SUBJECT and r.outcome is Outcome.NONE}
     there = {metric for _, metric in here}
     shown = [m for m in _AGREEMENT if m in there and not (m.startswith("reflectance") and _FIRST in there)]
     labels = list(dict.fromkeys(label for label, metric in here if metric in shown))

@@ -1,4 +1,4 @@
-"""``report.html``: one page that a reviewer reads in five minutes, with nothing loaded from elsewhere."""
+"""``report.html``: one page that a reader understands in half a minute, with nothing loaded from elsewhere."""
 
 from __future__ import annotations
 
@@ -14,24 +14,22 @@ import jinja2
 from markupsafe import Markup
 
 import hyperval
+from hyperval.metrics import Evidence, explained
 from hyperval.report import verdict as v
-from hyperval.report.glossary import explained
+from hyperval.report.matrix import LETTERS, anchor, matrix_of
 from hyperval.report.run import RunReport
 from hyperval.report.style import Drawing
-from hyperval.report.tables import row_name, status_counts
-from hyperval.results import Result, Status
+from hyperval.report.tables import row_name
+from hyperval.results import Outcome, Result
 
 MAX_BYTES = 5_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 4_200_000  # of that, for figures
-_MOST_INFORMING = 40  # rows in the first table; more are moved to their sections
-_MOST_OPEN = 12  # of those, before the rest is folded
-_MOST_PASSES = 20  # in the first table; the others are folded below it
-_MOST_SKIPPED = 10
-_MOST_LISTED = 400  # per-band failures spelled out; results.csv has all
-_MOST_ROWS = 60  # informing rows of one section
+_MOST_OPEN = 12  # rows of a table before it is folded
+_MOST_LISTED = 400  # planned rows of one section; results.csv has all
+_MOST_ROWS = 60  # rows of one section that nothing was planned for
 _INPUTS_UNDER_FIGURE = 3
 
-_SECTIONS = {
+SECTIONS = {
     "attribution": "Why they differ",
     "what-if": "What-ifs",
     "sensitivity": "What moves what",
@@ -43,99 +41,95 @@ _SECTIONS = {
     "classification": "Classification",
     "scores": "Detector scores",
     "roc": "Detection and false alarms",
-    "abundance": "Abundance and target area",
+    "abundance": "Target area",
 }
+_REASONS = ("attribution", "what-if", "sensitivity")
+_COMPARED = {k: t for k, t in SECTIONS.items() if k not in (*_REASONS, "scene")}
 _MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
 
 
 @dataclass(frozen=True)
 class Section:
-    """One product's part of the page."""
+    """One product's part of the page: its figures, what decides, what informs, and what nothing was planned for."""
 
     title: str
     figures: list[dict[str, Any]]
-    rows: list[Result]
+    gates: list[Result]
+    informing: list[Result]
+    others: list[Result]
 
 
 def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
-    """The page of one campaign."""
+    """The page of one campaign, scenario or collection."""
     rows = list(run.table)
     tone, words = v.verdict(rows)
-    gates = sorted((r for r in rows if r.status is not Status.INFO), key=_severity)
-    whole = [r for r in gates if not v.is_per_band(r)]
-    folded = {
-        id(row)
-        for status, most in ((Status.PASS, _MOST_PASSES), (Status.SKIPPED, _MOST_SKIPPED))
-        for row in [r for r in whole if r.status is status][most:]
-    }
-    bands = [r for r in gates if v.is_per_band(r)]
-    failed_bands = [r for r in bands if r.status in (Status.FAIL, Status.ERROR)]
-    informing = [r for r in rows if r.status is Status.INFO and not v.is_per_band(r)]
-    first = informing if len(informing) <= _MOST_INFORMING else [r for r in informing if v.is_planned(r)]
-    # What explains the whole comes first, then what disagrees.
-    first = sorted(first, key=lambda r: (not _explains_all(r), not v.informs_of_disagreement(r)))
-    first = first[: max(_MOST_INFORMING, sum(v.informs_of_disagreement(r) for r in first))]
-    shown = {id(r) for r in first}
+    compared = [row for row in rows if row.product not in _REASONS]
+    matrices = []
+    for title, kind in (("Model and collection", Evidence.MODEL), ("Checks of the pipeline", Evidence.PIPELINE)):
+        own = [row for row in compared if row.evidence is kind]
+        found = matrix_of(own, lambda r: r.subject, _link, _COMPARED)
+        if found is not None:
+            matrices.append((title, found))
+    planned = [row for row in rows if row.planned]
     return environment().get_template("report.html.j2").render(
         run=run,
         tone=tone,
         verdict=words,
-        counts=v.status_words(rows),
-        gates=[r for r in whole if id(r) not in folded],
-        folded_passes=[r for r in whole if id(r) in folded and r.status is Status.PASS],
-        folded_skips=sum(id(r) in folded and r.status is Status.SKIPPED for r in whole),
-        failed_bands=failed_bands,
-        failed_by_subject=_grouped(failed_bands),
-        unlisted_bands=len(bands) - len(failed_bands),
-        per_band=sum(v.is_per_band(r) for r in rows),
-        informing=first[:_MOST_OPEN],
-        folded_informing=first[_MOST_OPEN:],
-        moved=len(informing) - len(first),
-        sections=_sections(run, drawings, [r for r in informing if id(r) not in shown]),
-        undone=_undone(gates),
+        compares=bool(planned),
+        tests=any(row.outcome is Outcome.UNDECIDED or row.outcome is Outcome.DISAGREES for row in planned),
+        counts=v.outcome_words(rows),
+        matrices=matrices,
+        per_band=sum(row.per_band for row in rows),
+        sections=_sections(run, drawings, rows),
+        undone=_undone(rows),
         notes=_all_notes(run),
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
         facts=_facts(run),
         maps=len(run.score_maps),
-        metrics=explained([*whole, *first]),
+        metrics=explained(row.metric for row in planned),
+        most_open=_MOST_OPEN,
         **common_words(),
     )  # fmt: skip
 
 
-def _explains_all(row: Result) -> bool:
-    return row.product == "attribution" and row.subject == "all" and row.metric == "reduced_chi_square"
+def _link(subject: str, rows: Sequence[Result]) -> str:
+    made = [row for row in rows if row.outcome is not Outcome.SKIPPED]
+    if rows and not made:
+        return "#undone"
+    return f"#{anchor(made[0])}" if made else ""
 
 
-def index_page(runs: Sequence[RunReport], folders: Mapping[str, str]) -> str:
+def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str = "Validation") -> str:
     """The page of several campaigns; ``folders`` maps a campaign to its folder beside the page.
 
-    Collected imagery and simulated collections have a verdict each: agreement of the latter tests the software.
+    Collected imagery and simulated collections stand apart: agreement of the latter tests the software.
     """
-    verdicts = []
-    for kind, simulated in (("Collected imagery", False), ("Simulated collections", True)):
-        own = [row for run in runs if run.simulated == simulated for row in run.table]
-        if any(run.simulated == simulated for run in runs):
-            verdicts.append((kind, *v.verdict(own), v.status_words(own)))
-    entries = []
-    for run in sorted(runs, key=lambda r: r.simulated):
-        own_tone, own_words = v.verdict(run.table)
-        link = f"{folders[run.campaign]}/report.html"
-        entries.append({"run": run, "tone": own_tone, "verdict": own_words, "link": link,
-                        "counts": status_counts(run.table)})  # fmt: skip
-    rows = [row for run in runs for row in run.table]
-    failed = [r for r in rows if r.status in (Status.FAIL, Status.ERROR)]
-    others = []
-    for run in sorted(runs, key=lambda r: r.simulated):
-        skipped = [r for r in run.table if r.status is Status.SKIPPED and not v.is_per_band(r)]
-        telling = [r for r in run.table if v.informs_of_disagreement(r) and not v.is_per_band(r)]
-        if skipped or telling:
-            shown = [*telling, *skipped[:_MOST_SKIPPED]]
-            others.append((run, len(telling), len(skipped), shown, max(len(skipped) - _MOST_SKIPPED, 0)))
-    single = [r for r in sorted(failed, key=_severity) if not v.is_per_band(r)]
+    titles = {run.campaign: run.title for run in runs}
+    groups = []
+    for heading, simulated in (("Collected imagery", False), ("Simulated collections", True)):
+        own = [run for run in runs if run.simulated == simulated]
+        if not own:
+            continue
+        rows = [
+            row for run in own for row in run.table if row.product not in ("attribution", "what-if", "sensitivity")
+        ]
+
+        def link(name: str, cell: Sequence[Result]) -> str:
+            page = f"{folders[name]}/report.html"
+            return f"{page}#{anchor(cell[0])}" if cell else page
+
+        matrices = [
+            (kind_title, matrix_of([r for r in rows if r.evidence is kind], lambda r: r.campaign, link, _COMPARED))
+            for kind_title, kind in (
+                ("Model and collection", Evidence.MODEL),
+                ("Checks of the pipeline", Evidence.PIPELINE),
+            )
+        ]
+        entries = [(run, *v.verdict(run.table), f"{folders[run.campaign]}/report.html") for run in own]
+        together = [row for run in own for row in run.table]
+        groups.append((heading, *v.verdict(together), [m for m in matrices if m[1] is not None], entries))
     return environment().get_template("index.html.j2").render(
-        verdicts=verdicts, entries=entries, failed=single, others=others,
-        failed_by_subject=_grouped([r for r in failed if v.is_per_band(r)]),
-        simulated=[r.campaign for r in runs if r.simulated], **common_words(),
+        title=title, groups=groups, titles=titles, count=len(runs), **common_words()
     )  # fmt: skip
 
 
@@ -153,11 +147,14 @@ def environment() -> jinja2.Environment:
         metric=_metric_markup,
         value=v.value_text,
         interval=v.interval_text,
-        threshold=v.threshold_text,
+        limits=v.limits_text,
+        detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         row_name=row_name,
-        nm=_band_text,
+        nm=lambda row: f"{row.band_nm:.1f} nm" if row.per_band else "",
         breakable=_breakable,
         subject=_subject_text,
+        anchor=anchor,
+        letter=lambda row: LETTERS[row.outcome] if row.gates else LETTERS[row.outcome].lower(),
     )
     return environment
 
@@ -180,22 +177,16 @@ def _generated() -> str | None:
     return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
-def _severity(row: Result) -> int:
-    order = (Status.FAIL, Status.ERROR, Status.PASS, Status.SKIPPED, Status.INFO)
-    return order.index(row.status)
+def _severity(row: Result) -> tuple[int, str]:
+    return v.WORST_FIRST.index(row.outcome), row.subject
 
 
-def _band_text(row: Result) -> str:
-    return f"{row.band_nm:.1f} nm" if v.is_per_band(row) else ""
-
-
-def _undone(rows: Sequence[Result]) -> list[tuple[str, str, str, list[str]]]:
-    """Rows that were planned and not made, those of one status, product and reason together with their names."""
-    groups: dict[tuple[str, str, str], list[str]] = {}
+def _undone(rows: Sequence[Result]) -> list[tuple[Outcome, str, str, list[str]]]:
+    """Planned rows that were not made, those of one outcome, product and cause together with their names."""
+    groups: dict[tuple[Outcome, str, str], list[str]] = {}
     for row in rows:
-        if row.status in (Status.SKIPPED, Status.ERROR):
-            key = (str(row.status), row.product, row.reason or "no reason given")
-            groups.setdefault(key, []).append(row_name(row))
+        if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
+            groups.setdefault((row.outcome, row.product, row.reason or str(row.cause)), []).append(row_name(row))
     return [(*key, names) for key, names in groups.items()]
 
 
@@ -211,22 +202,16 @@ def _metric_markup(row: Result) -> Markup:
     return name + (Markup('<wbr><span class="together">{}</span>').format(at + where) if at else "")
 
 
-def _subject_text(row: Result) -> str:
+def _subject_text(text: str) -> str:
     """The subject, a number kept beside its unit: "3 m"."""
-    return re.sub(r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0", row.subject)
-
-
-def _grouped(rows: Sequence[Result]) -> list[tuple[str, list[Result]]]:
-    """Rows about single bands by what they are about, each group in one table."""
-    groups: dict[str, list[Result]] = {}
-    for row in rows:
-        what = " ".join(p for p in (row.campaign, row.product, row.subject, row.method, row.metric) if p)
-        groups.setdefault(what, []).append(row)
-    return list(groups.items())
+    return re.sub(r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0", text)
 
 
 def _sections(run: RunReport, drawings: Sequence[Drawing], rows: Sequence[Result]) -> list[Section]:
-    names = [*_SECTIONS, *dict.fromkeys(row.product for row in rows if row.product not in _SECTIONS)]
+    # Evidence first, then its reasons.
+    order = [*_COMPARED, *(k for k in SECTIONS if k not in _COMPARED)]
+    names = ["scene", *(k for k in order if k != "scene")]
+    names += [p for p in dict.fromkeys(row.product for row in rows) if p not in names]
     embedded, sections = _embedded(drawings), []
     for name in names:
         figures = [
@@ -235,8 +220,17 @@ def _sections(run: RunReport, drawings: Sequence[Drawing], rows: Sequence[Result
             if d.section == name
         ]
         own = [row for row in rows if row.product == name]
-        if figures or own:
-            sections.append(Section(_SECTIONS.get(name, name), figures, own))
+        made = (row for row in own if row.planned and row.outcome is not Outcome.SKIPPED)
+        planned = sorted(made, key=_severity)
+        section = Section(
+            SECTIONS.get(name, name),
+            figures,
+            [row for row in planned if row.gates],
+            [row for row in planned if not row.gates],
+            [row for row in own if not row.planned and not row.per_band],
+        )
+        if figures or planned or section.others:
+            sections.append(section)
     return sections
 
 

@@ -41,14 +41,14 @@ def write_outputs(run: RunReport, folder: Path) -> None:
     write_text(folder / "report.html", report_page(run, drawings))
 
 
-def write_index(runs: Sequence[RunReport], folder: Path) -> None:
+def write_index(runs: Sequence[RunReport], folder: Path, title: str = "Validation") -> None:
     """Write the page and the tables of several campaigns; each campaign's folder stands in ``folder``.
 
     The folder of a campaign bears its name (``campaign_folders`` tells how a name is made harmless).
     """
     folder = Path(folder)
     write_tables(ResultTable(row for run in runs for row in run.table), folder)
-    write_text(folder / "report.html", index_page(runs, campaign_folders(runs)))
+    write_text(folder / "report.html", index_page(runs, campaign_folders(runs), title))
 
 
 def write_tables(table: ResultTable, folder: Path) -> None:

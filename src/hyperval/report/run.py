@@ -131,6 +131,8 @@ class RunReport:
     references : literature
     eigenvalues : (subject, quantity) -> eigenvalues of both sides
     tails : subject -> tails of both sides
+    chosen_after : (what, as it was before) of each range that was chosen after its data were seen
+    kind : what the page is: "Campaign" for both sides compared, else what it shows
     """
 
     campaign: str
@@ -147,3 +149,5 @@ class RunReport:
     references: Sequence[str] = ()
     eigenvalues: Mapping[tuple[str, str], EigenvalueSpectrum] = field(default_factory=dict)
     tails: Mapping[str, TailCurve] = field(default_factory=dict)
+    chosen_after: Sequence[tuple[str, str]] = ()
+    kind: str = "Campaign"

@@ -17,13 +17,13 @@ from hyperval.report.html import common_words, environment
 from hyperval.report.outputs import write_tables
 from hyperval.report.stored import StoredRun, read_run
 from hyperval.report.tables import row_name
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Cause, Outcome, Result, ResultTable
 
 _FIGURE_BYTES = 4_200_000
 _MOST_MOVED = 60
 _LEAST_WIDTH = 1e-3  # half width of an interval, as a part of the value
 _MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
-_RANK = {Status.FAIL: 0, Status.ERROR: 1, Status.SKIPPED: 2, Status.INFO: 3, Status.PASS: 4}
+_RANK = {o: i for i, o in enumerate(v.WORST_FIRST)}
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Pair:
     @property
     def gates(self) -> bool:
         """Whether the row decides something in either run."""
-        return any(r is not None and r.status is not Status.INFO for r in (self.a, self.b))
+        return any(r is not None and r.gates for r in (self.a, self.b))
 
     @property
     def difference(self) -> float:
@@ -57,9 +57,9 @@ class Pair:
 
     @property
     def verdict_changed(self) -> bool:
-        """Whether the status differs; a gating row that one run lacks has changed too."""
+        """Whether the outcome differs; a gating row that one run lacks has changed too."""
         if self.a and self.b:
-            return self.a.status != self.b.status
+            return self.a.outcome != self.b.outcome
         return self.gates
 
     @property
@@ -103,29 +103,38 @@ def compare_runs(one: Path, other: Path, output: Path) -> int:
 
 
 def difference_table(pairs: Sequence[Pair]) -> ResultTable:
-    """One INFO row for each comparison that both runs have, its value B minus A; the others are SKIPPED."""
+    """One row for each comparison that both runs have, its value B minus A; the others are skipped."""
     rows = []
     for p in pairs:
         r = p.either
         names = (r.campaign, r.product, r.subject, r.method, f"{r.metric}_change")
         if p.a and p.b:
-            told = f"A {v.value_text(p.a)} {p.a.status}, B {v.value_text(p.b)} {p.b.status}"
+            told = f"A {v.value_text(p.a)} ({p.a.outcome}), B {v.value_text(p.b)} ({p.b.outcome})"
             rows.append(Result(*names, value=p.difference, unit=r.unit, band_nm=r.band_nm, reason=told))
         else:
             only = f"only in run {'A' if p.a else 'B'}"
-            rows.append(Result(*names, unit=r.unit, band_nm=r.band_nm, status=Status.SKIPPED, reason=only))
+            rows.append(
+                Result(
+                    *names,
+                    unit=r.unit,
+                    band_nm=r.band_nm,
+                    outcome=Outcome.SKIPPED,
+                    cause=Cause.ONE_RUN,
+                    reason=only,
+                )
+            )
     return ResultTable(rows)
 
 
 def side_by_side_page(a: StoredRun, b: StoredRun, pairs: Sequence[Pair]) -> str:
     """The page: both verdicts, verdicts that changed, what moved most, provenance that differs, figures."""
-    changed = sorted((p for p in pairs if p.verdict_changed), key=lambda p: _RANK[(p.b or p.either).status])
+    changed = sorted((p for p in pairs if p.verdict_changed), key=lambda p: _RANK[(p.b or p.either).outcome])
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
     labels = zip("AB", (a, b), _names(a.folder, b.folder), strict=True)
     return environment().get_template("pair.html.j2").render(
         runs=[{"label": label, "folder": name, "verdict": v.verdict(run.table),
-               "counts": v.status_words(run.table)} for label, run, name in labels],
+               "counts": v.outcome_words(run.table)} for label, run, name in labels],
         changed=changed,
         moved=whole[:_MOST_MOVED],
         more=max(len(whole) - _MOST_MOVED, 0),

@@ -9,13 +9,15 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from hyperval.errors import InputError
+from hyperval.errors import InputError, UsageError
+from hyperval.metrics import Evidence
 from hyperval.report.tables import SCHEMA_VERSION
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 
 MAX_BYTES = 500_000_000
 _WORDS = {"inf": math.inf, "-inf": -math.inf}
-_NUMBERS = ("value", "band_nm", "lower", "upper", "threshold")
+_NUMBERS = ("value", "band_nm", "lower", "upper", "limit_low", "limit_high", "detectable")
+_TYPES = {"role": Role, "evidence": Evidence, "outcome": Outcome, "cause": Cause}
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,11 @@ def _row(item: Any, where: str) -> Result:
         for name in _NUMBERS:
             value = values[name]
             values[name] = math.nan if value is None else float(_WORDS.get(value, value))
-        values["status"] = Status(values["status"])
-    except (TypeError, ValueError) as error:
+        for name, kind in _TYPES.items():
+            values[name] = kind(values[name])
+        return Result(**values)
+    except (TypeError, ValueError, UsageError) as error:
         raise InputError(f"not a row of results: {error}", where=where) from error
-    return Result(**values)
 
 
 def _json(path: Path) -> dict[str, Any]:

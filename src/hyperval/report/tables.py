@@ -17,18 +17,19 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import hyperval
-from hyperval.results import COLUMNS, Result, Status
+from hyperval.report.verdict import limits_text
+from hyperval.results import COLUMNS, Outcome, Result
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 # What XML 1.0 cannot hold at all, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def status_counts(rows: Iterable[Result]) -> dict[str, int]:
-    """Number of rows of each status, every status named."""
-    found = Counter(row.status for row in rows)
-    return {str(status): found[status] for status in Status}
+def outcome_counts(rows: Iterable[Result]) -> dict[str, int]:
+    """Number of rows of each outcome, every outcome named."""
+    count = Counter(row.outcome for row in rows)
+    return {str(outcome): count[outcome] for outcome in Outcome}
 
 
 def results_csv(rows: Iterable[Result]) -> str:
@@ -47,7 +48,7 @@ def results_json(rows: Iterable[Result]) -> str:
     document = {
         "schema_version": SCHEMA_VERSION,
         "hyperval_version": hyperval.__version__,
-        "counts": status_counts(rows),
+        "counts": outcome_counts(rows),
         "columns": list(COLUMNS),
         "rows": [],
     }
@@ -62,11 +63,11 @@ def results_json(rows: Iterable[Result]) -> str:
 
 
 def junit_xml(rows: Iterable[Result]) -> str:
-    """One test case for each row that is not INFO; FAIL, ERROR and SKIPPED with their reason."""
+    """One test case for each gate and each error; what disagrees fails, what is undecided counts as skipped."""
     suites: dict[str, list[Result]] = {}
     for row in rows:
         suites.setdefault(row.campaign, [])
-        if row.status is not Status.INFO:
+        if row.gates or row.outcome is Outcome.ERROR:
             suites[row.campaign].append(row)
     everything = [row for suite in suites.values() for row in suite]
     lines = ['<?xml version="1.0" encoding="UTF-8"?>', f'<testsuites name="hyperval" {_totals(everything)}>']
@@ -110,8 +111,8 @@ def row_name(row: Result) -> str:
 def why(row: Result) -> str:
     """The reason of a row, or its numbers where it states none."""
     numbers = f"{row.metric} = {row.value:.6g} {row.unit}"
-    if math.isfinite(row.threshold):
-        numbers += f", threshold {row.threshold:.6g}"
+    if limits_text(row):
+        numbers += f", accepted {limits_text(row)}"
     return f"{row.reason} ({numbers})" if row.reason and math.isfinite(row.value) else row.reason or numbers
 
 
@@ -128,18 +129,27 @@ def _cell(value: Any) -> str:
     return str(value)
 
 
+_ELEMENTS = {
+    Outcome.DISAGREES: "failure", Outcome.ERROR: "error", Outcome.SKIPPED: "skipped", Outcome.UNDECIDED: "skipped",
+}  # fmt: skip
+
+
 def _totals(rows: Sequence[Result]) -> str:
-    count = status_counts(rows)
-    return f'tests="{len(rows)}" failures="{count["FAIL"]}" errors="{count["ERROR"]}" skipped="{count["SKIPPED"]}"'
+    count = Counter(_ELEMENTS.get(row.outcome) for row in rows)
+    return (
+        f'tests="{len(rows)}" failures="{count["failure"]}" errors="{count["error"]}" skipped="{count["skipped"]}"'
+    )
 
 
 def _test_case(row: Result) -> str:
     head = f"  <testcase classname={_attribute(f'{row.campaign}.{row.product}')} name={_attribute(row_name(row))}"
-    element = {Status.FAIL: "failure", Status.ERROR: "error", Status.SKIPPED: "skipped"}.get(row.status)
+    element = _ELEMENTS.get(row.outcome)
     if element is None:
         return head + "/>"
-    reason = row.reason or "no reason given" if row.status is Status.SKIPPED else why(row)
-    return f"{head}><{element} message={_attribute(reason)}/></testcase>"
+    words = "; ".join(
+        part for part in (f"undecided: {row.cause}" if row.outcome is Outcome.UNDECIDED else "", why(row)) if part
+    )
+    return f"{head}><{element} message={_attribute(words)}/></testcase>"
 
 
 def _attribute(text: str) -> str:

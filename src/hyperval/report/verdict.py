@@ -6,100 +6,107 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from hyperval.report.tables import status_counts
-from hyperval.results import Result, Status
+from hyperval.metrics import Evidence, Kind, metric_of
+from hyperval.results import Outcome, Result
 
-# How a row that informs, and does not gate, says that it found a disagreement: its reason begins so ...
-_DISAGREES = ("disagree", "differ", "inconsistent", "outside")
-# ... or tells what a gate would have made of it.
-_WOULD_NOT = ("would not pass", "would be an error")
 _MOST_NAMED = 6
-_P_VALUES = ("p_value", "p_value_full", "p_value_diagonal", "p_value_shape", "p_value_explained")
-# A full test of spectra that nothing was planned for: rejected beyond doubt, whatever else passed.
-_FULL_TEST, _REJECTED = "p_value_full", 1e-3
 _LONGEST_NAME = 70
+WORST_FIRST = (
+    Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.AGREES, Outcome.NONE,
+)  # fmt: skip
+_KINDS = {
+    Evidence.MODEL: ("model gate", "model gates"),
+    Evidence.PIPELINE: ("check of the pipeline", "checks of the pipeline"),
+}
+# (outcome, of one, of several)
+_VERBS = (
+    (Outcome.DISAGREES, "disagrees", "disagree"),
+    (Outcome.ERROR, "ended in an error", "ended in an error"),
+    (Outcome.UNDECIDED, "could not be decided", "could not be decided"),
+    (Outcome.SKIPPED, "was skipped", "were skipped"),
+    (Outcome.AGREES, "agrees", "agree"),
+)
 
 
-def verdict(rows: Iterable[Result]) -> tuple[str, str]:
-    """A tone (agree, mixed, disagree, undecided) and a few sentences.
+def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
+    """What the gates conclude together, and a few sentences: what agrees, what does not, what could not be told.
 
-    "Agrees" needs at least one PASS and neither FAIL nor ERROR, and no informing row that found a
-    disagreement (``informs_of_disagreement``): those do not fail the campaign, but make the tone mixed.
+    Gates that the model moves are counted apart from checks of the pipeline.  Comparisons that inform and disagree
+    are named too, and "agrees" needs that there is none.
     """
     rows = list(rows)
-    count = status_counts(rows)
-    telling = [row for row in rows if informs_of_disagreement(row)]
-    failed = [row for row in rows if row.status is Status.FAIL]
-    broken = [row for row in rows if row.status is Status.ERROR]
-    decided = count["PASS"] + count["FAIL"]
-    if failed:
-        tone = "disagree"
-        words = (
-            f"Does not agree: {count['FAIL']} of {_things(decided, 'gating comparison')} failed ({_named(failed)})."
-        )
-        if count["PASS"]:
-            words += f" {count['PASS']} passed."
-    elif decided and not broken and telling:
-        tone = "mixed"
-        words = f"Passes its gates ({_passed(decided)}), but not everything agrees."
-    elif decided and not broken:
-        tone = "agree"
-        where = "where it was checked" if count["SKIPPED"] else "within the stated limits"
-        words = f"Agrees {where}: {_passed(decided)}."
-    elif decided:
-        tone = "undecided"
-        words = f"Not decided: {count['PASS']} passed, but not every planned comparison could be made."
-    elif telling and not count["SKIPPED"] and not broken:
-        tone = "undecided"
-        words = "Nothing was checked by a gate: every comparison of this campaign only informs."
+    gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
+    telling = [row for row in rows if disagrees_without_gating(row)]
+    overall = worst(gates)
+    model = [row for row in gates if row.evidence is Evidence.MODEL]
+    decided = any(row.outcome in (Outcome.AGREES, Outcome.DISAGREES) for row in gates)
+    if overall in (Outcome.ERROR, Outcome.DISAGREES):
+        words = ["Does not agree."]
+    elif not decided:
+        words = ["Nothing was decided."]
+        overall = Outcome.UNDECIDED if gates or telling else Outcome.NONE
+    elif not any(row.outcome is Outcome.AGREES for row in model):
+        words, overall = ["No comparison with the model was decided."], Outcome.UNDECIDED
+    elif overall is Outcome.AGREES and not telling:
+        words = ["Agrees."]
     else:
-        tone = "undecided"
-        words = "Nothing was checked: no gating comparison was decided."
-    if broken:
-        words += f" {_things(count['ERROR'], 'comparison')} ended in an error ({_named(broken)})."
-    if count["SKIPPED"]:
-        skipped = [row for row in rows if row.status is Status.SKIPPED]
-        words += f" {_things(count['SKIPPED'], 'planned comparison')} skipped ({_named(skipped)})."
+        words = ["Agrees in part."]
+        overall = Outcome.UNDECIDED
+    words += [_counted([row for row in gates if row.evidence is kind], kind) for kind in _KINDS]
     if telling:
-        words += f" Without gating, {_things(len(telling), 'comparison')} found a disagreement ({_named(telling)})."
-    return tone, words
+        verb = (
+            "comparison that does not decide disagrees"
+            if len(telling) == 1
+            else ("comparisons that do not decide disagree")
+        )
+        words.append(f"Besides, {len(telling)} {verb} ({_named(telling)}).")
+    unsure = sum(not row.gates and row.outcome is Outcome.UNDECIDED for row in rows)
+    if unsure:
+        words.append(f"Of {unsure} more that {'does' if unsure == 1 else 'do'} not decide the data cannot tell.")
+    return overall, " ".join(part for part in words if part)
 
 
-def informs_of_disagreement(row: Result) -> bool:
-    """True for an INFO row whose reason says that the two sides do not agree.
-
-    It begins with "disagrees", "differs", "inconsistent" or "outside", or says that the row "would not pass".
-    A full test of two spectra (``p_value_full``) below 1e-3 says so without words.
-    """
-    rejected = row.metric == _FULL_TEST and row.value < _REJECTED
-    return row.status is Status.INFO and (rejected or _says_so(row))
-
-
-def is_planned(row: Result) -> bool:
-    """True for an INFO row that a campaign asked for, with what it would have to meet.
-
-    Which rows are planned does not follow from their values: accepted numbers are kept of these.
-    """
-    told = row.status is Status.INFO and _says_so(row)
-    return math.isfinite(row.threshold) or "informs only" in row.reason or told
+def _counted(gates: Sequence[Result], kind: Evidence) -> str:
+    """ "3 model gates disagree (radiance lawn), 2 could not be decided, 5 agree." """
+    parts: list[str] = []
+    for outcome, one, several in _VERBS:
+        own = [row for row in gates if row.outcome is outcome]
+        if own:
+            noun = f" {_KINDS[kind][len(own) != 1]}" if not parts else ""
+            names = "" if outcome is Outcome.AGREES else f" ({_named(own)})"
+            parts.append(f"{len(own)}{noun} {one if len(own) == 1 else several}{names}")
+    return f"{', '.join(parts)}." if parts else ""
 
 
-def _says_so(row: Result) -> bool:
-    """True where the reason says that the two sides do not agree."""
-    reason = row.reason.lower()
-    return reason.startswith(_DISAGREES) or any(w in reason for w in _WOULD_NOT)
+def worst(rows: Iterable[Result]) -> Outcome:
+    """The outcome that counts for several rows together; ``none`` without any."""
+    return min((row.outcome for row in rows), key=WORST_FIRST.index, default=Outcome.NONE)
 
 
-def status_words(rows: Iterable[Result]) -> str:
-    """Number of rows by status: "3 passed, 1 failed, 2 skipped, 40 inform"."""
-    count = status_counts(rows)
-    names = {"PASS": "passed", "FAIL": "failed", "ERROR": "in error", "SKIPPED": "skipped", "INFO": "inform"}
+def gate_fails(row: Result) -> bool:
+    """True for a gate that disagrees, and for any error."""
+    return row.outcome is Outcome.ERROR or (row.gates and row.outcome is Outcome.DISAGREES)
+
+
+def disagrees_without_gating(row: Result) -> bool:
+    """True for a row that informs, and found a disagreement."""
+    return not row.gates and row.outcome is Outcome.DISAGREES
+
+
+def outcome_words(rows: Iterable[Result]) -> str:
+    """Number of rows by outcome: "3 agree, 1 disagrees, 40 without a plan"."""
+    count = Counter(row.outcome for row in rows)
+    names = {
+        Outcome.AGREES: "agree", Outcome.DISAGREES: "disagree", Outcome.ERROR: "in error",
+        Outcome.UNDECIDED: "undecided", Outcome.SKIPPED: "skipped", Outcome.NONE: "not planned",
+    }  # fmt: skip
     return ", ".join(f"{count[key]} {name}" for key, name in names.items() if count[key]) or "no rows"
 
 
-def is_per_band(row: Result) -> bool:
-    """True for a row about one band."""
-    return math.isfinite(row.band_nm)
+def last_line(rows: Iterable[Result]) -> str:
+    """The last line of the console: gates by outcome, those that could not be decided among them."""
+    gates = [row for row in rows if row.gates]
+    return f"gates: {outcome_words(gates)}" if gates else "gates: none"
 
 
 def number_text(value: float, spread: float = math.nan) -> str:
@@ -127,7 +134,7 @@ def number_text(value: float, spread: float = math.nan) -> str:
 
 def value_text(row: Result) -> str:
     """The value of a row with its unit; of a p-value two digits, and never nothing at all."""
-    if row.metric.partition("@")[0].endswith(_P_VALUES) and math.isfinite(row.value):
+    if metric_of(row.metric).kind is Kind.TEST and math.isfinite(row.value):
         return _p_value_text(row.value)
     text = number_text(row.value, _half_width(row))
     return text if row.unit in ("1", "") or math.isnan(row.value) else f"{text} {row.unit}"
@@ -148,21 +155,14 @@ def interval_text(row: Result) -> str:
     return f"{number_text(row.lower, spread)} to {number_text(row.upper, spread)}"
 
 
-def threshold_text(row: Result) -> str:
-    """The threshold of a row with the side on which a value passes, empty when it has none."""
-    return "" if math.isnan(row.threshold) else f"{_side(row)}{number_text(row.threshold)}"
-
-
-def _side(row: Result) -> str:
-    """ "≥ " or "≤ ", as the reason says or as value and status tell; empty where neither does."""
-    for words, sign in (("at least", "≥ "), ("at most", "≤ ")):
-        if words in row.reason:
-            return sign
-    fails = row.status is Status.FAIL or "would not pass" in row.reason
-    passes = row.status is Status.PASS or "would pass" in row.reason
-    if fails == passes or math.isnan(row.value) or row.value == row.threshold:
+def limits_text(row: Result) -> str:
+    """The accepted range of a row, empty when it has none."""
+    low, high = row.limit_low, row.limit_high
+    if math.isnan(low) and math.isnan(high):
         return ""
-    return "≥ " if (row.value > row.threshold) == passes else "≤ "
+    if math.isnan(low):
+        return f"≤ {number_text(high)}"
+    return f"≥ {number_text(low)}" if math.isnan(high) else f"{number_text(low)} to {number_text(high)}"
 
 
 def _half_width(row: Result) -> float:
@@ -171,18 +171,10 @@ def _half_width(row: Result) -> float:
 
 def _named(rows: Sequence[Result]) -> str:
     several = len({row.campaign for row in rows}) > 1
-    parts = ((row.campaign if several else "", row.product, row.subject, row.method) for row in rows)
+    parts = ((row.campaign if several else "", row.product, row.subject) for row in rows)
     texts = (" ".join(part for part in each if part) for each in parts)
     names = list(dict.fromkeys(t if len(t) <= _LONGEST_NAME else f"{t[: _LONGEST_NAME - 1]}…" for t in texts))
     if len(names) <= _MOST_NAMED:
         return "; ".join(names)
     kinds = Counter(row.campaign if several else row.product for row in rows)
     return ", ".join(f"{count} of {kind}" for kind, count in kinds.most_common())
-
-
-def _things(count: int, thing: str) -> str:
-    return f"{count} {thing}{'' if count == 1 else 's'}"
-
-
-def _passed(decided: int) -> str:
-    return "the one gating comparison passed" if decided == 1 else f"all {decided} gating comparisons passed"

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.processing.intervals import clopper_pearson
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result
 from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
@@ -70,7 +70,7 @@ def agreement_of(rows: Sequence[Result]) -> Agreement:
             found = _spectral(own)
             if found is not None:
                 spectra.setdefault(quantity, {})[subject] = found
-    curves = [r for r in rows if r.product == "roc" and r.status is Status.INFO and math.isfinite(r.value)]
+    curves = [r for r in rows if r.product == "roc" and r.outcome is not Outcome.SKIPPED and math.isfinite(r.value)]
 
     def values(metric: str) -> dict[str, list[float]]:
         return {x: [r.value for r in curves if r.metric == f"{metric}@{x}"] for x in LEVELS}

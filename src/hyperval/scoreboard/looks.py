@@ -19,7 +19,7 @@ from hyperval.processing.detectors import ANOMALY_DETECTORS, detector_names
 from hyperval.processing.local_scores import LOCAL_DETECTORS
 from hyperval.processing.objects import object_scores
 from hyperval.progress import track
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 from hyperval.scenario import Scenario
 from hyperval.scoreboard.measures import MEASURES, Measure
 from hyperval.scoreboard.ranks import Ranked, fewest_objects, ranked
@@ -152,7 +152,7 @@ def detector_rows(
     detection = asked.campaign.detection
     if detection is None or observed.detected is None:
         why = "the campaign looks for no targets"
-        return [RowMaker(campaign, PRODUCT, EVERY_OBJECT, "detectors").skipped(why, "rank")]
+        return [RowMaker(campaign, PRODUCT, EVERY_OBJECT, "detectors").skipped(Cause.NO_OBSERVATION, why, "rank")]
     rows = _measured_rows(campaign, observed)
     counts = block_counts(observed, detection)
     groups = {name: looks for name, looks in counts.group.items() if looks}
@@ -165,7 +165,9 @@ def detector_rows(
                 found = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
                 rows += rank_rows(campaign, name, counts, measure, found)
     for name, reason in asked.left_out.items():
-        rows.append(RowMaker(campaign, PRODUCT, EVERY_OBJECT, f"{name}/object").skipped(reason, "rank"))
+        rows.append(
+            RowMaker(campaign, PRODUCT, EVERY_OBJECT, f"{name}/object").skipped(Cause.REFUSED, reason, "rank")
+        )
     return rows
 
 
@@ -205,7 +207,7 @@ def _value_row(make: RowMaker, counts: BlockCounts, measure: Measure, found: Ran
     per_area = measure.of_look is None
     scale = counts.density_km2 if per_area else 1.0
     if math.isnan(scale):
-        return make.skipped("the ground area of the background is not known", measure.name)
+        return make.skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", measure.name)
     value, low, high = (float(x[d]) * scale for x in (found.value, found.lower, found.upper))
     why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
     unit = "km-2" if per_area else "1"

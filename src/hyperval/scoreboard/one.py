@@ -13,7 +13,7 @@ from hyperval.campaign.schema import Campaign
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error
 from hyperval.observe.place import open_place
-from hyperval.results import Result, Status
+from hyperval.results import Cause, Outcome, Result
 from hyperval.scenario import Scenario
 from hyperval.scoreboard.extend import load_extensions
 from hyperval.scoreboard.looks import (
@@ -61,16 +61,16 @@ def benchmark_campaign(entry: Entry, *, show_progress: bool | None = False) -> B
     """Every row of one campaign; what stops it becomes its one row, SKIPPED or ERROR."""
     job = entry.job
     if isinstance(job, Waiting):
-        return _stopped(entry, Status.SKIPPED, job.reason)
+        return _stopped(entry, Outcome.SKIPPED, job.reason)
     try:
         load_extensions(entry.extensions)
         return _run(entry, job, show_progress)
     except MissingDataError as error:
-        return _stopped(entry, Status.SKIPPED, str(error))
+        return _stopped(entry, Outcome.SKIPPED, str(error))
     except HypervalError as error:
-        return _stopped(entry, Status.ERROR, str(error), error.exit_code)
+        return _stopped(entry, Outcome.ERROR, str(error), error.exit_code)
     except Exception as error:  # one broken campaign must not hide what the others say
-        return _stopped(entry, Status.ERROR, internal_error(error), INTERNAL_ERROR)
+        return _stopped(entry, Outcome.ERROR, internal_error(error), INTERNAL_ERROR)
 
 
 def _run(entry: Entry, job: Job, show_progress: bool | None) -> Benchmarked:
@@ -120,10 +120,13 @@ def _halo(asked: Asked) -> list[str]:
     return ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
 
 
-def _stopped(entry: Entry, status: Status, reason: str, code: int | None = None) -> Benchmarked:
+def _stopped(entry: Entry, outcome: Outcome, reason: str, code: int | None = None) -> Benchmarked:
     campaign = entry.job.campaign
     log = InputLog(entry.job.folder)
     log.add(entry.job.path.resolve(), entry.job.path.name)
-    row = Result(campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", status=status, reason=reason)
+    cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
+    row = Result(
+        campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason
+    )
     record = record_of(log, [], None, {"campaign": campaign.model_dump(mode="json", by_alias=True)}, [])
     return Benchmarked(campaign.name, campaign.title, campaign.simulated, [row], [], record, code)

@@ -17,7 +17,7 @@ from hyperval.errors import HypervalError
 from hyperval.predict import predict
 from hyperval.products import Observation, Prediction
 from hyperval.progress import track
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 from hyperval.scenario import Scenario
 from hyperval.scoreboard import agreement as a
 from hyperval.scoreboard.engines import ENGINES, NotApplicable, Served
@@ -138,7 +138,7 @@ def _compared(predicted: Prediction, observed: Observation, campaign: str, label
 def _rows(campaign: str, variant: Variant, score: a.Agreement | None, base: a.Agreement, seed: int) -> list[Result]:
     make = RowMaker(campaign, PRODUCT, EVERY_SUBJECT, variant.label)
     if score is None:
-        return [make.skipped(variant.reason, "agreement")]
+        return [make.skipped(Cause.REFUSED, variant.reason, "agreement")]
     told = "; ".join(dict.fromkeys(s.note for s in variant.served if s.note))
     rows: list[Result] = []
     for quantity, spectra in score.spectra.items():
@@ -154,7 +154,9 @@ def _rows(campaign: str, variant: Variant, score: a.Agreement | None, base: a.Ag
         if n:
             why = "mean over curves by pixel; interval by drawing curves anew"
             rows.append(make.row(f"pd_mean_abs_difference@{level}", gap, interval=span, n=n, reason=why))
-    return rows or [make.skipped("the campaign compares no spectrum in a window and no curve", "agreement")]
+    return rows or [
+        make.skipped(Cause.NO_PREDICTION, "the campaign compares no spectrum in a window and no curve", "agreement")
+    ]
 
 
 def _spectral_rows(

@@ -34,11 +34,11 @@ def check_bands(sensor: Sensor, ledger: Ledger) -> SpectralAxis | None:
     try:
         axis = sensor.axis
     except UsageError as error:
-        ledger.gate(PRODUCT, "bands_out_of_order", max(wrong, 1), False, threshold=0.0, reason=error.what)
+        ledger.gate(PRODUCT, "bands_out_of_order", max(wrong, 1), False, at_most=0.0, reason=error.what)
         if narrow:
-            ledger.gate(PRODUCT, "bands_without_width", narrow, False, threshold=0.0, reason=error.what)
+            ledger.gate(PRODUCT, "bands_without_width", narrow, False, at_most=0.0, reason=error.what)
         return None
-    ledger.gate(PRODUCT, "bands_out_of_order", 0.0, True, threshold=0.0)
+    ledger.gate(PRODUCT, "bands_out_of_order", 0.0, True, at_most=0.0)
     _check_widths(sensor, axis, ledger)
     _check_response(axis, ledger)
     return axis
@@ -90,13 +90,13 @@ def _check_widths(sensor: Sensor, axis: SpectralAxis, ledger: Ledger) -> None:
     ratio = float(np.median(neighbour_ratio(axis)[counts]))
     ledger.gate(
         PRODUCT, "fwhm_over_spacing_median", ratio, NARROWEST <= ratio <= WIDEST,
-        threshold=NARROWEST if ratio < 1 else WIDEST,
+        at_least=NARROWEST, at_most=WIDEST,
         reason=f"outside {NARROWEST:g} to {WIDEST:g}: is sigma given for FWHM, half widths for full, or nm for um?",
     )  # fmt: skip
     unseen = np.where(counts, unseen_widths(axis), -np.inf)
     at = int(np.argmax(unseen))
     ledger.gate(
-        PRODUCT, "widest_gap_fwhm", float(unseen[at]), unseen[at] <= WIDEST_GAP, threshold=WIDEST_GAP,
+        PRODUCT, "widest_gap_fwhm", float(unseen[at]), unseen[at] <= WIDEST_GAP, at_most=WIDEST_GAP,
         unit="FWHM", band_nm=np.nan,
         reason=f"between {axis.centre_nm[at]:g} and {axis.centre_nm[at + 1]:g} nm: a band lacks, or the gap is "
         "to be stated in bands: gaps",
@@ -113,6 +113,6 @@ def _check_response(axis: SpectralAxis, ledger: Ledger) -> None:
     ):  # fmt: skip
         at = int(np.argmax(values))
         ledger.gate(
-            PRODUCT, metric, float(values[at]), bool(values[at] <= limit), threshold=limit, unit=unit,
+            PRODUCT, metric, float(values[at]), bool(values[at] <= limit), at_most=limit, unit=unit,
             reason=f"{words}; worst at {axis.centre_nm[at]:g} nm",
         )  # fmt: skip

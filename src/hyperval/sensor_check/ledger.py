@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.sensor.published import KnownDiscrepancy
+
+METHOD = "sensor check"
 
 
 class Ledger:
@@ -25,7 +27,8 @@ class Ledger:
         value: float,
         passes: bool,
         *,
-        threshold: float = math.nan,
+        at_least: float = math.nan,
+        at_most: float = math.nan,
         unit: str = "1",
         subject: str = "",
         band_nm: float = math.nan,
@@ -37,15 +40,20 @@ class Ledger:
 
         ``reason`` says what is wrong and is kept when it fails; ``remark`` stands in its place when it passes.
         """
-        status = Status.PASS if passes else Status.FAIL
+        outcome, role = (Outcome.AGREES if passes else Outcome.DISAGREES), Role.GATE
         text = remark if passes else reason
         known = next(
             (k for k in (f"{product}/{metric}/{subject}", f"{product}/{metric}") if k in self._known), None
         )
         if not passes and known is not None:
             self._used.add(known)
-            status, text = Status.INFO, f"disagrees, as known: {self._known[known]} ({reason})"
-        self._add(product, metric, value, unit, subject, status, text, threshold, band_nm, n)
+            role, text = Role.INFORM, f"as known: {self._known[known]} ({reason})"
+        self.table.add(
+            Result(
+                self._campaign, product, subject, METHOD, metric, float(value), unit, float(band_nm), n=n,
+                limit_low=float(at_least), limit_high=float(at_most), role=role, outcome=outcome, reason=text,
+            )
+        )  # fmt: skip
         return passes
 
     def info(
@@ -60,45 +68,44 @@ class Ledger:
         reason: str = "",
     ) -> None:
         """A figure that decides nothing."""
-        self._add(product, metric, value, unit, subject, Status.INFO, reason, math.nan, band_nm, None)
+        self.table.add(
+            Result(
+                self._campaign, product, subject, METHOD, metric, float(value), unit, float(band_nm), reason=reason
+            )
+        )
 
     def skipped(self, product: str, metric: str, reason: str) -> None:
         """A check that could not be made because another failed."""
-        self._add(product, metric, math.nan, "1", "", Status.SKIPPED, reason, math.nan, math.nan, None)
+        self._without_value(product, metric, Outcome.SKIPPED, Cause.AFTER_FAILURE, reason)
 
     def error(self, product: str, metric: str, reason: str) -> None:
         """A check that ended in an error."""
-        self._add(product, metric, math.nan, "1", "", Status.ERROR, reason, math.nan, math.nan, None)
+        self._without_value(product, metric, Outcome.ERROR, Cause.BROKEN, reason)
 
     def close(self) -> None:
         """A known discrepancy that no check shows any more fails: the file says something that is not so."""
         for check in self._known:
             if check not in self._used:
                 self.gate(
-                    "file", "known_discrepancy", 0.0, False, threshold=1.0, subject=check,
+                    "file", "known_discrepancy", 0.0, False, at_least=1.0, subject=check,
                     reason="stands in known_discrepancies, but no check of that name fails: take it out",
                 )  # fmt: skip
 
     def failed(self) -> bool:
         """True when a check failed or ended in an error so far."""
-        return any(row.status in (Status.FAIL, Status.ERROR) for row in self.table)
+        return any(row.gates and row.outcome in (Outcome.DISAGREES, Outcome.ERROR) for row in self.table)
 
-    def _add(
-        self,
-        product: str,
-        metric: str,
-        value: float,
-        unit: str,
-        subject: str,
-        status: Status,
-        reason: str,
-        threshold: float,
-        band_nm: float,
-        n: int | None,
-    ) -> None:
+    def _without_value(self, product: str, metric: str, outcome: Outcome, cause: Cause, reason: str) -> None:
         self.table.add(
             Result(
-                self._campaign, product, subject, "sensor check", metric, float(value), unit, float(band_nm),
-                n=n, threshold=threshold, status=status, reason=reason,
+                self._campaign,
+                product,
+                "",
+                METHOD,
+                metric,
+                role=Role.GATE,
+                outcome=outcome,
+                cause=cause,
+                reason=reason,
             )
-        )  # fmt: skip
+        )

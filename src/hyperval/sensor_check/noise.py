@@ -28,7 +28,7 @@ def check_noise(sensor: Sensor, axis: SpectralAxis, ledger: Ledger) -> None:
     middle = sunlit_radiance(axis, MIDDLE)
     parts = noise.breakdown(middle)
     off = float(np.max(np.abs(parts.total / noise.variance(middle) - 1.0)))
-    ledger.gate(PRODUCT, "sum_of_terms_error", off, off <= 1e-9, threshold=1e-9, reason="the terms do not add up")
+    ledger.gate(PRODUCT, "sum_of_terms_error", off, off <= 1e-9, at_most=1e-9, reason="the terms do not add up")
     _snr_rows(axis, noise, ledger)
     _check_quantisation(axis, noise, ledger)
     _check_saturation(axis, noise, ledger)
@@ -57,7 +57,7 @@ def _snr_rows(axis: SpectralAxis, noise: NoiseModel, ledger: Ledger) -> None:
     snr = np.where(good, noise.snr(sunlit_radiance(axis, MIDDLE)), np.inf)
     at = int(np.argmin(snr))
     ledger.gate(
-        "snr", "lowest_snr", float(snr[at]), bool(snr[at] > 1.0), threshold=1.0, subject=f"reflectance {MIDDLE:g}",
+        "snr", "lowest_snr", float(snr[at]), bool(snr[at] > 1.0), at_least=1.0, subject=f"reflectance {MIDDLE:g}",
         reason=f"noise passes the signal at {axis.centre_nm[at]:g} nm",
     )  # fmt: skip
 
@@ -71,7 +71,7 @@ def _check_quantisation(axis: SpectralAxis, noise: NoiseModel, ledger: Ledger) -
     ratio = np.where(axis.good, np.sqrt(parts.quantisation / (parts.shot + parts.fixed)), 0.0)
     at = int(np.argmax(ratio))
     ledger.gate(
-        PRODUCT, metric, float(ratio[at]), bool(ratio[at] < 1.0), threshold=1.0, subject=f"reflectance {DARK:g}",
+        PRODUCT, metric, float(ratio[at]), bool(ratio[at] < 1.0), at_most=1.0, subject=f"reflectance {DARK:g}",
         reason=f"the step of the digital word passes the noise at {axis.centre_nm[at]:g} nm: too few bits",
     )  # fmt: skip
 
@@ -87,7 +87,7 @@ def _check_saturation(axis: SpectralAxis, noise: NoiseModel, ledger: Ledger) -> 
         words = f"{int(np.count_nonzero(part >= 1))} bands saturate, most at {axis.centre_nm[at]:g} nm"
         if gates:
             ledger.gate(
-                "saturation", metric, float(part[at]), bool(part[at] < 1.0), threshold=1.0, subject=subject,
+                "saturation", metric, float(part[at]), bool(part[at] < 1.0), at_most=1.0, subject=subject,
                 reason=words,
             )  # fmt: skip
         else:
@@ -123,7 +123,7 @@ def _check_monotone(sensor: Sensor, axis: SpectralAxis, noise: NoiseModel, ledge
         values = np.where(axis.good, growth(), np.inf)
         at = int(np.argmin(values))
         ledger.gate(
-            "monotone", "lowest_relative_growth_of_snr", float(values[at]), bool(values[at] > 0.0), threshold=0.0,
+            "monotone", "lowest_relative_growth_of_snr", float(values[at]), bool(values[at] > 0.0), at_least=0.0,
             subject=name, reason=f"the SNR does not rise with {name} at {axis.centre_nm[at]:g} nm",
         )  # fmt: skip
 

@@ -9,7 +9,7 @@ from typing import Any
 from hyperval.report import verdict as v
 from hyperval.report.html import common_words, environment
 from hyperval.report.style import Drawing
-from hyperval.results import Result, Status
+from hyperval.results import Outcome, Result
 from hyperval.sensor.specification import Sensor
 from hyperval.sensor_check.numbers import numbers
 from hyperval.sensor_check.suite import SensorCheck
@@ -33,7 +33,7 @@ def datasheet_page(check: SensorCheck, drawings: Sequence[Drawing], provenance: 
     """The page of one sensor."""
     rows = list(check.table)
     listed = numbers(check.sensor.specification)
-    failed = [r for r in rows if r.status in (Status.FAIL, Status.ERROR)]
+    failed = [r for r in rows if v.gate_fails(r)]
     return (
         environment()
         .get_template("datasheet.html.j2")
@@ -41,9 +41,9 @@ def datasheet_page(check: SensorCheck, drawings: Sequence[Drawing], provenance: 
             sensor=check.sensor.specification,
             tone=_tone(rows),
             verdict=_verdict(rows, sum(n.assumed for n in listed), len(listed)),
-            counts=v.status_words(rows),
+            counts=v.outcome_words(rows),
             failed=failed,
-            known=[r for r in rows if v.informs_of_disagreement(r)],
+            known=[r for r in rows if v.disagrees_without_gating(r)],
             facts=_facts(check.sensor),
             numbers=listed,
             assumed=sum(n.assumed for n in listed),
@@ -56,18 +56,17 @@ def datasheet_page(check: SensorCheck, drawings: Sequence[Drawing], provenance: 
 
 
 def _tone(rows: Sequence[Result]) -> str:
-    statuses = {r.status for r in rows}
-    if Status.FAIL in statuses or Status.ERROR in statuses:
-        return "disagree"
-    return "mixed" if any(v.informs_of_disagreement(r) for r in rows) else "agree"
+    if any(v.gate_fails(r) for r in rows):
+        return "disagrees"
+    return "undecided" if any(v.disagrees_without_gating(r) for r in rows) else "agrees"
 
 
 def _verdict(rows: Sequence[Result], assumed: int, numbers_in_all: int) -> str:
-    failed = sum(r.status in (Status.FAIL, Status.ERROR) for r in rows)
-    decided = failed + sum(r.status is Status.PASS for r in rows)
+    failed = sum(v.gate_fails(r) for r in rows)
+    decided = failed + sum(r.gates and r.outcome is Outcome.AGREES for r in rows)
     if failed:
         return f"Not accepted: {failed} of {decided} checks failed."
-    known = sum(v.informs_of_disagreement(r) for r in rows)
+    known = sum(v.disagrees_without_gating(r) for r in rows)
     words = f"Accepted: all {decided} checks passed."
     if known:
         words += f" {known} more do not, for reasons that the file states."

@@ -68,5 +68,7 @@ def _row(point: SnrPoint, ledger: Ledger) -> None:
         ledger.info(PRODUCT, metric, ratio, subject=subject, reason=words)
         return
     passes = ratio >= 1.0 if bound else abs(ratio - 1.0) <= TOLERANCE
-    limit = 1.0 if bound else 1.0 + (TOLERANCE if ratio > 1 else -TOLERANCE)
-    ledger.gate(PRODUCT, metric, ratio, passes, threshold=limit, subject=subject, reason=words, remark=words)
+    low, high = (1.0, np.nan) if bound else (1.0 - TOLERANCE, 1.0 + TOLERANCE)
+    ledger.gate(
+        PRODUCT, metric, ratio, passes, at_least=low, at_most=high, subject=subject, reason=words, remark=words
+    )

@@ -54,20 +54,20 @@ def _check(scenario: Scenario, found: Prediction, sensor: Sensor, ledger: Ledger
         for group in (found.radiance, found.snr)
         for e in group.values()
     )
-    ledger.gate(PRODUCT, "values_not_positive", wrong, wrong == 0, threshold=0.0, subject=name,
+    ledger.gate(PRODUCT, "values_not_positive", wrong, wrong == 0, at_most=0.0, subject=name,
                 reason="radiances or ratios that are not positive in the windows")  # fmt: skip
     c_r = sensor.noise(found.axis).calibration_percent / 100.0
     highest = max(float(np.max(e.mean * c_r)) for s, e in found.snr.items() if s in found.radiance)
-    ledger.gate(PRODUCT, "highest_snr_over_cap_of_c_r", highest, highest <= 1.0 + 1e-9, threshold=1.0, subject=name,
+    ledger.gate(PRODUCT, "highest_snr_over_cap_of_c_r", highest, highest <= 1.0 + 1e-9, at_most=1.0, subject=name,
                 reason="the SNR passes 100 / C_R")  # fmt: skip
     error = _panel_error(scenario, found, good)
     ledger.gate(PRODUCT, "panel_reflectance_error", error, error <= REFLECTANCE_TOLERANCE,
-                threshold=REFLECTANCE_TOLERANCE, subject=name,
+                at_most=REFLECTANCE_TOLERANCE, subject=name,
                 reason="the empirical line does not give back the panels")  # fmt: skip
     parts = [float(np.max(np.where(found.axis.good, p, 0.0))) for p in found.full_scale.values()]
     if parts and np.all(np.isfinite(parts)):
         most = max(parts)
-        ledger.gate(PRODUCT, "highest_part_of_full_scale", most, most < 1.0, threshold=1.0, subject=name,
+        ledger.gate(PRODUCT, "highest_part_of_full_scale", most, most < 1.0, at_most=1.0, subject=name,
                     reason="a surface of the scene saturates")  # fmt: skip
     for (subject, detector, unit), curve in found.roc.items():
         if unit != "pixel":
@@ -75,7 +75,7 @@ def _check(scenario: Scenario, found: Prediction, sensor: Sensor, ledger: Ledger
         step = float(np.min(np.diff(curve.pd)))
         sound = step >= 0.0 and bool(np.all((curve.pd >= 0) & (curve.pd <= 1)))
         what = f"{name}, {subject} {detector}"
-        ledger.gate(PRODUCT, "lowest_step_of_roc", step, sound, threshold=0.0, subject=what,
+        ledger.gate(PRODUCT, "lowest_step_of_roc", step, sound, at_least=0.0, subject=what,
                     reason="the ROC falls or leaves 0 to 1")  # fmt: skip
         ledger.info(PRODUCT, f"pd_at_pfa_{FALSE_ALARM:g}", float(detection_at(curve, FALSE_ALARM)), subject=what)
 

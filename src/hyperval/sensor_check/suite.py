@@ -73,9 +73,9 @@ def check_sensor(
     usable = axis is not None and check_throughput(found, axis, ledger)
     if axis is None or not usable:
         if axis is None:
-            ledger.skipped("throughput", "every check", "the bands are in no order")
+            ledger.skipped("throughput", "sensor_check", "the bands are in no order")
         for product in ("noise", "saturation", "monotone", "published_snr", "scenario", "sensitivity"):
-            ledger.skipped(product, "every check", "bands or throughput fail: nothing can be computed from them")
+            ledger.skipped(product, "sensor_check", "bands or throughput fail: nothing can be computed from them")
         return SensorCheck(found, ledger.table, vary=vary, usable=False)
     check_noise(found, axis, ledger)
     points = check_published(found, axis, ledger, engine)

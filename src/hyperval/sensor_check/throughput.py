@@ -34,7 +34,7 @@ def check_throughput(sensor: Sensor, axis: SpectralAxis, ledger: Ledger) -> bool
     if spec.arms:
         outside = _outside_arms(sensor, axis)
         inside = ledger.gate(
-            PRODUCT, "bands_outside_arms", outside.size, outside.size == 0, threshold=0.0,
+            PRODUCT, "bands_outside_arms", outside.size, outside.size == 0, at_most=0.0,
             reason="bands beyond the range_nm of every arm: " + ", ".join(f"{w:g} nm" for w in outside[:5]),
         )  # fmt: skip
         if not inside:
@@ -50,7 +50,7 @@ def check_throughput(sensor: Sensor, axis: SpectralAxis, ledger: Ledger) -> bool
     lowest = float(np.min(g))
     positive = bool(np.all(np.isfinite(g)) and lowest > 0)
     ledger.gate(
-        PRODUCT, "lowest_electrons_per_radiance", lowest, positive, threshold=0.0,
+        PRODUCT, "lowest_electrons_per_radiance", lowest, positive, at_least=0.0,
         unit="electrons per uW cm-2 sr-1 nm-1", reason="no light reaches the detector in some band",
     )  # fmt: skip
     if not positive:
@@ -79,11 +79,11 @@ def electrons_from_noise(noise: NoiseModel, level: Array, other: Array) -> Array
 
 
 def _empty(arm: Arm, ledger: Ledger) -> bool:
-    return ledger.gate(PRODUCT, "bands_of_arm", 0.0, False, threshold=1.0, subject=arm.name, reason="holds no band")
+    return ledger.gate(PRODUCT, "bands_of_arm", 0.0, False, at_least=1.0, subject=arm.name, reason="holds no band")
 
 
 def _check_arm(arm: Arm, axis: SpectralAxis, ledger: Ledger) -> bool:
-    ledger.gate(PRODUCT, "bands_of_arm", len(axis), True, threshold=1.0, subject=arm.name)
+    ledger.gate(PRODUCT, "bands_of_arm", len(axis), True, at_least=1.0, subject=arm.name)
     sound = True
     w = axis.centre_nm
     for name, (most, zero) in _LIMITS.items():
@@ -92,18 +92,18 @@ def _check_arm(arm: Arm, axis: SpectralAxis, ledger: Ledger) -> bool:
         low, high = float(values.min()), float(values.max())
         positive = low > 0 or (zero and low == 0)
         sound &= ledger.gate(
-            PRODUCT, f"lowest_{name}", low, positive, threshold=0.0, subject=arm.name,
+            PRODUCT, f"lowest_{name}", low, positive, at_least=0.0, subject=arm.name,
             reason=f"{name} of arm {arm.name} is not positive at {w[int(np.argmin(values))]:g} nm",
         )  # fmt: skip
         ledger.gate(
-            PRODUCT, f"highest_{name}", high, high <= most, threshold=most, subject=arm.name,
+            PRODUCT, f"highest_{name}", high, high <= most, at_most=most, subject=arm.name,
             reason=f"{name} of arm {arm.name} passes {most:g} (per cent in place of a fraction, ms in place of s?)",
         )  # fmt: skip
         if quantity.table is not None:
             ends = quantity.table[0][0], quantity.table[-1][0]
             beyond = int(np.count_nonzero((w < ends[0] - axis.fwhm_nm) | (w > ends[1] + axis.fwhm_nm)))
             ledger.gate(
-                PRODUCT, f"bands_beyond_table_of_{name}", beyond, beyond == 0, threshold=0.0, subject=arm.name,
+                PRODUCT, f"bands_beyond_table_of_{name}", beyond, beyond == 0, at_most=0.0, subject=arm.name,
                 reason=f"the table reaches from {ends[0]:g} to {ends[1]:g} nm and its end value is carried on",
             )  # fmt: skip
     return sound
@@ -126,7 +126,7 @@ def _check_gain(sensor: Sensor, axis: SpectralAxis, noise: NoiseModel, ledger: L
     at = int(np.argmax(off))
     ledger.gate(
         PRODUCT, "gain_error_by_photon_energy", float(off[at]), bool(off[at] <= GAIN_TOLERANCE),
-        threshold=GAIN_TOLERANCE,
+        at_most=GAIN_TOLERANCE,
         reason=f"electrons per radiance differ from energy over photon energy, most at {axis.centre_nm[at]:g} nm",
     )  # fmt: skip
 
@@ -144,7 +144,8 @@ def _check_photon_transfer(axis: SpectralAxis, noise: NoiseModel, ledger: Ledger
         return
     median = float(np.median(off[linear]))
     ledger.gate(
-        PRODUCT, "gain_error_by_photon_transfer", median, abs(median) <= GAIN_TOLERANCE, threshold=GAIN_TOLERANCE,
+        PRODUCT, "gain_error_by_photon_transfer", median, abs(median) <= GAIN_TOLERANCE,
+        at_least=-GAIN_TOLERANCE, at_most=GAIN_TOLERANCE,
         n=int(linear.sum()),
         reason="noise grows with the signal as if the gain were another: is detector_gain meant?",
     )  # fmt: skip

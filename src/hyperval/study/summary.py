@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.results import Result, ResultTable, Status
+from hyperval.results import Cause, Outcome, Result, ResultTable
 from hyperval.study.design import listed
 from hyperval.study.knees import KneePoint, knee
 from hyperval.study.plan import Plan
@@ -19,6 +19,7 @@ from hyperval.study.tables import StudyTable
 
 Array = npt.NDArray[np.float64]
 MOST_LISTED = 500  # points that stand in results.csv one by one
+_NO_VALUE = {"outcome": Outcome.SKIPPED, "cause": Cause.NO_VALUE}
 _PRODUCT = {"snr": "snr", "radiance": "radiance"}
 
 
@@ -87,7 +88,18 @@ def result_rows(plan: Plan, table: StudyTable, knees: list[FoundKnee]) -> Result
         subject = output.subject if output else f.name
         if not held.size:
             first = next(iter(table.reasons.values()), "no point has a value")
-            add(where, subject, f.name, "median", np.nan, f.unit, status=Status.SKIPPED, reason=first, n=0)
+            add(
+                where,
+                subject,
+                f.name,
+                "median",
+                np.nan,
+                f.unit,
+                outcome=Outcome.SKIPPED,
+                cause=Cause.NO_VALUE,
+                reason=first,
+                n=0,
+            )
             continue
         lacking = column.size - held.size
         said = f"{lacking} of {column.size} points have no value; reasons stand in table.csv" if lacking else ""
@@ -97,9 +109,9 @@ def result_rows(plan: Plan, table: StudyTable, knees: list[FoundKnee]) -> Result
     for item in knees:
         asked, found = item.asked, item.found
         reason = "; ".join(x for x in (words_of(item.others), found.reason) if x)
-        lacking_status = Status.SKIPPED if found.reason else Status.INFO
+        lacking_knee = _NO_VALUE if found.reason else {}
         add("study", asked.output, f"knee along {asked.along}", "knee", found.x, units[asked.along],
-            status=lacking_status, reason=reason)  # fmt: skip
+            reason=reason, **lacking_knee)  # fmt: skip
     if plan.difference is not None:
         add("study", plan.scenario.name, "fast evaluator", "greatest_relative_difference_from_predict",
             plan.difference, reason="radiance, SNR and P_D at three points of the study")  # fmt: skip
@@ -121,6 +133,6 @@ def _add_points(rows: ResultTable, study: Study, table: StudyTable) -> None:
             for f in table.outputs:
                 value = float(columns[f.name][i])
                 rows.add(
-                    Result(study.name, "study", f.name, f"point {start + i}", f.name, value, f.unit,
+                    Result(study.name, "study", f.name, f"point {start + i}", "output", value, f.unit,
                            reason="; ".join(x for x in (said, why if np.isnan(value) else "") if x))
                 )  # fmt: skip

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
-from hyperval.results import Result
+from hyperval.results import Outcome, Result
 from hyperval.uncertainty.attribution.false_alarms import AlarmRatio, reason_for
 from hyperval.uncertainty.attribution.likelihood import closing_change
 from hyperval.uncertainty.attribution.ranking import ENOUGH, Ranking, told
 from hyperval.uncertainty.attribution.run import Attribution
-from hyperval.uncertainty.attribution.what_ifs import Outcome
+from hyperval.uncertainty.attribution.what_ifs import Outcome as Experiment
 
 _EVERYTHING = "every input"
 
 
 def attribution_rows(found: Attribution, campaign: str) -> list[Result]:
-    """INFO rows of the products ``attribution``, ``sensitivity`` and ``what-if``.
+    """Rows of the products ``attribution``, ``sensitivity`` and ``what-if``.
 
     attribution: for each group of residuals ``reduced_chi_square`` and ``p_value`` under the stated uncertainties,
     then for each input ``likelihood_gain`` (twice the log-likelihood gained when it may be less well known) and
@@ -31,7 +32,7 @@ def attribution_rows(found: Attribution, campaign: str) -> list[Result]:
     return rows + _alarm_rows(found.what_ifs, campaign)
 
 
-def _alarm_rows(outcomes: Sequence[Outcome], campaign: str) -> list[Result]:
+def _alarm_rows(outcomes: Sequence[Experiment], campaign: str) -> list[Result]:
     """Every ratio of false alarms with its reason, then the ratio after each experiment."""
     before: dict[tuple[str, str, str], AlarmRatio] = {}
     tried: dict[tuple[str, str, str], list[tuple[str, AlarmRatio]]] = {}
@@ -58,9 +59,10 @@ def _ranking_rows(r: Ranking, campaign: str) -> list[Result]:
     def row(method: str, metric: str, value: float, reason: str = "", n: int | None = None) -> Result:
         return Result(campaign, "attribution", r.group, method, metric, value, n=n, reason=reason)
 
-    verdict = r.conclusion if r.p_value >= ENOUGH else f"disagrees: {r.conclusion}"
+    # The test of all products together concludes too, and informs.
+    whole = row(_EVERYTHING, "reduced_chi_square", r.chi_square / r.dof, r.conclusion, r.dof)
     rows = [
-        row(_EVERYTHING, "reduced_chi_square", r.chi_square / r.dof, verdict, r.dof),
+        replace(whole, outcome=Outcome.DISAGREES) if r.p_value < ENOUGH else whole,
         row(_EVERYTHING, "p_value", r.p_value, n=r.dof),
     ]
     if r.together:
@@ -100,7 +102,7 @@ def _sensitivity_rows(found: Attribution, campaign: str) -> list[Result]:
     return rows
 
 
-def _outcome_rows(o: Outcome, campaign: str) -> list[Result]:
+def _outcome_rows(o: Experiment, campaign: str) -> list[Result]:
     def row(metric: str, value: float, reason: str) -> Result:
         return Result(campaign, "what-if", "all", o.name, metric, value, n=o.dof, reason=reason)
 

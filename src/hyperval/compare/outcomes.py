@@ -1,0 +1,316 @@
+"""Outcomes: an interval against a range, a test against its level and its power."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from hyperval.compare.gates import Gate
+from hyperval.compare.rows import COMPARISON
+from hyperval.metrics import Kind, metric_of
+from hyperval.processing.intervals import clopper_pearson
+from hyperval.results import Cause, Outcome, Result, Role
+
+_NAMED = 6  # rows that a message lists
+_SLACK = 1e-9  # of a value: rounding is no breach of its own interval
+# A comparison that lacks one side altogether was planned for something that is not there: under a gate an error.
+_NOT_THERE = (Cause.NO_PREDICTION, Cause.NO_OBSERVATION, Cause.NO_BANDS)
+Judgement = tuple[Outcome, Cause, str]
+
+
+def judged(rows: Iterable[Result], gates: Sequence[Gate], campaign: str = "") -> list[Result]:
+    """The rows with every planned comparison judged.
+
+    Call it once, on all rows of a campaign: the levels of its tests are shared out among them.  A row that several
+    gates cover stands once for each.  A row that no gate covers and whose metric has a usual range is judged by
+    that, and informs.  A subject pattern that no row meets gives an ERROR row, for ``gate: false`` too: nothing
+    planned goes missing.  A pooled gate adds a row METRIC_fraction with the share and its Clopper-Pearson interval.
+
+    Parameters
+    ----------
+    campaign : name for rows that stand for no comparison; taken from the first row when empty
+    """
+    rows = list(rows)
+    campaign = campaign or (rows[0].campaign if rows else "")
+    single = [g for g in gates if g.fraction_at_least is None]
+    out: list[Result] = []
+    for row in rows:
+        covering = [g for g in single if g.covers(row)]
+        if covering:
+            out += [_by_gate(row, g) for g in covering]
+        elif any(g.covers(row) for g in gates):
+            out.append(row)
+        else:
+            out.append(_by_usual_range(row))
+    for gate in gates:
+        out += _unmet(rows, gate, campaign)
+        if gate.fraction_at_least is not None:
+            out += _pooled(rows, gate, campaign)
+    return shared_levels(out)
+
+
+def outcome_of(row: Result, low: float, high: float) -> Judgement:
+    """What a row concludes about the range ``low`` to ``high``, with the cause and words.
+
+    An interval inside the range agrees, outside it disagrees, else the comparison is undecided; a value without an
+    interval is undecided, unless its metric has no sampling error.  A test disagrees below its level ``low`` and
+    agrees above it where it had 80 % power against the departure of its metric.
+    """
+    known = metric_of(row.metric)
+    if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
+        return row.outcome, row.cause, row.reason
+    if math.isnan(row.value):
+        return Outcome.ERROR, Cause.NOT_A_NUMBER, "the value is not a number"
+    if row.lower > row.upper:
+        return Outcome.ERROR, Cause.BAD_INTERVAL, f"the interval {row.lower:g} to {row.upper:g} is inverted"
+    slack = _SLACK * max(1.0, abs(row.value))
+    if row.value < row.lower - slack or row.value > row.upper + slack:
+        words = f"the value lies outside its interval {row.lower:g} to {row.upper:g}"
+        return Outcome.ERROR, Cause.BAD_INTERVAL, words
+    if known.kind is Kind.TEST:
+        return _of_test(row, low)
+    met = low <= row.value <= high
+    if known.kind is Kind.COVERAGE:
+        return (Outcome.UNDECIDED, Cause.COVERAGE, "") if met else (Outcome.DISAGREES, Cause.NONE, "")
+    if known.kind is Kind.EQUIVALENCE:
+        if row.value > 0:
+            return Outcome.AGREES, Cause.NONE, ""
+        return (Outcome.DISAGREES if row.value < 0 else Outcome.UNDECIDED), Cause.NONE, ""
+    if known.kind is Kind.EXACT:
+        return (Outcome.AGREES if met else Outcome.DISAGREES), Cause.NONE, ""
+    if known.kind is Kind.STATISTIC:
+        return Outcome.UNDECIDED, Cause.NOT_JUDGED, ""
+    if math.isnan(row.lower) or math.isnan(row.upper):
+        return Outcome.UNDECIDED, Cause.NO_INTERVAL, ""
+    if low <= row.lower and row.upper <= high:
+        return Outcome.AGREES, Cause.NONE, ""
+    if row.upper < low or row.lower > high:
+        return Outcome.DISAGREES, Cause.NONE, ""
+    return Outcome.UNDECIDED, Cause.WIDE_INTERVAL, ""
+
+
+def tail_probability(row: Result) -> float:
+    """The p-value of a test, of both tails where its metric counts both.
+
+    Examples
+    --------
+    >>> round(tail_probability(Result("", "radiance", "", "", "p_value_full", 0.9999)), 6)
+    0.0002
+    """
+    if metric_of(row.metric).two_sided:
+        return min(2.0 * min(row.value, 1.0 - row.value), 1.0)
+    return row.value
+
+
+def _of_test(row: Result, level: float) -> Judgement:
+    known = metric_of(row.metric)
+    if tail_probability(row) < level:
+        wide = known.two_sided and row.value > 0.5
+        return Outcome.DISAGREES, Cause.NONE, "the stated uncertainty is too wide" if wide else ""
+    if row.detectable <= known.alternative:
+        return Outcome.AGREES, Cause.NONE, ""
+    return Outcome.UNDECIDED, Cause.NO_POWER, f"no 80 % power against {known.departure}" if known.departure else ""
+
+
+def shared_levels(rows: Sequence[Result]) -> list[Result]:
+    """Tests with the levels of the same role and height shared out among them (Holm).
+
+    Of m tests at level a, the k-th smallest p-value is compared with a/(m - k + 1), and once one is not below, the
+    larger ones are not either; then all are right together with probability 1 - a where the model is right.
+    Source: Holm, Scand. J. Stat. 6, 65-70, 1979.
+    """
+    out = list(rows)
+    families: dict[tuple[Role, float], list[int]] = {}
+    for i, row in enumerate(out):
+        tested = metric_of(row.metric).kind is Kind.TEST and math.isfinite(row.value)
+        if tested and math.isfinite(row.limit_low):
+            families.setdefault((row.role, row.limit_low), []).append(i)
+    for (_, level), members in families.items():
+        order = sorted(members, key=lambda i: tail_probability(out[i]))
+        kept = False
+        for place, i in enumerate(order):
+            part = level / (len(order) - place)
+            kept = kept or tail_probability(out[i]) >= part
+            if kept and out[i].outcome is Outcome.DISAGREES:
+                told = f"its part of the level is {part:.2g}, one of {len(order)} tests"
+                out[i] = replace(
+                    out[i], outcome=Outcome.UNDECIDED, cause=Cause.MULTIPLICITY, reason=_joined(told, out[i].reason)
+                )
+    return out
+
+
+def detectable_departure(row: Result, low: float, high: float) -> float:
+    """Smallest departure from agreement whose interval would lie outside the range with 80 % probability.
+
+    Of a value that agrees at a (0 of a difference, 1 of a ratio) with an interval of half width h on the side of
+    the limit L: |L - a| + h (1 + 0.842/1.960), the smaller of both sides.  NaN where no interval is known.
+    """
+    known = metric_of(row.metric)
+    if known.kind is Kind.TEST:
+        return row.detectable
+    if known.kind is not Kind.QUANTITY or math.isnan(known.agreement) or math.isnan(row.upper - row.lower):
+        return math.nan
+    reach = 1.0 + float(stats.norm.ppf(0.8) / stats.norm.ppf(0.975))
+    sides = []
+    if math.isfinite(high):
+        sides.append(max(high - known.agreement, 0.0) + (row.value - row.lower) * reach)
+    if math.isfinite(low):
+        sides.append(max(known.agreement - low, 0.0) + (row.upper - row.value) * reach)
+    return min(sides, default=math.nan)
+
+
+def detectable_share(n: int, least: float) -> float:
+    """Least part of ``n`` rows amiss that puts the exact interval of their share below ``least`` in 80 % of cases.
+
+    NaN where none would do.
+
+    Examples
+    --------
+    >>> round(detectable_share(100, 0.9), 3)
+    0.209
+    """
+    good = np.arange(n + 1)
+    disagrees = [k for k in good if clopper_pearson(int(k), n)[1] < least]
+    if not disagrees:
+        return math.nan
+    return 1.0 - float(stats.beta.ppf(0.2, disagrees[-1] + 1, n - disagrees[-1])) if disagrees[-1] < n else 1.0
+
+
+def _by_gate(row: Result, gate: Gate) -> Result:
+    low, high = gate.limits
+    outcome, cause, words = outcome_of(row, low, high)
+    if gate.gate and outcome is Outcome.SKIPPED and cause in _NOT_THERE:
+        outcome = Outcome.ERROR
+    return replace(
+        row,
+        outcome=outcome,
+        cause=cause,
+        role=Role.GATE if gate.gate else Role.INFORM,
+        limit_low=low if math.isfinite(low) else math.nan,
+        limit_high=high if math.isfinite(high) else math.nan,
+        detectable=detectable_departure(row, low, high),
+        reason=_joined(words, row.reason, gate.reason),
+    )
+
+
+def _by_usual_range(row: Result) -> Result:
+    """A row that no campaign plans: judged by the usual range of its metric, where it has one and a value."""
+    usual = metric_of(row.metric).usual
+    if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
+        return replace(row, outcome=Outcome.NONE, reason=_joined("not compared", row.reason))
+    if usual is None or math.isnan(row.value):
+        return row
+    low, high = usual
+    outcome, cause, words = outcome_of(row, low, high)
+    return replace(
+        row,
+        outcome=outcome,
+        cause=cause,
+        limit_low=low,
+        limit_high=high if math.isfinite(high) else math.nan,
+        detectable=detectable_departure(row, low, high),
+        reason=_joined(words, row.reason),
+    )
+
+
+def _unmet(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
+    """An ERROR row for every subject pattern of the gate that no row meets."""
+    out = []
+    for pattern in gate.subjects:
+        alone = gate.model_copy(update={"subjects": (pattern,)})
+        if not any(alone.covers(row) for row in rows):
+            reason = f"planned but absent: no {gate.product} row of subject {pattern!r} has metric {gate.metric!r}"
+            if gate.method != "*":
+                reason += f" and method {gate.method!r}"
+            reason += _nearest(rows, alone)
+            out.append(
+                Result(
+                    campaign, gate.product, pattern, gate.method, gate.metric, outcome=Outcome.ERROR,
+                    role=Role.GATE if gate.gate else Role.INFORM, cause=Cause.ABSENT, reason=reason,
+                )
+            )  # fmt: skip
+    return out
+
+
+def _nearest(rows: Sequence[Result], gate: Gate) -> str:
+    """What comes near to what a gate names: subjects with that metric, else metrics of that name."""
+    own = [row for row in rows if row.product == gate.product and row.metric != COMPARISON]
+    anywhere = gate.model_copy(update={"subjects": ("*",), "method": "*", "bands_nm": None})
+    near = list(dict.fromkeys(f"{row.subject!r} ({row.method})" for row in own if anywhere.covers(row)))
+    if near:
+        return "; rows with it: " + ", ".join(near[:_NAMED]) + (", ..." if len(near) > _NAMED else "")
+    close = difflib.get_close_matches(gate.metric, sorted({row.metric for row in own}), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+@dataclass(frozen=True)
+class _Members:
+    good: list[Result]
+    bad: list[Result]
+    open: list[Result]
+
+
+def _members(rows: Sequence[Result], gate: Gate) -> _Members:
+    """Rows of a pooled gate that meet its limit, that do not, and that cannot tell.
+
+    Of 1 or 0 by an interval the value counts: their share is the coverage of these intervals.
+    """
+    out = _Members([], [], [])
+    low, high = gate.limits
+    for row in rows:
+        outcome, cause, _ = outcome_of(row, low, high)
+        if outcome is Outcome.AGREES or cause is Cause.COVERAGE:
+            out.good.append(row)
+        elif outcome in (Outcome.DISAGREES, Outcome.ERROR):
+            out.bad.append(row)
+        else:
+            out.open.append(row)
+    return out
+
+
+def _pooled(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
+    """The row of a pooled gate; none when no row matches, as :func:`_unmet` reports that.
+
+    Rows that cannot tell widen the interval: they count as amiss in its lower end, as met in its upper one.
+    """
+    matched = [row for row in rows if gate.covers(row)]
+    if not matched or gate.fraction_at_least is None:
+        return []
+    found, n = _members(matched, gate), len(matched)
+    good = len(found.good)
+    lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(found.bad), n)[1])
+    shown = ", ".join(_name(row) for row in found.bad[:5])
+    shown += f" and {len(found.bad) - 5} more" if len(found.bad) > 5 else ""
+    what = f"{good} of {n} rows {gate.limit_text}"
+    what += f", {len(found.open)} without an outcome of their own" if found.open else ""
+    what += f"; outside: {shown}" if shown else ""
+    row = Result(
+        campaign, gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction", good / n,
+        lower=lower, upper=upper, n=n, evidence=metric_of(gate.metric).evidence, reason=what,
+    )  # fmt: skip
+    outcome, cause, words = outcome_of(row, gate.fraction_at_least, math.inf)
+    return [
+        replace(
+            row,
+            outcome=outcome,
+            cause=cause,
+            role=Role.GATE if gate.gate else Role.INFORM,
+            limit_low=gate.fraction_at_least,
+            detectable=detectable_share(n, gate.fraction_at_least),
+            reason=_joined(words, row.reason, gate.reason),
+        )
+    ]
+
+
+def _name(row: Result) -> str:
+    name = row.subject if row.metric == COMPARISON else f"{row.subject} {row.metric}"
+    return f"{name} {row.band_nm:g} nm" if math.isfinite(row.band_nm) else name
+
+
+def _joined(*parts: str) -> str:
+    return "; ".join(dict.fromkeys(p for p in parts if p))

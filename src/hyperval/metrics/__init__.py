@@ -1,0 +1,5 @@
+"""The table of metrics: comparisons, gates, baselines, reports, benchmark and documentation read it."""
+
+from hyperval.metrics.table import Evidence, Kind, Metric, base_name, explained, metric_of, table
+
+__all__ = ["Evidence", "Kind", "Metric", "base_name", "explained", "metric_of", "table"]

@@ -1,0 +1,180 @@
+"""Metrics of scores, detection, false alarms and areas."""
+
+from __future__ import annotations
+
+import math
+
+from hyperval.metrics.table import Evidence, Kind, Metric, Move, of_unit, of_value
+
+_SCORES = "compare.scores.compare_scores"
+_OBJECTS = "compare.objects.judged_together"
+_ROC = "compare.roc.compare_roc"
+_ALARMS = "compare.roc_alarms.far_at_detection_rows"
+_JOINT = "compare.roc_alarms.joint_rows"
+_AREAS = "compare.abundance.compare_abundance"
+_ERRORS = "compare.abundance.compare_area_errors"
+_PIPELINE = Evidence.PIPELINE
+_NEWCOMBE = "Newcombe, Stat. Med. 17, 873, 1998; Zou & Donner, Stat. Med. 27, 1693, 2008"
+_DIFFERENCE = "compare.difference.difference_interval"
+_COUNT: tuple[Move, Move] = ((0.8, "interval"), (0.005, "unit"))
+_ALARM_COUNT: tuple[Move, Move] = ((0.8, "interval"), (0.01, "value"))
+_PROBABILITY = of_unit(0.005)
+_P = of_unit(0.05)
+_FLAG = of_unit(0.0)
+_AUC = of_unit(0.002)
+_AREA = of_value(0.01)
+_AFTER = "; after @ the false-alarm probability"
+_EXACT = "exact binomial or clustered"
+_WIDTH = "object scores spread 1.5 times as widely about their medians"
+_PER_KM2 = "km-2"
+
+
+def _flag(name: str, words: str, function: str, **more: object) -> Metric:
+    """1 or 0: inside or outside an interval."""
+    return Metric(name, words, function, low=0.0, high=1.0, kind=Kind.COVERAGE, tolerance=_FLAG, **more)  # type: ignore[arg-type]
+
+
+def _areas(prefix: str, words: str) -> tuple[Metric, ...]:
+    """Predicted, measured and difference of one kind of area under the ROC."""
+    function = "compare.roc_areas.area_rows"
+    return (
+        Metric(f"{prefix}_predicted", f"{words}, predicted", function, low=0.0, high=1.0,
+               interval="band of the curve", tolerance=_AUC),
+        Metric(f"{prefix}_measured", f"{words}, measured", function, low=0.0, high=1.0,
+               interval="placements or blocks", tolerance=_AUC, evidence=_PIPELINE),
+        Metric(f"{prefix}_difference", f"{words}, predicted − measured", _DIFFERENCE, "p - o", low=-1.0, high=1.0,
+               agreement=0.0, interval="Newcombe", tolerance=_AUC, reference=_NEWCOMBE,
+               example="difference_interval(0.8, (0.7, 0.9), 0.5, (0.5, 0.5))[1]", gives=0.4),
+    )  # fmt: skip
+
+
+METRICS = (
+    Metric("score_mean_predicted", "mean of the predicted detector scores", _SCORES),
+    Metric("score_mean_observed", "mean of the measured detector scores", _SCORES, interval="Student",
+           evidence=_PIPELINE),
+    Metric("score_mean_difference", "difference of these (predicted − measured)", _SCORES, "m_p - m_o",
+           agreement=0.0, interval="Student, of the measured mean"),
+    Metric("score_sd_ratio", "predicted over measured spread of the scores over a population of pixels",
+           "compare.scores.sd_ratio_interval", "s_p / s_o", low=0.0, agreement=1.0, interval="chi-square",
+           tolerance=of_value(0.01), example="sd_ratio_interval(1.0, 1.0, 101)[0]", gives=0.86137468,
+           usual=(0.8, 1.25)),
+    Metric("object_score_measured", "measured score of an object", "compare.objects.compare_object_scores",
+           evidence=_PIPELINE),
+    Metric("object_score_predicted", "median of its predicted scores", "compare.objects.compare_object_scores",
+           interval="draws of the inputs"),
+    Metric("object_score_pit",
+           "probability that the model gives a lower score than was measured; uniform when the model is right",
+           "compare.objects.probability_integral_transform", "(below + 1/2) / (N + 1)", low=0.0, high=1.0,
+           kind=Kind.STATISTIC, reference="Rosenblatt, Ann. Math. Stat. 23, 470, 1952",
+           example="probability_integral_transform([0.5], [0.0, 1.0])[0]", gives=0.5),
+    _flag("object_score_inside_95", "1 when the score of an object lies inside its predicted 95 % interval, else 0",
+          "compare.objects.compare_object_scores"),
+    Metric("objects_inside_95", "share of the objects whose score lies inside its predicted 95 % interval",
+           _OBJECTS, low=0.0, high=1.0, agreement=0.95, interval="exact binomial, independent objects",
+           tolerance=of_unit(0.02)),
+    Metric("objects_inside_95_p_value",
+           "probability, were the model right, that as few objects lie inside their 95 % intervals", _OBJECTS,
+           low=0.0, high=1.0, kind=Kind.TEST, tolerance=_P, alternative=1.5, departure=_WIDTH),
+    Metric("pit_uniformity_p_value",
+           "probability, were the model right, of scores that lie as unevenly in their predicted distributions",
+           _OBJECTS, low=0.0, high=1.0, kind=Kind.TEST, tolerance=_P, usual=(0.01, math.inf),
+           reference="Kolmogorov-Smirnov distance against draws of the model", alternative=1.5, departure=_WIDTH),
+    Metric("joint_distance_p_value", "probability, were the model right, of a set of scores as far from its "
+           "centre (Mahalanobis distance of the normal scores, correlation of the draws counted), or as near to it",
+           _OBJECTS, low=0.0, high=1.0, kind=Kind.TEST, tolerance=_P, alternative=1.5, departure=_WIDTH,
+           two_sided=True),
+    Metric("pit_trend_p_value", "probability, were the model right, of scores that rise or fall as much in their "
+           "predicted distributions from the weakest expected object to the strongest", _OBJECTS, low=0.0, high=1.0,
+           kind=Kind.TEST, tolerance=_P, alternative=1.5,
+           departure="scores that drift by 1.5 of their predicted standard deviations from the weakest expected "
+           "object to the strongest"),
+    Metric("pit_trend", "drift of the scores in their predicted distributions from the weakest expected object, "
+           "such as the smallest, to the strongest [standard deviations]; 0 when the model is right", _OBJECTS,
+           agreement=0.0, interval="draws of the model"),
+    Metric("mean", "mean of one side alone", "campaign.one_side.product_rows", unit="", interval="normal"),
+    Metric("sd", "standard deviation of one side alone", "campaign.one_side.product_rows", low=0.0),
+    Metric("pfa_ratio", "predicted over measured false-alarm probability at one threshold; the number after @ is "
+           "the measured one aimed at", "processing.exceedance.false_alarm_ratio", "P_p(x) / P_o(x)", low=0.0,
+           agreement=1.0, interval="blocks of the image", tolerance=_ALARM_COUNT, usual=(0.5, 2.0)),
+    # ROC.
+    Metric("pd", "detection probability of one side alone" + _AFTER, "campaign.one_side.product_rows", low=0.0,
+           high=1.0, better="high", interval=_EXACT, tolerance=_PROBABILITY),
+    Metric("pd_predicted", "predicted detection probability" + _AFTER, "compare.roc.value_at", low=0.0, high=1.0,
+           interval="draws of the inputs", tolerance=_PROBABILITY),
+    Metric("pd_measured", "measured detection probability" + _AFTER, "compare.roc.value_at", low=0.0, high=1.0,
+           interval=_EXACT, tolerance=_COUNT, evidence=_PIPELINE),
+    Metric("pd_difference", "difference of these (predicted − measured)" + _AFTER, _DIFFERENCE, "P_p - P_o",
+           low=-1.0, high=1.0, agreement=0.0, interval="Newcombe", tolerance=_COUNT, reference=_NEWCOMBE,
+           example="difference_interval(0.8, (0.7, 0.9), 0.5, (0.5, 0.5))[0]", gives=0.2),
+    _flag("pd_inside_interval",
+          "1 when 0 lies in the 95 % interval of the difference of detection probabilities, else " "0" + _AFTER,
+          _ROC),
+    _flag("pd_inside_measured_interval",
+          "1 when the predicted detection probability lies in the measured interval as " "it stands" + _AFTER,
+          _ROC),
+    Metric("pd_predicted_preset", "the predicted one at the preset of (3.30), without (3.33)" + _AFTER, _ROC,
+           low=0.0, high=1.0, interval="draws of the inputs", tolerance=_PROBABILITY),
+    _flag("pd_inside_interval_preset", "pd_inside_interval of that one" + _AFTER, _ROC),
+    Metric("pd_equivalent",
+           "1 when the whole interval of the difference lies within the campaign's margin" + _AFTER,
+           "compare.roc.equivalent", low=0.0, high=1.0, kind=Kind.EQUIVALENCE, tolerance=_FLAG,
+           reference="Schuirmann, J. Pharmacokinet. Biopharm. 15, 657, 1987",
+           example="equivalent((-0.05, 0.08), 0.1)", gives=1.0),
+    Metric("pd_equivalence", "1 equivalent, -1 different, 0 undecided, by the campaign's margin" + _AFTER,
+           "compare.roc.equivalence", low=-1.0, high=1.0, kind=Kind.EQUIVALENCE, tolerance=_PROBABILITY,
+           example="equivalence((0.05, 0.2), 0.1)[0]", gives=-1.0),
+    Metric("pd_mean_abs_difference", "mean over curves of |P_D predicted − measured|" + _AFTER,
+           "scoreboard.agreement.mean_gap", low=0.0, high=1.0, agreement=0.0, better="low", interval="bootstrap",
+           tolerance=_PROBABILITY),
+    *_areas("auc", "area under the ROC curve: mean detection probability over all false-alarm probabilities"),
+    *_areas("partial_auc", "mean detection probability over the range of false-alarm probabilities after @"),
+    *_areas("log_auc", "mean detection probability over the logarithm of the range after @"),
+    Metric("auc", "area under the ROC curve", "processing.roc_areas.AREAS", low=0.0, high=1.0, better="high",
+           interval="bootstrap of objects and blocks", tolerance=_AUC, evidence=_PIPELINE),
+    Metric("log_auc", "mean detection probability over the logarithm of a range of false-alarm probabilities",
+           "processing.roc_areas.AREAS", low=0.0, high=1.0, better="high",
+           interval="bootstrap of objects and blocks", tolerance=_AUC, evidence=_PIPELINE),
+    Metric("far", "false alarms per km² at the detection probability after @",
+           "scoreboard.measures.pfa_at_detection", unit=_PER_KM2, low=0.0, better="low",
+           interval="bootstrap of objects and blocks", evidence=_PIPELINE),
+    Metric("far_measured", "measured false alarms per km²; after @ the false-alarm or the detection probability",
+           "compare.roc_alarms.far_row", unit=_PER_KM2, low=0.0, interval="exact binomial", evidence=_PIPELINE),
+    Metric("far_predicted", "predicted false alarms per km² at the detection probability after @", _ALARMS,
+           unit=_PER_KM2, low=0.0, interval="band of the curve"),
+    Metric("far_difference", "difference of these (predicted − measured)", _ALARMS, unit=_PER_KM2, agreement=0.0,
+           interval="Newcombe", reference=_NEWCOMBE),
+    Metric("joint_pfa", "false-alarm probability of a point, its interval part of a region of 95 %", _JOINT,
+           low=0.0, high=1.0, interval="exact binomial, sqrt(0.95)", evidence=_PIPELINE),
+    Metric("joint_pd", "detection probability of a point, its interval part of a region of 95 %", _JOINT, low=0.0,
+           high=1.0, interval="exact binomial, sqrt(0.95)", evidence=_PIPELINE),
+    _flag("pd_inside_joint_region", "1 where the predicted curve passes through that region" + _AFTER, _JOINT),
+    # Areas of targets.
+    Metric("area", "area of a target, one side alone", "campaign.one_side.product_rows", unit="m2",
+           interval="normal", tolerance=_AREA),
+    Metric("area_predicted", "predicted area of a target", _AREAS, unit="m2", interval="normal", tolerance=_AREA),
+    Metric("area_observed", "measured area of a target", _AREAS, unit="m2", interval="normal", tolerance=_AREA,
+           evidence=_PIPELINE),
+    Metric("area_ratio", "measured over predicted area of a target", _AREAS, "A_o / A_p", agreement=1.0,
+           interval="normal, first order", tolerance=_AREA),
+    Metric("area_difference_ratio", "(predicted − measured) / measured area", _AREAS, "(A_p - A_o) / A_o",
+           agreement=0.0, interval="normal, first order", tolerance=of_unit(0.002)),
+    Metric("area_z", "difference of the areas over its standard uncertainty", _AREAS, "(A_p - A_o) / u",
+           agreement=0.0, kind=Kind.STATISTIC, tolerance=of_unit(0.1)),
+    _flag("area_inside_95", "1 when |area_z| <= 1.96", _AREAS),
+    Metric("area_error_predicted", "predicted less true area", _AREAS, unit="m2", agreement=0.0, interval="normal",
+           tolerance=_AREA),
+    Metric("area_error_observed", "measured less true area", _AREAS, unit="m2", agreement=0.0, interval="normal",
+           tolerance=_AREA, evidence=_PIPELINE),
+    Metric("area_nominal_ratio", "measured over true area of a target", _AREAS, "A_o / A", agreement=1.0,
+           interval="normal", tolerance=_AREA, evidence=_PIPELINE),
+    Metric("area_in_predicted_95", "1 when the measured area lies inside the predicted 95 % interval, else 0",
+           _AREAS, low=0.0, high=1.0, kind=Kind.COVERAGE, tolerance=_AREA),
+    Metric("area_bias_observed", "mean over targets of measured less true area", _ERRORS, unit="m2", agreement=0.0,
+           interval="Student", tolerance=_AREA, evidence=_PIPELINE),
+    Metric("area_bias_predicted", "mean over targets of predicted less true area", _ERRORS, unit="m2",
+           agreement=0.0, interval="normal", tolerance=_AREA),
+    Metric("area_rmse_observed", "root mean square over targets of measured less true area", _ERRORS, unit="m2",
+           low=0.0, interval="chi-square", tolerance=_AREA, evidence=_PIPELINE),
+    Metric("area_rmse_predicted", "root mean square over targets of predicted less true area", _ERRORS, unit="m2",
+           low=0.0, tolerance=_AREA),
+)  # fmt: skip

@@ -1,0 +1,71 @@
+"""Metrics of whole comparisons, attributions, benchmarks, studies and accepted numbers."""
+
+from __future__ import annotations
+
+from hyperval.metrics.table import Evidence, Kind, Metric, of_unit
+
+_ATTRIBUTION = "attribution.rows.attribution_rows"
+_WHAT_IF = "attribution.what_ifs.Outcome"
+_VARIANTS = "scoreboard.variants.variant_rows"
+_RANKS = "scoreboard.looks.detector_rows"
+_STUDY = "study.summary.result_rows"
+_RATIO = of_unit(0.002)
+_PIPELINE = Evidence.PIPELINE
+
+METRICS = (
+    Metric("comparison", "a whole comparison that could not be made", "compare.products.compare_products", unit=""),
+    Metric("*_fraction", "share of the rows of a pooled gate that meet its limit",
+           "processing.intervals.clopper_pearson", "k / n", low=0.0, high=1.0, agreement=1.0,
+           interval="exact binomial", tolerance=of_unit(0.02),
+           reference="Clopper & Pearson, Biometrika 26, 404, 1934", example="clopper_pearson(10, 10)[0]",
+           gives=0.69150289),
+    # Attribution and what-ifs.
+    Metric("reduced_chi_square", "squared difference in units of its uncertainty over all products that the "
+           "attribution joins, with the model's numerical error added: not the number of a single spectrum",
+           _ATTRIBUTION, low=0.0, agreement=1.0, kind=Kind.STATISTIC),
+    Metric("p_value", "its p-value", _ATTRIBUTION, low=0.0, high=1.0, kind=Kind.TEST, tolerance=of_unit(0.05)),
+    Metric("p_value_explained", "its p-value with the leading inputs freed", _ATTRIBUTION, low=0.0, high=1.0,
+           kind=Kind.TEST, tolerance=of_unit(0.05)),
+    Metric("likelihood_gain", "twice the log-likelihood gained by letting one input be less well known",
+           _ATTRIBUTION, low=0.0),
+    Metric("needed_uncertainty",
+           "uncertainty that one input would need, in units of its stated one or of a usual step", _ATTRIBUTION,
+           low=0.0),
+    Metric("*_change", "change of a number by one input, one variant or one run", _ATTRIBUTION, unit="",
+           agreement=0.0),
+    Metric("median_*_difference_ratio", "median difference ratio after a what-if", _WHAT_IF, agreement=0.0,
+           tolerance=_RATIO),
+    Metric("mean_pd_at_*", "mean difference of detection probability after a what-if", _WHAT_IF, low=-1.0, high=1.0,
+           agreement=0.0),
+    # Benchmark.
+    Metric("benchmark", "a campaign of a benchmark that did not run", "scoreboard.one.benchmark_campaign"),
+    Metric("agreement", "a variant that could not be compared", _VARIANTS),
+    Metric("rank", "detectors that could not be ranked", _RANKS, evidence=_PIPELINE),
+    Metric("rank_*",
+           "rank of a detector by one metric; the interval is the set that the data do not refute at 95 %", _RANKS,
+           low=1.0, better="low", interval="bootstrap of objects and blocks", evidence=_PIPELINE),
+    Metric("first_*", "share of draws in which a detector is first by one metric", _RANKS, low=0.0, high=1.0,
+           better="high", evidence=_PIPELINE),
+    Metric("*_median_abs_difference_ratio", "median over bands and subjects of |predicted − collected| / collected",
+           "scoreboard.agreement.median_abs", low=0.0, agreement=0.0, better="low", tolerance=_RATIO,
+           interval="bootstrap of subjects and blocks of bands"),
+    Metric("*_median_abs_difference_ratio_change", "the same less that of the campaign as it stands",
+           "scoreboard.agreement.median_abs", agreement=0.0, better="low", tolerance=_RATIO,
+           interval="bootstrap of subjects and blocks of bands"),
+    Metric("*_chi2_reduced", "median over subjects of the reduced chi-square of the full test",
+           "scoreboard.agreement.median_chi2", low=0.0, agreement=1.0, better="low",
+           interval="bootstrap of subjects"),
+    # Studies.
+    Metric("least", "least value over the points of a study", _STUDY, unit=""),
+    Metric("median", "median value over the points of a study", _STUDY, unit=""),
+    Metric("greatest", "greatest value over the points of a study", _STUDY, unit=""),
+    Metric("output", "value of an output of a study, the subject, at one point, the method", _STUDY, unit=""),
+    Metric("knee", "where a curve of a study bends most", "study.knees.knee", unit=""),
+    Metric("greatest_relative_difference_from_predict",
+           "greatest relative difference between the evaluator of a study and predict", _STUDY, low=0.0),
+    Metric("error_at_held_out_states", "relative error of interpolated atmospheric terms at states left out",
+           _STUDY, low=0.0),
+    # Accepted numbers.
+    Metric("baseline", "the accepted numbers of a campaign or sensor as a whole", "baseline.check.check",
+           kind=Kind.EXACT),
+)  # fmt: skip

@@ -1,0 +1,75 @@
+"""Metrics of sensor files: acceptance, datasheet, accepted numbers."""
+
+from __future__ import annotations
+
+from hyperval.metrics.table import Kind, Metric, Move, of_unit, of_value
+
+_BANDS = "sensor_check.bands.check_bands"
+_THROUGHPUT = "sensor_check.throughput.check_throughput"
+_NOISE = "sensor_check.noise.check_noise"
+_SCENARIO = "sensor_check.scenarios.run_scenarios"
+_NUMBERS = "baseline.sensors.sensor_metrics"
+_USUAL: tuple[Move, Move] = ((0.1, "interval"), (0.01, "value"))
+
+
+def _exact(name: str, words: str, function: str, unit: str = "1", tolerance: tuple[Move, Move] = _USUAL) -> Metric:
+    """A number without sampling error."""
+    return Metric(name, words, function, unit=unit, kind=Kind.EXACT, tolerance=tolerance)
+
+
+METRICS = (
+    _exact("band_count", "bands", _NUMBERS, tolerance=of_unit(0.0)),
+    _exact("median_snr", "median signal-to-noise ratio over a region", _NUMBERS, tolerance=of_value(0.002)),
+    _exact("median_noise_*", "median over a region of one term of the noise, as radiance", _NUMBERS,
+           "uW cm-2 sr-1 nm-1", of_value(0.002)),
+    _exact("median_bit_error_noise*", "median over a region of the noise of bit errors at a rate", _NUMBERS,
+           "uW cm-2 sr-1 nm-1", of_value(0.002)),
+    _exact("median_electrons_per_radiance", "median over a region of electrons per radiance (3.13)", _NUMBERS,
+           "electrons per uW cm-2 sr-1 nm-1", of_value(0.001)),
+    _exact("reference_radiance", "reference radiance in the band at a line", _NUMBERS, "uW cm-2 sr-1 nm-1",
+           of_value(0.001)),
+    _exact("white_panel_radiance", "radiance of a white panel in the oxygen band", _NUMBERS, "uW cm-2 sr-1 nm-1",
+           of_value(0.001)),
+    _exact("pd_at_pfa_*", "detection probability in a standard scenario", "sensor_check.scenarios.detection_at",
+           tolerance=of_unit(0.005)),
+    _exact("runs", "a standard scenario that does not run with this sensor", _NUMBERS),
+    _exact("bands", "number of bands", _BANDS),
+    _exact("first_band", "centre of the first band", _BANDS, "nm"),
+    _exact("last_band", "centre of the last band", _BANDS, "nm"),
+    _exact("bands_out_of_order", "bands that do not follow each other", _BANDS),
+    _exact("bands_without_width", "bands without a width", _BANDS),
+    _exact("fwhm_over_spacing_median", "median width over spacing of neighbours", _BANDS),
+    _exact("widest_gap_fwhm", "widest gap between neighbours, in widths", _BANDS, "FWHM"),
+    _exact("integral_error", "departure of the integral of a response from 1",
+           "sensor_check.bands.applied_moments"),
+    _exact("centroid_error_fwhm", "departure of its centre of mass, in widths",
+           "sensor_check.bands.applied_moments", "FWHM"),
+    _exact("width_error", "departure of its width from the stated one", "sensor_check.bands.applied_moments"),
+    _exact("bands_outside_arms", "bands beyond every arm", _THROUGHPUT),
+    _exact("bands_of_arm", "bands of an arm", _THROUGHPUT),
+    _exact("lowest_electrons_per_radiance", "least of electrons per radiance over bands", _THROUGHPUT,
+           "electrons per uW cm-2 sr-1 nm-1"),
+    _exact("lowest_*", "least value of a number of an arm over its bands", _THROUGHPUT, ""),
+    _exact("highest_*", "greatest value of a number of an arm over its bands", _THROUGHPUT, ""),
+    _exact("bands_beyond_table_of_*", "bands beyond a table, whose end value is carried on", _THROUGHPUT),
+    _exact("gain_error_by_photon_energy", "departure of electrons per radiance from energy over photon energy",
+           _THROUGHPUT),
+    _exact("gain_error_by_photon_transfer", "departure of the gain that the noise implies", _THROUGHPUT),
+    _exact("sum_of_terms_error", "departure of the noise from the sum of its terms", _NOISE),
+    _exact("lowest_snr", "least signal-to-noise ratio over bands", _NOISE),
+    _exact("quantisation_over_other_noise", "noise of the digital word over all other", _NOISE),
+    _exact("highest_part_of_full_scale", "greatest part of full scale over bands", _NOISE),
+    _exact("lowest_relative_growth_of_snr", "least growth of the ratio as an input grows", _NOISE),
+    _exact("computed_over_published", "computed over published signal-to-noise ratio",
+           "sensor_check.published.check_published"),
+    _exact("values_not_positive", "radiances or ratios that are not positive", _SCENARIO),
+    _exact("highest_snr_over_cap_of_c_r", "greatest ratio over its cap by calibration", _SCENARIO),
+    _exact("panel_reflectance_error", "departure of the panels' reflectance after the empirical line", _SCENARIO),
+    _exact("lowest_step_of_roc", "least step of a predicted curve", _SCENARIO),
+    _exact("relative_change_of_snr", "change of the ratio as one assumed number is varied",
+           "sensor_check.sensitivity.sensitivities"),
+    _exact("change_of_pd", "change of a detection probability as one assumed number is varied",
+           "sensor_check.sensitivity.sensitivities"),
+    _exact("known_discrepancy", "a stated discrepancy that no check shows", "sensor_check.ledger.Ledger"),
+    _exact("sensor_check", "a check that could not be made", "sensor_check.suite.check_sensor"),
+)  # fmt: skip

@@ -1,0 +1,134 @@
+"""Metrics of spectra, spread and classification."""
+
+from __future__ import annotations
+
+import math
+
+from hyperval.metrics.table import Evidence, Kind, Metric, of_unit, of_value
+
+_SPECTRA = "compare.spectral.compare_spectra"
+_SPREAD = "compare.covariance.compare_covariance"
+_TAILS = "compare.covariance.compare_distribution"
+_CLASSES = "compare.classification.compare_classification"
+_DIFFERENCE = "compare.difference.difference_ratio"
+_REGION = "; the ending names the bands: windows, their part in vnir, swir1, swir2, or absorption"
+_GUM = "JCGM 100:2008, 5.2"
+_RATIO = of_unit(0.002)
+_P = of_unit(0.05)
+_FLAG = of_unit(0.0)
+_TILT = "a tilt of ±3 % from end to end of the windows"
+_PIPELINE = Evidence.PIPELINE
+_DRAWS = "draws of the error of both sides"
+_BAND = "draws of covariances of as many pixels from the prediction"
+
+METRICS = (
+    Metric("difference_ratio", "(predicted − collected) / collected in one band", _DIFFERENCE, "(p - c) / c",
+           agreement=0.0, interval="normal, first order, both sides", tolerance=_RATIO, reference=_GUM,
+           example="difference_ratio([1.1], [1.0])[0]", gives=0.1),
+    Metric("z", "difference in one band over its standard uncertainty", "compare.consistency.z_scores",
+           "(p - c) / sqrt(u_p^2 + u_c^2)", agreement=0.0, kind=Kind.STATISTIC, tolerance=of_unit(0.1),
+           reference=_GUM, example="z_scores([0.2], [[0.01]])[0]", gives=2.0),
+    Metric("median_difference_ratio_*", "median over bands of (predicted − collected) / collected" + _REGION,
+           "compare.difference.median_interval", "median_b (p - c) / c", agreement=0.0,
+           interval="normal, of the mean over the same bands", tolerance=_RATIO, reference=_GUM,
+           example="median_interval(np.array([0.1, 0.2, 0.3]), np.eye(3) * 0.0003)[0]", gives=0.18040036),
+    Metric("median_abs_difference_ratio_*", "median over bands of |predicted − collected| / collected" + _REGION,
+           "compare.difference.size_intervals", "median_b |p - c| / c", low=0.0, agreement=0.0, interval=_DRAWS,
+           tolerance=_RATIO, example="size_intervals(np.array([0.1, -0.2, 0.3]), np.eye(3) * 1e-12)[0][0]",
+           gives=0.2),
+    Metric("max_abs_difference_ratio_*", "largest over bands of |predicted − collected| / collected" + _REGION,
+           "compare.difference.size_intervals", "max_b |p - c| / c", low=0.0, agreement=0.0, interval=_DRAWS,
+           tolerance=_RATIO, example="size_intervals(np.array([0.1, -0.2, 0.3]), np.eye(3) * 1e-12)[1][0]",
+           gives=0.3),
+    Metric("bias_ratio", "mean over the windows of (predicted − collected) / collected", _DIFFERENCE,
+           "mean_b (p - c) / c", agreement=0.0, interval="normal, full covariance", tolerance=_RATIO,
+           reference=_GUM, example="difference_ratio([1.1, 1.3], [1.0, 1.0]).mean()", gives=0.2),
+    Metric("spectral_angle", "angle between the two spectra in the windows",
+           "compare.consistency.spectral_angle_degrees", "2 atan2(|u - v|, |u + v|)", unit="degree", low=0.0,
+           high=90.0, agreement=0.0, tolerance=of_value(0.01),
+           reference="Kruse et al., Remote Sens. Environ. 44, 145, 1993",
+           example="spectral_angle_degrees([1, 0], [1, 1])", gives=45.0),
+    Metric("chi2_reduced_diagonal", "squared z per band, correlation left out",
+           "compare.consistency.chi_square_diagonal", "sum z^2 / n", low=0.0, agreement=1.0, kind=Kind.STATISTIC,
+           tolerance=of_value(0.02), example="chi_square_diagonal([0.2, 0.0], np.eye(2) * 0.01).reduced",
+           gives=2.0),
+    Metric("chi2_reduced_full", "squared difference in units of its uncertainty, per degree of freedom, "
+           "correlation counted; about 1 when uncertainties explain it", "compare.consistency.chi_square_full",
+           "r^T C^-1 r / n", low=0.0, agreement=1.0, kind=Kind.STATISTIC, tolerance=of_value(0.02),
+           example="chi_square_full([0.2, 0.0], np.eye(2) * 0.01).reduced", gives=2.0),
+    Metric("chi2_reduced_shape", "the same after a common factor is taken out",
+           "compare.consistency.bias_and_shape", "(r^T C^-1 r - (s/sd)^2) / (n - 1)", low=0.0, agreement=1.0,
+           kind=Kind.STATISTIC, tolerance=of_value(0.02),
+           example="bias_and_shape([0.1, -0.1], [1.0, 1.0], np.eye(2) * 0.01).shape.reduced", gives=2.0),
+    Metric("p_value_diagonal",
+           "probability of a squared difference as large, correlation left out: accepts too much",
+           "compare.consistency.chi_square_diagonal", "P(chi2_n >= sum z^2)", low=0.0, high=1.0, kind=Kind.TEST,
+           tolerance=_P, example="chi_square_diagonal([0.2, 0.0], np.eye(2) * 0.01).p_value", gives=0.13533528,
+           alternative=0.03, departure=_TILT, two_sided=True),
+    Metric("p_value_full", "probability, were both sides right, of a difference as large, all stated errors and "
+           "their correlation counted; near 1 the stated errors are too wide",
+           "compare.consistency.chi_square_full", "P(chi2_n >= r^T C^-1 r)", low=0.0, high=1.0, kind=Kind.TEST,
+           tolerance=_P, example="chi_square_full([0.2, 0.0], np.eye(2) * 0.01).p_value", gives=0.13533528,
+           usual=(1e-3, math.inf), alternative=0.03, departure=_TILT, two_sided=True),
+    Metric("p_value_shape", "the same of the shape, a common factor taken out",
+           "compare.consistency.bias_and_shape", "P(chi2_(n-1) >= shape)", low=0.0, high=1.0, kind=Kind.TEST,
+           tolerance=_P, example="bias_and_shape([0.1, -0.1], [1.0, 1.0], np.eye(2) * 0.01).shape.p_value",
+           gives=0.15729921, alternative=0.03, departure=_TILT, two_sided=True),
+    Metric("fraction_inside_95", "share of the bands with |z| <= 1.96", "compare.consistency.z_scores",
+           "mean_b [|z| <= 1.96]", low=0.0, high=1.0, agreement=0.95, kind=Kind.STATISTIC, tolerance=of_unit(0.02),
+           example="np.mean(np.abs(z_scores([0.2, 0.0], np.eye(2) * 0.01)) <= 1.96)", gives=0.5),
+    # Spread from pixel to pixel.
+    Metric("eigenvalue_ratio", "predicted over measured variance along one principal direction; the number after "
+           "@ counts directions, largest first", _SPREAD, "E[lambda_k] / lambda_k", low=0.0, agreement=1.0,
+           interval=_BAND),
+    Metric("eigenvalues_inside_95", "share of the leading eigenvalues inside the band of sampling", _SPREAD,
+           low=0.0, high=1.0, kind=Kind.COVERAGE, tolerance=_FLAG),
+    Metric("total_variance_ratio", "predicted over measured variance, all bands together", _SPREAD, "tr / tr",
+           low=0.0, agreement=1.0, interval=_BAND),
+    Metric("subspace_angle", "largest principal angle of the first k eigenvectors; k after @", _SPREAD, unit="deg",
+           low=0.0, high=90.0, agreement=0.0, kind=Kind.STATISTIC),
+    Metric("subspace_inside_95", "1 where that angle is no larger than sampling makes it in 95 % of draws", _SPREAD,
+           low=0.0, high=1.0, kind=Kind.COVERAGE, tolerance=_FLAG),
+    Metric("bhattacharyya_distance", "distance of the two normal laws",
+           "processing.classification.bhattacharyya_distance",
+           "dm^T S^-1 dm / 8 + ln(|S| / sqrt(|S_1| |S_2|)) / 2, S the mean covariance", low=0.0, agreement=0.0,
+           kind=Kind.STATISTIC, reference="Fukunaga 1990, 3.4",
+           example="bhattacharyya_distance([0.0], [[1.0]], [2.0], [[1.0]])", gives=0.5),
+    Metric("bhattacharyya_covariance_excess", "how far the two covariances are apart (Bhattacharyya distance) "
+           "beyond what sampling makes; 0 is the same", _SPREAD, "B - E[B]", agreement=0.0, interval=_BAND),
+    Metric("background_tail_dof",
+           "measured degrees of freedom of a multivariate t in all bands; infinite for normal pixels", _TAILS,
+           low=0.0, interval="profile likelihood", evidence=_PIPELINE),
+    Metric("background_tail_dof_leading", "the same in the few leading components", _TAILS, low=0.0,
+           interval="profile likelihood", evidence=_PIPELINE),
+    Metric("tail_inverse_dof_difference",
+           "1/ν of the t law, predicted − measured; 0 for equal tails, larger 1/ν for heavier ones", _TAILS,
+           "1/nu_p - 1/nu_c", agreement=0.0, interval="profile likelihood"),
+    Metric("normality_p_value", "probability of the measured tails, were the pixels normal", _TAILS, low=0.0,
+           high=1.0, kind=Kind.TEST, tolerance=_P, evidence=_PIPELINE),
+    Metric("effective_pixels", "independent pixels behind the variance of the first component", _TAILS, low=0.0,
+           evidence=_PIPELINE),
+    # Classes told apart.
+    Metric("error_predicted", "predicted probability that a Gaussian classifier names the wrong class", _CLASSES,
+           low=0.0, high=1.0, interval="draws of the inputs"),
+    Metric("error_observed", "measured probability that a Gaussian classifier names the wrong class", _CLASSES,
+           low=0.0, high=1.0, interval="exact binomial, independent pixels",
+           tolerance=((0.8, "interval"), (0.01, "value")), evidence=_PIPELINE),
+    Metric("error_difference", "difference of these (predicted − measured)",
+           "compare.difference.difference_interval", "p - o", low=-1.0, high=1.0, agreement=0.0,
+           interval="Newcombe", tolerance=((0.8, "interval"), (0.01, "value")),
+           reference="Newcombe, Stat. Med. 17, 873, 1998",
+           example="difference_interval(0.8, (0.7, 0.9), 0.5, (0.5, 0.5))[0]", gives=0.2),
+    Metric("error_inside_interval", "1 when 0 lies in the 95 % interval of that difference, else 0", _CLASSES,
+           low=0.0, high=1.0, kind=Kind.COVERAGE, tolerance=_FLAG),
+    Metric("error_approximation", "the same probability from the Bhattacharyya distances", _CLASSES, low=0.0,
+           high=1.0),
+    Metric("error_bounds", "bounds of it; the value is their geometric mean", _CLASSES, low=0.0, high=1.0,
+           interval="bounds"),
+    Metric("error", "probability of a wrong class, one side alone", _CLASSES, low=0.0, high=1.0,
+           interval="of that side"),
+    Metric("distance", "Bhattacharyya distance of the two nearest classes, one side alone", _CLASSES, low=0.0),
+    Metric("distance_predicted", "predicted Bhattacharyya distance of the two nearest classes", _CLASSES, low=0.0),
+    Metric("distance_observed", "measured Bhattacharyya distance of the two nearest classes", _CLASSES, low=0.0,
+           evidence=_PIPELINE),
+)  # fmt: skip
