@@ -27,8 +27,9 @@ $(READY): requirements.lock pyproject.toml
 	@PYTHON="$(PYTHON)" VENV="$(VENV)" sh scripts/setup.sh
 	@touch $(READY)
 
+# GREATEST_EXIT=1 takes gates that disagree for a result: `make check` says whether they are the accepted ones.
 validate: $(READY)  ## run every campaign; the report is in reports/validate
-	$(BIN)/hyperval validate campaigns/*/campaign*.yaml -o $(REPORT)
+	$(BIN)/hyperval validate campaigns/*/campaign*.yaml -o $(REPORT) || [ $$? -le $(or $(GREATEST_EXIT),0) ]
 
 # CHECK_FROM=$(REPORT) takes the campaigns' numbers from a finished `make validate`.
 check: $(READY)  ## compare every campaign and sensor with the accepted numbers

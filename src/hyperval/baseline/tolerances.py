@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from hyperval.metrics import metric_of
-from hyperval.metrics.table import Of
+from hyperval.metrics.metric import Of
 
 # A tolerance of more than the number itself, or than its own 95 % interval, accepts anything.
 LARGEST = {"value": 1.0, "interval": 1.0, "unit": 0.1}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hyperval.metrics.table import Evidence, Kind, Metric, of_unit
+from hyperval.metrics.metric import Evidence, Kind, Metric, of_unit
 
 _ATTRIBUTION = "attribution.rows.attribution_rows"
 _WHAT_IF = "attribution.what_ifs.Outcome"

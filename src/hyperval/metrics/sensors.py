@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hyperval.metrics.table import Kind, Metric, Move, of_unit, of_value
+from hyperval.metrics.metric import Kind, Metric, Move, of_unit, of_value
 
 _BANDS = "sensor_check.bands.check_bands"
 _THROUGHPUT = "sensor_check.throughput.check_throughput"

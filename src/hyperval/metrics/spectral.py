@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hyperval.metrics.table import Evidence, Kind, Metric, of_unit, of_value
+from hyperval.metrics.metric import Evidence, Kind, Metric, of_unit, of_value
 
 _SPECTRA = "compare.spectral.compare_spectra"
 _SPREAD = "compare.covariance.compare_covariance"
@@ -34,11 +34,11 @@ METRICS = (
            example="median_interval(np.array([0.1, 0.2, 0.3]), np.eye(3) * 0.0003)[0]", gives=0.18040036),
     Metric("median_abs_difference_ratio_*", "median over bands of |predicted − collected| / collected" + _REGION,
            "compare.difference.size_intervals", "median_b |p - c| / c", low=0.0, agreement=0.0, interval=_DRAWS,
-           tolerance=_RATIO, example="size_intervals(np.array([0.1, -0.2, 0.3]), np.eye(3) * 1e-12)[0][0]",
+           tolerance=_RATIO, example="size_intervals(np.array([0.1, -0.2, 0.3]), np.eye(3) * 1e-18)[0][0]",
            gives=0.2),
     Metric("max_abs_difference_ratio_*", "largest over bands of |predicted − collected| / collected" + _REGION,
            "compare.difference.size_intervals", "max_b |p - c| / c", low=0.0, agreement=0.0, interval=_DRAWS,
-           tolerance=_RATIO, example="size_intervals(np.array([0.1, -0.2, 0.3]), np.eye(3) * 1e-12)[1][0]",
+           tolerance=_RATIO, example="size_intervals(np.array([0.1, -0.2, 0.3]), np.eye(3) * 1e-18)[1][0]",
            gives=0.3),
     Metric("bias_ratio", "mean over the windows of (predicted − collected) / collected", _DIFFERENCE,
            "mean_b (p - c) / c", agreement=0.0, interval="normal, full covariance", tolerance=_RATIO,

@@ -1,0 +1,56 @@
+"""Write docs/metrics.md: every metric of the results table, from the table that comparisons and gates read.
+
+python scripts/metrics_page.py            print it
+python scripts/metrics_page.py --write    renew docs/metrics.md
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from hyperval.metrics import detection, other, sensors, spectral
+from hyperval.metrics.page import entry
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "metrics.md"
+HEAD = """# The metrics
+
+Made by `python scripts/metrics_page.py --write` from the table in `src/hyperval/metrics/`, which comparisons,
+gates, baselines, reports and the benchmark read; a test keeps it current, and `hyperval metrics` prints it. `*`
+stands for what varies, such as a region of the spectrum. What follows `@` in a row is where the metric was
+taken, such as a false-alarm probability.
+
+"Judged as" says how an outcome comes about:
+
+- quantity: the whole 95 % interval inside the accepted range agrees, outside it disagrees, else the comparison
+  is undecided;
+- exact: a number without sampling error, whose value decides;
+- test: a p-value. Below its level, which all tests of a campaign of the same level share (Holm), it disagrees;
+  above it, it agrees where the test had 80 % power against the departure that is named, else it is undecided;
+- coverage: 1 or 0, inside or outside an interval; 0 disagrees, 1 is no agreement of two numbers and undecided;
+- equivalence: 1 agrees, 0 is undecided, -1 disagrees;
+- statistic: judged by a test of its own, undecided under a range.
+"""
+SECTIONS = (
+    ("Spectra, spread and classes", spectral.METRICS),
+    ("Scores, detection, false alarms, areas", detection.METRICS),
+    ("Attribution, benchmark, studies, accepted numbers", other.METRICS),
+    ("Sensor files", sensors.METRICS),
+)
+
+
+def page() -> str:
+    """The whole page."""
+    lines = [HEAD]
+    for title, metrics in SECTIONS:
+        lines += [f"## {title}", ""]
+        for metric in metrics:
+            lines += entry(metric)
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+if __name__ == "__main__":
+    if "--write" in sys.argv[1:]:
+        PAGE.write_text(page(), "utf-8")
+    else:
+        print(page(), end="")

@@ -1,0 +1,205 @@
+"""The table of metrics: its functions are there, its examples run, its page is current, its evidence is true."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperval.compare import compare_products
+from hyperval.metrics import Evidence, Kind, Metric, metric_of, table
+from hyperval.products import (
+    Abundance,
+    AlarmsAtDetection,
+    AreaEstimate,
+    ClassificationError,
+    ExceedanceCurve,
+    ObjectScores,
+    Observation,
+    PixelDistribution,
+    Prediction,
+    RocCurve,
+    ScoreDistribution,
+    SpectralEstimate,
+)
+from hyperval.spectra.axis import SpectralAxis
+
+ROOT = Path(__file__).resolve().parents[2]
+METRICS = list(table().values())
+
+
+def function_of(metric: Metric):
+    """What the table names: a module and one of its names."""
+    module, _, name = metric.function.rpartition(".")
+    return getattr(importlib.import_module(f"hyperval.{module}"), name)
+
+
+@pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)
+def test_every_function_is_there(metric):
+    assert function_of(metric) is not None
+    assert metric.words
+    assert metric.low < metric.high
+
+
+@pytest.mark.parametrize("metric", [m for m in METRICS if m.example], ids=lambda m: m.name)
+def test_every_example_gives_what_it_says(metric):
+    function = function_of(metric)
+    names = {"np": np, metric.function.rpartition(".")[2]: function}
+    found = float(eval(metric.example, names))  # noqa: S307 - of our own table
+    assert found == pytest.approx(metric.gives, rel=1e-6)
+
+
+def test_what_gates_can_be_judged():
+    for metric in METRICS:
+        if metric.kind is Kind.QUANTITY and not math.isnan(metric.agreement):
+            assert metric.low <= metric.agreement <= metric.high, metric.name
+        assert (metric.kind is Kind.TEST) or not metric.two_sided, metric.name
+        assert math.isnan(metric.alternative) == (not metric.departure), metric.name
+
+
+def test_the_page_is_current():
+    made = subprocess.run(
+        [sys.executable, str(ROOT / "scripts" / "metrics_page.py")], capture_output=True, text=True, check=True
+    ).stdout
+    assert made == (ROOT / "docs" / "metrics.md").read_text("utf-8"), (
+        "renew it: python scripts/metrics_page.py --write"
+    )
+
+
+AXIS = SpectralAxis(np.arange(450.0, 900.0, 25.0), 10.0)
+BANDS = len(AXIS)
+RNG = np.random.default_rng(8)
+
+
+def spectrum(noise: float = 0.0, n: int | None = 400) -> SpectralEstimate:
+    """A tilted spectrum with noise of its own."""
+    mean = np.linspace(1.0, 2.0, BANDS) * (1.0 + noise * RNG.standard_normal(BANDS))
+    spread = 0.01 * np.exp(-np.abs(np.subtract.outer(np.arange(BANDS), np.arange(BANDS))) / 4.0)
+    return SpectralEstimate(mean, 1e-4 * np.eye(BANDS), spread + 1e-3 * np.eye(BANDS), n)
+
+
+def curve(top: float, measured: bool) -> RocCurve:
+    """A rising curve; a measured one knows its counts."""
+    pfa = np.array([1e-4, 1e-3, 1e-2, 1e-1, 1.0])
+    pd = np.clip(top * np.array([0.3, 0.5, 0.7, 0.9, 1.0 / top]), 0.0, 1.0)
+    if not measured:
+        return RocCurve(pfa, pd, pd - 0.02, np.minimum(pd + 0.02, 1.0), -pfa, "pixel", preset_pfa=pfa / 2)
+    return RocCurve(
+        pfa, pd, pd - 0.1, np.minimum(pd + 0.1, 1.0), -pfa, "pixel", 40, 100_000,
+        alarms=np.round(pfa * 100_000).astype(int), background_area_km2=0.4,
+        areas={
+            name: AreaEstimate(0.8, 0.7, 0.9, "placements")
+            for name in ("auc", "partial_auc@0..1e-2", "log_auc@1e-3..1e-1")
+        },
+        at_detection=(AlarmsAtDetection(0.5, -1e-3, 100, 1e-3, 1e-4, 1e-2, 1e-4, 1e-2),),
+    )  # fmt: skip
+
+
+def sides() -> tuple[Prediction, Observation]:
+    """Every product on both sides, none of them equal."""
+    names = ("a", "b", "c")
+    draws = {(k, "cem"): ObjectScores(0.3 * i + 0.1 * RNG.standard_normal((50, 80))) for i, k in enumerate(names)}
+    scores = {(k, "cem"): ObjectScores(np.array([0.3 * i + 0.05]), (k,)) for i, k in enumerate(names)}
+    x = np.linspace(0.0, 4.0, 60)
+    fall = np.exp(-x)
+    predicted = Prediction(
+        AXIS,
+        radiance={"g": spectrum()}, snr={"g": spectrum()}, reflectance={"g": spectrum()},
+        roc={("t", "cem", "pixel"): curve(0.9, False)}, scores={("t", "cem"): ScoreDistribution(1.0, 0.2)},
+        abundance={
+            ("t", "cem"): Abundance(4.0, 0.2),
+            ("tape", "cem"): Abundance(4.0, 0.0, modelled=False),
+            **{(k, "fcls"): Abundance(1.1, 0.1, 4, 1.0) for k in names},
+        },
+        object_scores=draws, exceedance={("t", "cem"): ExceedanceCurve(x, fall, fall, fall)},
+        distribution={"g": PixelDistribution(20.0, math.nan, math.nan, math.nan)},
+        classification={("g / h", "f"): ClassificationError(0.1, 0.09, 0.11, bound_lower=0.01, bound_upper=0.2)},
+    )  # fmt: skip
+    observed = Observation(
+        AXIS,
+        radiance={"g": spectrum(0.02)}, snr={"g": spectrum(0.02)}, reflectance={"g": spectrum(0.02)},
+        roc={("t", "cem", "pixel"): curve(0.8, True)}, scores={("t", "cem"): ScoreDistribution(0.9, 0.25, 50)},
+        abundance={
+            ("t", "cem"): Abundance(3.8, 0.3, 20),
+            ("tape", "cem"): Abundance(3.8, 0.3, 20),
+            **{(k, "fcls"): Abundance(1.0 + 0.1 * i, 0.1, 4, 1.0) for i, k in enumerate(names)},
+        },
+        object_scores=scores, exceedance={("t", "cem"): ExceedanceCurve(x, fall**1.1, fall**1.2, fall, 100_000)},
+        distribution={
+            "g": PixelDistribution(
+                30.0, 20.0, 60.0, 0.3, 6, 25.0, 18.0, 50.0, 3, n=400, effective_n=np.array([300.0, 320.0])
+            )
+        },
+        classification={("g / h", "f"): ClassificationError(0.12, 0.1, 0.14, 400, 380.0)},
+    )  # fmt: skip
+    return predicted, observed
+
+
+def moved(p: Prediction) -> Prediction:
+    """Every number of a prediction moved: spectra x 1.5, scores + 1, probabilities and areas changed."""
+
+    def brighter(s: SpectralEstimate) -> SpectralEstimate:
+        tilt = np.linspace(1.2, 1.8, BANDS)
+        spread = None if s.pixel_covariance is None else 2.25 * s.pixel_covariance + 0.01 * np.outer(tilt, tilt)
+        return replace(s, mean=tilt * s.mean, error_covariance=2.25 * s.error_covariance, pixel_covariance=spread)
+
+    def raised(c: RocCurve) -> RocCurve:
+        return replace(c, pd=c.pd**1.5, pd_lower=c.pd_lower**1.5 - 0.01, pd_upper=c.pd_upper**1.5)
+
+    return replace(
+        p,
+        radiance={k: brighter(v) for k, v in p.radiance.items()},
+        snr={k: brighter(v) for k, v in p.snr.items()},
+        reflectance={k: brighter(v) for k, v in p.reflectance.items()},
+        roc={k: raised(v) for k, v in p.roc.items()},
+        scores={k: replace(v, mean=v.mean + 1.0, sd=1.5 * v.sd) for k, v in p.scores.items()},
+        abundance={
+            k: replace(v, area_m2=1.5 * v.area_m2, standard_uncertainty=3.0 * v.standard_uncertainty)
+            if v.modelled
+            else v
+            for k, v in p.abundance.items()
+        },
+        object_scores={k: ObjectScores(v.values + 1.0) for k, v in p.object_scores.items()},
+        exceedance={k: replace(v, threshold=v.threshold + 1.0) for k, v in p.exceedance.items()},
+        distribution={k: replace(v, tail_dof=6.0) for k, v in p.distribution.items()},
+        classification={
+            k: replace(v, error=0.3, lower=0.2, upper=0.4, bound_lower=0.05, distance=2.0, approximation=0.3)
+            for k, v in p.classification.items()
+        },
+    )
+
+
+# 1 or 0 by themselves: that they stay says nothing.  Their values are made of ones that move.
+COARSE = {Kind.COVERAGE, Kind.EQUIVALENCE}
+
+
+def test_a_row_of_the_model_moves_with_the_prediction_and_a_row_of_the_pipeline_does_not():
+    predicted, observed = sides()
+    options = {"campaign": "c", "equivalence_margin": 0.1}
+    before = compare_products(predicted, observed, **options)
+    after = compare_products(moved(predicted), observed, **options)
+    key = lambda r: (r.product, r.subject, r.method, r.metric, r.band_nm)  # noqa: E731
+    later = {str(key(r)): r for r in after}
+    still, restless, seen = set(), set(), set()
+    for row in before:
+        now = later.get(str(key(row)))
+        if now is None or math.isnan(row.value):
+            continue
+        seen.add(metric_of(row.metric).name)
+        same = row.value == pytest.approx(now.value, rel=1e-9, abs=0.0, nan_ok=True)
+        if row.evidence is Evidence.MODEL and same and metric_of(row.metric).kind not in COARSE:
+            still.add((row.product, row.subject, row.metric))
+        if row.evidence is Evidence.PIPELINE and not same:
+            restless.add((row.product, row.subject, row.metric))
+    assert not still, "they claim to be evidence of the model and do not move with it"
+    assert not restless, "they claim to be checks of the pipeline and move with the prediction"
+    assert len(seen) > 60
+    tape = [r for r in before if r.subject == "tape"]
+    assert tape
+    assert {r.evidence for r in tape} == {Evidence.PIPELINE}
