@@ -154,7 +154,7 @@ def test_one_object_gives_values_but_no_verdict():
     # A gate on it is red, and a pool counts it apart.
     plan = {"product": "roc", "metric": "pd_inside_interval@1e-2", "reason": "why"}
     gated = judged(rows.values(), [Gate(**plan, at_least=1.0)])
-    assert {r.outcome for r in gated if r.metric == "pd_inside_interval@1e-2"} == {Outcome.ERROR}
+    assert {r.outcome for r in gated if r.metric == "pd_inside_interval@1e-2"} == {Outcome.SKIPPED}
     pooled = judged(rows.values(), [Gate(**plan, fraction_at_least=0.5)])[-1]
     assert (pooled.outcome, pooled.value) == (Outcome.DISAGREES, 0.0)
     assert "0 of 1 rows at least 1, 1 without a verdict of their own" in pooled.reason

@@ -99,9 +99,9 @@ METRICS = (
     # ROC.
     Metric("pd", "detection probability of one side alone" + _AFTER, "campaign.one_side.product_rows", low=0.0,
            high=1.0, better="high", interval=_EXACT, tolerance=_PROBABILITY),
-    Metric("pd_predicted", "predicted detection probability" + _AFTER, "compare.roc.value_at", low=0.0, high=1.0,
+    Metric("pd_predicted", "predicted detection probability" + _AFTER, "processing.roc_reading.detection_at", low=0.0, high=1.0,
            interval="draws of the inputs", tolerance=_PROBABILITY),
-    Metric("pd_measured", "measured detection probability" + _AFTER, "compare.roc.value_at", low=0.0, high=1.0,
+    Metric("pd_measured", "measured detection probability" + _AFTER, "processing.roc_reading.detection_at", low=0.0, high=1.0,
            interval=_EXACT, tolerance=_COUNT, evidence=_PIPELINE),
     Metric("pd_difference", "difference of these (predicted − measured)" + _AFTER, _DIFFERENCE, "P_p - P_o",
            low=-1.0, high=1.0, agreement=0.0, interval="Newcombe", tolerance=_COUNT, reference=_NEWCOMBE,
