@@ -202,7 +202,7 @@ def _by_usual_range(row: Result) -> Result:
     """A row that no campaign plans: judged by the usual range of its metric, where it has one and a value."""
     usual = metric_of(row.metric).usual
     if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
-        return replace(row, outcome=Outcome.NONE, reason=_joined("not compared", row.reason))
+        return replace(row, outcome=Outcome.NONE, reason=f"not compared: {row.reason}")
     if usual is None or math.isnan(row.value):
         return row
     low, high = usual
