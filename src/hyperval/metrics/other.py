@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from hyperval.metrics.metric import Evidence, Kind, Metric, of_unit
 
-_ATTRIBUTION = "attribution.rows.attribution_rows"
-_WHAT_IF = "attribution.what_ifs.Outcome"
+_ATTRIBUTION = "uncertainty.attribution.rows.attribution_rows"
+_WHAT_IF = "uncertainty.attribution.what_ifs.Outcome"
 _VARIANTS = "scoreboard.variants.variant_rows"
 _RANKS = "scoreboard.looks.detector_rows"
 _STUDY = "study.summary.result_rows"
