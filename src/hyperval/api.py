@@ -33,9 +33,9 @@ __all__ = [
 def compare(
     prediction: Prediction, observation: Observation, *, campaign: str, method: str = "model"
 ) -> ResultTable:
-    """Compare two sides on the same bands; one INFO row for each metric of each product.
+    """Compare two sides on the same bands; one row for each metric of each product.
 
-    Gates (:func:`hyperval.compare.apply_gates`) turn rows into verdicts.
+    Outcomes come from :func:`hyperval.compare.judged`.
 
     Raises
     ------
