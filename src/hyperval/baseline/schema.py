@@ -7,8 +7,9 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from hyperval.baseline.tolerances import Of, Tolerance, looser_than_default, objection
+from hyperval.baseline.tolerances import Tolerance, looser_than_default, objection
 from hyperval.config import Model, load_model
+from hyperval.metrics.metric import Of
 
 Kind = Literal["campaign", "sensor"]
 SEPARATOR = " | "
