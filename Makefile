@@ -16,7 +16,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check scoreboard test test-slow test-data lint check-style format types lock clean coverage
+.PHONY: help setup validate check power scoreboard test test-slow test-data lint check-style format types lock clean coverage
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -34,6 +34,9 @@ validate: $(READY)  ## run every campaign; the report is in reports/validate
 # CHECK_FROM=$(REPORT) takes the campaigns' numbers from a finished `make validate`.
 check: $(READY)  ## compare every campaign and sensor with the accepted numbers
 	$(BIN)/hyperval check campaigns/*/campaign*.yaml --sensors all --junit reports/check.xml $(if $(CHECK_FROM),--from $(CHECK_FROM))
+
+power: $(READY)  ## plant standard errors in the model of every campaign: which gates see them? (tens of minutes)
+	$(BIN)/hyperval power campaigns/*/campaign*.yaml -o reports/power
 
 scoreboard: $(READY)  ## rank detectors, engines and formulations on every campaign; the page is in reports/scoreboard
 	$(BIN)/hyperval benchmark campaigns/*/campaign.yaml -o $(SCORES)

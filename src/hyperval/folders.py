@@ -72,6 +72,14 @@ class Unplaced(HypervalError):
     """Results that are complete and could not be put where they belong; the message names where they are."""
 
 
+POWER = Kind(
+    "power tables",
+    "power.csv",
+    re.compile(rb"campaign,error,seen_by,"),
+    re.compile(r"[^/]+\.yaml|power\.csv"),
+)
+
+
 @contextmanager
 def whole_folder(path: Path, kind: Kind = RESULTS) -> Iterator[Path]:
     """Give an empty folder whose content takes the place of ``path`` when the block ends well.

@@ -36,7 +36,8 @@ def test_readme_names_every_command_and_no_other():
 
 
 @pytest.mark.parametrize(
-    "target", ["validate", "check", "scoreboard", "test", "setup", "lint", "types", "lock", "clean", "help"]
+    "target",
+    ["validate", "check", "power", "scoreboard", "test", "setup", "lint", "types", "lock", "clean", "help"],
 )
 def test_make_knows_the_target(target):
     if not shutil.which("make"):

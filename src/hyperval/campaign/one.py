@@ -18,7 +18,7 @@ from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import command_without_output, provenance
 from hyperval.campaign.reasons import reasons
 from hyperval.campaign.references import check_names, missing_sets
-from hyperval.campaign.schema import Campaign, Outline
+from hyperval.campaign.schema import Campaign
 from hyperval.campaign.template import filled
 from hyperval.campaign.truth_check import truth_notes
 from hyperval.compare import compare_products, judged
@@ -29,8 +29,10 @@ from hyperval.files import scratch_folder
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.predict import predict
+from hyperval.prediction.departure import Departure
 from hyperval.products import Abundance, Observation, Prediction, Products
 from hyperval.report import RunReport
+from hyperval.report.power import accepted_table
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 
@@ -258,19 +260,28 @@ def _report(
         references=campaign.references,
         eigenvalues=eigenvalue_spectra(prediction, observed.observation) if prediction else {},
         tails=tail_curves(prediction, observed.observation) if prediction else {},
-        chosen_after=chosen_after(campaign),
+        chosen_after=campaign.every_choice(),
+        power=accepted_table(campaign.name) if prediction else None,
         kind="Campaign" if prediction else "Collection of campaign",
     )
 
 
 def predicted_side(
-    job: Job, inputs: Inputs, observed: Observed, scenarios: Sequence[Scenario], predictions: Sequence[Prediction]
+    job: Job,
+    inputs: Inputs,
+    observed: Observed,
+    scenarios: Sequence[Scenario],
+    predictions: Sequence[Prediction],
+    truths: Sequence[Departure] | None = None,
 ) -> Prediction:
-    """The predictions of a campaign's scenarios as the one side that is compared."""
+    """The predictions of a campaign's scenarios as the one side that is compared.
+
+    ``truths`` : how the truth departs from each scenario, that of the predictions; None: not at all.
+    """
     campaign = job.campaign
     whole = with_errors_of_classes(merged(predictions), campaign.classification, observed.observation)
     finders = [_resolver(scenario, inputs) for scenario in scenarios]
-    areas = predicted_unmixing(scenarios, predictions, finders, campaign.detection, observed)
+    areas = predicted_unmixing(scenarios, predictions, finders, campaign.detection, observed, truths)
     nominal = observed.detected.nominal_area_m2 if observed.detected is not None else {}
     stated = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
     prediction = replace(without_circles(whole, scenarios), abundance={**stated, **areas})
@@ -300,16 +311,6 @@ def outcomes(
         equivalence_margin=campaign.equivalence_margin,
     )
     return judged(rows, campaign.comparisons, campaign.name)
-
-
-def chosen_after(campaign: Outline) -> list[tuple[str, str]]:
-    """What a campaign chose after its own data were seen, each with what it was before."""
-    stated = [(choice.what, choice.before) for choice in campaign.chosen_after]
-    return stated + [
-        (f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before)
-        for g in campaign.comparisons
-        if g.chosen_after
-    ]
 
 
 def unfinished(job: Job | Waiting, outcome: Outcome, reason: str) -> RunReport:

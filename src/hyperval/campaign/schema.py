@@ -40,6 +40,15 @@ class Outline(Model):
     )
     comparisons: list[Gate] = Field(min_length=1)
 
+    def every_choice(self) -> list[tuple[str, str]]:
+        """What was chosen after the campaign's own data were seen, each with what it was before."""
+        stated = [(choice.what, choice.before) for choice in self.chosen_after]
+        return stated + [
+            (f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before)
+            for g in self.comparisons
+            if g.chosen_after
+        ]
+
 
 class Campaign(Outline):
     """One campaign: a collection, a model of it, the comparisons."""

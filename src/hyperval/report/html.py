@@ -78,6 +78,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         compares=bool(planned),
         tests=any(row.outcome is Outcome.UNDECIDED or row.outcome is Outcome.DISAGREES for row in planned),
         counts=v.outcome_words(rows),
+        power=run.power,
+        power_changed=run.power.changed_files(run.provenance.get("inputs", ())) if run.power else [],
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),
         sections=_sections(run, drawings, rows),

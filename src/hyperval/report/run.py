@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.products import Observation, Prediction
+from hyperval.report.power import PowerTable
 from hyperval.results import ResultTable
 
 Mask = npt.NDArray[np.bool_]
@@ -132,6 +133,7 @@ class RunReport:
     eigenvalues : (subject, quantity) -> eigenvalues of both sides
     tails : subject -> tails of both sides
     chosen_after : (what, as it was before) of each range that was chosen after its data were seen
+    power : which standard errors the campaign would see, None where that was not worked out
     kind : what the page is: "Campaign" for both sides compared, else what it shows
     """
 
@@ -150,4 +152,5 @@ class RunReport:
     eigenvalues: Mapping[tuple[str, str], EigenvalueSpectrum] = field(default_factory=dict)
     tails: Mapping[str, TailCurve] = field(default_factory=dict)
     chosen_after: Sequence[tuple[str, str]] = ()
+    power: PowerTable | None = None
     kind: str = "Campaign"

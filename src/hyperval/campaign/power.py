@@ -1,0 +1,216 @@
+"""Power of campaigns: each standard error is planted in the model, and the gates that turn are noted."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import hyperval
+from hyperval.campaign.draft import Waiting
+from hyperval.campaign.one import Job, collected, jobs_of, outcomes, predicted_side
+from hyperval.errors import HypervalError, MissingDataError, UsageError
+from hyperval.executors import in_order, worker_count, workers
+from hyperval.files import write_text
+from hyperval.folders import POWER, whole_folder
+from hyperval.predict import predict
+from hyperval.prediction.departure import Departure
+from hyperval.progress import track
+from hyperval.report.power import ACCEPTED, Planted, PowerTable, accepted_table, own_files, write_power_table
+from hyperval.results import Outcome, Result
+from hyperval.uncertainty.planted import NotPlantable, PlantedError, planted_errors, planted_prediction
+
+
+@dataclass(frozen=True)
+class Power:
+    """What came of one campaign.
+
+    Attributes
+    ----------
+    table : None where nothing was run
+    skipped : why nothing was run
+    accepted : the table that was accepted before, if any
+    """
+
+    campaign: str
+    table: PowerTable | None = None
+    skipped: str = ""
+    accepted: PowerTable | None = None
+
+    @property
+    def changes(self) -> list[str]:
+        """Errors that are seen by gates, by other rows or not at all where the accepted table says otherwise."""
+        if self.table is None or self.accepted is None:
+            return []
+        now, before = self.table.errors, self.accepted.errors
+        return [
+            f"{name}: {_sight(now.get(name))}, accepted: {_sight(before.get(name))}"
+            for name in dict.fromkeys((*now, *before))
+            if _sight(now.get(name)) != _sight(before.get(name))
+        ]
+
+
+def _sight(planted: Planted | None) -> str:
+    return "not in the table" if planted is None else str(planted.sight)
+
+
+def power(
+    paths: Sequence[Path],
+    *,
+    output: Path | None = None,
+    accept: bool = False,
+    show_progress: bool | None = None,
+) -> list[Power]:
+    """The power table of every campaign whose data are at hand; campaigns run side by side.
+
+    Parameters
+    ----------
+    output : folder for the tables, NAME.yaml each, and power.csv with all of them
+    accept : keep the tables in validation/power, where reports look for them
+
+    Raises
+    ------
+    HypervalError : of any campaign.
+    """
+    jobs = [job for path in paths for job in jobs_of(path)]
+    names = [job.campaign.name for job in jobs]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f"two campaigns are named {name!r}")
+    before = {name: accepted_table(name) for name in names}
+    if output is None:
+        found = _tables(jobs, before, show_progress)
+    else:
+        with whole_folder(output, POWER) as folder:
+            found = _tables(jobs, before, show_progress)
+            for item in found:
+                if item.table is not None:
+                    write_power_table(folder / f"{item.campaign}.yaml", item.table)
+            write_text(folder / POWER.marker, _csv(found))
+    if accept:
+        for item in found:
+            if item.table is not None:
+                write_power_table(ACCEPTED / f"{item.campaign}.yaml", item.table)
+    return found
+
+
+def _tables(
+    jobs: Sequence[Job | Waiting], before: Mapping[str, PowerTable | None], show_progress: bool | None
+) -> list[Power]:
+    with workers(worker_count(len(jobs))) as where:
+        results = track(in_order(where, _piece, jobs), "campaigns", len(jobs), show=show_progress)
+        return [
+            Power(job.campaign.name, table, skipped, before[job.campaign.name])
+            for job, (table, skipped) in zip(jobs, results, strict=True)
+        ]
+
+
+def _piece(job: Job | Waiting) -> tuple[PowerTable | None, str]:
+    if isinstance(job, Waiting):
+        return None, job.reason
+    try:
+        return power_table(job, show_progress=False), ""
+    except MissingDataError as error:
+        return None, str(error)
+
+
+def power_table(
+    job: Job, *, errors: Sequence[PlantedError] | None = None, show_progress: bool | None = None
+) -> PowerTable:
+    """Observe once, predict with each of ``errors`` (default: the standard ones), and compare each time.
+
+    Raises
+    ------
+    MissingDataError : files of a registered data set that are not on this machine.
+    HypervalError : anything else that the user can mend.
+    """
+    errors = planted_errors() if errors is None else errors
+    with collected(job, show_progress=show_progress) as here:
+        observation, scenarios = here.observed.observation, here.scenarios
+        options: list[dict[str, Any]] = [
+            {
+                "axis": observation.axis, "measured": here.observed.statistics, "resolve": here.resolver(scenario),
+                "show_progress": show_progress, "objects": True,
+            }
+            for scenario in scenarios
+        ]  # fmt: skip
+        stated = [predict(s, **o) for s, o in zip(scenarios, options, strict=True)]
+
+        def judged_with(error: PlantedError | None) -> list[Result]:
+            predictions, truths, refused = [], [], []
+            for scenario, plain, own in zip(scenarios, stated, options, strict=True):
+                prediction, truth = plain, Departure()
+                if error is not None:
+                    try:
+                        prediction, truth = planted_prediction(scenario, error, **own)
+                    except NotPlantable as why:  # of another scenario there may be something
+                        refused.append(why)
+                predictions.append(prediction)
+                truths.append(truth)
+            if len(refused) == len(scenarios):
+                raise refused[0]
+            side = predicted_side(job, here.inputs, here.observed, scenarios, predictions, truths)
+            return outcomes(side, observation, job.campaign, scenarios)
+
+        before = judged_with(None)
+        found = {}
+        for error in track(errors, "planted errors", len(errors), show=show_progress):
+            try:
+                found[error.name] = turned(before, judged_with(error))
+            except NotPlantable as why:
+                found[error.name] = Planted(not_applicable=_why(error, why))
+        gates = [row for row in before if row.gates]
+        disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)
+        return PowerTable(
+            schema=1,
+            campaign=job.campaign.name,
+            version=hyperval.__version__,
+            files=own_files(here.inputs.log.entries()),
+            gates=len(gates) - disagreeing,
+            disagreeing=disagreeing,
+            errors=found,
+        )
+
+
+def turned(before: Iterable[Result], after: Iterable[Result]) -> Planted:
+    """What disagrees after and did not before."""
+    disagreed = {_key(row) for row in before if row.outcome is Outcome.DISAGREES}
+    new = [row for row in after if row.outcome is Outcome.DISAGREES and _key(row) not in disagreed]
+    return Planted(
+        gates=tuple(dict.fromkeys(_name(row) for row in new if row.gates)),
+        informing=dict(Counter(row.product for row in new if not row.gates)),
+    )
+
+
+def _key(row: Result) -> tuple[object, ...]:
+    numbers = (row.band_nm, row.limit_low, row.limit_high)
+    return (
+        row.product, row.subject, row.method, row.metric, row.role,
+        *(None if math.isnan(x) else x for x in numbers),
+    )  # fmt: skip
+
+
+def _name(row: Result) -> str:
+    band = [f"{row.band_nm:g} nm"] if row.per_band else []
+    return " | ".join([row.product, row.subject, row.method, row.metric, *band])
+
+
+def _why(error: PlantedError, why: HypervalError) -> str:
+    return why.what.removeprefix(f"{error.name}: ")
+
+
+def _csv(found: Sequence[Power]) -> str:
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    lines.writerow(["campaign", "error", "seen_by", "gates", "rows_that_do_not_decide", "which"])
+    for item in found:
+        for name, planted in item.table.errors.items() if item.table else ():
+            which = planted.not_applicable or "; ".join(planted.gates)
+            rows = sum(planted.informing.values())
+            lines.writerow([item.campaign, name, str(planted.sight), len(planted.gates), rows, which])
+    return text.getvalue()

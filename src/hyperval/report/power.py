@@ -1,0 +1,142 @@
+"""What a campaign can tell: which standard errors, planted in its model one at a time, its comparisons see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import Field
+
+from hyperval.config import Model, load_model
+from hyperval.errors import UsageError
+from hyperval.files import write_text
+
+ACCEPTED = Path("validation/power")
+_MOST_NAMED = 4
+
+
+class Sight(StrEnum):
+    """How far a campaign sees an error."""
+
+    GATES = "gates"
+    INFORMING = "rows that do not decide"
+    UNSEEN = "unseen"
+    NOT_APPLICABLE = "not applicable"
+
+
+class Planted(Model):
+    """What one planted error turns to "disagrees"; of rows that disagree without it nothing is said."""
+
+    gates: tuple[str, ...] = Field((), description='gates that turn: "product | subject | method | metric"')
+    informing: dict[str, int] = Field(
+        default_factory=dict, description="rows that turn and do not decide, by product"
+    )
+    not_applicable: str | None = Field(None, description="why it cannot be planted")
+
+    @property
+    def sight(self) -> Sight:
+        """How far it is seen."""
+        if self.not_applicable is not None:
+            return Sight.NOT_APPLICABLE
+        if self.gates:
+            return Sight.GATES
+        return Sight.INFORMING if self.informing else Sight.UNSEEN
+
+    @property
+    def words(self) -> str:
+        """How far it is seen, with numbers."""
+        if self.not_applicable is not None:
+            return Sight.NOT_APPLICABLE
+        rows = _counted(sum(self.informing.values()), "other row") if self.informing else ""
+        if self.gates:
+            return ", ".join(part for part in (_counted(len(self.gates), "gate"), rows) if part)
+        return f"unseen by gates; {rows}" if rows else Sight.UNSEEN
+
+    @property
+    def which(self) -> str:
+        """What sees it, some by name; or why it cannot be planted."""
+        if self.not_applicable is not None:
+            return self.not_applicable
+        if not self.gates:
+            return ", ".join(f"{product} {n}" for product, n in self.informing.items())
+        more = len(self.gates) - _MOST_NAMED
+        return "; ".join(self.gates[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+
+
+class PowerTable(Model):
+    """The power table of one campaign."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    campaign: str
+    version: str = Field(description="of hyperval, which computed it")
+    files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
+    gates: int = Field(ge=0, description="gates that an error could turn")
+    disagreeing: int = Field(ge=0, description="gates that disagree with nothing planted, and cannot turn")
+    errors: dict[str, Planted] = Field(min_length=1)
+
+    def named(self, *sights: Sight) -> list[str]:
+        """Errors that are seen so far."""
+        return [name for name, planted in self.errors.items() if planted.sight in sights]
+
+    def changed_files(self, inputs: Iterable[Mapping[str, Any]]) -> list[str]:
+        """The campaign's own files that are not, or not any more, as they were when the table was computed.
+
+        ``inputs`` : with ``reference`` and ``sha256``, as provenance has them.
+        """
+        now = own_files(inputs)
+        return sorted(name for name in {*now, *self.files} if now.get(name) != self.files.get(name))
+
+    @property
+    def sentence(self) -> str:
+        """What a reader has to know before all."""
+        planted = len(self.errors) - len(self.named(Sight.NOT_APPLICABLE))
+        unseen, shown = self.named(Sight.UNSEEN), self.named(Sight.INFORMING)
+        parts = [f"Of {planted} standard errors planted in the model the gates see {len(self.named(Sight.GATES))}."]
+        if shown:
+            parts.append(f"Only rows that do not decide show: {', '.join(shown)}.")
+        if unseen:
+            parts.append(f"Unseen: {', '.join(unseen)}.")
+        if self.disagreeing:
+            several = "s that disagree" if self.disagreeing > 1 else " that disagrees"
+            parts.append(f"{self.disagreeing} gate{several} already cannot show any.")
+        return " ".join(parts)
+
+
+def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Reference -> SHA-256 of those inputs that stand beside the campaign, not in a data set or a simulation."""
+    return {
+        str(item["reference"]): str(item["sha256"])
+        for item in inputs
+        if ":" not in str(item["reference"]) and str(item["reference"]).endswith((".yaml", ".yml"))
+    }
+
+
+def accepted_table(name: str, folder: Path = ACCEPTED) -> PowerTable | None:
+    """The accepted power table of a campaign, None where there is none.
+
+    Raises
+    ------
+    UsageError : mistakes in the file, or a table of another campaign.
+    """
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        return None
+    found = load_model(PowerTable, path)
+    if found.campaign != name:
+        raise UsageError(f"is the power table of {found.campaign!r}", where=str(path), expected=name)
+    return found
+
+
+def write_power_table(path: Path, table: PowerTable) -> None:
+    """Write one table as YAML."""
+    data = table.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+    head = f"# What the campaign {table.campaign} can tell: errors planted in its model, and the gates that turn.\n"
+    head += "# `hyperval power --accept` renews it.\n"
+    write_text(path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=140))
+
+
+def _counted(n: int, noun: str) -> str:
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
