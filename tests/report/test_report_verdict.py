@@ -58,8 +58,8 @@ def test_checks_of_the_pipeline_are_counted_apart_and_are_no_agreement_of_the_mo
 def test_what_disagrees_fails_and_was_skipped_is_named():
     _, words = verdict([row(D, "lawn"), row(E, "turf"), row(U, "lot"), row(A)])
     assert words == (
-        "Does not agree. 1 model gate disagrees (radiance lawn), 1 ended in an error (radiance turf), "
-        "1 could not be decided (radiance lot), 1 agrees."
+        "Does not agree. 1 model gate disagrees (radiance bias_ratio of lawn), 1 ended in an error "
+        "(radiance bias_ratio of turf), 1 could not be decided (radiance bias_ratio of lot), 1 agrees."
     )
 
 
@@ -74,7 +74,7 @@ def test_a_disagreement_that_does_not_decide_is_told_and_forbids_to_agree():
     tone, words = verdict([row(A), informing(D, "green planks")])
     assert tone is U
     assert words.startswith("Agrees in part.")
-    assert "1 comparison that does not decide disagrees (radiance green planks)" in words
+    assert "1 comparison that does not decide disagrees (radiance bias_ratio of green planks)" in words
 
 
 def test_the_reason_decides_nothing():
@@ -84,8 +84,8 @@ def test_the_reason_decides_nothing():
 
 
 def test_many_disagreements_are_counted_by_product():
-    others = [informing(D, f"field {i}") for i in range(8)]
-    assert "8 comparisons that do not decide disagree (8 of radiance)" in verdict([row(A), *others])[1]
+    others = [informing(D, f"field {i}") for i in range(10)]
+    assert "10 comparisons that do not decide disagree (10 of radiance)" in verdict([row(A), *others])[1]
 
 
 def test_undecided_gates_are_counted_in_the_last_line():

@@ -142,6 +142,7 @@ def _write(outcome: Checks, folder: Path) -> None:
             description="Each number of this run beside the one that was accepted; it fails beyond its tolerance.",
             simulated=item.run.simulated,
             kind="Accepted numbers of",
+            sentence=_sentence(item),
             table=item.rows,
             provenance={
                 "command": command_without_output(),
@@ -157,6 +158,15 @@ def _write(outcome: Checks, folder: Path) -> None:
         inner.mkdir(exist_ok=True)
         write_outputs(report, inner)
     write_index(reports, folder, "Accepted numbers")
+
+
+def _sentence(item: Checked) -> str:
+    """How many numbers are as accepted, and how many are not."""
+    if not item.differences:
+        return next((row.reason for row in item.rows), "no number")
+    wrong = sum(row.outcome is Outcome.DISAGREES for row in item.rows)
+    total = len(item.differences)
+    return f"{wrong} of {total} numbers are not as accepted." if wrong else f"{total} numbers as accepted."
 
 
 def _inputs(path: Path) -> list[dict[str, str | None]]:

@@ -43,6 +43,8 @@ SECTIONS = {
     "roc": "Detection and false alarms",
     "abundance": "Target area",
 }
+# Gates that the model moves stand apart from checks that it does not.
+_MATRICES = (("Model and collection", (Evidence.MODEL,)), ("Checks of the pipeline", (Evidence.PIPELINE,)))
 _REASONS = ("attribution", "what-if", "sensitivity")
 _COMPARED = {k: t for k, t in SECTIONS.items() if k not in (*_REASONS, "scene")}
 _MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
@@ -65,8 +67,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     tone, words = v.verdict(rows)
     compared = [row for row in rows if row.product not in _REASONS]
     matrices = []
-    for title, kind in (("Model and collection", Evidence.MODEL), ("Checks of the pipeline", Evidence.PIPELINE)):
-        own = [row for row in compared if row.evidence is kind]
+    for title, kinds in _MATRICES if not run.sentence else (("Numbers", tuple(Evidence)),):
+        own = [row for row in compared if row.evidence in kinds]
         found = matrix_of(own, lambda r: r.subject, _link, _COMPARED)
         if found is not None:
             matrices.append((title, found))
@@ -74,7 +76,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     return environment().get_template("report.html.j2").render(
         run=run,
         tone=tone,
-        verdict=words,
+        verdict=run.sentence or words,
         compares=bool(planned),
         tests=any(row.outcome is Outcome.UNDECIDED or row.outcome is Outcome.DISAGREES for row in planned),
         counts=v.outcome_words(rows),
@@ -121,18 +123,20 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
             return f"{page}#{anchor(cell[0])}" if cell else page
 
         matrices = [
-            (kind_title, matrix_of([r for r in rows if r.evidence is kind], lambda r: r.campaign, link, _COMPARED))
-            for kind_title, kind in (
-                ("Model and collection", Evidence.MODEL),
-                ("Checks of the pipeline", Evidence.PIPELINE),
-            )
+            (kind_title, matrix_of([r for r in rows if r.evidence in kinds], lambda r: r.campaign, link, _COMPARED))
+            for kind_title, kinds in _MATRICES
         ]
-        entries = [(run, *v.verdict(run.table), f"{folders[run.campaign]}/report.html") for run in own]
+        entries = [(run, *_first_words(run), f"{folders[run.campaign]}/report.html") for run in own]
         together = [row for run in own for row in run.table]
         groups.append((heading, *v.verdict(together), [m for m in matrices if m[1] is not None], entries))
     return environment().get_template("index.html.j2").render(
         title=title, groups=groups, titles=titles, count=len(runs), **common_words()
     )  # fmt: skip
+
+
+def _first_words(run: RunReport) -> tuple[Outcome, str]:
+    tone, words = v.verdict(run.table)
+    return tone, run.sentence or words
 
 
 def environment() -> jinja2.Environment:

@@ -135,6 +135,7 @@ class RunReport:
     chosen_after : (what, as it was before) of each range that was chosen after its data were seen
     power : which standard errors the campaign would see, None where that was not worked out
     kind : what the page is: "Campaign" for both sides compared, else what it shows
+    sentence : what the page says first where it compares something else than a model with a collection
     """
 
     campaign: str
@@ -154,3 +155,4 @@ class RunReport:
     chosen_after: Sequence[tuple[str, str]] = ()
     power: PowerTable | None = None
     kind: str = "Campaign"
+    sentence: str = ""

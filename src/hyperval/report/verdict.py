@@ -6,10 +6,10 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from hyperval.metrics import Evidence, Kind, metric_of
+from hyperval.metrics import Evidence, Kind, base_name, metric_of
 from hyperval.results import Outcome, Result
 
-_MOST_NAMED = 6
+_MOST_NAMED = 9
 _LONGEST_NAME = 70
 WORST_FIRST = (
     Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.AGREES, Outcome.NONE,
@@ -67,7 +67,7 @@ def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
 
 
 def _counted(gates: Sequence[Result], kind: Evidence) -> str:
-    """ "3 model gates disagree (radiance lawn), 2 could not be decided, 5 agree." """
+    """ "3 model gates disagree (radiance bias_ratio of lawn), 2 could not be decided, 5 agree." """
     parts: list[str] = []
     for outcome, one, several in _VERBS:
         own = [row for row in gates if row.outcome is outcome]
@@ -170,11 +170,14 @@ def _half_width(row: Result) -> float:
 
 
 def _named(rows: Sequence[Result]) -> str:
+    """Metric and subjects of rows, "radiance p_value_shape of lawn, turf"; many are counted by product."""
     several = len({row.campaign for row in rows}) > 1
-    parts = ((row.campaign if several else "", row.product, row.subject) for row in rows)
-    texts = (" ".join(part for part in each if part) for each in parts)
-    names = list(dict.fromkeys(t if len(t) <= _LONGEST_NAME else f"{t[: _LONGEST_NAME - 1]}…" for t in texts))
-    if len(names) <= _MOST_NAMED:
-        return "; ".join(names)
+    groups: dict[str, dict[str, None]] = {}
+    for row in rows:
+        what = f"{row.campaign} " * several + f"{row.product} {base_name(row.metric)}"
+        name = row.subject if len(row.subject) <= _LONGEST_NAME else f"{row.subject[: _LONGEST_NAME - 1]}…"
+        groups.setdefault(what, {})[name] = None
+    if sum(map(len, groups.values())) <= _MOST_NAMED:
+        return "; ".join(f"{what} of {', '.join(names)}" for what, names in groups.items())
     kinds = Counter(row.campaign if several else row.product for row in rows)
     return ", ".join(f"{count} of {kind}" for kind, count in kinds.most_common())
