@@ -22,7 +22,7 @@ from scipy.stats import norm
 from hyperval.atmosphere import atmospheric_terms
 from hyperval.config import parse_yaml, validate
 from hyperval.predict import predict
-from hyperval.processing.roc_model import false_alarm_grid
+from hyperval.processing.thresholds import false_alarm_grid
 from hyperval.products import Prediction
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class

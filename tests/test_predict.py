@@ -11,8 +11,9 @@ from scipy.special import ndtri
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
-from hyperval.predict import detection_bands, predict, without_calibration_error
-from hyperval.prediction import detection
+from hyperval.predict import predict, without_calibration_error
+from hyperval.prediction import filters
+from hyperval.prediction.bands import detection_bands
 from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.prediction.terms import remembered
@@ -341,8 +342,8 @@ def test_no_bands_at_all():
 def test_the_background_is_factorised_once_for_all_targets(monkeypatch):
     """What makes a prediction fast; benchmarks/predict_speed.py measures it."""
     built = []
-    plain = detection.PositiveDefinite
-    monkeypatch.setattr(detection, "PositiveDefinite", lambda matrix: built.append(1) or plain(matrix))
+    plain = filters.dpotrf
+    monkeypatch.setattr(filters, "dpotrf", lambda *a, **k: built.append(1) or plain(*a, **k))
     more = "    - {name: green, spectrum: {builtin: green-paint-plank}, host: grass, fill: {fixed: 0.3}}\n"
     s = scenario(**{"processing:": more + "processing:", "[cem, cem-correlation]": "[cem, smf]"})
     p = predict(s, axis=AXIS, engine=engine)

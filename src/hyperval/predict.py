@@ -3,62 +3,51 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval import datasets
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
-from hyperval.errors import UsageError
+from hyperval.atmosphere import AtmosphericTerms
+from hyperval.prediction.batch import Batch
 from hyperval.prediction.budget import inputs_of, spectrum_inputs
-from hyperval.prediction.departure import (
-    Departure,
-    combined,
-    departed_axis,
-    departed_noise,
-    departed_scenario,
-    departed_surfaces,
-    departed_terms,
-    with_retrieval,
-)
-from hyperval.prediction.detection import Background, Detection, Task, detect, seen_background
+from hyperval.prediction.cases import Case, Engine, Origins, batch_of, case_of
+from hyperval.prediction.departure import Departure, combined
+from hyperval.prediction.detection import Detection, RocKey, detect
 from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.input import Input
 from hyperval.prediction.input_paths import Given
-from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, class_tail, cut, filled
+from hyperval.prediction.inputs import Resolve, class_tail
 from hyperval.prediction.notes import saturation_notes, sensor_notes, unstated_notes
 from hyperval.prediction.object_scores import predicted_object_scores
-from hyperval.prediction.setup import Instrument, instrument, refuse_gaps, with_sensor_blur
-from hyperval.prediction.spectra import SpectralProducts, spectral_products, without_calibration_error
-from hyperval.prediction.terms import remembered
+from hyperval.prediction.setup import Setup
+from hyperval.prediction.spectra import spectral_products, without_calibration_error
 from hyperval.prediction.uncertainty import (
-    MOST_DIRECTIONS,
-    Perturbation,
+    Moved,
+    Steps,
     moved_predictions,
-    perturbations,
+    probit,
+    steps_of,
     with_bands,
     with_moves,
 )
-from hyperval.prediction.view import ClassLevels, View
-from hyperval.processing.roc_model import false_alarm_grid
 from hyperval.products import PixelDistribution, Prediction
-from hyperval.scenario import DarkestPixel, Scenario
+from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import Uncertainty
-from hyperval.scene.mixture import average_reflectance, mixture_covariance
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import Sensor
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.windows import in_window
 
-__all__ = ["detection_bands", "predict", "predictions", "surfaces_of", "without_calibration_error"]
+__all__ = ["predict", "predictions", "without_calibration_error"]
 
 Array = npt.NDArray[np.float64]
-Engine = Callable[[AtmosphericState], AtmosphericTerms]
+Again = Callable[[Iterable[Departure]], Iterator[Prediction]]
+_TOGETHER = 16  # truths in one batch: their matrices and products are in memory at once
+_MOST_OF_CLASSES = 8  # directions of a class's spectrum whose effect on the curves is followed
 
 
 def predict(
@@ -105,73 +94,151 @@ def predict(
     InputError : a file that is missing or corrupt.
     EngineError : the atmosphere engine failed.
     """
-    find = resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
-    given = measured or {}
-    truth, asked = departure or Departure(), scenario
-    scenario = departed_scenario(scenario, truth)
-    used = instrument(scenario, axis, next((s.axis for s in given.values()), None), find, sensor)
-    scenario = with_sensor_blur(scenario, used.sensor)
-    used = replace(used, true_axis=departed_axis(used.true_axis, truth), noise=departed_noise(used.noise, truth))
-    on, true = used.axis, used.true_axis
-    surfaces, looked_for = surfaces_of(scenario, Sources(true, given, find, on), Sources(on, given, find))
-    surfaces = departed_surfaces(scenario, surfaces, truth)
-
-    def terms_of(state: AtmosphericState) -> AtmosphericTerms:
-        terms = engine_terms(state)
-        return terms if departure is None else departed_terms(terms, departure)
-
-    def engine_terms(state: AtmosphericState) -> AtmosphericTerms:
-        if engine is not None:
-            return engine(state).at_bands(true)
-        if state.engine == "table":  # a file of the scenario, read again when it changes
-            return atmospheric_terms(state, resolve=find).at_bands(true)
-        call = atmospheric_terms
-        return remembered(call, state, true, cache_dir=cache_dir, show_progress=show_progress)
-
-    view = _base_view(scenario, surfaces, terms_of, used.noise if scenario.atmosphere else None)
-    if departure is not None and np.any(np.asarray(departure.surroundings) != 1.0):
-        view = replace(view, average=view.average * departure.surroundings)
-    given_here = Given(scenario, on, used.sensor, surfaces, lambda: cast(AtmosphericTerms, view.terms))
-    inputs = inputs_of(given_here, shapes=False)
-    steps = perturbations(view, scenario, terms_of, inputs)
-    # What replicate spectra say of their own mean, where the scenario does not say it of the subject.
-    stated = {item.subject for item in scenario.uncertainty.field_spectra}
-    errors: dict[str, Array] = {
-        name: s.mean_error for name, s in surfaces.items() if s.mean_error is not None and name not in stated
-    }
-    for item in scenario.uncertainty.field_spectra:  # entries of one subject are independent
-        one = spectrum_error_covariance(item, surfaces[item.subject], on, used.sensor)
-        errors[item.subject] = errors[item.subject] + one if item.subject in errors else one
-    spectra = spectral_products(scenario, on, surfaces, view, steps, errors, used.sensor)
-
-    def again(d: Departure, stand_in: Engine | None = None) -> Prediction:
-        return predict(
-            asked.model_copy(update={"uncertainty": Uncertainty()}), axis=axis, measured=measured, resolve=find,
-            cache_dir=cache_dir, show_progress=show_progress, engine=stand_in or engine, sensor=sensor,
-            departure=combined(truth, d),
-        )  # fmt: skip
-
-    moves = moved_predictions(inputs, again)
-    notes = [f"formulation: {scenario.formulation}", *unstated_notes(scenario.atmosphere, scenario.uncertainty)]
-    detection = _detection(
-        scenario, on, surfaces, looked_for, with_retrieval(view, truth), steps, errors, spectra, notes, objects,
-        object_curves,
+    origins = Origins(axis, measured, resolve, cache_dir, show_progress, engine, sensor)
+    truth = departure or Departure()
+    case = case_of(scenario, origins, truth)
+    given = Given(
+        case.setup.scenario, case.setup.used.axis, case.setup.used.sensor, case.setup.surfaces,
+        lambda: cast(AtmosphericTerms, case.terms),
     )  # fmt: skip
-    pairs: list[tuple[Detection | Prediction, Detection | Prediction]] = [*detection.pairs]
-    pairs += [(m.plus, m.minus) for m in moves]
-    if detection.roc:  # spectra of classes move the background; those of targets are in the pairs already
-        classes = {c.name for c in scenario.scene.classes}
-        of_classes = [i for i in spectrum_inputs(given_here) if i.subject in classes]
-        pairs += [(m.plus, m.minus) for m in moved_predictions(of_classes, again, most=8)]
-    detection = replace(detection, roc=with_bands(detection.roc, pairs))
-    for product in ("radiance", "snr", "reflectance"):
-        with_moves(getattr(spectra, product), product, moves)
+    inputs = inputs_of(given, shapes=False)
+    steps = steps_of(case, origins, truth, inputs)
+
+    def again(truths: Iterable[Departure], stand_in: Engine | None = None) -> Iterator[Prediction]:
+        from_here = replace(origins, engine=stand_in or engine)
+        return predictions(scenario, (combined(truth, d) for d in truths), **vars(from_here))
+
+    found, changes = _prediction(case, steps, objects, object_curves)
+    found = _with_moves(found, changes, moved_predictions(inputs, again), _of_classes(found, given, again))
+    if scenario.uncertainty.method == "linear" or departure is not None:
+        return found
+    return _propagated(case, found, inputs_of(given), again, origins)
+
+
+def predictions(
+    scenario: Scenario,
+    truths: Iterable[Departure],
+    *,
+    objects: bool | int = False,
+    object_curves: bool = True,
+    **origins: Any,
+) -> Iterator[Prediction]:
+    """Predictions of truths that depart from a scenario, in their order, each without a budget of its own.
+
+    The other parameters are those of :func:`predict`: axis, measured, resolve, cache_dir, show_progress, engine,
+    sensor.  Spectra are read once; truths are evaluated together.
+    """
+    bare, source = scenario.model_copy(update={"uncertainty": Uncertainty()}), Origins(**origins)
+    waiting, like = iter(truths), None
+    while some := list(islice(waiting, _TOGETHER)):
+        if like is None:
+            like = case_of(bare, source, Departure())
+        cases = [case_of(bare, source, truth, like) for truth in some]
+        for together in _alike(cases):
+            batch = batch_of(together, spectrum_errors(together[0].setup))
+            detections = detect(batch, object_curves=object_curves, points=range(len(together)))
+            for number, (case, detection) in enumerate(zip(together, detections, strict=True)):
+                if objects:
+                    detection = _with_objects(detection, batch, np.array([number]), objects)
+                yield _joined(case, batch, number, Steps(), detection)
+
+
+def _alike(cases: Sequence[Case]) -> Iterator[list[Case]]:
+    """Neighbouring cases that can be evaluated together: what is looked for, and how, is the same."""
+    together: list[Case] = []
+    for case in cases:
+        if together and not _same_task(together[0].setup, case.setup):
+            yield together
+            together = []
+        together.append(case)
+    if together:
+        yield together
+
+
+def _same_task(a: Setup, b: Setup) -> bool:
+    if a.looked_for is b.looked_for and a.used is b.used:
+        return True
+    same = a.scenario.processing == b.scenario.processing and a.scenario.formulation == b.scenario.formulation
+    same = same and list(a.surfaces) == list(b.surfaces) and len(a.used.axis) == len(b.used.axis)
+    return same and all(np.array_equal(v, b.looked_for[n], equal_nan=True) for n, v in a.looked_for.items())
+
+
+def spectrum_errors(setup: Setup) -> dict[str, Array]:
+    """Subject -> (B, B) error covariance of its field spectrum.
+
+    What replicate spectra say of their own mean stands where the scenario does not say it of the subject; several
+    entries of one subject are independent.
+    """
+    stated = {item.subject for item in setup.scenario.uncertainty.field_spectra}
+    errors: dict[str, Array] = {
+        name: s.mean_error for name, s in setup.surfaces.items() if s.mean_error is not None and name not in stated
+    }
+    for item in setup.scenario.uncertainty.field_spectra:
+        one = spectrum_error_covariance(item, setup.surfaces[item.subject], setup.used.axis, setup.used.sensor)
+        errors[item.subject] = errors[item.subject] + one if item.subject in errors else one
+    return errors
+
+
+def _prediction(
+    case: Case, steps: Steps, objects: bool | int, object_curves: bool
+) -> tuple[Prediction, dict[RocKey, list[Array]]]:
+    """A case with the errors of its spectra by light and sensor.
+
+    The second part are the changes of probit P_D by one standard uncertainty of each input of light and sensor, and by
+    the field spectra of the targets.
+    """
+    errors = spectrum_errors(case.setup)
+    leading = steps.leading
+    cases = [case, *(steps.plus[i] for i in leading), *(steps.minus[i] for i in leading)]
+    shifts = (1.0, -1.0) if any(t.name in errors for t in case.setup.scenario.scene.targets) else ()
+    batch = batch_of(cases, errors, shifts)
+    detection = detect(batch, object_curves=object_curves)[0]
+    if objects:
+        detection = _with_objects(detection, batch, np.arange(1 + 2 * len(leading)), objects)
+    return _joined(case, batch, 0, steps, detection), _changes(detection, len(leading))
+
+
+def _with_objects(
+    detection: Detection, batch: Batch, points: npt.NDArray[np.intp], objects: bool | int
+) -> Detection:
+    """The detection with draws of whole objects, where anything is detected."""
+    if not detection.roc:
+        return detection
+    draws = None if objects is True else objects
+    scores = predicted_object_scores(batch, points, batch.scenario.uncertainty, draws)
+    return replace(detection, object_scores=scores)
+
+
+def _changes(detection: Detection, pairs: int) -> dict[RocKey, list[Array]]:
+    """Changes of probit P_D by one standard uncertainty, from evaluations in the order of :func:`_prediction`."""
+    out = {}
+    for key, curves in detection.curves.items():
+        z = probit(curves)
+        found = [0.5 * (z[1 + k] - z[1 + pairs + k]) for k in range(pairs)]
+        if len(z) > 1 + 2 * pairs:
+            found.append(0.5 * (z[-2] - z[-1]))
+        out[key] = found
+    return out
+
+
+def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Detection) -> Prediction:
+    """One evaluation of a batch as a prediction."""
+    setup, settings = case.setup, batch.settings
+    scenario, axis = setup.scenario, setup.used.axis
+    view = settings.view.row(number)
+    if view.retrieval is not None:  # what the line is off by is seen by the detectors alone
+        view = replace(view, retrieval=None)
+    ground, engine = settings.grounds[settings.which[number]], scenario.uncertainty.engine
+    spectra = spectral_products(case, ground, view, steps, batch.errors, engine)
+    notes = [f"formulation: {scenario.formulation}", *unstated_notes(scenario.atmosphere, scenario.uncertainty)]
+    if detection.roc:
+        notes.append(f"detectors use {batch.groups[0].bands.size} of {len(axis)} bands")
     notes += detection.notes
-    if view.noise is not None:
-        notes += sensor_notes(used)
-        notes += saturation_notes(spectra.full_scale, on)
-    found = Prediction(
-        on,
+    if case.noise is not None:
+        notes += sensor_notes(setup.used) + saturation_notes(spectra.full_scale, axis)
+    tails = {c.name: class_tail(c, setup.surfaces[c.name]) for c in scenario.scene.classes}
+    return Prediction(
+        axis,
         spectra.radiance,
         spectra.snr,
         spectra.reflectance,
@@ -179,210 +246,69 @@ def predict(
         detection.roc,
         object_scores=detection.object_scores,
         exceedance=detection.exceedance,
-        distribution={
-            c.name: PixelDistribution(class_tail(c, surfaces[c.name]) or math.inf) for c in scenario.scene.classes
-        },
+        distribution={name: PixelDistribution(dof or math.inf) for name, dof in tails.items()},
         notes=tuple(notes),
-        provenance=_provenance(scenario, used, view, surfaces),
+        provenance=_provenance(case),
         noise=spectra.noise,
         full_scale=spectra.full_scale,
     )
 
-    if scenario.uncertainty.method == "linear" or departure is not None:
-        return found
 
-    def whole(state: AtmosphericState) -> AtmosphericTerms:
-        if engine is not None:
-            return engine(state)
-        if state.engine == "table":
-            return atmospheric_terms(state, resolve=find)
-        return atmospheric_terms(state, cache_dir=cache_dir, show_progress=show_progress)
-
-    return _propagated(scenario, found, inputs_of(given_here), again, whole, true, show_progress)
+def _of_classes(found: Prediction, given: Given, again: Again) -> list[Moved]:
+    """Moved spectra of classes, which move the background; those of targets are in the curves already."""
+    if not found.roc:
+        return []
+    classes = {c.name for c in given.scenario.scene.classes}
+    inputs = [i for i in spectrum_inputs(given) if i.subject in classes]
+    return moved_predictions(inputs, again, most=_MOST_OF_CLASSES)
 
 
-def predictions(scenario: Scenario, truths: Iterable[Departure], **options: Any) -> Iterator[Prediction]:
-    """Predictions of truths that depart from a scenario, in their order, each without a budget of its own.
-
-    ``options`` are those of :func:`predict`: axis, measured, resolve, engine, sensor, cache_dir, show_progress,
-    objects, object_curves.  What the truths have in common is worked out once.
-    """
-    bare = scenario.model_copy(update={"uncertainty": Uncertainty()})
-    for truth in truths:
-        yield predict(bare, departure=truth, **options)
+def _with_moves(
+    found: Prediction, changes: Mapping[RocKey, list[Array]], moves: Sequence[Moved], of_classes: Sequence[Moved]
+) -> Prediction:
+    """The prediction with the errors by inputs that change surfaces, fills or bands, and with limits of its curves."""
+    spectra = {p: dict(getattr(found, p)) for p in ("radiance", "snr", "reflectance")}
+    for product, estimates in spectra.items():
+        with_moves(estimates, product, moves)
+    pairs = [*moves, *of_classes]
+    whole = {
+        key: [*changes[key], *(0.5 * (probit(m.plus.roc[key].pd) - probit(m.minus.roc[key].pd)) for m in pairs)]
+        for key in found.roc
+    }
+    return replace(found, **spectra, roc=with_bands(found.roc, whole))
 
 
 def _propagated(
-    scenario: Scenario,
-    stated: Prediction,
-    inputs: list[Input],
-    again: Callable[[Departure, Engine | None], Prediction],
-    engine: Engine,
-    axis: SpectralAxis,
-    show_progress: bool | None,
-) -> Prediction:
+    case: Case, stated: Prediction, inputs: list[Input], again: Callable[..., Iterator[Prediction]],
+    origins: Origins,
+) -> Prediction:  # fmt: skip
     """The prediction with its budget drawn; unchanged where nothing is uncertain."""
     from hyperval.prediction.monte_carlo import propagate, with_intervals
 
     if not inputs:
         return stated
+    scenario = case.setup.scenario
     shifts = any(np.any(np.asarray(i.moved(1.0).wavelength_shift_nm) != 0.0) for i in inputs)
     u = scenario.uncertainty
     found = propagate(
-        scenario, stated, inputs, again, samples=u.samples, seed=u.seed, engine=engine,
-        axis=None if shifts else axis, show_progress=show_progress,
+        scenario, stated, inputs, lambda d, stand_in: next(again([d], stand_in)), samples=u.samples, seed=u.seed,
+        engine=lambda state: origins.whole_terms(scenario, state), axis=None if shifts else case.setup.used.true_axis,
+        show_progress=origins.show_progress,
     )  # fmt: skip
     return with_intervals(stated, found, u.method)
 
 
-def _provenance(
-    scenario: Scenario, used: Instrument, view: View, surfaces: Mapping[str, SurfaceStatistics]
-) -> dict[str, object]:
-    sensor = used.sensor
+def _provenance(case: Case) -> dict[str, object]:
+    scenario, sensor = case.setup.scenario, case.setup.used.sensor
     found: dict[str, object] = {
         "scenario": scenario.name,
         "formulation": scenario.formulation,
-        "atmosphere": view.terms.provenance if view.terms else None,
+        "atmosphere": case.terms.provenance if case.terms else None,
         "sensor": {"name": sensor.name, "source": sensor.specification.source} if sensor else None,
-        "spectra": {name: s.source for name, s in surfaces.items()},
+        "spectra": {name: s.source for name, s in case.setup.surfaces.items()},
     }
     if scenario.sensor_operation is not None:
         found["sensor_operation"] = scenario.sensor_operation.model_dump(mode="json")
     if scenario.sensor_changes is not None:
         found["sensor_changes"] = scenario.sensor_changes.model_dump(mode="json")
     return found
-
-
-def surfaces_of(
-    scenario: Scenario, sources: Sources, labelled: Sources
-) -> tuple[dict[str, SurfaceStatistics], dict[str, Array]]:
-    """Statistics where the bands truly stand; what detectors look for where they are labelled."""
-    scene = scenario.scene
-    surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
-    refuse_gaps(scenario, surfaces, sources.axis)
-    looked_for = {}
-    for t in scene.targets:
-        if t.filter_spectrum is not None:
-            looked_for[t.name] = labelled.spectrum(t.filter_spectrum, t.name).mean
-        elif sources.axis is labelled.axis:
-            looked_for[t.name] = surfaces[t.name].mean
-        else:
-            looked_for[t.name] = labelled.spectrum(t.spectrum, t.name).mean
-    return surfaces, looked_for
-
-
-def _base_view(
-    scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], terms_of: Engine, noise: NoiseModel | None
-) -> View:
-    classes = scenario.scene.classes
-    fractions = np.array([c.fraction for c in classes])
-    means = np.array([filled(surfaces[c.name].mean) for c in classes])
-    covariances = [surfaces[c.name].covariance for c in classes]
-    elm, levels = scenario.processing.elm, None
-    if isinstance(elm, DarkestPixel):
-        gains = np.array([c.gain for c in classes])
-        levels = ClassLevels(fractions, gains, means, np.array([np.diag(c) for c in covariances]))
-    return View(
-        terms_of(scenario.atmosphere) if scenario.atmosphere else None,
-        average_reflectance(fractions, means),  # (3.8)
-        mixture_covariance(fractions, means, covariances),
-        noise,
-        scenario.scene.adjacency.kappa,
-        scenario.formulation,
-        None if elm == "none" else elm,
-        levels,
-    )
-
-
-def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """Indices of the bands that the detectors use (Psi of unit rows, 3.21).
-
-    ``usable`` (B,) is False where a spectrum or the light is lacking.  Raises UsageError when none is left.
-    """
-    choice = scenario.processing.bands
-    keep = usable.copy()
-    if choice.drop_bad:
-        keep &= axis.good
-    if choice.windows_only:
-        keep &= in_window(axis.centre_nm)
-    if choice.ranges:
-        keep &= np.any([(axis.centre_nm >= a) & (axis.centre_nm <= b) for a, b in choice.ranges], axis=0)
-    for name, listed in (("channels", choice.channels), ("bad_channels", choice.bad_channels)):
-        if listed and max(listed) >= keep.size:
-            raise UsageError(
-                f"processing.bands.{name}: band {max(listed)} of {keep.size}",
-                expected=f"numbers from 0 to {keep.size - 1}",
-            )
-        if listed:
-            here = np.isin(np.arange(keep.size), listed)
-            keep &= here if name == "channels" else ~here
-    if not keep.any():
-        raise UsageError("no band is left for detection", mend="widen processing: bands")
-    return np.flatnonzero(keep)
-
-
-def _detection(
-    scenario: Scenario,
-    axis: SpectralAxis,
-    surfaces: Mapping[str, SurfaceStatistics],
-    looked_for: Mapping[str, Array],
-    view: View,
-    steps: list[Perturbation],
-    errors: Mapping[str, Array],
-    spectra: SpectralProducts,
-    notes: list[str],
-    objects: bool | int,
-    object_curves: bool,
-) -> Detection:
-    scene, processing = scenario.scene, scenario.processing
-    if not scene.targets or not processing.detectors:
-        return Detection({}, {})
-    used = [c.name for c in scene.classes] + [t.name for t in scene.targets]
-    usable = view.lit()
-    for name in used:
-        usable &= np.isfinite(surfaces[name].mean)
-    for spectrum in looked_for.values():
-        usable &= np.isfinite(spectrum)
-    bands = detection_bands(scenario, axis, usable)
-    notes.append(f"detectors use {bands.size} of {len(axis)} bands")
-    on_bands = {
-        name: replace(
-            surfaces[name], mean=surfaces[name].mean[bands], covariance=cut(surfaces[name].covariance, bands)
-        )
-        for name in used
-    }
-    task = Task(
-        scene.targets,
-        {name: spectrum[bands] for name, spectrum in looked_for.items()},
-        processing,
-        false_alarm_grid(processing.false_alarm_grid.lowest, processing.false_alarm_grid.per_decade),
-        {t.name: cut(errors[t.name], bands) for t in scene.targets if t.name in errors},
-        object_curves,
-    )
-
-    def run(with_view: View, shift: float = 0.0) -> Detection:
-        return detect(seen_background(with_view.at(bands), scene.classes, on_bands), task, shift)
-
-    # The spectral products hold the classes as the detector sees them already.
-    seen = spectra.reflectance or spectra.radiance
-    here = view.at(bands)
-    classes = [seen[c.name] for c in scene.classes]
-    spread = [cut(c.pixel_covariance, bands) for c in classes]
-    background = Background(scene.classes, on_bands, here, [c.mean[bands] for c in classes], spread)
-    if view.retrieval is not None:  # a line that is off changes what the detectors see of the classes
-        background = seen_background(here, scene.classes, on_bands)
-    base = detect(background, task)
-    leading = [s for s in steps if s.number < MOST_DIRECTIONS]  # the rest of an input moves a score little
-    if objects:
-
-        def moved(with_view: View) -> Background:
-            return seen_background(with_view.at(bands), scene.classes, on_bands)
-
-        views = [(moved(s.plus), moved(s.minus)) for s in leading]
-        draws = None if objects is True else objects
-        drawn = predicted_object_scores(background, task, scenario.uncertainty, axis.select(bands), views, draws)
-        base = replace(base, object_scores=drawn)
-    pairs = [(run(s.plus), run(s.minus)) for s in leading]
-    if task.spectrum_error:
-        pairs.append((run(view, 1.0), run(view, -1.0)))
-    return replace(base, pairs=tuple(pairs))

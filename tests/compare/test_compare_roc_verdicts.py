@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from hyperval.compare.roc import compare_roc, equivalence
-from hyperval.processing.roc_model import ClassScore, greatest_class_false_alarm, threshold_at
+from hyperval.processing.thresholds import ClassScores, greatest_class_false_alarm, thresholds_at
 from hyperval.products import RocCurve
 from hyperval.results import Outcome
 
@@ -58,12 +58,16 @@ def test_one_target_gives_no_verdict():
     assert next(r for r in rows if r.metric == "pd_equivalence@1e-2").outcome is Outcome.SKIPPED
 
 
+def presets(x: np.ndarray, classes: ClassScores) -> np.ndarray:
+    return greatest_class_false_alarm(x, classes.rows(np.zeros(x.size, int)))
+
+
 def test_both_readings_are_reported_where_they_differ():
     # Two classes; the rarer has the longer tail: its own P_FA is ten times that of the scene.
-    classes = [ClassScore(0.9, 0.0, 0.1), ClassScore(0.1, 0.1, 0.2)]
-    x = threshold_at(PFA, classes)
+    classes = ClassScores(*np.array([[[0.9, 0.1]], [[0.0, 0.1]], [[0.1, 0.2]], [[np.inf, np.inf]]]))
+    x = thresholds_at(PFA[None], classes)[0]
     pd = norm.sf((x - 0.6) / 0.15)
-    swept = RocCurve(PFA, pd, pd, pd, x, "object", preset_pfa=greatest_class_false_alarm(x, classes))
+    swept = RocCurve(PFA, pd, pd, pd, x, "object", preset_pfa=presets(x, classes))
     measured = RocCurve(PFA, pd, pd - 0.05, pd + 0.05, x, "object", 300, 100_000)
     rows = {r.metric: r for r in compare_roc(swept, measured, campaign="c", subject="s", method="m")}
     # By hand: the longest tail is that of the second class, x = 0.1 + 0.2 Phi^-1(1 - P).
@@ -73,8 +77,8 @@ def test_both_readings_are_reported_where_they_differ():
     assert rows["pd_inside_interval@1e-2"].value == 1.0
     assert rows["pd_inside_interval_preset@1e-2"].value == 0.0
     # With one class both are the same, and one row is enough.
-    alone = [ClassScore(1.0, 0.0, 0.1)]
-    x = threshold_at(PFA, alone)
-    single = RocCurve(PFA, pd, pd, pd, x, "object", preset_pfa=greatest_class_false_alarm(x, alone))
+    alone = ClassScores(*np.array([[[1.0]], [[0.0]], [[0.1]], [[np.inf]]]))
+    x = thresholds_at(PFA[None], alone)[0]
+    single = RocCurve(PFA, pd, pd, pd, x, "object", preset_pfa=presets(x, alone))
     rows = compare_roc(single, measured, campaign="c", subject="s", method="m")
     assert not [r for r in rows if "preset" in r.metric]

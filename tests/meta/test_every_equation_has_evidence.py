@@ -24,6 +24,9 @@ MODULES = (
     "hyperval.processing.features",
     "hyperval.processing.elm_model",
     "hyperval.processing.roc_model",
+    "hyperval.processing.thresholds",
+    "hyperval.prediction.filters",
+    "hyperval.prediction.responses",
     "hyperval.processing.ace_model",
     "hyperval.processing.classification",
 )

@@ -9,7 +9,7 @@ from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
 from hyperval.predict import predict
 from hyperval.processing.filters import design_filter
-from hyperval.processing.roc_model import greatest_class_false_alarm
+from hyperval.processing.thresholds import ClassScores, class_threshold, greatest_class_false_alarm
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis
@@ -160,12 +160,10 @@ def test_curves_of_the_background():
 def test_preset_is_the_tail_of_the_worst_class():
     from scipy.stats import norm
 
-    from hyperval.processing.roc_model import ClassScore, class_by_class_roc
-
-    classes = [ClassScore(0.8, 0.0, 0.1), ClassScore(0.2, 0.1, 0.2), ClassScore(0.0, 5.0, 1.0)]
-    x = np.array([0.2, 0.5, 0.8])
-    assert greatest_class_false_alarm(x, classes) == pytest.approx(norm.sf((x - 0.1) / 0.2), rel=1e-9)
-    # (3.32): the least P_D over the classes at a preset has that preset as its greatest tail.
+    one = ClassScores(*np.array([[[0.8, 0.2, 0.0]], [[0.0, 0.1, 5.0]], [[0.1, 0.2, 1.0]], [[np.inf] * 3]]))
+    three, x = one.rows(np.zeros(3, int)), np.array([0.2, 0.5, 0.8])
+    assert greatest_class_false_alarm(x, three) == pytest.approx(norm.sf((x - 0.1) / 0.2), rel=1e-9)
+    # (3.32): the highest threshold of the classes at a preset has that preset as its greatest tail.
     preset = np.array([1e-3, 1e-2, 1e-1])
-    printed = class_by_class_roc(1.0, 0.3, classes, preset)
-    assert np.sort(greatest_class_false_alarm(printed.threshold, classes)) == pytest.approx(preset, rel=1e-9)
+    highest = np.max([class_threshold(np.log(preset)[None], one, m)[0] for m in (0, 1)], axis=0)
+    assert greatest_class_false_alarm(highest, three) == pytest.approx(preset, rel=1e-9)

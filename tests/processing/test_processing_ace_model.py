@@ -11,13 +11,18 @@ from hyperval.processing.ace_model import (
     Exceedance,
     _positive,
     ace_exceedance,
-    ace_score,
     ace_space,
     ace_threshold,
     exceedance_at,
 )
 
 BANDS = 7
+
+
+def ace_score(space, pixels) -> np.ndarray:
+    """ACE of pixels (N, F), 0-1, as it is defined: the squared cosine in whitened space."""
+    y = space.background.whiten((np.asarray(pixels, dtype=float) - space.mean).T)
+    return np.asarray((space.axis @ y) ** 2 / np.maximum((y**2).sum(axis=0), 1e-300))
 
 
 @pytest.fixture(scope="module")

@@ -22,19 +22,12 @@ from hyperval.processing.mean_error import independent_pixels
 from hyperval.processing.rank_counts import counts_of
 from hyperval.processing.roc import average_roc, empirical_roc, pd_at_pfa, pooled_roc, with_summary
 from hyperval.processing.roc_areas import WHOLE, area_estimates, area_variance, logit_interval
-from hyperval.processing.roc_model import (
-    ClassScore,
-    greatest_class_false_alarm,
-    log_false_alarm,
-    object_detection_probability,
-    score_density,
-    target_score_moments,
-)
+from hyperval.processing.roc_model import object_detection_probability
 from hyperval.processing.snr import snr_decorrelated, snr_interval, snr_mean_sd
 from hyperval.processing.spatial_correlation import neighbour_shares
 from hyperval.processing.tails import fit_tail_dof, left_out_distances, tail_log_likelihood
+from hyperval.processing.thresholds import ClassScores, greatest_class_false_alarm, log_false_alarm, score_density
 from hyperval.products import ClassificationError, ExceedanceCurve, RocCurve
-from hyperval.scene.fill import FillDistribution
 
 # Empirical line -----------------------------------------------------------------------------------
 
@@ -203,28 +196,17 @@ def test_bootstrap_over_objects_has_the_variance_of_delong_few_objects_or_many(m
 # Scores of the model ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dof", [None, 5.0])
+@pytest.mark.parametrize("dof", [np.inf, 5.0])
 def test_density_is_the_slope_of_the_false_alarms(dof):
-    classes = [ClassScore(0.3, 0.2, 0.4, dof), ClassScore(0.7, -0.1, 0.2)]
+    one = ClassScores(*np.array([[[0.3, 0.7]], [[0.2, -0.1]], [[0.4, 0.2]], [[dof, np.inf]]]))
     low, high = 0.05, 0.9
-    between = np.exp(log_false_alarm([low, high], classes))
-    area = integrate.quad(lambda x: float(score_density(x, classes)), low, high, epsabs=1e-12)[0]
+    between = np.exp(log_false_alarm(np.array([low, high]), one.rows(np.zeros(2, int)))[0])
+    area = integrate.quad(lambda x: float(score_density(np.array([x]), one)[0]), low, high, epsabs=1e-12)[0]
     assert area == pytest.approx(between[0] - between[1], rel=1e-9)
-    worst = max(np.exp(log_false_alarm([0.5], [ClassScore(1.0, c.mean, c.sd, c.tail_dof)]))[0] for c in classes)
-    assert greatest_class_false_alarm([0.5], classes)[0] == pytest.approx(worst, rel=1e-12)
-
-
-def test_moments_of_mixed_pixels_against_draws():
-    # 400,000 pixels: a standard deviation is known to 0.1 %, 4.5 of which are allowed.
-    rng = np.random.default_rng(4)
-    nodes, weights = np.array([0.1, 0.4, 0.9]), np.array([0.5, 0.3, 0.2])
-    f = rng.choice(nodes, 400_000, p=weights)
-    host, a, b, n = 0.3, 0.04, 0.09, 0.01
-    z = rng.standard_normal((3, f.size))
-    score = f * (1 + np.sqrt(a) * z[0]) + (1 - f) * (host + np.sqrt(b) * z[1]) + np.sqrt(n) * z[2]
-    mean, sd = target_score_moments(FillDistribution(nodes, weights), host, a, b, n)
-    assert mean == pytest.approx(score.mean(), abs=4.5 * score.std() / np.sqrt(f.size))
-    assert sd == pytest.approx(score.std(), rel=5e-3)
+    t_scale = 0.4 * np.sqrt((dof - 2) / dof) if np.isfinite(dof) else 0.4
+    first = stats.t.sf(0.5, dof, 0.2, t_scale) if np.isfinite(dof) else stats.norm.sf(0.5, 0.2, 0.4)
+    worst = max(first, stats.norm.sf(0.5, -0.1, 0.2))
+    assert greatest_class_false_alarm(np.array([0.5]), one)[0] == pytest.approx(worst, rel=1e-12)
 
 
 def test_an_object_is_missed_where_all_its_pixels_are():
@@ -234,7 +216,9 @@ def test_an_object_is_missed_where_all_its_pixels_are():
         np.prod([stats.norm.cdf(x, m, s) for m, s in zip(at, spread, strict=True)])
         for at, spread in zip(means, sds, strict=True)
     ]
-    assert object_detection_probability([x], means, sds)[0] == pytest.approx(1 - np.mean(missed), rel=1e-12)
+    assert object_detection_probability(np.array([[x]]), means[None], sds[None])[0, 0] == pytest.approx(
+        1 - np.mean(missed), rel=1e-12
+    )
 
 
 # Exceedance and covariances -----------------------------------------------------------------------

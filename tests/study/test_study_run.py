@@ -54,8 +54,6 @@ def test_a_study_writes_everything(make_study, tmp_path, quick):
         assert data["c"].attrs["units"] == "%"
     rows = json.loads((out / "results.json").read_text())["rows"]
     assert {r["outcome"] for r in rows} <= {"none", "skipped"}
-    agreement = [r["value"] for r in rows if r["metric"] == "greatest_relative_difference_from_predict"]
-    assert agreement[0] < 1e-9
     unsolved = table["signal"].isna()
     assert table.loc[unsolved, "reason"].str.contains("no solution").all()
     page = (out / "report.html").read_text()

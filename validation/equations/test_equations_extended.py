@@ -9,7 +9,6 @@ from scipy import integrate, stats
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.processing.ace_model import (
     ace_exceedance,
-    ace_score,
     ace_space,
     ace_threshold,
     exceedance_at,
@@ -18,15 +17,8 @@ from hyperval.processing.classification import bhattacharyya_distance, classific
 from hyperval.processing.elm_model import darkest_level, retrieved_covariance, two_panel_line
 from hyperval.processing.features import feature_covariance, minimum_noise_fraction
 from hyperval.processing.filters import matched_filter_weights, spectral_matched_filter
-from hyperval.processing.roc_model import (
-    ClassScore,
-    TargetScore,
-    detection_probability,
-    log_false_alarm,
-    object_detection_probability,
-    score_density,
-    target_density,
-)
+from hyperval.processing.roc_model import RocScores, detection_probability, object_detection_probability
+from hyperval.processing.thresholds import ClassScores, log_false_alarm, score_density
 from hyperval.scene.radiance import (
     illumination_factor,
     mean_radiance,
@@ -47,6 +39,12 @@ TERMS = AtmosphericTerms(
     diffuse_fraction=np.array([0.3, 0.15]),
 )
 AVERAGE = np.array([0.2, 0.4])
+
+
+def ace_score(space, pixels) -> np.ndarray:
+    """ACE of pixels (N, F), 0-1, as it is defined: the squared cosine in whitened space."""
+    y = space.background.whiten((np.asarray(pixels, dtype=float) - space.mean).T)
+    return np.asarray((space.axis @ y) ** 2 / np.maximum((y**2).sum(axis=0), 1e-300))
 
 
 def test_3_7_shade_by_hand():
@@ -187,16 +185,18 @@ def test_ace_by_monte_carlo(tail):
 
 
 def test_densities_are_the_derivatives():
-    classes = [ClassScore(0.6, 0.0, 0.2), ClassScore(0.4, 0.3, 0.5, 4.0)]
+    one = ClassScores(*np.array([[[0.6, 0.4]], [[0.0, 0.3]], [[0.2, 0.5]], [[np.inf, 4.0]]]))
     x, h = np.linspace(-1, 2, 13), 1e-5
-    slope = (np.exp(log_false_alarm(x - h, classes)) - np.exp(log_false_alarm(x + h, classes))) / (2 * h)
-    assert score_density(x, classes) == pytest.approx(slope, rel=1e-6)
-    assert integrate.quad(lambda v: float(score_density(v, classes)), -60, 60, points=[0, 0.3])[0] == pytest.approx(
-        1.0, abs=1e-5
-    )
-    target = TargetScore(np.array([0.2, 0.8]), np.array([0.1, 0.2]), np.array([0.3, 0.7]))
-    slope = (detection_probability(x - h, target) - detection_probability(x + h, target)) / (2 * h)
-    assert target_density(x, target) == pytest.approx(slope, rel=1e-5, abs=1e-9)
+    rows = one.rows(np.zeros(13, int))
+    slope = (np.exp(log_false_alarm(x - h, rows)[0]) - np.exp(log_false_alarm(x + h, rows)[0])) / (2 * h)
+    assert score_density(x, rows) == pytest.approx(slope, rel=1e-6)
+    whole = integrate.quad(lambda v: float(score_density(np.array([v]), one)[0]), -60, 60, points=[0, 0.3])[0]
+    assert whole == pytest.approx(1.0, abs=1e-5)
+    means, sds, weights = np.array([[0.2, 0.8]]), np.array([[0.1, 0.2]]), np.array([[0.3, 0.7]])
+    above, below = (detection_probability(x[None] + s * h, means, sds, weights)[0] for s in (-1, 1))
+    target = RocScores(one, np.zeros(1, int), means, sds, weights)
+    assert target.target_density(x[None])[0] == pytest.approx((above - below) / (2 * h), rel=1e-5, abs=1e-9)
+    assert target.background_density(x[None])[0] == pytest.approx(slope, rel=1e-6)
 
 
 def test_bhattacharyya_by_hand():
@@ -267,7 +267,9 @@ def test_3_31_objects_by_monte_carlo():
     at = rng.integers(0, 2, n)
     best = (means[at] + sds[at] * rng.standard_normal((n, 3))).max(axis=1)
     thresholds = np.array([0.2, 0.4, 0.6, 0.9])
-    for x, p in zip(thresholds, object_detection_probability(thresholds, means, sds), strict=True):
+    for x, p in zip(
+        thresholds, object_detection_probability(thresholds[None], means[None], sds[None])[0], strict=True
+    ):
         assert abs((best > x).mean() - p) < 5 * np.sqrt(p * (1 - p) / n)
 
 
@@ -279,7 +281,8 @@ def test_t_tail_by_monte_carlo():
     f = matched_filter_weights([2.0, 3.0], mean, cov)
     g = rng.standard_normal((n, 2)) @ np.linalg.cholesky(cov).T * np.sqrt((nu - 2) / rng.chisquare(nu, n))[:, None]
     score = f.score(mean + g)
-    c = ClassScore(1.0, float(f.score(mean)), float(np.sqrt(f.variance(cov))), nu)
-    for x in c.sd * np.array([-1.0, 0.5, 2.0, 4.0, 8.0]):
-        p = float(np.exp(log_false_alarm(x, [c])))
+    sd = float(np.sqrt(f.variance(cov)))
+    c = ClassScores(*np.array([[[1.0]], [[float(f.score(mean))]], [[sd]], [[nu]]]))
+    for x in sd * np.array([-1.0, 0.5, 2.0, 4.0, 8.0]):
+        p = float(np.exp(log_false_alarm(np.array([x]), c)[0][0]))
         assert abs((score > x).mean() - p) < 5 * np.sqrt(p * (1 - p) / n)

@@ -1,19 +1,16 @@
-"""ACE scores and ROC curves of target populations, by conditional Monte Carlo."""
+"""ACE scores and ROC curves of target populations, by conditional Monte Carlo, one evaluation after the other."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
-from hyperval.prediction.detection import (
-    Background,
-    Detection,
-    FilterBase,
-    Task,
-    seen_population,
-)
-from hyperval.prediction.fills import fills_of_objects, moments
+from hyperval.prediction.batch import Batch, Group
+from hyperval.prediction.filters import FilterBase, Population, noise_of
 from hyperval.processing.ace_model import (
     AceSpace,
     Exceedance,
@@ -22,8 +19,7 @@ from hyperval.processing.ace_model import (
     ace_threshold,
     exceedance_at,
 )
-from hyperval.products import RocCurve, ScoreDistribution, background_of
-from hyperval.scenario import Target
+from hyperval.products import ScoreDistribution
 from hyperval.scene.fill import fixed_fill
 
 Array = npt.NDArray[np.float64]
@@ -32,90 +28,141 @@ Array = npt.NDArray[np.float64]
 _NODES = 7
 
 
-def add_ace(
-    found: Detection,
-    background: Background,
-    target: Target,
-    base: FilterBase,
-    spectrum: Array,
-    task: Task,
-    shift: float,
-    thesis: bool,
-) -> str:
-    """Add the scores and curves of one target to ``found``; the note says how exact they are.
+@dataclass(frozen=True)
+class AceScores:
+    """Scores of one population in n evaluations.
 
-    ``spectrum`` (F,) is what the detector looks for.  Target pixels are Gaussian with the moments of their fill.
+    Attributes
+    ----------
+    target, background : score distributions
+    threshold : (n, K)
+    detection : unit -> (n, K) P_D
+    error : (n,) greatest standard error of P_D, of the draws
+    alarm_error : (n,) standard error of P_FA at the least of its values, as a part of it
     """
-    draws, seed = task.processing.samples, task.processing.seed
-    space = ace_space(base.of(spectrum), base.of(base.mean), base.factor)
-    classes = [
-        ace_exceedance(
-            space,
-            base.of(background.means[i]),
-            base.spread(background.covariances[i]),
-            draws,
-            np.random.default_rng([seed, i]),
-            background.tail_of(c),
-            decades=np.linspace(0.0, -float(np.log10(task.pfa[0])), 4).tolist(),
+
+    target: Sequence[ScoreDistribution]
+    background: Sequence[ScoreDistribution]
+    threshold: Array
+    detection: dict[str, Array]
+    error: Array
+    alarm_error: Array
+
+
+@dataclass(frozen=True)
+class _Evaluation:
+    """One evaluation: its group and number in it, filter base, space, and the exceedance of the background."""
+
+    group: Group
+    u: int
+    point: int
+    target: int
+    base: FilterBase
+    space: AceSpace
+    background: Exceedance
+    threshold: Array
+
+
+def ace_scores(batch: Batch, population: str, pfa: Array, object_curves: bool = True) -> AceScores:
+    """ACE of target pixels and background in every evaluation of a batch.
+
+    Target pixels are Gaussian with the moments of their fill.
+    """
+    number, subject, _ = batch.population(population)
+    target, background, thresholds, errors = [], [], [], []
+    detection: dict[str, list[Array]] = {"pixel": []} | ({"object": []} if object_curves else {})
+    for point in range(len(batch)):
+        e = batch.once(("ace", point, number), lambda p=point: _evaluation(batch, p, number, pfa))  # type: ignore[misc]
+        fill = batch.fill_of(point, number, subject)
+        # The fills of whole objects are in the reach of the nodes even where their curve is not asked for.
+        whole = batch.fills(number, subject, True)
+        row = whole.values[point if whole.values.shape[0] > 1 else 0]
+        objects = row.reshape(whole.shape or (-1, 1))
+        reach = np.concatenate([fill.values, objects.ravel()])
+        nodes = _nodes(float(reach.min()), float(reach.max()))
+        at_nodes = [_at_fill(batch, e, float(f)) for f in nodes]
+        pixel = _averaged(at_nodes, nodes, fill.values[:, None], fill.weights)
+        target.append(_distribution(pixel))
+        background.append(_distribution(e.background))
+        thresholds.append(e.threshold)
+        detection["pixel"].append(exceedance_at(e.threshold, pixel))
+        if object_curves:
+            pd = detection["pixel"][-1]
+            if whole.shape is not None:
+                weights = np.full(objects.shape[0], 1.0 / objects.shape[0])
+                pd = exceedance_at(e.threshold, _averaged(at_nodes, nodes, objects, weights))
+            detection["object"].append(pd)
+        errors.append((max(float(x.standard_error.max()) for x in at_nodes), _alarm_error(e)))
+    each = {unit: np.array(curves) for unit, curves in detection.items()}
+    error, alarm_error = np.array(errors).T
+    return AceScores(target, background, np.array(thresholds), each, error, alarm_error)
+
+
+def _evaluation(batch: Batch, point: int, target: int, pfa: Array) -> _Evaluation:
+    processing, setting = batch.scenario.processing, int(batch.points.setting[point])
+    group = next(g for g in batch.groups if setting in g.numbers)
+    u = int(np.searchsorted(group.numbers, setting))
+    at, seen = group.at, group.seen
+    base = _base(batch, group, u)
+    space = ace_space(
+        base.of(batch.spectrum_as_seen(group, batch.targets[target].name)[u]), base.of(base.mean), base.factor
+    )
+    ground, fractions = at.grounds[at.which[u]], at.fractions[u]
+    dof = batch.points.dof[point if batch.points.dof.shape[0] > 1 else 0]
+    decades = np.linspace(0.0, -float(np.log10(pfa[0])), 4).tolist()
+    classes = []
+    for m, covariance in enumerate(ground.covariances):
+        as_part = Population(
+            0.0, at.gains[u, m] * covariance, seen.around[u, m], seen.means[u, m], seen.noise[u, m]
         )
-        for i, c in enumerate(background.classes)
-    ]
-    fractions = background.fractions
-    threshold = ace_threshold(task.pfa, list(fractions), classes)
+        classes.append(
+            ace_exceedance(
+                space, base.of(as_part.mean), base.spread(covariance_of(as_part, group, u)), processing.samples,
+                np.random.default_rng([processing.seed, m]), None if np.isinf(dof[m]) else float(dof[m]),
+                decades=decades,
+            )
+        )  # fmt: skip
     mixture = Exceedance(
         classes[0].scores,
         np.asarray(sum(f * c.probability for f, c in zip(fractions, classes, strict=True))),
         np.sqrt(sum((f * c.standard_error) ** 2 for f, c in zip(fractions, classes, strict=True))),
     )
-    worst = 0.0
-    for population in target.populations:
-        fill = moments(population, thesis)
-        # The fills of whole objects are in the reach of the nodes even where their curve is not asked for.
-        objects = np.array([[fill.mean]]) if thesis else fills_of_objects(population.fill)
-        reach = np.concatenate([fill.values, objects.ravel()])
-        nodes = _nodes(float(reach.min()), float(reach.max()))
-        at_nodes = [_at_fill(space, base, background, target, float(f), task, shift, draws) for f in nodes]
-        worst = max(worst, *(float(e.standard_error.max()) for e in at_nodes))
-        pixel = _averaged(at_nodes, nodes, fill.values[:, None], fill.weights)
-        found.scores[population.name, "ace"] = _distribution(pixel)
-        found.scores[background_of(population.name), "ace"] = _distribution(mixture)
-        pd = exceedance_at(threshold, pixel)
-        found.roc[population.name, "ace", "pixel"] = RocCurve(task.pfa, pd, pd, pd, threshold, "pixel")
-        if not task.object_curves:
-            continue
-        if objects.shape[1] > 1 or fill.values.size < objects.shape[0]:
-            weights = np.full(objects.shape[0], 1.0 / objects.shape[0])
-            pd = exceedance_at(threshold, _averaged(at_nodes, nodes, objects, weights))
-        found.roc[population.name, "ace", "object"] = RocCurve(task.pfa, pd, pd, pd, threshold, "object")
-    at = np.searchsorted(mixture.scores, threshold[[0, -1]]).clip(0, mixture.scores.size - 1)
-    relative = mixture.standard_error[at[0]] / max(mixture.probability[at[0]], 1e-300)
-    return (
-        f"ace of {target.name}: {draws} draws per class; standard error of P_D at most {worst:.2g}, "
-        f"of P_FA at {task.pfa[0]:.1g} {100 * relative:.2g} %"
-    )
+    threshold = ace_threshold(pfa, list(fractions), classes)
+    return _Evaluation(group, u, point, target, base, space, mixture, threshold)
 
 
-def _at_fill(
-    space: AceSpace, base: FilterBase, background: Background, target: Target, fill: float, task: Task,
-    shift: float, draws: int,
-) -> Exceedance:  # fmt: skip
-    mean, covariance = seen_population(background, target, fixed_fill(fill))
-    error = task.spectrum_error.get(target.name)
-    if error is not None and shift:
+def _base(batch: Batch, group: Group, u: int) -> FilterBase:
+    populations = batch.filter_populations(group, u)
+    mixture = group.designer.mixture(group.at, group.seen, u, populations)
+    return group.designer.base(mixture, lambda reflectance: noise_of(group.at, group.seen, u, reflectance))
+
+
+def covariance_of(part: Population, group: Group, u: int) -> Array:
+    """(F, F) covariance of pixels as the detector of setting ``u`` sees them (3.11-3.21)."""
+    slope, surroundings = group.seen.slope[u], group.at.grounds[group.at.which[u]].covariance
+    found = part.covariance * np.outer(slope, slope) + surroundings * np.outer(part.around, part.around)
+    return np.asarray(found + np.diag(part.noise))
+
+
+def _at_fill(batch: Batch, e: _Evaluation, fill: float) -> Exceedance:
+    processing, group = batch.scenario.processing, e.group
+    pixels = batch.population_at(group, e.u, e.point, e.target, fixed_fill(fill))
+    mean, shift = pixels.mean, float(np.broadcast_to(batch.points.shift, (len(batch),))[e.point])
+    name = batch.targets[e.target].name
+    if shift and name in batch.errors:
         # The true target departs along the filter's own direction, by standard deviations of its score.
-        line, view = background.view.line(), background.view
-        w = base.filter("matched-filter", task_spectrum(background, task, target))
-        u = w.weights / line.gain * view.slope()
-        moved = error @ u / np.sqrt(float(u @ error @ u))
-        mean = mean + shift * fill * moved * view.slope() / line.gain
-    rng = np.random.default_rng([task.processing.seed, 1_000_003])
-    return ace_exceedance(space, base.of(mean), base.spread(covariance), draws, rng)
+        error = batch.errors[name][np.ix_(group.bands, group.bands)]
+        slope = group.seen.slope[e.u]
+        u = e.base.filter("matched-filter", batch.spectrum_as_seen(group, name)[e.u]).weights * slope
+        mean = mean + shift * fill * (error @ u / np.sqrt(float(u @ error @ u))) * slope
+    rng = np.random.default_rng([processing.seed, 1_000_003])
+    spread = e.base.spread(covariance_of(pixels, group, e.u))
+    return ace_exceedance(e.space, e.base.of(mean), spread, processing.samples, rng)
 
 
-def task_spectrum(background: Background, task: Task, target: Target) -> Array:
-    """(F,) what the detector looks for, as it sees it."""
-    line, level = background.view.library_line(), background.view.level(task.looked_for[target.name])
-    return np.asarray((level - line.offset) / line.gain)
+def _alarm_error(e: _Evaluation) -> float:
+    first = int(np.searchsorted(e.background.scores, e.threshold[0]).clip(0, e.background.scores.size - 1))
+    return float(e.background.standard_error[first] / max(e.background.probability[first], 1e-300))
 
 
 def _nodes(low: float, high: float) -> Array:

@@ -18,7 +18,6 @@ from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.prediction.fills import fill_distribution
 from hyperval.prediction.inputs import SurfaceStatistics
-from hyperval.prediction.view import View
 from hyperval.scenario import Fill, Geometry, Scenario
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.recorded import recorded_noise
@@ -318,18 +317,6 @@ def departed_noise(noise: NoiseModel | None, departure: Departure) -> NoiseModel
         factor=departure.noise_factor,
         signal_factor=departure.signal_factor,
     )
-
-
-def with_retrieval(view: View, departure: Departure) -> View:
-    """The view of the detectors, whose empirical line is off."""
-    gain, offset = departure.retrieval_gain, departure.retrieval_offset
-    if np.all(np.asarray(gain) == 1.0) and np.all(np.asarray(offset) == 0.0):
-        return view
-    shape = view.average.shape
-    g, o = np.broadcast_to(gain, shape).astype(float), np.broadcast_to(offset, shape).astype(float)
-    if view.retrieval is not None:  # off already: one after the other
-        g, o = g * view.retrieval[0], g * view.retrieval[1] + o
-    return replace(view, retrieval=(g, o))
 
 
 def keeps_surfaces(departure: Departure) -> bool:

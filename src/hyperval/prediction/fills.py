@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.errors import UsageError
 from hyperval.scenario import Fill, TargetSubject
 from hyperval.scene.fill import (
     FillDistribution,
@@ -70,3 +73,54 @@ def moments(population: TargetSubject, thesis: bool) -> FillDistribution:
     """The fill of a population; the printed form knows its mean alone."""
     fill = fill_distribution(population.fill)
     return fixed_fill(fill.mean) if thesis else fill
+
+
+@dataclass(frozen=True)
+class Fills:
+    """Fills of the pixels of one population in n evaluations, or in all of them.
+
+    Attributes
+    ----------
+    values, weights : (n or 1, K) fills and their probabilities
+    shape : (places, pixels) of objects, whose pixels lie along K without weights; None where a pixel is an object
+    """
+
+    values: Array
+    weights: Array
+    shape: tuple[int, int] | None = None
+
+
+def pixel_fills(population: TargetSubject, thesis: bool) -> Fills:
+    """Fills of the pixels of a population."""
+    fill = moments(population, thesis)
+    return Fills(fill.values[None], fill.weights[None])
+
+
+def object_fills_of(population: TargetSubject, thesis: bool) -> Fills:
+    """Fills of the pixels of its objects, one after the other; those of its pixels where an object is one pixel."""
+    alone = pixel_fills(population, thesis)
+    places = (
+        np.array([[float(alone.weights[0] @ alone.values[0])]]) if thesis else fills_of_objects(population.fill)
+    )
+    if places.shape[1] == 1 and alone.values.size >= places.shape[0]:
+        return alone
+    return Fills(places.reshape(1, -1), np.zeros((1, places.size)), (places.shape[0], places.shape[1]))
+
+
+def stacked_fills(each: Sequence[Fills], which: npt.NDArray[np.intp]) -> Fills:
+    """The fills of several evaluations, of which (n,) ``which`` names those of each.
+
+    Raises
+    ------
+    UsageError : objects of different numbers of pixels.
+    """
+    if len(each) == 1:
+        return each[0]
+    if any(e.shape != each[0].shape for e in each):
+        raise UsageError("the number of pixels of an object moves", mend="study one number at a time")
+    width = max(e.values.size for e in each)
+    values, weights = (
+        np.array([np.pad(getattr(e, n)[0], (0, width - e.values.size)) for e in each])
+        for n in ("values", "weights")
+    )
+    return Fills(values[which], weights[which], each[0].shape)

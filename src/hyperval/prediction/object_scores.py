@@ -7,35 +7,28 @@ place on the pixel grid; and what all objects have in common, from draws of the 
 from __future__ import annotations
 
 import zlib
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import CubicSpline
 from scipy.special import ndtri
 
-from hyperval.prediction.detection import (
-    Background,
-    TargetResponse,
-    Task,
-    filter_base,
-    filter_populations,
-    target_response,
-)
+from hyperval.prediction.batch import Batch, Group
 from hyperval.prediction.fills import fill_distribution, fills_of_objects, geometry_of, moments
-from hyperval.prediction.inputs import correlation
-from hyperval.processing.elm_model import retrieved_reflectance
-from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter
+from hyperval.prediction.inputs import correlation, cut
+from hyperval.prediction.responses import FILL_NODES
+from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.products import ObjectScores
 from hyperval.scenario import Target, TargetSubject
 from hyperval.scenario_uncertainty import Uncertainty
 from hyperval.scene.fill import PHASES, TargetGeometry
 from hyperval.scene.neighbour_fill import Neighbour, shared_pixel_fills
-from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 Key = tuple[str, str]
 
 # Draws of the inputs, and of objects at each of them.
@@ -47,37 +40,73 @@ _REACH = 3.0
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """For every target and linear detector the filter, and the response to it and to what lies beside it."""
+class Response:
+    """Mean and variance of a score against the fill (3.26, 3.28), for one target and one filter."""
 
-    filters: Mapping[Key, LinearFilter]
-    responses: Mapping[tuple[str, str, str], TargetResponse]
+    mean: CubicSpline
+    variance: CubicSpline
+
+    def at(self, fill: npt.ArrayLike) -> tuple[Array, Array]:
+        """Mean and standard deviation of the score at fills (...)."""
+        f = np.asarray(fill, dtype=float)
+        return np.asarray(self.mean(f)), np.sqrt(np.clip(self.variance(f), 0.0, None))
 
 
-def evaluation(background: Background, task: Task, seen_with: Mapping[str, set[str]]) -> Evaluation:
-    """Filters by (looked for, detector), responses by (looked for, detector, seen) (3.22-3.28).
+class Evaluations:
+    """Filters and responses of some evaluations of a batch, of which the first is the scenario as it stands.
 
-    ``seen_with`` : target that is looked for -> targets whose response its filter is asked for, itself besides
+    After it come those with one scalar input up by its standard uncertainty, then as many with it down.
     """
-    base = filter_base(
-        background,
-        filter_populations(background, task),
-        task.processing.filter_classes,
-        task.processing.features,
-    )
-    filters, responses = {}, {}
-    for target in task.targets:
-        spectrum = retrieved_reflectance(
-            background.view.library_line(), background.view.level(task.looked_for[target.name])
-        )
-        for name in (d for d in task.processing.detectors if d in LINEAR_DETECTORS):
-            filters[target.name, name] = base.filter(name, spectrum)
-            wanted = {target.name, *seen_with.get(target.name, ())}
-            for seen in (t for t in task.targets if t.name in wanted):
-                responses[target.name, name, seen.name] = target_response(
-                    background, seen, filters[target.name, name]
+
+    def __init__(self, batch: Batch, points: Index):
+        self.batch, self.points = batch, points
+
+    @cached_property
+    def group(self) -> Group:
+        """The group of the first evaluation."""
+        return next(g for g in self.batch.groups if self.batch.points.setting[self.points[0]] in g.numbers)
+
+    @cached_property
+    def row(self) -> int:
+        """Number of its setting in the group."""
+        return int(np.searchsorted(self.group.numbers, self.batch.points.setting[self.points[0]]))
+
+    def number(self, target: str) -> int:
+        """Number of a target in the scene."""
+        return next(i for i, t in enumerate(self.batch.targets) if t.name == target)
+
+    def weights(self, target: str, detector: str) -> Array:
+        """(F,) of the filter that looks for a target."""
+        return self.group.filters[target, detector][0].weights[self.row]
+
+    def slope(self, target: str) -> Array:
+        """(F,) change of what the detector sees per change of a target's reflectance, under its own light."""
+        t = self.batch.targets[self.number(target)]
+        view, slope = self.group.at.view.row(self.row), self.group.seen.slope[self.row]
+        light = t.illumination
+        return np.asarray(slope * (view.light(light.beam, light.sky_view) if light else 1.0))
+
+    def responses(self, target: str, detector: str, holds: str) -> list[Response]:
+        """Of all evaluations, by the filter that looks for ``target``, for pixels that hold another or the same."""
+        key = "response", target, detector, holds, int(self.points[0])
+        return self.batch.once(key, lambda: self._responses(target, detector, holds))  # type: ignore[no-any-return]
+
+    def _responses(self, target: str, detector: str, holds: str) -> list[Response]:
+        batch, number = self.batch, self.number(holds)
+        points = self.points if target == holds else self.points[:1]
+        found: dict[int, Response] = {}
+        for g in batch.groups:
+            here = points[np.isin(batch.points.setting[points], g.numbers)]
+            if not here.size:
+                continue
+            rows, r = batch.responses_to(g, number, g.filters[target, detector][0], here)
+            gain = batch.points.of(batch.points.gain, number)[here]
+            variance = r.variances(gain, rows)
+            for i, point in enumerate(here.tolist()):
+                found[point] = Response(
+                    CubicSpline(FILL_NODES, r.means[rows[i]]), CubicSpline(FILL_NODES, variance[i])
                 )
-    return Evaluation(filters, responses)
+        return [found[p] for p in points.tolist()]
 
 
 @dataclass(frozen=True)
@@ -103,31 +132,31 @@ class InputDraws:
         return int(self.blur.size)
 
 
-def input_draws(
-    background: Background, task: Task, uncertainty: Uncertainty, axis: SpectralAxis, steps: int
-) -> InputDraws:
+def input_draws(batch: Batch, uncertainty: Uncertainty, bands: Index, steps: int) -> InputDraws:
     """Draws of what the scenario calls uncertain; one row of zeros when nothing is.
 
     Rows come in pairs of opposite sign, so that means carry no sampling error to first order.
 
     Parameters
     ----------
-    axis : the detector's bands
-    steps : scalar inputs of the view
+    bands : of the detector
+    steps : scalar inputs of light and sensor
     """
     error = uncertainty.collected_reflectance
-    uncertain = steps or task.spectrum_error or error or uncertainty.psf_fwhm_pixels or uncertainty.position_m
+    spectrum_error = {t.name: cut(batch.errors[t.name], bands) for t in batch.targets if t.name in batch.errors}
+    uncertain = steps or spectrum_error or error or uncertainty.psf_fwhm_pixels or uncertainty.position_m
     if not uncertain:
         return InputDraws({}, {}, np.zeros((1, 0)), np.zeros(1))
-    rng = np.random.default_rng([task.processing.seed, 7])
-    spectra = {name: _normal(rng, covariance) for name, covariance in task.spectrum_error.items()}
+    rng = np.random.default_rng([batch.scenario.processing.seed, 7])
+    spectra = {name: _normal(rng, covariance) for name, covariance in spectrum_error.items()}
     collected = {}
     if error is not None:
-        shape = correlation(axis, error.correlation_nm)
+        shape = correlation(batch.axis.select(bands), error.correlation_nm)
         scaled, shifted = _normal(rng, shape), _normal(rng, shape)
+        surfaces = batch.settings.grounds[0].surfaces
         collected = {
-            t.name: error.relative * scaled * background.surfaces[t.name].mean + error.absolute * shifted
-            for t in task.targets
+            t.name: error.relative * scaled * surfaces[t.name].mean[bands] + error.absolute * shifted
+            for t in batch.targets
         }
     widths = ndtri((np.arange(_WIDTHS) + 0.5) / _WIDTHS)
     blur = rng.permutation(np.resize(widths / widths.std(), ROWS))
@@ -137,12 +166,7 @@ def input_draws(
 
 
 def predicted_object_scores(
-    background: Background,
-    task: Task,
-    uncertainty: Uncertainty,
-    axis: SpectralAxis,
-    steps: Sequence[tuple[Background, Background]] = (),
-    draws: int | None = None,
+    batch: Batch, points: Index, uncertainty: Uncertainty, draws: int | None = None
 ) -> dict[Key, ObjectScores]:
     """(subject, detector) -> draws of the greatest score over the pixels of an object (3.26, 3.28 for objects).
 
@@ -150,38 +174,50 @@ def predicted_object_scores(
 
     Parameters
     ----------
-    axis : the detector's bands
-    steps : backgrounds with one scalar input up and down by its standard uncertainty
+    points : of the batch: the scenario as it stands, then evaluations with one scalar input up by its standard
+        uncertainty, then as many with it down
     draws : of each object where no input is uncertain; default: as many as there would be with uncertain inputs
     """
-    drawn = input_draws(background, task, uncertainty, axis, len(steps))
-    thesis = background.view.formulation == "thesis"
-    near = {
-        t.name: {other.name for p in t.populations for other, _ in neighbours_of(t, p, task.targets)}
-        for t in ([] if thesis else task.targets)
-    }
-    here = evaluation(background, task, near)
-    moved = [(evaluation(plus, task, {}), evaluation(minus, task, {})) for plus, minus in steps]
+    here = Evaluations(batch, points)
+    drawn = input_draws(batch, uncertainty, here.group.bands, (points.size - 1) // 2)
+    thesis, seed = batch.scenario.formulation == "thesis", batch.scenario.processing.seed
+    linear = [d for d in batch.scenario.processing.detectors if d in LINEAR_DETECTORS]
+    dof = np.broadcast_to(batch.points.dof, (len(batch), len(batch.class_names)))[points[0]]
     found: dict[Key, ObjectScores] = {}
-    for target in task.targets:
+    for target in batch.targets:
+        tail = float(dof[batch.class_names.index(target.host)])
         for population in target.populations:
-            beside = [] if thesis else neighbours_of(target, population, task.targets)
-            columns = COLUMNS if drawn.rows > 1 else draws or ROWS * COLUMNS
-            dof = background.tail_of(next(c for c in background.classes if c.name == target.host))
-            linear = [d for d in task.processing.detectors if d in LINEAR_DETECTORS]
-            subjects = [s for _, s in beside]
-            asked = (population, subjects, uncertainty, columns, thesis, dof, len(linear), task.processing.seed)
+            beside = [] if thesis else neighbours_of(target, population, batch.targets)
+            asked = _Objects(
+                population, tuple(s for _, s in beside), uncertainty.psf_fwhm_pixels or 0.0, uncertainty.position_m,
+                COLUMNS if drawn.rows > 1 else draws or ROWS * COLUMNS, thesis, None if np.isinf(tail) else tail,
+                len(linear), seed,
+            )  # fmt: skip
             again = draws is not None and drawn.rows == 1
-            numbers = _kept_numbers(drawn, *asked) if again else _numbers(drawn, *asked)
+            numbers = _certain_numbers(asked) if again else _numbers(asked, drawn.blur)
             fills, others = numbers.fills, numbers.others
             for name, more in zip(linear, numbers.more, strict=True):
-                mean, sd = _pixel_scores(
-                    background, target, [t for t, _ in beside], here, moved, name, drawn, fills, others
-                )
-                host = (1.0 - fills - others.sum(axis=-1)) * _host_sd(here, target, name)
+                mean, sd = _pixel_scores(here, target.name, [t.name for t, _ in beside], name, drawn, fills, others)
+                host_sd = float(here.responses(target.name, name, target.name)[0].at(0.0)[1])
+                host = (1.0 - fills - others.sum(axis=-1)) * host_sd
                 scores = _with_tails(mean, sd, host, numbers.noise, numbers.tails, more)
                 found[population.name, name] = ObjectScores(scores.max(axis=2))
     return found
+
+
+@dataclass(frozen=True)
+class _Objects:
+    """What the drawn numbers of the objects of one population follow from, besides the widths of the blur."""
+
+    population: TargetSubject
+    beside: tuple[TargetSubject, ...]
+    psf_fwhm_pixels: float
+    position_m: float | None
+    columns: int
+    thesis: bool
+    dof: float | None
+    detectors: int
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -199,51 +235,21 @@ class _Numbers:
     more: tuple[Array | None, ...]
 
 
-def _numbers(
-    drawn: InputDraws,
-    population: TargetSubject,
-    beside: Sequence[TargetSubject],
-    uncertainty: Uncertainty,
-    columns: int,
-    thesis: bool,
-    dof: float | None,
-    detectors: int,
-    seed: int,
-) -> _Numbers:
-    rng = np.random.default_rng([seed, 11, zlib.crc32(population.name.encode())])
-    fills, others = _drawn_fills(population, beside, uncertainty, drawn, columns, thesis, rng)
+def _numbers(asked: _Objects, blur: Array) -> _Numbers:
+    rng = np.random.default_rng([asked.seed, 11, zlib.crc32(asked.population.name.encode())])
+    fills, others = _drawn_fills(asked, blur, rng)
     noise = rng.standard_normal(fills.shape)
     # What turns normal departures of the host into those of a t of the same variance.
+    dof = asked.dof
     tails = None if dof is None else np.asarray(np.sqrt((dof - 2.0) / rng.chisquare(dof, fills.shape)))
-    more = [None if tails is None else rng.standard_normal(fills.shape) for _ in range(detectors)]
+    more = [None if tails is None else rng.standard_normal(fills.shape) for _ in range(asked.detectors)]
     return _Numbers(fills, others, noise, tails, tuple(more))
 
 
-_KEPT: OrderedDict[tuple[object, ...], _Numbers] = OrderedDict()
-_MOST_KEPT = 64  # populations; those of few draws, some 0.1 to 1 MB each
-
-
-def _kept_numbers(
-    drawn: InputDraws,
-    population: TargetSubject,
-    beside: Sequence[TargetSubject],
-    uncertainty: Uncertainty,
-    *rest: Any,
-) -> _Numbers:
+@lru_cache(maxsize=64)  # populations; those of few draws, some 0.1 to 1 MB each
+def _certain_numbers(asked: _Objects) -> _Numbers:
     """The same numbers each time that a population is asked for with all inputs certain."""
-    key = (
-        population.model_dump_json(),
-        *(s.model_dump_json() for s in beside),
-        uncertainty.model_dump_json(),
-        *rest,
-    )
-    found = _KEPT.get(key)
-    if found is None:
-        found = _KEPT[key] = _numbers(drawn, population, beside, uncertainty, *rest)
-        if len(_KEPT) > _MOST_KEPT:
-            _KEPT.popitem(last=False)
-    _KEPT.move_to_end(key)
-    return found
+    return _numbers(asked, np.zeros(1))
 
 
 def neighbours_of(
@@ -265,17 +271,10 @@ def neighbours_of(
     return out
 
 
-def _drawn_fills(
-    population: TargetSubject,
-    beside: Sequence[TargetSubject],
-    uncertainty: Uncertainty,
-    drawn: InputDraws,
-    columns: int,
-    thesis: bool,
-    rng: np.random.Generator,
-) -> tuple[Array, Array]:
+def _drawn_fills(asked: _Objects, blur: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """(S, R, n) fills of an object's pixels and (S, R, n, J) those by its neighbours."""
-    shape = (drawn.rows, columns)
+    population, beside, thesis = asked.population, asked.beside, asked.thesis
+    shape = (blur.size, asked.columns)
     geometry = population.fill.geometry
     if thesis or geometry is None:
         fill = moments(population, thesis) if thesis else fill_distribution(population.fill)
@@ -283,20 +282,20 @@ def _drawn_fills(
         return own, np.zeros((*own.shape, 0))
     n = geometry.n or 1
     own, others = np.empty((*shape, n)), np.zeros((*shape, n, len(beside)))
-    for width in np.unique(drawn.blur):
-        rows = np.flatnonzero(drawn.blur == width)
-        change = width * (uncertainty.psf_fwhm_pixels or 0.0)
+    for width in np.unique(blur):
+        rows = np.flatnonzero(blur == width)
+        change = width * asked.psf_fwhm_pixels
         if population.position_m is None:
             fills = fills_of_objects(population.fill, change)
             beside_fills = np.zeros((*fills.shape, 0))
         else:
             placed = [placed_beside(population, subject, change) for subject in beside]
             shifts = None
-            if uncertainty.position_m is not None:
+            if asked.position_m is not None:
                 count = PHASES if geometry.phase == "random" else 1
-                shifts = rng.normal(0.0, uncertainty.position_m / geometry.gsd_m, (count, len(placed), 2))
+                shifts = rng.normal(0.0, asked.position_m / geometry.gsd_m, (count, len(placed), 2))
             fills, beside_fills = shared_pixel_fills(geometry_of(population.fill, change), n, placed, shifts)
-        chosen = rng.integers(len(fills), size=(rows.size, columns))
+        chosen = rng.integers(len(fills), size=(rows.size, asked.columns))
         own[rows], others[rows] = fills[chosen], beside_fills[chosen]
     return own, others
 
@@ -316,31 +315,23 @@ def _half_diagonal(geometry: TargetGeometry) -> float:
 
 
 def _pixel_scores(
-    background: Background,
-    target: Target,
-    beside: Sequence[Target],
-    here: Evaluation,
-    moved: Sequence[tuple[Evaluation, Evaluation]],
-    name: str,
-    drawn: InputDraws,
-    fills: Array,
-    others: Array,
+    here: Evaluations, target: str, beside: Sequence[str], name: str, drawn: InputDraws, fills: Array, others: Array
 ) -> tuple[Array, Array]:
     """(S, R, n) mean and standard deviation of the score of each pixel (3.26, 3.28)."""
-    key = (target.name, name)
-    own = here.responses[(*key, target.name)]
+    own, *moved = here.responses(target, name, target)
     mean, sd = own.at(fills)
-    for k, (plus, minus) in enumerate(moved):
-        up, down = plus.responses[(*key, target.name)], minus.responses[(*key, target.name)]
+    steps = len(moved) // 2
+    for k, (up, down) in enumerate(zip(moved[:steps], moved[steps:], strict=True)):
         mean = mean + 0.5 * (up.at(fills)[0] - down.at(fills)[0]) * drawn.steps[:, k, None, None]
-    mean = mean + fills * _departure(background, here.filters[key], target, drawn)[:, None, None]
+    weights = here.weights(target, name)
+    mean = mean + fills * _departure(here, weights, target, drawn)[:, None, None]
     if not beside:
         return mean, sd
     host_mean, host_sd = own.at(0.0)
     variance = sd**2
     for j, other in enumerate(beside):
-        full, spread = here.responses[(*key, other.name)].at(1.0)
-        full = full + _departure(background, here.filters[key], other, drawn)
+        full, spread = here.responses(target, name, other)[0].at(1.0)
+        full = full + _departure(here, weights, other, drawn)
         mean = mean + others[..., j] * (full[:, None, None] - host_mean)
         variance = variance + others[..., j] ** 2 * spread**2
     rest, alone = 1.0 - fills - others.sum(axis=-1), 1.0 - fills
@@ -348,21 +339,14 @@ def _pixel_scores(
     return mean, np.sqrt(np.clip(variance, 0.0, None))
 
 
-def _departure(background: Background, detector: LinearFilter, target: Target, drawn: InputDraws) -> Array:
+def _departure(here: Evaluations, weights: Array, target: str, drawn: InputDraws) -> Array:
     """(S,) change of the score of a pixel full of the target, by the errors of its spectrum."""
-    view, line = background.view, background.view.line()
     out = np.zeros(drawn.rows)
-    own = background.surfaces[target.name]
-    if target.name in drawn.spectra:
-        factor = view.lit_surface(own.mean, own.covariance, target.illumination).factor
-        out = out + drawn.spectra[target.name] @ (detector.weights / line.gain * view.slope() * factor)
-    if target.name in drawn.collected:
-        out = out + drawn.collected[target.name] @ detector.weights
+    if target in drawn.spectra:
+        out = out + drawn.spectra[target] @ (weights * here.slope(target))
+    if target in drawn.collected:
+        out = out + drawn.collected[target] @ weights
     return out
-
-
-def _host_sd(here: Evaluation, target: Target, name: str) -> float:
-    return float(here.responses[target.name, name, target.name].at(0.0)[1])
 
 
 def _with_tails(

@@ -1,4 +1,4 @@
-"""The sensor of a scenario as it is run, and what is refused before anything is computed."""
+"""A scenario with everything read that its evaluation needs, and what is refused before anything is computed."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperval.errors import InputError, UsageError
-from hyperval.prediction.inputs import Resolve, SurfaceStatistics
+from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics
 from hyperval.scenario import Fill, Scenario, Target
+from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.changes import changed_noise
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.operation import binned_axis, binned_noise
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
 from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -142,3 +146,56 @@ def refuse_gaps(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], a
                     expected=f"a spectrum over {axis.centre_nm[0]:g}-{axis.centre_nm[-1]:g} nm",
                     mend="give a longer spectrum, mark those bands bad, or allow it: spectrum: {gaps: allowed}",
                 )
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A scenario on its bands, all spectra read.
+
+    Attributes
+    ----------
+    scenario : with the sensor's blur where it states none
+    used : sensor, bands and noise
+    surfaces : name -> statistics of every class, panel, site and target, where the bands truly stand
+    looked_for : target -> (B,) reflectance that its filter looks for, where the bands are labelled
+    """
+
+    scenario: Scenario
+    used: Instrument
+    surfaces: Mapping[str, SurfaceStatistics]
+    looked_for: Mapping[str, Array]
+
+    @property
+    def classes(self) -> list[str]:
+        """Names of the M background classes."""
+        return [c.name for c in self.scenario.scene.classes]
+
+
+def setup_of(scenario: Scenario, used: Instrument, measured: Mapping[str, ClassStatistics], find: Resolve) -> Setup:
+    """Read every spectrum that a scenario names.
+
+    Raises
+    ------
+    UsageError, InputError : a spectrum that is missing, corrupt, or does not cover the bands.
+    """
+    sources = Sources(used.true_axis, measured, find, used.axis)
+    surfaces, looked_for = surfaces_of(scenario, sources, Sources(used.axis, measured, find))
+    return Setup(scenario, used, surfaces, looked_for)
+
+
+def surfaces_of(
+    scenario: Scenario, sources: Sources, labelled: Sources
+) -> tuple[dict[str, SurfaceStatistics], dict[str, Array]]:
+    """Statistics where the bands truly stand; what detectors look for where they are labelled."""
+    scene = scenario.scene
+    surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
+    refuse_gaps(scenario, surfaces, sources.axis)
+    looked_for = {}
+    for t in scene.targets:
+        if t.filter_spectrum is not None:
+            looked_for[t.name] = labelled.spectrum(t.filter_spectrum, t.name).mean
+        elif sources.axis is labelled.axis:
+            looked_for[t.name] = surfaces[t.name].mean
+        else:
+            looked_for[t.name] = labelled.spectrum(t.spectrum, t.name).mean
+    return surfaces, looked_for

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.prediction.background import Ground
+from hyperval.prediction.cases import Case
 from hyperval.prediction.fills import fill_distribution
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.prediction.placed_target import (
@@ -20,14 +22,14 @@ from hyperval.prediction.placed_target import (
     shares_of,
     spectra_covariance,
 )
-from hyperval.prediction.uncertainty import Perturbation, combined, interpolation_errors, spectral_errors
+from hyperval.prediction.setup import Setup
+from hyperval.prediction.uncertainty import Steps, combined, interpolation_errors, spectral_errors
 from hyperval.prediction.view import View
 from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance
 from hyperval.products import SpectralEstimate
-from hyperval.scenario import Scenario
+from hyperval.scenario import Target, TargetSubject
+from hyperval.scenario_uncertainty import EngineUncertainty
 from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance
-from hyperval.sensor.specification import Sensor
-from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 
@@ -66,47 +68,40 @@ class _Subject:
 
 
 def spectral_products(
-    scenario: Scenario,
-    axis: SpectralAxis,
-    surfaces: Mapping[str, SurfaceStatistics],
+    case: Case,
+    ground: Ground,
     view: View,
-    steps: list[Perturbation],
+    steps: Steps,
     errors: Mapping[str, Array],
-    sensor: Sensor | None = None,
+    engine: EngineUncertainty | None,
 ) -> SpectralProducts:
-    """All spectra of a scenario with their errors.
+    """All spectra of a case with their errors.
 
     Parameters
     ----------
-    steps : views with one input changed
+    ground, view : of the case, its arrays (B,)
+    steps : the light and sensor one standard uncertainty up and down
     errors : subject -> (B, B) error covariance of its field spectrum
+    engine : what is stated of the error of the atmosphere engine
     """
-    out = SpectralProducts()
-    # What the empirical line is off by belongs to collected reflectance, not to the predicted one.
-    lines = [(s, s.plus.library_line(), s.minus.library_line()) for s in steps]
-    for subject in _subjects(scenario, surfaces, view, errors):
+    out, setup = SpectralProducts(), case.setup
+    axis, scratch = setup.used.axis, np.empty_like(ground.covariance)
+    for subject in _subjects(setup, view, errors):
         level = view.level(subject.rho)
-        seen = view.seen(level, subject.under_sky, subject.covariance, subject.gain)
+        seen = view.seen(level, subject.under_sky, subject.covariance, ground.covariance, subject.gain, scratch)
         if view.terms is not None:
-            changes = [(s.source, 0.5 * (s.plus.level(subject.rho) - s.minus.level(subject.rho))) for s in steps]
-            shapes = spectral_errors(view, subject.rho, axis, scenario.uncertainty.engine, subject.error, sensor)
+            changes = steps.changes(lambda v, rho=subject.rho: v.level(rho))  # type: ignore[misc]
+            shapes = spectral_errors(view, subject.rho, axis, engine, subject.error, setup.used.sensor)
             shapes |= _through(view, subject.others) | interpolation_errors(view, axis)
             total, budget = combined(changes, shapes, len(axis))
             out.radiance[subject.name] = SpectralEstimate(level, total, _known(seen), None, budget)
             _add_noise(out, subject, level, view, steps, shapes)
         if view.terms is None or view.elm is not None:
             line = view.line()
-            changes = [
-                (
-                    s.source,
-                    0.5
-                    * (
-                        retrieved_reflectance(up, s.plus.level(subject.rho))
-                        - retrieved_reflectance(down, s.minus.level(subject.rho))
-                    ),
-                )
-                for s, up, down in lines
-            ]
+            # What the empirical line is off by belongs to collected reflectance, not to the predicted one.
+            changes = steps.changes(
+                lambda v, rho=subject.rho: retrieved_reflectance(v.library_line(), v.level(rho))  # type: ignore[misc]
+            )
             shapes = spectral_errors(view, subject.rho, axis, None, subject.error) | _through(view, subject.others)
             shapes = {source: retrieved_covariance(line, c) for source, c in shapes.items()}
             total, budget = combined(changes, shapes, len(axis))
@@ -121,7 +116,7 @@ def _add_noise(
     subject: _Subject,
     level: Array,
     view: View,
-    steps: list[Perturbation],
+    steps: Steps,
     shapes: Mapping[str, Array],
 ) -> None:
     """Noise by source, and the SNR with its errors; ``shapes`` are error covariances (B, B) of the level."""
@@ -133,13 +128,12 @@ def _add_noise(
     if not subject.pure:
         return
 
-    def snr_of(seen: View, calibration: bool) -> Array:
-        return (seen.noise or noise).snr(seen.level(subject.rho), calibration=calibration)
-
     terms = noise.breakdown(level)
     out.noise[subject.name] = asdict(terms)
     for name, with_c in ((subject.name, True), (without_calibration_error(subject.name), False)):
-        moves = [(s.source, 0.5 * (snr_of(s.plus, with_c) - snr_of(s.minus, with_c))) for s in steps]
+        moves = steps.changes(
+            lambda v, c=with_c: (v.noise or noise).snr(v.level(subject.rho), calibration=c)  # type: ignore[misc]
+        )
         # d SNR / d L, for errors of the level that have a shape over wavelength.
         h = 1e-3 * np.abs(level) + 1e-12
         slope = (noise.snr(level + h, calibration=with_c) - noise.snr(level - h, calibration=with_c)) / (2.0 * h)
@@ -152,10 +146,9 @@ def _through(view: View, errors: Mapping[str, Array]) -> dict[str, Array]:
     return {source: c * np.outer(view.slope(), view.slope()) for source, c in errors.items()}
 
 
-def _subjects(
-    scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], view: View, errors: Mapping[str, Array]
-) -> list[_Subject]:
-    scene, found = scenario.scene, []
+def _subjects(setup: Setup, view: View, errors: Mapping[str, Array]) -> list[_Subject]:
+    scenario, surfaces, found = setup.scenario, setup.surfaces, []
+    scene = scenario.scene
     for c in scene.classes:
         s = surfaces[c.name]
         covariance = s.covariance if c.gain == 1.0 else c.gain * s.covariance
@@ -164,56 +157,70 @@ def _subjects(
         s = surfaces[surface.name]
         found.append(_Subject(surface.name, s.mean, s.mean, s.covariance, 1.0, errors.get(surface.name), True))
     for t in scene.targets:
-        own, host = surfaces[t.name], surfaces[t.host]
-        lit = view.lit_surface(own.mean, own.covariance, t.illumination)
-        gain = next(c.gain for c in scene.classes if c.name == t.host)
-        for population in t.populations:
-            fill = fill_distribution(population.fill)
-            covariance = target_pixel_covariance(
-                fill.mean, fill.variance, lit.mean, lit.covariance, host.mean, host.covariance,
-                target_gain=t.gain, host_gain=gain, formulation=scenario.formulation,
-            )  # fmt: skip
-            shares = None
-            if scenario.formulation != "thesis":
-                position = scenario.uncertainty.position_m
-                shares = shares_of(t, population, scene.targets, position, scenario.processing.seed)
-            if shares is not None:
-                found.append(_placed(population.name, shares, scenario, surfaces, view, errors, t.host, covariance))
-                continue
-            parts = []
-            if t.name in errors:
-                shade = np.broadcast_to(lit.factor, own.mean.shape)
-                parts.append(fill.mean**2 * errors[t.name] * np.outer(shade, shade))
-            if t.host in errors and fill.mean < 1.0:
-                parts.append((1.0 - fill.mean) ** 2 * errors[t.host])  # the rest of the pixel
-            error = np.sum(parts, axis=0) if parts else None
-            rho = target_pixel_reflectance(fill.mean, lit.mean, host.mean)
-            under_sky = target_pixel_reflectance(fill.mean, lit.under_sky, host.mean)
-            found.append(_Subject(population.name, rho, under_sky, covariance, gain, error, False))
+        found += [_mixed(setup, view, errors, t, population) for population in t.populations]
     return found
 
 
+@dataclass(frozen=True)
+class _Lit:
+    """A target under its own light, as a surface in the open would have to be to look like it (ground term of 3.7).
+
+    ``under_sky`` : reflectance times sky view, what the light from the surroundings meets (D_B of 3.11); ``error`` of
+    its field spectrum, None without
+    """
+
+    mean: Array
+    covariance: Array
+    under_sky: Array
+    error: Array | None
+
+
+def _lit(t: Target, own: SurfaceStatistics, view: View, error: Array | None) -> _Lit:
+    light = t.illumination
+    factor = view.light(light.beam, light.sky_view) if light else 1.0
+    if np.ndim(factor) == 0:
+        return _Lit(own.mean, own.covariance, own.mean, error)
+    shade = np.outer(factor, factor)
+    sky = light.sky_view if light else 1.0
+    return _Lit(own.mean * factor, own.covariance * shade, own.mean * sky, None if error is None else error * shade)
+
+
+def _mixed(setup: Setup, view: View, errors: Mapping[str, Array], t: Target, population: TargetSubject) -> _Subject:
+    """Target pixels of one population (3.10, 3.12)."""
+    scenario, surfaces = setup.scenario, setup.surfaces
+    scene, host = scenario.scene, surfaces[t.host]
+    lit = _lit(t, surfaces[t.name], view, errors.get(t.name))
+    gain = next(c.gain for c in scene.classes if c.name == t.host)
+    fill = fill_distribution(population.fill)
+    covariance = target_pixel_covariance(
+        fill.mean, fill.variance, lit.mean, lit.covariance, host.mean, host.covariance,
+        target_gain=t.gain, host_gain=gain, formulation=scenario.formulation,
+    )  # fmt: skip
+    if scenario.formulation != "thesis":
+        position = scenario.uncertainty.position_m
+        shares = shares_of(t, population, scene.targets, position, scenario.processing.seed)
+        if shares is not None:
+            return _placed(population.name, shares, setup, view, errors, t.host, covariance)
+    parts = [] if lit.error is None else [fill.mean**2 * lit.error]
+    if t.host in errors and fill.mean < 1.0:
+        parts.append((1.0 - fill.mean) ** 2 * errors[t.host])  # the rest of the pixel
+    error = np.sum(parts, axis=0) if parts else None
+    rho = target_pixel_reflectance(fill.mean, lit.mean, host.mean)
+    under_sky = target_pixel_reflectance(fill.mean, lit.under_sky, host.mean)
+    return _Subject(population.name, rho, under_sky, covariance, gain, error, False)
+
+
 def _placed(
-    name: str,
-    shares: Shares,
-    scenario: Scenario,
-    surfaces: Mapping[str, SurfaceStatistics],
-    view: View,
-    errors: Mapping[str, Array],
-    host: str,
-    covariance: Array,
+    name: str, shares: Shares, setup: Setup, view: View, errors: Mapping[str, Array], host: str, covariance: Array
 ) -> _Subject:
     """One object at its place, with what lies beside it."""
-    full, under_sky, own = {}, {}, {}
-    for t in scenario.scene.targets:
-        if t.name in shares.names:
-            s = surfaces[t.name]
-            lit = view.lit_surface(s.mean, s.covariance, t.illumination)
-            full[t.name], under_sky[t.name] = lit.mean, lit.under_sky
-            if t.name in errors:
-                shade = np.broadcast_to(lit.factor, s.mean.shape)
-                own[t.name] = errors[t.name] * np.outer(shade, shade)
-    ground, gain = surfaces[host], next(c.gain for c in scenario.scene.classes if c.name == host)
+    scene, surfaces = setup.scenario.scene, setup.surfaces
+    lit = {
+        t.name: _lit(t, surfaces[t.name], view, errors.get(t.name)) for t in scene.targets if t.name in shares.names
+    }
+    full, under_sky = {n: x.mean for n, x in lit.items()}, {n: x.under_sky for n, x in lit.items()}
+    own = {n: x.error for n, x in lit.items() if x.error is not None}
+    ground, gain = surfaces[host], next(c.gain for c in scene.classes if c.name == host)
     spectra = spectra_covariance(shares, own, ground.mean.size)
     if host in errors:
         spectra = spectra + shares.rest**2 * errors[host]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -10,79 +10,77 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
-from hyperval.atmosphere import AtmosphericState
-from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.prediction.budget import ENGINE, ENGINE_LINES, ENGINE_PATH, gas_depth
-from hyperval.prediction.departure import (
-    Departure,
-    departed_noise,
-    departed_scenario,
-    departed_terms,
-    keeps_surfaces,
-    with_retrieval,
-)
-from hyperval.prediction.detection import Detection, RocKey
+from hyperval.prediction.cases import Case, Origins, settings_of, stepped
+from hyperval.prediction.departure import Departure, keeps_surfaces
 from hyperval.prediction.forms import form_covariance
 from hyperval.prediction.input import Input
 from hyperval.prediction.view import View
 from hyperval.products import Prediction, RocCurve, SpectralEstimate
-from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import EngineUncertainty, SpectralForm
 from hyperval.sensor.specification import Sensor
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+RocKey = tuple[str, str, str]
 Z95 = 1.959963984540054
 TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
+_CURVES = 2000  # drawn for the limits of a ROC curve
 MOST_DIRECTIONS = 24  # of one input over wavelength; the rest of a short correlation length moves little
 
 
-@dataclass(frozen=True)
-class Perturbation:
-    """One direction of an input one standard uncertainty up and down; the leading direction has the number 0."""
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """The light and sensor one standard uncertainty up and down, along each direction of each input.
 
-    source: str
-    plus: View
-    minus: View
-    number: int = 0
-
-
-def perturbations(
-    view: View,
-    scenario: Scenario,
-    terms_of: Callable[[AtmosphericState], AtmosphericTerms],
-    inputs: Sequence[Input],
-) -> list[Perturbation]:
-    """Views of the scene for every input of light and sensor, one standard uncertainty up and down (3.7).
-
-    ``terms_of`` gives the terms of a state on the bands.  An input that would leave its range is stopped at the end
-    of it.  Inputs over wavelength have one pair for each direction.  What changes surfaces, fills or bands is no
-    part of it: that needs another prediction (:func:`moved_predictions`).
+    Attributes
+    ----------
+    sources, numbers : of K directions the input and the number among its own; the leading direction has 0
+    plus, minus : K cases each
+    view : of all 2K, up first; None where there is none
     """
-    found: list[Perturbation] = []
-    if view.terms is None:
-        return found
 
-    def moved(d: Departure) -> View:
-        terms = view.terms
-        if d.settings or d.solar_zenith_deg or d.solar_azimuth_deg:
-            state = departed_scenario(scenario, d).atmosphere
-            terms = terms_of(state) if state is not None else terms
-        assert terms is not None  # noqa: S101 - the view has light
-        return replace(
-            with_retrieval(view, d),
-            terms=departed_terms(terms, d),
-            average=view.average * d.surroundings,
-            noise=departed_noise(view.noise, d),
-        )
+    sources: tuple[str, ...] = ()
+    numbers: tuple[int, ...] = ()
+    plus: tuple[Case, ...] = ()
+    minus: tuple[Case, ...] = ()
+    view: View | None = None
 
-    for item in inputs:
-        if not keeps_surfaces(item.moved(1.0)):
-            continue
-        for k in range(item.size):
-            pair = moved(item.direction(k, 1.0)), moved(item.direction(k, -1.0))
-            found.append(Perturbation(item.name, *pair, k))
-    return found
+    def changes(self, of: Callable[[View], Array]) -> list[tuple[str, Array]]:
+        """(source, (B,) change by one standard uncertainty) of what a view gives, for each direction."""
+        if self.view is None:
+            return []
+        values = np.broadcast_to(of(self.view), (2 * len(self.sources), 1, self.view.average.shape[-1]))[:, 0]
+        half = len(self.sources)
+        return list(zip(self.sources, 0.5 * (values[:half] - values[half:]), strict=True))
+
+    @property
+    def leading(self) -> list[int]:
+        """Directions that move a score; the rest of an input moves it little."""
+        return [i for i, number in enumerate(self.numbers) if number < MOST_DIRECTIONS]
+
+
+def steps_of(case: Case, origins: Origins, truth: Departure, inputs: Sequence[Input]) -> Steps:
+    """Cases for every input of light and sensor, one standard uncertainty up and down (3.7).
+
+    An input that would leave its range is stopped at the end of it.  Inputs over wavelength have one pair for each
+    direction.  What changes surfaces, fills or bands is no part of it: that needs predictions of its own
+    (:func:`moved_predictions`).
+
+    Parameters
+    ----------
+    truth : how the case departs already
+    """
+    if case.terms is None:
+        return Steps()
+    of = [(item, k) for item in inputs if keeps_surfaces(item.moved(1.0)) for k in range(item.size)]
+    if not of:
+        return Steps()
+    plus, minus = (
+        tuple(stepped(case, origins, truth, item.direction(k, z)) for item, k in of) for z in (1.0, -1.0)
+    )
+    view = settings_of([*plus, *minus]).view
+    return Steps(tuple(item.name for item, _ in of), tuple(k for _, k in of), plus, minus, view)
 
 
 @dataclass(frozen=True)
@@ -95,16 +93,13 @@ class Moved:
 
 
 def moved_predictions(
-    inputs: Sequence[Input], again: Callable[[Departure], Prediction], most: int = MOST_DIRECTIONS
-) -> list[Moved]:
-    """Predictions for every input that changes surfaces, fills or bands; ``again`` predicts a departed truth."""
-    found = []
-    for item in inputs:
-        if not keeps_surfaces(item.moved(1.0)):
-            for k in range(min(item.size, most)):
-                pair = again(item.direction(k, 1.0)), again(item.direction(k, -1.0))
-                found.append(Moved(item.name, *pair))
-    return found
+    inputs: Sequence[Input], again: Callable[[Sequence[Departure]], Iterable[Prediction]],
+    most: int = MOST_DIRECTIONS,
+) -> list[Moved]:  # fmt: skip
+    """Predictions for every input that changes surfaces, fills or bands; ``again`` predicts departed truths."""
+    of = [(i, k) for i in inputs if not keeps_surfaces(i.moved(1.0)) for k in range(min(i.size, most))]
+    found = iter(again([item.direction(k, z) for item, k in of for z in (1.0, -1.0)]))
+    return [Moved(item.name, next(found), next(found)) for item, _ in of]
 
 
 def with_moves(estimates: dict[str, SpectralEstimate], product: str, moves: Sequence[Moved]) -> None:
@@ -198,22 +193,48 @@ def _nothing(bands: int) -> Array:
     return zero
 
 
-def with_bands(
-    roc: Mapping[RocKey, RocCurve], pairs: Sequence[tuple[Detection | Prediction, Detection | Prediction]]
-) -> dict[RocKey, RocCurve]:
-    """The curves with 95 % intervals of P_D from pairs of perturbed evaluations, combined in probit."""
-    result = dict(roc)
-    if not pairs:
-        return result
-    for key, curve in roc.items():
-        spread = np.zeros(curve.pd.size)
-        for plus, minus in pairs:
-            spread += (0.5 * (_probit(plus.roc[key].pd) - _probit(minus.roc[key].pd))) ** 2
-        z, half = _probit(curve.pd), Z95 * np.sqrt(spread)
-        lower, upper = np.minimum(ndtr(z - half), curve.pd), np.maximum(ndtr(z + half), curve.pd)
-        result[key] = replace(curve, pd_lower=lower, pd_upper=upper)
-    return result
+def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Array]]) -> dict[RocKey, RocCurve]:
+    """The curves with 95 % intervals of P_D from drawn curves.
+
+    Each draw moves a whole curve, in probit, along all directions of all inputs at once; as a ROC curve rises with P_FA,
+    so does each of the draws, and with them the limits: where an input moves much of a curve down, what lay higher at a
+    lower P_FA holds it up.
+
+    Parameters
+    ----------
+    changes : key -> for each direction the change (K,) of probit P_D by one standard uncertainty
+    """
+    return {key: _with_limits(curve, np.array(changes.get(key, ()))) for key, curve in roc.items()}
 
 
-def _probit(p: Array) -> Array:
+def _with_limits(curve: RocCurve, changes: Array) -> RocCurve:
+    if not changes.size or not np.any(changes):
+        return curve
+    z, half = probit(curve.pd), Z95 * np.sqrt((changes**2).sum(axis=0))
+    moved = z + _normal_draws(changes.shape[0]) @ changes
+    rising = np.maximum.accumulate(moved, axis=1)
+    lower, upper = z - half, z + half
+    if not np.array_equal(rising, moved):
+        # The limits of plain draws are known in closed form; the draws say by how much rising moves them.
+        (low, high), (plain_low, plain_high) = (np.quantile(x, [0.025, 0.975], axis=0) for x in (rising, moved))
+        lower, upper = lower + (low - plain_low), upper + (high - plain_high)
+    lower, upper = np.minimum(ndtr(lower), curve.pd), np.maximum(ndtr(upper), curve.pd)
+    return replace(
+        curve,
+        pd_lower=np.minimum.accumulate(lower[::-1])[::-1],
+        pd_upper=np.maximum.accumulate(upper),
+    )
+
+
+@lru_cache(maxsize=8)
+def _normal_draws(directions: int) -> Array:
+    """(N, directions) standard normal numbers in pairs of opposite sign, the same for all curves."""
+    half = np.random.default_rng(12).standard_normal((_CURVES // 2, directions))
+    found = np.concatenate([half, -half])
+    found.setflags(write=False)
+    return found
+
+
+def probit(p: Array) -> Array:
+    """Phi^-1 of probabilities, kept finite."""
     return np.asarray(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))

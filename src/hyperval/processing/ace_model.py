@@ -73,12 +73,6 @@ def ace_space(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayL
     return AceSpace(factor, mu, towards / np.linalg.norm(towards))
 
 
-def ace_score(space: AceSpace, pixels: npt.ArrayLike) -> Array:
-    """ACE of pixels (N, F), 0-1 (variant of 3.22-3.25)."""
-    y = space.background.whiten((np.asarray(pixels, dtype=float) - space.mean).T)
-    return np.asarray((space.axis @ y) ** 2 / np.maximum((y**2).sum(axis=0), 1e-300))
-
-
 def ace_exceedance(
     space: AceSpace,
     mean: npt.ArrayLike,

@@ -78,7 +78,7 @@ def retrieved_covariance(line: TwoPanelLine, covariance: npt.ArrayLike) -> Array
 
 
 def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.ArrayLike, pixels: int) -> Array:
-    """Radiance of the darkest of ``pixels`` pixels of the scene, band by band: its median (before 3.21), (B,).
+    """Radiance of the darkest of ``pixels`` pixels of the scene, band by band: its median (before 3.21).
 
     All of n independent pixels exceed x with probability (1 - F(x))^n, F = sum f_m Phi((x - L_m) / sigma_m); the
     median of their least is F(x) = 1 - 2^(-1/n).  Darkest-pixel compensation takes it for that of a
@@ -86,8 +86,12 @@ def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.Array
 
     Parameters
     ----------
-    fractions : (M,) area fractions, sum 1
-    means, sds : (M, B) of the classes' radiance
+    fractions : (..., M) area fractions, sum 1
+    means, sds : (..., M, B) of the classes' radiance
+
+    Returns
+    -------
+    (..., B)
 
     Raises
     ------
@@ -96,14 +100,13 @@ def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.Array
     f, mu, sd = (np.asarray(a, dtype=float) for a in (fractions, means, sds))
     if pixels < 1:
         raise UsageError(f"the darkest of {pixels} pixels", expected="at least one pixel")
-    held = f > 0
-    f, mu, sd = f[held, None], mu[held], np.maximum(sd[held], 1e-300)
+    f, sd = f[..., None], np.maximum(sd, 1e-300)
     p = -np.expm1(-np.log(2.0) / pixels)
     alone = mu + sd * ndtri(p)
-    high = alone.max(axis=0)  # there every class is below x with at least p
-    low = alone.min(axis=0)  # there none is with more
+    high = np.where(f > 0, alone, -np.inf).max(axis=-2)  # there every class is below x with at least p
+    low = np.where(f > 0, alone, np.inf).min(axis=-2)  # there none is with more
     for _ in range(60):
         middle = 0.5 * (low + high)
-        below = (f * ndtr((middle - mu) / sd)).sum(axis=0) < p
+        below = (f * ndtr((middle[..., None, :] - mu) / sd)).sum(axis=-2) < p
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     return np.asarray(0.5 * (low + high))

@@ -71,13 +71,31 @@ def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarianc
         the background mean.
     """
     t, mu, cov = _checked(target, mean, covariance)
-    d = t - mu  # (3.22)
-    if not np.any(d):
-        raise UsageError("the target spectrum equals the background mean: no filter can tell them apart")
     factor = _factor(covariance if isinstance(covariance, PositiveDefinite) else cov)
-    solved = factor.solve(d)
-    w = solved / (d @ solved)  # (3.23)-(3.25)
-    return LinearFilter(w, float(w @ mu), factor.condition)
+    d = t - mu  # (3.22)
+    return solved_filter("matched-filter", d, factor.solve(d), mu, factor.condition)
+
+
+def solved_filter(
+    detector: str, difference: Array, solved: Array, mean: Array, condition: float = float("nan")
+) -> LinearFilter:
+    """The filter of a linear detector once its matrix is inverted (3.23-3.25).
+
+    Parameters
+    ----------
+    difference : (B,) d of (3.22); for "cem-correlation" the target itself
+    solved : (B,) Sigma^-1 d
+    mean : (B,) background mean
+
+    Raises
+    ------
+    UsageError : the target is the background mean.
+    """
+    energy = float(difference @ solved)
+    if not energy > 0:
+        raise UsageError("the target spectrum equals the background mean: no filter can tell them apart")
+    w = solved / (np.sqrt(energy) if detector == "smf" else energy)  # (3.23)-(3.25)
+    return LinearFilter(w, 0.0 if detector == "cem-correlation" else float(w @ mean), condition)
 
 
 def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
@@ -89,10 +107,9 @@ def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covarian
 
     Parameters and errors as :func:`matched_filter_weights`.
     """
-    unit = matched_filter_weights(target, mean, covariance)
-    inner = covariance.matrix if isinstance(covariance, PositiveDefinite) else np.asarray(covariance, dtype=float)
-    scale = 1.0 / np.sqrt(unit.variance(inner))  # w Sigma w^T = 1 / (d^T Sigma^-1 d)
-    return LinearFilter(unit.weights * scale, unit.offset * scale, unit.condition)
+    t, mu, cov = _checked(target, mean, covariance)
+    factor = _factor(covariance if isinstance(covariance, PositiveDefinite) else cov)
+    return solved_filter("smf", t - mu, factor.solve(t - mu), mu, factor.condition)
 
 
 def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
@@ -113,7 +130,7 @@ def correlation_filter(target: npt.ArrayLike, correlation: npt.ArrayLike) -> Lin
     if not np.any(t):
         raise UsageError("the target spectrum is zero in every band")
     solved, condition = solve_positive_definite(np.asarray(correlation, dtype=float), t)
-    return LinearFilter(solved / (t @ solved), 0.0, condition)
+    return solved_filter("cem-correlation", t, solved, t, condition)
 
 
 FilterDesign = Callable[[npt.ArrayLike, npt.ArrayLike, Any], LinearFilter]

@@ -1,9 +1,9 @@
-"""Evaluating the points of a study: by the fast evaluator where it serves, by ``predict`` where it does not."""
+"""Evaluating the points of a study: columns of numbers through batches of the model."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -13,16 +13,15 @@ import numpy.typing as npt
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.datasets import resolve
 from hyperval.errors import UsageError
-from hyperval.predict import predict
+from hyperval.prediction.batch import Batch
 from hyperval.prediction.terms import remembered
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.study.atmosphere import FewStates, Table, few_states, table
-from hyperval.study.fast import Batch
+from hyperval.study.columns import Stage, batch_of_columns, stage_of
 from hyperval.study.levers import PFA, Lever, lever_of
-from hyperval.study.metrics import of_batch, of_prediction
-from hyperval.study.prepared import Prepared, not_fast, prepare
+from hyperval.study.metrics import of_batch
 from hyperval.study.schema import Output
 
 Array = npt.NDArray[np.float64]
@@ -68,24 +67,17 @@ def engine_on(scenario: Scenario, axis: SpectralAxis) -> Callable[[AtmosphericSt
 
 @dataclass(frozen=True)
 class Ready:
-    """A scenario ready for evaluation; ``slow`` says why it goes through ``predict``, None where it does not."""
+    """A scenario ready for evaluation: everything read, and its atmosphere run."""
 
     scenario: Scenario
-    prepared: Prepared
+    stage: Stage
     terms: FewStates | Table | None
-    slow: str | None
 
 
-def make_ready(
-    scenario: Scenario, sky: Sky, slow: str | None = None, *, show_progress: bool | None = False
-) -> Ready:
-    """Read what a scenario names and run its atmosphere.
-
-    ``slow`` : why it is not to be evaluated fast, whatever the scenario says.
-    """
-    prepared = prepare(scenario)
-    terms = sky.build(scenario, prepared.true_axis, show_progress=show_progress)
-    return Ready(scenario, prepared, terms, slow or not_fast(scenario))
+def make_ready(scenario: Scenario, sky: Sky, *, show_progress: bool | None = False) -> Ready:
+    """Read what a scenario names and run its atmosphere."""
+    stage = stage_of(scenario)
+    return Ready(scenario, stage, sky.build(scenario, stage.setup.used.true_axis, show_progress=show_progress))
 
 
 @dataclass(frozen=True)
@@ -134,7 +126,7 @@ class Evaluator:
         if key not in self._variants:
             if len(self._variants) >= _KEPT:
                 self._variants.pop(next(iter(self._variants)))
-            self._variants[key] = make_ready(with_settings(self.base.scenario, changes), self.sky, self.base.slow)
+            self._variants[key] = make_ready(with_settings(self.base.scenario, changes), self.sky)
         return self._variants[key]
 
     def _groups(self, columns: Columns, n: int) -> list[tuple[Column, dict[str, Any], list[str]]]:
@@ -156,8 +148,7 @@ class Evaluator:
         """Evaluate some points; where they can not be evaluated together, those that can not at all are found."""
         try:
             ready = self.variant(changes)
-            evaluate = self._one_by_one if ready.slow else self._together
-            found[rows], lacking = evaluate(ready, columns, rows.size, outputs)
+            found[rows], lacking = self._together(ready, columns, rows.size, outputs)
             problems |= {int(rows[i]): why for i, why in lacking.items()}
         except UsageError as error:
             if rows.size == 1:
@@ -172,66 +163,15 @@ class Evaluator:
     ) -> tuple[Array, dict[int, str]]:
         batch = self.batch(ready, columns, n)
         values = np.stack([of_batch(batch, o, columns.get(PFA)) for o in outputs], axis=1)
-        return values, {i: batch.problems[int(s)] for i, s in enumerate(batch.of_point) if int(s) in batch.problems}
+        problems = (
+            {u: " ".join(str(error).split()) for u, error in batch.problems.items()} if batch.has_filters else {}
+        )
+        setting = batch.points.setting.tolist()
+        return values, {i: problems[u] for i, u in enumerate(setting) if u in problems}
 
     def batch(self, ready: Ready, columns: Columns, n: int) -> Batch:
-        """The points as a batch of the fast evaluator."""
-        return Batch(ready.prepared, {self.lever(p): c for p, c in columns.items()}, n, ready.terms)
-
-    def _one_by_one(
-        self, ready: Ready, columns: Columns, n: int, outputs: Sequence[Output]
-    ) -> tuple[Array, dict[int, str]]:
-        found, problems = np.full((n, len(outputs)), np.nan), {}
-        for i in range(n):
-            point = {p: _plain(c[i]) for p, c in columns.items()}
-            try:
-                prediction = self.predicted(ready, point)
-                pfa = point.get(PFA)
-                found[i] = [of_prediction(prediction, ready.scenario, o, pfa) for o in outputs]
-            except UsageError as error:
-                problems[i] = " ".join(str(error).split())
-        return found, problems
-
-    def predicted(self, ready: Ready, point: Mapping[str, Any]) -> Any:
-        """``predict`` at one point, with the atmosphere of the study."""
-        scenario = with_settings(ready.scenario, {p: v for p, v in point.items() if p != PFA})
-        moved = {self.lever(p).key: np.array([v]) for p, v in point.items() if self.lever(p).kind == "atmosphere"}
-        if ready.terms is None:
-            return predict(scenario)
-        terms, axis = ready.terms(moved, 1), ready.prepared.true_axis
-        flat = {k: v[0, 0] for k, v in vars(terms).items() if isinstance(v, np.ndarray) and v.ndim == 3}
-        # Told to be averages over the bands themselves, the terms are taken as they stand.
-        on_bands = replace(terms, **{**flat, "wavelength_nm": axis.centre_nm, "fwhm_nm": axis.fwhm_nm})
-        stated = scenario.atmosphere
-        other = engine_on(scenario, axis)
-        return predict(scenario, engine=lambda s: on_bands if s == stated else other(s))
-
-
-def difference_from_predict(evaluator: Evaluator, point: Mapping[str, Any]) -> float:
-    """Greatest relative difference between the fast evaluator and ``predict`` at one point.
-
-    Over the radiance and SNR of all classes, panels and sites, and P_D of all curves where it is above 1e-12.
-    """
-    changes = {p: v for p, v in point.items() if evaluator.lever(p).needs_preparation}
-    moved = {p: v for p, v in point.items() if p not in changes}
-    ready = evaluator.variant(changes)
-    prediction = evaluator.predicted(ready, moved)
-    batch = evaluator.batch(ready, {p: _tidy(_single(v)) for p, v in moved.items()}, 1)
-    pairs = [(batch.radiance(s)[0], e.mean) for s, e in prediction.radiance.items() if s in _pure(ready.scenario)]
-    pairs += [(batch.snr(s)[0], e.mean) for s, e in prediction.snr.items() if s in _pure(ready.scenario)]
-    for (subject, detector, unit), curve in prediction.roc.items():
-        scores = batch.scores(subject, detector) if unit == "pixel" else batch.object_scores(subject, detector)
-        pairs.append((scores.detection(curve.pfa[None, :])[0], curve.pd))
-    worst = 0.0
-    for ours, theirs in pairs:
-        held = np.isfinite(theirs) & (np.abs(theirs) > 1e-12)
-        gap = np.abs(ours[held] - theirs[held]) / np.abs(theirs[held])
-        worst = max(worst, float(np.max(np.where(np.isnan(gap), np.inf, gap), initial=0.0)))
-    return worst
-
-
-def _pure(scenario: Scenario) -> set[str]:
-    return {s.name for s in (*scenario.scene.classes, *scenario.scene.panels, *scenario.scene.sites)}
+        """The points as a batch of the model."""
+        return batch_of_columns(ready.stage, {self.lever(p): c for p, c in columns.items()}, n, ready.terms)
 
 
 def _tidy(column: Column) -> Column:
@@ -242,12 +182,6 @@ def _tidy(column: Column) -> Column:
         return column.astype(float)
     found = np.empty(column.size, dtype=object)
     found[:] = [tuple(v) if isinstance(v, list) else v for v in column]
-    return found
-
-
-def _single(value: Any) -> Column:
-    found = np.empty(1, dtype=object)
-    found[0] = value
     return found
 
 

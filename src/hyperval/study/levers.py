@@ -1,4 +1,4 @@
-"""Which inputs of a scenario the fast evaluator can move, and what each of them touches."""
+"""Which inputs of a scenario move as columns of numbers, and what each of them touches."""
 
 from __future__ import annotations
 

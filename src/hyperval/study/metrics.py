@@ -1,4 +1,4 @@
-"""The numbers that a study asks for, from a batch of the fast evaluator or from one prediction."""
+"""The numbers that a study asks for, from a batch of the model."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.prediction.spectra import without_calibration_error
+from hyperval.prediction.batch import Batch
+from hyperval.prediction.detection import detect
+from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.processing.roc_reading import detection_at, log10_false_alarm_at
-from hyperval.products import Prediction, RocCurve
+from hyperval.products import RocCurve
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
-from hyperval.study.fast import Batch
 from hyperval.study.schema import Output
 
 Array = npt.NDArray[np.float64]
@@ -81,47 +82,49 @@ def log_range(output: Output) -> Array:
 
 def of_batch(batch: Batch, output: Output, pfa: Array | None) -> Array:
     """An output at every point of a batch (n,); ``pfa`` (n,) where an input moves it."""
-    scenario = batch.prepared.scenario
+    scenario = batch.scenario
     if output.kind in ("snr", "radiance"):
-        bands = bands_of(output, batch.prepared.axis)
+        bands = bands_of(output, batch.axis)
         if output.kind == "snr":
             values = batch.snr(output.subject, output.calibration_error)
         else:
             values = batch.radiance(output.subject)
-        return np.asarray(values[:, bands].mean(axis=1)[batch.of_point])
+        return np.asarray(values[:, bands].mean(axis=1)[batch.points.setting])
     detector = detector_of(output, scenario)
+    if detector in NUMERICAL_DETECTORS:
+        return _of_curves(batch, detector, output, pfa)
     if output.kind == "pd" and output.by == "object":
         scores = batch.object_scores(output.subject, detector)
     else:
         scores = batch.scores(output.subject, detector)
     if output.kind == "pd":
         at = np.array([[output.pfa]]) if pfa is None else np.asarray(pfa, float)[:, None]
-        return scores.detection(at)[:, 0]
+        return np.asarray(scores.detection(at)[:, 0])
     if output.kind == "log10-pfa":
-        return scores.log10_false_alarm(np.full(batch.n, output.pd))
+        return scores.log10_false_alarm(np.full(len(batch), output.pd))
     if output.kind == "auc":
         return scores.auc()
     x = log_range(output)
     return np.asarray(np.trapezoid(scores.detection(x[None, :]), np.log(x), axis=1) / np.log(x[-1] / x[0]))
 
 
-def of_prediction(prediction: Prediction, scenario: Scenario, output: Output, pfa: float | None) -> float:
-    """An output of one prediction; between the points of its ROC curve it is interpolated."""
-    if output.kind in ("snr", "radiance"):
-        name = output.subject if output.calibration_error else without_calibration_error(output.subject)
-        spectrum = prediction.radiance[output.subject] if output.kind == "radiance" else prediction.snr[name]
-        return float(spectrum.mean[bands_of(output, prediction.axis)].mean())
-    curve = prediction.roc[output.subject, detector_of(output, scenario), output.by]
-    if output.kind == "pd":
-        at = output.pfa if pfa is None else pfa
-        assert at is not None  # noqa: S101 - the schema asks for it
-        return float(detection_at(curve, at))
-    if output.kind == "log10-pfa":
-        return log10_false_alarm_at(curve, output.pd)
-    if output.kind == "auc":
-        return _area(curve)
-    x = log_range(output)
-    return float(np.trapezoid(detection_at(curve, x), np.log(x)) / np.log(x[-1] / x[0]))
+def _of_curves(batch: Batch, detector: str, output: Output, pfa: Array | None) -> Array:
+    """An output of a detector whose curves are drawn: between their points they are read as all curves are."""
+    found = np.empty(len(batch))
+    for i, detection in enumerate(detect(batch, points=range(len(batch)))):
+        curve = detection.roc[output.subject, detector, output.by]
+        if output.kind == "pd":
+            at = output.pfa if pfa is None else float(pfa[i])
+            assert at is not None  # noqa: S101 - the schema asks for it
+            found[i] = detection_at(curve, at)
+        elif output.kind == "log10-pfa":
+            found[i] = log10_false_alarm_at(curve, output.pd)
+        elif output.kind == "auc":
+            found[i] = _area(curve)
+        else:
+            x = log_range(output)
+            found[i] = np.trapezoid(detection_at(curve, x), np.log(x)) / np.log(x[-1] / x[0])
+    return found
 
 
 def _area(curve: RocCurve) -> float:

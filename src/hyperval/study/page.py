@@ -154,9 +154,6 @@ def _meaning(plan: Plan, o: Output) -> str:
 
 def _notes(plan: Plan) -> list[str]:
     notes = list(plan.notes)
-    if plan.evaluator.base.slow is None and plan.difference is not None:
-        notes.insert(0, "points are evaluated together; at three of them radiance, SNR and P_D were compared with "
-                        f"predict: greatest relative difference {plan.difference:.1e}")  # fmt: skip
     for name in ("radiance, worst", "radiance, rms"):
         if name in plan.sky_error:
             notes.append(

@@ -1,4 +1,4 @@
-"""From a study file to what its chunks need: evaluator, columns, and what the fast path and the atmosphere cost."""
+"""From a study file to what its chunks need: evaluator, columns, and what the interpolated atmosphere costs."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.study.atmosphere import few_states
 from hyperval.study.design import Column, Points, listed, moved
-from hyperval.study.evaluate import Evaluator, Sky, difference_from_predict, engine_on, make_ready
+from hyperval.study.evaluate import Evaluator, Sky, engine_on, make_ready
 from hyperval.study.levers import PFA, lever_of
 from hyperval.study.metrics import check_outputs
 from hyperval.study.schema import Input, Move, Required, Study
 
 Array = npt.NDArray[np.float64]
-EQUAL = 1e-9  # the fast path agrees with predict to this, or is not taken
 _MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
 _GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
 _LEAST_GAS = 0.1  # and the two-way gas transmittance above which
@@ -36,7 +35,6 @@ class Plan:
     Attributes
     ----------
     notes : what is to be said of how it is evaluated
-    difference : greatest relative difference of the fast path from ``predict`` at the points tried; None without
     sky_error : what the interpolation of the atmosphere costs, name -> value; empty where it is not interpolated
     log : files that were read
     """
@@ -46,7 +44,6 @@ class Plan:
     points: Points
     evaluator: Evaluator
     notes: tuple[str, ...]
-    difference: float | None
     sky_error: Mapping[str, float]
     log: InputLog
 
@@ -56,7 +53,7 @@ class Plan:
 
 
 def plan_study(study: Study, *, show_progress: bool | None = None) -> Plan:
-    """Check a study against its scenario, run its atmosphere, and try the fast path against ``predict``.
+    """Check a study against its scenario and run its atmosphere.
 
     Raises
     ------
@@ -71,22 +68,12 @@ def plan_study(study: Study, *, show_progress: bool | None = None) -> Plan:
     try_values(study, scenario)
     sky, anew = _sky(study, scenario)
     base = make_ready(scenario, sky, show_progress=show_progress)
-    check_outputs(study.outputs, scenario, base.prepared.axis)
+    check_outputs(study.outputs, scenario, base.stage.setup.used.axis)
     for reference in _references(scenario):
         log.resolve(reference)
     evaluator = Evaluator(base, sky, anew)
-    found = Plan(study, scenario, points, evaluator, (), None, {}, log)
-    notes = list(_notes(found))
-    difference = None
-    if base.slow is None:
-        difference = max(difference_from_predict(evaluator, point) for point in _tried(found))
-        if difference > EQUAL:
-            why = f"the fast evaluator differs from predict by {difference:.2g}"
-            evaluator = replace(evaluator, base=replace(base, slow=why))
-    slow = evaluator.base.slow
-    if slow is not None:
-        notes.append(f"every point goes through predict, one by one: {slow}")
-    found = replace(found, evaluator=evaluator, difference=difference, notes=tuple(notes))
+    found = Plan(study, scenario, points, evaluator, (), {}, log)
+    found = replace(found, notes=tuple(_notes(found)))
     return replace(found, sky_error=_sky_error(found) if sky.nodes else {})
 
 
@@ -227,21 +214,6 @@ def _notes(plan: Plan) -> list[str]:
     return notes
 
 
-def _tried(plan: Plan) -> list[dict[str, Any]]:
-    """First, middle and last point, as dotted path -> value; with an answer in the middle of its range."""
-    count = len(plan.points)
-    found = []
-    for number in sorted({0, count // 2, count - 1}):
-        columns = plan.columns(number, number + 1)
-        point = {p: _python(c[0]) for p, c in columns.items() if c[0] is not None}
-        for question in plan.study.required[:1]:
-            low, high = question.between
-            middle = np.sqrt(low * high) if question.spacing == "log" else 0.5 * (low + high)
-            point |= {m.path: float(m.offset + m.factor * middle) for m in question.targets}
-        found.append(point)
-    return found
-
-
 def _references(scenario: Scenario) -> list[str]:
     """Files that a scenario names."""
     from hyperval.sensor.specification import library_names
@@ -271,7 +243,7 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     states = {k: _between(np.array(n), rng.random(count)) for k, n in nodes.items()}
     assert base.scenario.atmosphere is not None  # noqa: S101 - there is a table
     assert base.terms is not None  # noqa: S101
-    engine = engine_on(base.scenario, base.prepared.true_axis)
+    engine = engine_on(base.scenario, base.stage.setup.used.true_axis)
     exact = few_states(base.scenario.atmosphere, engine, states)
     ours, theirs = base.terms(states, count), exact(states, count)
 

@@ -20,6 +20,7 @@ from hyperval.campaign.provenance import command_without_output, package_version
 from hyperval.executors import Workers, in_order, worker_count, workers
 from hyperval.files import write_text
 from hyperval.folders import partial_folder, whole_folder
+from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.progress import track
 from hyperval.report.netcdf import write_products
 from hyperval.report.outputs import write_tables as write_results
@@ -73,8 +74,9 @@ def study_to_folder(
         chunk = chunk_size(len(plan.points))
         store = Store(partial_folder(Path(output)), identity(plan, chunk), len(fields), chunk)
         left = len(plan.points) - store.finished
-        # Starting processes takes longer than a few thousand points of the fast evaluator.
-        few = plan.evaluator.base.slow is None and left <= _HERE
+        # Starting processes takes longer than a few thousand points of linear detectors.
+        linear = all(d in LINEAR_DETECTORS for d in plan.scenario.processing.detectors)
+        few = linear and left <= _HERE
         with ExitStack() as stack:
             where = executor or stack.enter_context(
                 workers(1 if few else worker_count(-(-left // chunk) or 1), scheduler)
@@ -113,7 +115,6 @@ def identity(plan: Plan, chunk: int) -> str:
         "scenario": plan.scenario.model_dump(mode="json", by_alias=True),
         "inputs": plan.log.entries(),
         "versions": {n: packages.get(n) for n in _NUMERICAL} | {"hyperval": hyperval.__version__},
-        "slow": plan.evaluator.base.slow,
         "chunk": chunk,
     }
     return json.dumps(inner, indent=1, sort_keys=True, default=str) + "\n"

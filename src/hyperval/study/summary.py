@@ -112,9 +112,6 @@ def result_rows(plan: Plan, table: StudyTable, knees: list[FoundKnee]) -> Result
         lacking_knee = _NO_VALUE if found.reason else {}
         add("study", asked.output, f"knee along {asked.along}", "knee", found.x, units[asked.along],
             reason=reason, **lacking_knee)  # fmt: skip
-    if plan.difference is not None:
-        add("study", plan.scenario.name, "fast evaluator", "greatest_relative_difference_from_predict",
-            plan.difference, reason="radiance, SNR and P_D at three points of the study")  # fmt: skip
     for name, value in plan.sky_error.items():
         unit = "1"
         add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, unit,

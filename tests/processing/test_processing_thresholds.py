@@ -1,11 +1,11 @@
-"""Thresholds and P_FA of many evaluations against those of one."""
+"""Thresholds and P_FA of many evaluations against plain sums."""
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.stats import norm, t
 
-from hyperval.processing.roc_model import ClassScore, false_alarm_grid, threshold_at
-from hyperval.study.thresholds import ClassScores, log_false_alarm, thresholds_at
+from hyperval.processing.thresholds import ClassScores, false_alarm_grid, log_false_alarm, thresholds_at
 
 
 def random_scores(rng: np.random.Generator, rows: int, tails: bool) -> ClassScores:
@@ -18,14 +18,21 @@ def random_scores(rng: np.random.Generator, rows: int, tails: bool) -> ClassScor
 
 
 @pytest.mark.parametrize("tails", [False, True])
-def test_same_thresholds_as_one_by_one(tails):
+def test_thresholds_by_a_root_finder_on_the_plain_sum(tails):
     scores = random_scores(np.random.default_rng(0), 12, tails)
     pfa = false_alarm_grid(1e-9, 4)
     found = thresholds_at(np.broadcast_to(pfa, (12, pfa.size)), scores)
     for r in range(12):
-        columns = zip(scores.fraction[r], scores.mean[r], scores.sd[r], scores.dof[r], strict=True)
-        classes = [ClassScore(f, m, s, None if np.isinf(d) else d) for f, m, s, d in columns]
-        np.testing.assert_allclose(found[r], threshold_at(pfa, classes), rtol=0, atol=1e-10)
+
+        def excess(x: float, p: float, row: int = r) -> float:
+            total = 0.0
+            for f, m, s, d in zip(*(a[row] for a in vars(scores).values()), strict=True):
+                law = norm(m, s) if np.isinf(d) else t(d, m, s * np.sqrt((d - 2.0) / d))
+                total += f * law.sf(x)
+            return float(np.log(total + 1e-300) - np.log(p))
+
+        for p, x in zip(pfa[::6], found[r, ::6], strict=True):
+            assert x == pytest.approx(brentq(excess, -2.0, x + 1.0, args=(p,), xtol=1e-13), abs=1e-9)
 
 
 def test_false_alarms_at_the_threshold_are_those_asked_for():

@@ -1,0 +1,211 @@
+"""The background in U settings: what lies on the ground, and what the detector sees of its classes (3.8-3.21)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.prediction.inputs import SurfaceStatistics, cut, filled
+from hyperval.prediction.view import ClassLevels, View
+from hyperval.processing.elm_model import retrieved_reflectance
+from hyperval.scenario import DarkestPixel
+from hyperval.scene.mixture import average_reflectance, mixture_covariance
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Surfaces of the scene with the classes' area fractions.
+
+    Attributes
+    ----------
+    surfaces : name -> statistics of every class, panel, site and target
+    classes : names of the M classes
+    average, covariance : (B,) rho_ave of (3.8), (B, B) Sigma_ave of (3.11)
+    """
+
+    surfaces: Mapping[str, SurfaceStatistics]
+    classes: tuple[str, ...]
+    average: Array
+    covariance: Array
+
+    @cached_property
+    def means(self) -> Array:
+        """(M, B) of the classes."""
+        return np.array([self.surfaces[n].mean for n in self.classes])
+
+    @cached_property
+    def covariances(self) -> tuple[Array, ...]:
+        """M times (B, B)."""
+        return tuple(self.surfaces[n].covariance for n in self.classes)
+
+    @cached_property
+    def _cuts(self) -> dict[bytes, Ground]:
+        return {}
+
+    def __getstate__(self) -> dict[str, object]:
+        return {k: v for k, v in self.__dict__.items() if k != "_cuts"}
+
+    def at(self, bands: Index, needed: Sequence[str]) -> Ground:
+        """The surfaces ``needed`` on some bands alone; the latest set of bands is kept."""
+        key = bands.tobytes()
+        if key not in self._cuts:
+            self._cuts.clear()
+            of = {
+                n: replace(s, mean=s.mean[bands], covariance=cut(s.covariance, bands))
+                for n, s in self.surfaces.items()
+                if n in needed
+            }
+            self._cuts[key] = Ground(of, self.classes, self.average[bands], cut(self.covariance, bands))
+        return self._cuts[key]
+
+
+def ground_of(
+    surfaces: Mapping[str, SurfaceStatistics], classes: Sequence[str], fractions: Array, like: Sequence[Ground] = ()
+) -> Ground:
+    """Averages over the classes for area fractions (M,) (3.8, 3.11).
+
+    ``like`` : grounds of the same fractions, whose averages are taken over where the classes are the same too
+
+    Raises
+    ------
+    UsageError : fractions that do not sum to 1.
+    """
+    names = tuple(classes)
+    for other in like:
+        if all(other.surfaces[n].mean is surfaces[n].mean for n in names) and all(
+            other.surfaces[n].covariance is surfaces[n].covariance for n in names
+        ):
+            return Ground(surfaces, names, other.average, other.covariance)
+    means = np.array([filled(surfaces[n].mean) for n in names])
+    covariance = mixture_covariance(fractions, means, [surfaces[n].covariance for n in names])
+    return Ground(surfaces, names, average_reflectance(fractions, means), covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """U settings of light, sensor and ground.
+
+    Attributes
+    ----------
+    view : of arrays (U, 1, B), or that go with it
+    fractions, gains : (U, M) f_m, g_m
+    grounds : the different ones;  which (U,) of them each setting has
+    """
+
+    view: View
+    fractions: Array
+    gains: Array
+    grounds: tuple[Ground, ...]
+    which: Index
+
+    def __len__(self) -> int:
+        return self.which.size
+
+    def levels(self, reflectances: Array) -> Array:
+        """Mean signal (U, S, B) of reflectances (S, B) or (U, S, B) (3.7)."""
+        return np.broadcast_to(self.view.level(reflectances), (len(self), *reflectances.shape[-2:]))
+
+    def means(self, names: Sequence[str]) -> Array:
+        """(U or 1, S, B) mean reflectances of S surfaces."""
+        each = [np.array([g.surfaces[n].mean for n in names]) for g in self.grounds]
+        return each[0][None] if len(each) == 1 else np.array(each)[self.which]
+
+    def class_means(self) -> Array:
+        """(U or 1, M, B) mean reflectances of the classes."""
+        grounds = self.grounds
+        return grounds[0].means[None] if len(grounds) == 1 else np.array([g.means for g in grounds])[self.which]
+
+    def rows(self, index: Index) -> Settings:
+        """The settings that ``index`` names."""
+        if index.size == len(self) and np.array_equal(index, np.arange(len(self))):
+            return self
+        return replace(
+            self,
+            view=self.view.rows(index),
+            fractions=self.fractions[index],
+            gains=self.gains[index],
+            which=self.which[index],
+        )
+
+    def at(self, bands: Index, needed: Sequence[str]) -> Settings:
+        """The settings on some bands alone, with the surfaces ``needed``."""
+        return replace(self, view=self.view.at(bands), grounds=tuple(g.at(bands, needed) for g in self.grounds))
+
+    def spread(self, vectors: Array, covariance: Callable[[Ground], Array]) -> Array:
+        """v C v^T (U, K) of vectors (U, K, B), each setting with the covariance C of its own ground."""
+        found = np.zeros(vectors.shape[:2])
+        if not vectors.any():
+            return found
+        matrices = [covariance(g) for g in self.grounds]
+        for number in {id(c): i for i, c in enumerate(matrices)}.values():
+            same = [i for i, c in enumerate(matrices) if c is matrices[number]]
+            rows = np.flatnonzero(np.isin(self.which, same))
+            if rows.size:
+                v = vectors[rows]
+                product = (v.reshape(-1, v.shape[2]) @ matrices[number]).reshape(v.shape)
+                found[rows] = np.einsum("ukf,ukf->uk", product, v)
+        return found
+
+
+def with_class_levels(settings: Settings) -> Settings:
+    """The settings whose view knows what the darkest pixel of the scene follows from, where it is asked for."""
+    view = settings.view
+    if not isinstance(view.elm, DarkestPixel):
+        return settings
+    variances = np.array([[np.diag(c) for c in g.covariances] for g in settings.grounds])[settings.which]
+    around = np.array([np.diag(g.covariance) for g in settings.grounds])[settings.which][:, None, :]
+    fractions, gains = settings.fractions[:, :, None], settings.gains[:, :, None]
+    means = np.broadcast_to(settings.class_means(), variances.shape)
+    return replace(settings, view=replace(view, classes=ClassLevels(fractions, gains, means, variances, around)))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The classes after the empirical line, on the detector's bands, in U settings.
+
+    Attributes
+    ----------
+    gain, offset : (U, 1, F) of the empirical line
+    slope : (U, F) D_A / k of (3.11)
+    around : (U, M, F) D_B / k times the root of g_m kappa, of (3.11)
+    means : (U, M, F) retrieved reflectances
+    noise : (U, M, F) noise variances of the retrieved reflectances
+    """
+
+    gain: Array
+    offset: Array
+    slope: Array
+    around: Array
+    means: Array
+    noise: Array
+
+    def rows(self, index: Index) -> Seen:
+        """The settings that ``index`` names."""
+        return Seen(*(getattr(self, n)[index] for n in ("gain", "offset", "slope", "around", "means", "noise")))
+
+
+def seen_classes(at: Settings) -> Seen:
+    """What the detector sees of the classes (3.7-3.21); ``at`` on its bands."""
+    view, line = at.view, at.view.line()
+    reflectance = at.class_means()
+    level = at.levels(reflectance)
+    shape = (len(at), level.shape[2])
+    slope = np.broadcast_to(view.slope() / line.gain, (shape[0], 1, shape[1]))[:, 0]
+    weight = at.gains[:, :, None] * view.adjacency_weight()
+    around = view.adjacency_slope(np.broadcast_to(reflectance, level.shape)) / line.gain * np.sqrt(weight)
+    noise = view.noise_variance(level) / line.gain**2
+    return Seen(
+        np.broadcast_to(line.gain, (shape[0], 1, shape[1])),
+        np.broadcast_to(line.offset, (shape[0], 1, shape[1])),
+        np.ascontiguousarray(slope),
+        around,
+        retrieved_reflectance(line, level),
+        noise,
+    )

@@ -1,0 +1,321 @@
+"""The forward model of n evaluations at once: radiance, SNR, scores and ROC (3.7-3.33).
+
+Evaluations that share atmosphere, sensor and ground share their filter; everything else goes through arrays.
+One scenario is a batch of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import UsageError
+from hyperval.prediction.background import Seen, Settings, seen_classes
+from hyperval.prediction.bands import detection_bands
+from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills
+from hyperval.prediction.filters import Designer, Filters, Population, class_scores
+from hyperval.prediction.inputs import cut
+from hyperval.prediction.responses import Material, Responses, responses, target_population
+from hyperval.processing.elm_model import retrieved_reflectance
+from hyperval.processing.filters import LINEAR_DETECTORS
+from hyperval.processing.roc_model import RocScores
+from hyperval.processing.thresholds import ClassScores
+from hyperval.scenario import Scenario, Target, TargetSubject
+from hyperval.scene.fill import FillDistribution
+from hyperval.spectra.axis import SpectralAxis
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """What n evaluations have besides their setting.
+
+    Attributes
+    ----------
+    setting : (n,) number of it
+    dof : (n or 1, M) degrees of freedom of the classes; infinity: Gaussian
+    gain, beam, sky : (n or 1, T) g_T and the parts of the light in the open that reach each target
+    fills : (number of the target, of its population) -> fills, where they are not those of the scenario
+    shift : (n,) by how many standard deviations of the score the targets depart from their spectra
+    """
+
+    setting: Index
+    dof: Array
+    gain: Array
+    beam: Array
+    sky: Array
+    fills: Callable[[int, int, bool], Fills | None] = lambda target, population, objects: None
+    shift: Array | float = 0.0
+
+    def __len__(self) -> int:
+        return self.setting.size
+
+    def of(self, values: Array, target: int) -> Array:
+        """(n,) one target's column of (n or 1, T) values."""
+        return np.broadcast_to(values[:, target], (len(self),))
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Settings of one set of detector bands.
+
+    Attributes
+    ----------
+    numbers : (V,) of the settings in the batch
+    bands : (F,) of the detectors
+    at, seen : the settings and the classes as seen, on those bands
+    designer : of their filters
+    filters : (target, detector) -> filters, theta_m (V, M), sigma_m (V, M), of linear detectors
+    problems : number in the group -> why there is no filter
+    """
+
+    numbers: Index
+    bands: Index
+    at: Settings
+    seen: Seen
+    designer: Designer
+    filters: Mapping[tuple[str, str], tuple[Filters, Array, Array]]
+    problems: Mapping[int, UsageError] = field(default_factory=dict)
+
+
+class Batch:
+    """n evaluations; quantities are computed when asked for.
+
+    Parameters
+    ----------
+    scenario, axis : what all evaluations share: names, processing, bands as they are labelled
+    looked_for : target -> (B,) reflectance that its filter looks for
+    settings, points : what differs
+    errors : target -> (B, B) error covariance of its spectrum
+    designers : room for matrices kept from batch to batch
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        axis: SpectralAxis,
+        looked_for: Mapping[str, Array],
+        settings: Settings,
+        points: Points,
+        errors: Mapping[str, Array] | None = None,
+        designers: dict[bytes, Designer] | None = None,
+    ):
+        self.scenario, self.axis, self.looked_for = scenario, axis, looked_for
+        self.settings, self.points = settings, points
+        self.errors = errors or {}
+        self._designers = {} if designers is None else designers
+        self._made: dict[Any, Any] = {}
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def targets(self) -> list[Target]:
+        """The targets of the scene."""
+        return self.scenario.scene.targets
+
+    @property
+    def class_names(self) -> list[str]:
+        """Names of the M background classes."""
+        return [c.name for c in self.scenario.scene.classes]
+
+    # ---- spectra -------------------------------------------------------------------------------------------
+
+    def radiance(self, subject: str) -> Array:
+        """Mean radiance of a class, panel or site in each setting (U, B) (3.7) [uW cm-2 sr-1 nm-1]."""
+        return self.once(("radiance", subject), lambda: self.settings.levels(self.settings.means([subject]))[:, 0])
+
+    def snr(self, subject: str, calibration: bool = True) -> Array:
+        """SNR of a class, panel or site in each setting (U, B) (3.20) [1]; with C_R or without."""
+        noise = self.settings.view.noise
+        if noise is None:
+            raise UsageError("the scenario has no sensor noise", mend="name an atmosphere and a sensor")
+        return self.once(
+            ("snr", subject, calibration),
+            lambda: np.asarray(noise.snr(self.radiance(subject)[:, None, :], calibration=calibration)[:, 0]),
+        )
+
+    # ---- detection -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def needed(self) -> list[str]:
+        """Surfaces that the detectors need."""
+        return [*self.class_names, *(t.name for t in self.targets)]
+
+    @cached_property
+    def groups(self) -> list[Group]:
+        """Settings by the bands that their detectors use, with their filters."""
+        settings = self.settings
+        usable = np.broadcast_to(settings.view.lit(), (len(settings), 1, len(self.axis)))[:, 0]
+        usable = usable & np.isfinite(settings.means(self.needed)).all(axis=1)
+        for spectrum in self.looked_for.values():
+            usable = usable & np.isfinite(spectrum)
+        patterns, which = np.unique(usable, axis=0, return_inverse=True)
+        return [self._group(np.flatnonzero(which.reshape(-1) == i), pattern) for i, pattern in enumerate(patterns)]
+
+    def _group(self, numbers: Index, usable: npt.NDArray[np.bool_]) -> Group:
+        bands = detection_bands(self.scenario, self.axis, usable)
+        processing = self.scenario.processing
+        key = bands.tobytes()
+        if key not in self._designers:
+            self._designers.clear()  # one set of bands serves nearly all points, and each holds large matrices
+            self._designers[key] = Designer(processing, self.class_names, bands.size)
+        designer = self._designers[key]
+        at = self.settings.rows(numbers).at(bands, self.needed)
+        seen = seen_classes(at)
+        linear = [d for d in processing.detectors if d in LINEAR_DETECTORS]
+        names = [(t.name, detector) for t in self.targets for detector in linear]
+        group = Group(numbers, bands, at, seen, designer, {})
+        wanted = [(detector, self.spectrum_as_seen(group, target)) for target, detector in names]
+        filters, problems = designer.design(at, seen, wanted, lambda u: self.filter_populations(group, u))
+        made = {n: (f, *class_scores(at, seen, f)) for n, f in zip(names, filters, strict=True)}
+        return replace(group, filters=made, problems=problems)
+
+    @property
+    def has_filters(self) -> bool:
+        """Whether the filters were asked for."""
+        return "groups" in vars(self)
+
+    @property
+    def problems(self) -> dict[int, UsageError]:
+        """Setting -> why it has no filter."""
+        return {int(g.numbers[u]): e for g in self.groups for u, e in g.problems.items()}
+
+    def spectrum_as_seen(self, group: Group, target: str) -> Array:
+        """(V, F) what a filter looks for, in the units of the image."""
+        line, at = group.at.view.library_line(), group.at
+        return retrieved_reflectance(line, at.levels(self.looked_for[target][None, group.bands]))[:, 0]
+
+    def filter_populations(self, group: Group, u: int) -> list[Population]:
+        """Target pixels that the statistics of the filter of setting ``u`` hold, if any."""
+        if self.scenario.processing.filter_statistics != "scene":
+            return []
+        point = int(np.flatnonzero(self.points.setting == group.numbers[u])[0])
+        found = []
+        for t, target in enumerate(self.targets):
+            for p, population in enumerate(target.populations):
+                if population.scene_fraction > 0:
+                    fill = self.fill_of(point, t, p)
+                    pixels = self.population_at(group, u, point, t, fill)
+                    found.append(replace(pixels, part=population.scene_fraction))
+        return found
+
+    def population_at(self, group: Group, u: int, point: int, target: int, fill: FillDistribution) -> Population:
+        """Pixels of one target as the detector of setting ``u`` sees them, by the moments of their fill (3.12)."""
+        row = np.full(len(group.at), 1.0)
+        material = self.material(target, row * self._at(self.points.beam, point, target),
+                                 row * self._at(self.points.sky, point, target), group.bands)  # fmt: skip
+        gain = self._at(self.points.gain, point, target)
+        return target_population(group.at, group.seen, u, material, fill, gain)
+
+    def material(self, target: int, beam: Array, sky: Array, bands: Index) -> Material:
+        """A target with its host, its light and the error of its spectrum."""
+        t = self.targets[target]
+        error = cut(self.errors[t.name], bands) if t.name in self.errors else None
+        return Material(t.name, self.class_names.index(t.host), beam, sky, error)
+
+    def fill_of(self, point: int, target: int, population: int) -> FillDistribution:
+        """Fill of one evaluation."""
+        fills = self.fills(target, population)
+        row = point if fills.values.shape[0] > 1 else 0
+        weights = fills.weights[row if fills.weights.shape[0] > 1 else 0]
+        return FillDistribution(fills.values[row], weights)
+
+    def fills(self, target: int, population: int, objects: bool = False) -> Fills:
+        """Fills of the pixels of a population (f of 3.10) in each evaluation, or of the pixels of its objects."""
+        own = self.points.fills(target, population, objects)
+        if own is not None:
+            return own
+        thesis = self.scenario.formulation == "thesis"
+        subject = self.targets[target].populations[population]
+        return object_fills_of(subject, thesis) if objects else pixel_fills(subject, thesis)
+
+    def scores(self, population: str, detector: str) -> RocScores:
+        """What the ROC of a target population needs in each evaluation (3.26-3.29), pixel by pixel."""
+        return self.once(("scores", population, detector), lambda: self._scores(population, detector, False))
+
+    def object_scores(self, population: str, detector: str) -> RocScores:
+        """The same where an object is detected when one of its pixels is."""
+        return self.once(("objects", population, detector), lambda: self._scores(population, detector, True))
+
+    def _scores(self, population: str, detector: str, objects: bool) -> RocScores:
+        number, subject, _ = self.population(population)
+        fills, points = self.fills(number, subject, objects), self.points
+        means, sds = (np.full((len(self), fills.values.shape[1]), np.nan) for _ in range(2))
+        shift = np.broadcast_to(points.shift, (len(self),))
+        for g in self.groups:
+            here = np.flatnonzero(np.isin(points.setting, g.numbers))
+            rows, response = self.responses(g, number, detector, here)
+            own = fills.values if fills.values.shape[0] == 1 else fills.values[here]
+            means[here], sds[here] = response.at(own, points.of(points.gain, number)[here], rows, shift[here])
+        classes, which = self._classes(number, detector)
+        if fills.shape is None:
+            return RocScores(classes, which, means, sds, np.broadcast_to(fills.weights, means.shape))
+        each = (means.reshape(len(self), *fills.shape), sds.reshape(len(self), *fills.shape))
+        return RocScores(classes, which, means, sds, np.full(means.shape, np.nan), each)
+
+    def _classes(self, number: int, detector: str) -> tuple[ClassScores, Index]:
+        """Scores of the background for each different combination of setting and tails."""
+        size = (len(self.settings), len(self.class_names))
+        means, sds = np.full(size, np.nan), np.full(size, np.nan)
+        for g in self.groups:
+            _, means[g.numbers], sds[g.numbers] = g.filters[self.targets[number].name, detector]
+        points, dof = self.points, self.points.dof
+        first, which = distinct([points.setting, *(dof.T if dof.shape[0] > 1 else ())], len(self))
+        settings = points.setting[first]
+        tails = np.broadcast_to(dof, (len(self), dof.shape[1]))[first]
+        return ClassScores(self.settings.fractions[settings], means[settings], sds[settings], tails), which
+
+    def responses(self, group: Group, target: int, detector: str, points: Index) -> tuple[Index, Responses]:
+        """Scores against the fill by the filter that looks for a target, and the row of them that each point has."""
+        name = self.targets[target].name
+        return self.responses_to(group, target, group.filters[name, detector][0], points)
+
+    def responses_to(self, group: Group, target: int, filters: Filters, points: Index) -> tuple[Index, Responses]:
+        """Scores of pixels that hold a target, by filters (V, F) that may look for another one."""
+        beam = self.points.of(self.points.beam, target)[points]
+        sky = self.points.of(self.points.sky, target)[points]
+        local = np.searchsorted(group.numbers, self.points.setting[points])
+        first, rows = distinct([local, beam, sky], points.size)
+        settings = local[first]
+        material = self.material(target, beam[first], sky[first], group.bands)
+        at, seen = group.at.rows(settings), group.seen.rows(settings)
+        return rows, responses(at, seen, filters.rows(settings), material)
+
+    # ---- small things --------------------------------------------------------------------------------------
+
+    def population(self, name: str) -> tuple[int, int, TargetSubject]:
+        """Number of the target and of its population of that name, and what the scenario says of it."""
+        for number, target in enumerate(self.targets):
+            for subject, population in enumerate(target.populations):
+                if population.name == name:
+                    return number, subject, population
+        raise UsageError(f"no target population {name!r}")
+
+    def _at(self, values: Array, point: int, target: int) -> float:
+        return float(values[point if values.shape[0] > 1 else 0, target])
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What ``make`` gives, made the first time that ``key`` is asked for."""
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
+
+
+def distinct(columns: Sequence[npt.NDArray[Any]], n: int) -> tuple[Index, Index]:
+    """First point of each different row of the columns, and the number of its row for each point."""
+    if not columns:
+        return np.zeros(1, int), np.zeros(n, int)
+    codes = np.zeros(n, int)
+    for column in columns:
+        _, code = np.unique(column, return_inverse=True)
+        _, codes = np.unique(codes * (int(code.max(initial=0)) + 1) + code.reshape(-1), return_inverse=True)
+    _, first = np.unique(codes, return_index=True)
+    return first, codes.reshape(-1)
