@@ -184,8 +184,8 @@ def _prediction(
 ) -> tuple[Prediction, dict[RocKey, list[Array]]]:
     """A case with the errors of its spectra by light and sensor.
 
-    The second part are the changes of probit P_D by one standard uncertainty of each input of light and sensor, and by
-    the field spectra of the targets.
+    The second part are the changes of probit P_D by one standard uncertainty of each input of light and sensor, and
+    by the field spectra of the targets.
     """
     errors = spectrum_errors(case.setup)
     leading = steps.leading
@@ -266,8 +266,8 @@ def _of_classes(found: Prediction, given: Given, again: Again) -> list[Moved]:
 def _with_moves(
     found: Prediction, changes: Mapping[RocKey, list[Array]], moves: Sequence[Moved], of_classes: Sequence[Moved]
 ) -> Prediction:
-    """The prediction with the errors by inputs that change surfaces, fills or bands, and with limits of its curves."""
-    spectra = {p: dict(getattr(found, p)) for p in ("radiance", "snr", "reflectance")}
+    """The prediction with the errors by inputs that change surfaces, fills or bands, and limits of its curves."""
+    spectra: dict[str, Any] = {p: dict(getattr(found, p)) for p in ("radiance", "snr", "reflectance")}
     for product, estimates in spectra.items():
         with_moves(estimates, product, moves)
     pairs = [*moves, *of_classes]
@@ -289,10 +289,11 @@ def _propagated(
         return stated
     scenario = case.setup.scenario
     shifts = any(np.any(np.asarray(i.moved(1.0).wavelength_shift_nm) != 0.0) for i in inputs)
+    bands = None if shifts else case.setup.used.true_axis
     u = scenario.uncertainty
     found = propagate(
         scenario, stated, inputs, lambda d, stand_in: next(again([d], stand_in)), samples=u.samples, seed=u.seed,
-        engine=lambda state: origins.whole_terms(scenario, state), axis=None if shifts else case.setup.used.true_axis,
+        engine=lambda state: origins.whole_terms(scenario, state), axis=bands,
         show_progress=origins.show_progress,
     )  # fmt: skip
     return with_intervals(stated, found, u.method)

@@ -70,7 +70,9 @@ def ace_scores(batch: Batch, population: str, pfa: Array, object_curves: bool = 
     """
     number, subject, _ = batch.population(population)
     target, background, thresholds, errors = [], [], [], []
-    detection: dict[str, list[Array]] = {"pixel": []} | ({"object": []} if object_curves else {})
+    detection: dict[str, list[Array]] = {
+        unit: [] for unit in (("pixel", "object") if object_curves else ("pixel",))
+    }
     for point in range(len(batch)):
         e = batch.once(("ace", point, number), lambda p=point: _evaluation(batch, p, number, pfa))  # type: ignore[misc]
         fill = batch.fill_of(point, number, subject)

@@ -274,7 +274,7 @@ class Batch:
         return ClassScores(self.settings.fractions[settings], means[settings], sds[settings], tails), which
 
     def responses(self, group: Group, target: int, detector: str, points: Index) -> tuple[Index, Responses]:
-        """Scores against the fill by the filter that looks for a target, and the row of them that each point has."""
+        """Scores against the fill by the filter that looks for a target, and which row of them each point has."""
         name = self.targets[target].name
         return self.responses_to(group, target, group.filters[name, detector][0], points)
 

@@ -243,8 +243,8 @@ def batch_of(
 ) -> Batch:
     """Evaluations of cases that share names, processing and what is looked for.
 
-    After them come, for each of ``shifts``, the first case with all targets so many standard deviations of the score off
-    their spectra, by the ``errors`` of those.
+    After them come, for each of ``shifts``, the first case with all targets so many standard deviations of the
+    score off their spectra, by the ``errors`` of those.
     """
     first = cases[0].setup
     setting = np.concatenate([np.arange(len(cases)), np.zeros(len(shifts), int)])

@@ -77,8 +77,8 @@ def detect(batch: Batch, *, object_curves: bool = True, points: Sequence[int] = 
 
 
 def _add_linear(
-    batch: Batch, found: Sequence[Detection], points: Sequence[int], target: str, population: str, name: str, pfa: Array,
-    object_curves: bool,
+    batch: Batch, found: Sequence[Detection], points: Sequence[int], target: str, population: str, name: str,
+    pfa: Array, object_curves: bool,
 ) -> None:  # fmt: skip
     scores = batch.scores(population, name)
     threshold = scores.thresholds(pfa[None])

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from hyperval.errors import UsageError
-from hyperval.prediction.background import Seen, Settings
+from hyperval.prediction.background import Ground, Seen, Settings
 from hyperval.processing.features import (
     feature_covariance,
     features,
@@ -76,9 +76,9 @@ PopulationsOf = Callable[[int], Sequence[Population]]
 class Mixture:
     """The background of one setting, as its filter's covariance is put together.
 
-    Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything divided
-    by the gains of the empirical line (3.11, 3.16-3.21): the first part is one matrix under (a a^T), the second
-    Sigma_ave under the sum of (e_k e_k^T), element by element, the last the sum of (d_k d_k^T).
+    Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
+    divided by the gains of the empirical line (3.11, 3.16-3.21): the first part is one matrix under (a a^T), the
+    second Sigma_ave under the sum of (e_k e_k^T), element by element, the last the sum of (d_k d_k^T).
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ class Designer:
         wanted: Sequence[tuple[str, Array]],
         populations: PopulationsOf | None = None,
     ) -> tuple[list[Filters], dict[int, UsageError]]:
-        """Filters for pairs of detector and spectrum as seen (U, F); and what is wrong with a setting, by its number."""
+        """Filters for pairs of detector and spectrum as seen (U, F); setting -> what is wrong with it."""
         size = self._matrix.shape[0]
         found = [Filters(np.full((len(at), size), np.nan), np.full(len(at), np.nan)) for _ in wanted]
         problems: dict[int, UsageError] = {}
@@ -321,6 +321,10 @@ def class_scores(at: Settings, seen: Seen, filters: Filters) -> tuple[Array, Arr
     variances = np.einsum("uf,umf->um", w**2, seen.noise)
     through = (w * seen.slope)[:, None, :]
     for m in range(seen.means.shape[1]):
-        variances[:, m] += at.gains[:, m] * at.spread(through, lambda g, m=m: g.covariances[m])[:, 0]  # type: ignore[misc]
+
+        def covariance(ground: Ground, number: int = m) -> Array:
+            return ground.covariances[number]
+
+        variances[:, m] += at.gains[:, m] * at.spread(through, covariance)[:, 0]
     variances += at.spread(w[:, None, :] * seen.around, lambda g: g.covariance)
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)

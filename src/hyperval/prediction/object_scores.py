@@ -89,7 +89,7 @@ class Evaluations:
     def responses(self, target: str, detector: str, holds: str) -> list[Response]:
         """Of all evaluations, by the filter that looks for ``target``, for pixels that hold another or the same."""
         key = "response", target, detector, holds, int(self.points[0])
-        return self.batch.once(key, lambda: self._responses(target, detector, holds))  # type: ignore[no-any-return]
+        return self.batch.once(key, lambda: self._responses(target, detector, holds))
 
     def _responses(self, target: str, detector: str, holds: str) -> list[Response]:
         batch, number = self.batch, self.number(holds)

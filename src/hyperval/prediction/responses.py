@@ -124,17 +124,17 @@ def responses(at: Settings, seen: Seen, filters: Filters, material: Material) ->
 def target_population(
     at: Settings, seen: Seen, u: int, material: Material, fill: FillDistribution, target_gain: float
 ) -> Population:
-    """Target pixels of setting ``u`` by the moments of their fill, as a part of a background is, of part 0 (3.12)."""
+    """Target pixels of setting ``u`` by the moments of their fill, as a class of part 0 of the scene (3.12)."""
     one = at.rows(np.array([u]))
     row, number = one.view, material.host
     here = Material(material.name, number, material.beam[u : u + 1], material.sky[u : u + 1])
-    lit, under, factor = (
-        np.asarray(x).reshape(-1, x.shape[-1])[0] if np.ndim(x) else x for x in lit_surface(one, here)
-    )
+    mean, sky, light = lit_surface(one, here)
+    lit, under = mean[0, 0], sky[0, 0]
     ground = one.grounds[one.which[0]]
     own, host = ground.surfaces[material.name].covariance, ground.means[number]
-    if np.ndim(factor):
-        own = own * np.asarray(factor)[:, None] * factor
+    if np.ndim(light):
+        factor = np.asarray(light)[0, 0]
+        own = own * factor[:, None] * factor
     gain = float(one.gains[0, number])
     covariance = target_pixel_covariance(
         fill.mean, fill.variance, lit, own, host, ground.covariances[number],

@@ -165,8 +165,8 @@ def _subjects(setup: Setup, view: View, errors: Mapping[str, Array]) -> list[_Su
 class _Lit:
     """A target under its own light, as a surface in the open would have to be to look like it (ground term of 3.7).
 
-    ``under_sky`` : reflectance times sky view, what the light from the surroundings meets (D_B of 3.11); ``error`` of
-    its field spectrum, None without
+    ``under_sky`` : reflectance times sky view, what the light from the surroundings meets (D_B of 3.11); ``error``
+    of its field spectrum, None without
     """
 
     mean: Array

@@ -61,7 +61,7 @@ def on_arrays(value: T, change: Callable[[Any], Any]) -> T:
 
 
 def rows_of(index: Index | int, size: int) -> Callable[[Any], Any]:
-    """What cuts arrays with a leading axis over ``size`` settings to some of them; one setting by its number: (B,)."""
+    """What cuts arrays (U, ..., B) of ``size`` settings to some of them; one setting by its number: (B,)."""
 
     def cut(x: Any) -> Any:
         if x.ndim < 3:

@@ -196,9 +196,9 @@ def _nothing(bands: int) -> Array:
 def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Array]]) -> dict[RocKey, RocCurve]:
     """The curves with 95 % intervals of P_D from drawn curves.
 
-    Each draw moves a whole curve, in probit, along all directions of all inputs at once; as a ROC curve rises with P_FA,
-    so does each of the draws, and with them the limits: where an input moves much of a curve down, what lay higher at a
-    lower P_FA holds it up.
+    Each draw moves a whole curve, in probit, along all directions of all inputs at once; as a ROC curve rises with
+    P_FA, so does each of the draws, and with them the limits: where an input moves much of a curve down, what lay
+    higher at a lower P_FA holds it up.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""How the sensor sees a reflectance, in one setting or in many: one object for the radiance and the reflectance domain.
+"""How the sensor sees a reflectance, in one setting or in many, in the radiance and in the reflectance domain.
 
-Arrays of one setting are (B,).  Of U settings they are (U, 1, B), or (B,) where all settings share them, so that the
-same lines serve both.
+Arrays of one setting are (B,).  Of U settings they are (U, 1, B), or (B,) where all settings share them, so that
+the same lines serve both.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ class View:
     formulation : corrected or thesis
     elm : the empirical line or the darkest pixel; None for detection on radiance
     classes : for the darkest pixel
-    retrieval : (..., B) each: the line gives gain rho + offset for a reflectance rho, its panels being off; None: rho
+    retrieval : (..., B) each: the line gives gain rho + offset for a reflectance rho, its panels being off; None:
+        rho
     """
 
     terms: AtmosphericTerms | None

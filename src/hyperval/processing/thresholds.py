@@ -114,8 +114,8 @@ def score_density(score: Array, scores: ClassScores) -> Array:
 def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
     """Thresholds (R, K) at which the whole background gives ``pfa`` (R, K) (inverse of 3.33).
 
-    Bracketed in closed form: at max_m x_m(P) no class exceeds P; at the largest x_m(P / f_m) one class alone already
-    gives P.  Inside by Newton's steps, halved where they leave the bracket.
+    Bracketed in closed form: at max_m x_m(P) no class exceeds P; at the largest x_m(P / f_m) one class alone
+    already gives P.  Inside by Newton's steps, halved where they leave the bracket.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def _bracket(log_pfa: Array, scores: ClassScores) -> tuple[Array, Array]:
 
 
 def class_threshold(log_pfa: Array, scores: ClassScores, m: int) -> Array:
-    """x_m = theta_m - sigma_m Phi^-1(P_FA) (R, K): threshold at which class m alone gives ``log_pfa`` (R, K) (3.30).
+    """x_m = theta_m - sigma_m Phi^-1(P_FA) (R, K): threshold at which class m alone gives P_FA (R, K) (3.30).
 
     The printed form has the sign of Phi^-1 the other way round, which puts the threshold below the
     class mean for P_FA < 0.5.

@@ -207,9 +207,7 @@ def _moved_fills(base: Fill, columns: Mapping[str, npt.NDArray[Any]], n: int, th
         TargetSubject(name="fill", fill=_changed_fill(base, {k: plain(v[i]) for k, v in columns.items()}))
         for i in first
     ]
-    found = stacked_fills([make(s, thesis) for s in subjects], which)
-    return found if len(subjects) > 1 else Fills(*(np.broadcast_to(x, (n, x.shape[1])) for x in
-                                                 (found.values, found.weights)), found.shape)  # fmt: skip
+    return stacked_fills([make(s, thesis) for s in subjects], which)
 
 
 def _changed_fill(fill: Fill, changes: Mapping[str, Any]) -> Fill:
