@@ -23,7 +23,7 @@ def small_collection(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def own_atmosphere(monkeypatch: pytest.MonkeyPatch) -> None:
     """Predictions and simulations use the stand-in atmosphere."""
     monkeypatch.setenv("HYPERVAL_WORKERS", "1")  # a campaign in another process would not see the stand-in
-    monkeypatch.setattr("hyperval.predict.atmospheric_terms", stand_in_atmosphere)
+    monkeypatch.setattr("hyperval.prediction.cases.atmospheric_terms", stand_in_atmosphere)
     monkeypatch.setattr("hyperval.atmosphere.atmospheric_terms", stand_in_atmosphere)
 
 

@@ -31,8 +31,6 @@ MODULES = (
     "hyperval.processing.classification",
 )
 SOURCE = Path(__file__).parents[2] / "src" / "hyperval"
-# Replaced by the batch form of the model.
-AWAITING = {"ace_score", "class_by_class_roc", "predicted_roc", "target_score_moments"}
 FOLDER = Path(__file__).parents[2] / "validation" / "equations"
 EQUATION = re.compile(r"\b3\.([7-9]|[12]\d|3[0-3])\b")
 
@@ -97,7 +95,7 @@ def production() -> set[str]:
 
 def test_every_function_with_evidence_is_called_by_production():
     every = {name for module in MODULES for name in public_functions(module)}
-    assert sorted(every - production() - AWAITING) == []
+    assert sorted(every - production()) == []
 
 
 def test_every_equation_is_named_somewhere():

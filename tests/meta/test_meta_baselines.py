@@ -19,7 +19,7 @@ from hyperval.baseline.sensors import sensor_metrics
 from hyperval.baseline.store import DEFAULT_FOLDER, SENSORS, accepted_of
 from hyperval.campaign.one import Job, run_campaign
 from hyperval.campaign.schema import load_campaign
-from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, matched_filter_weights
+from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, matched_filter_weights, solved_filter
 from hyperval.results import Outcome
 from hyperval.scene.fill import fixed_fill
 from hyperval.sensor.specification import library_names, load_sensor
@@ -53,7 +53,7 @@ def sound_campaign(small_collection: Path, tmp_path_factory: pytest.TempPathFact
     folder = tmp_path_factory.mktemp("sound") / "small"
     shutil.copytree(small_collection, folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.predict.atmospheric_terms", stand_in_atmosphere)
+        patch.setattr("hyperval.prediction.cases.atmospheric_terms", stand_in_atmosphere)
         return accepted_of(campaign_numbers(SmallCampaign(folder)), {})
 
 
@@ -61,14 +61,19 @@ def wrong(accepted: Mapping[str, Accepted], now: Mapping[str, Measured]) -> list
     return [d for d in compare("it", accepted, now) if d.outcome is Outcome.DISAGREES]
 
 
+def _turned(right: LinearFilter) -> LinearFilter:
+    return LinearFilter(-right.weights, -right.offset, right.condition)
+
+
 def filter_sign(patch: Patch) -> None:
     """(3.22) with the background minus the target."""
 
-    def turned(*arguments, **named):
-        right = matched_filter_weights(*arguments, **named)
-        return LinearFilter(-right.weights, -right.offset, right.condition)
+    def turned(detector, *arguments, **named):
+        right = solved_filter(detector, *arguments, **named)
+        return _turned(right) if detector == "cem" else right
 
-    patch.setitem(LINEAR_DETECTORS, "cem", turned)
+    patch.setattr("hyperval.prediction.filters.solved_filter", turned)
+    patch.setitem(LINEAR_DETECTORS, "cem", lambda *a: _turned(matched_filter_weights(*a)))
 
 
 def width_as_sigma(patch: Patch) -> None:
@@ -117,9 +122,9 @@ def band_order(patch: Patch) -> None:
 
 def no_variance_of_fill(patch: Patch) -> None:
     """(3.12) without its Var(f) term."""
-    from hyperval.prediction.detection import moments
+    from hyperval.prediction.fills import moments
 
-    patch.setattr("hyperval.prediction.detection.moments", lambda p, t: fixed_fill(moments(p, t).mean))
+    patch.setattr("hyperval.prediction.fills.moments", lambda p, t: fixed_fill(moments(p, t).mean))
 
 
 def deviation_for_variance(patch: Patch) -> None:
@@ -134,7 +139,7 @@ def deviation_for_variance(patch: Patch) -> None:
 def aerosol(patch: Patch) -> None:
     """An aerosol optical depth of 0.25 in place of 0.2."""
     patch.setattr(
-        "hyperval.predict.atmospheric_terms",
+        "hyperval.prediction.cases.atmospheric_terms",
         lambda state, **k: stand_in_atmosphere(state.model_copy(update={"aot550": 1.25 * state.aot550})),
     )
 

@@ -61,8 +61,6 @@ METRICS = (
     Metric("greatest", "greatest value over the points of a study", _STUDY, unit=""),
     Metric("output", "value of an output of a study, the subject, at one point, the method", _STUDY, unit=""),
     Metric("knee", "where a curve of a study bends most", "study.knees.knee", unit=""),
-    Metric("greatest_relative_difference_from_predict",
-           "greatest relative difference between the evaluator of a study and predict", _STUDY, low=0.0),
     Metric("error_at_held_out_states", "relative error of interpolated atmospheric terms at states left out",
            _STUDY, low=0.0),
     # Accepted numbers.
