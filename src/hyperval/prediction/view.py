@@ -6,8 +6,10 @@ the same lines serve both.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -93,15 +95,16 @@ class View:
             classes = on_arrays(classes, lambda x: x[number if x.shape[0] == size else 0] if x.ndim == 3 else x)
         return replace(replace(self, classes=None, kappa=kappa)._changed(cut), classes=classes)
 
-    def _changed(self, cut: object) -> View:
+    def _changed(self, cut: Callable[[Any], Any]) -> View:
+        retrieval = self.retrieval
         return replace(
             self,
-            terms=None if self.terms is None else on_arrays(self.terms, cut),  # type: ignore[arg-type]
-            average=cut(self.average),  # type: ignore[operator]
-            noise=None if self.noise is None else on_arrays(self.noise, cut),  # type: ignore[arg-type]
-            kappa=cut(self.kappa) if isinstance(self.kappa, np.ndarray) else self.kappa,  # type: ignore[operator]
-            classes=None if self.classes is None else on_arrays(self.classes, cut),  # type: ignore[arg-type]
-            retrieval=None if self.retrieval is None else tuple(cut(x) for x in self.retrieval),  # type: ignore
+            terms=None if self.terms is None else on_arrays(self.terms, cut),
+            average=cut(self.average),
+            noise=None if self.noise is None else on_arrays(self.noise, cut),
+            kappa=cut(self.kappa) if isinstance(self.kappa, np.ndarray) else self.kappa,
+            classes=None if self.classes is None else on_arrays(self.classes, cut),
+            retrieval=None if retrieval is None else (cut(retrieval[0]), cut(retrieval[1])),
         )
 
     def level(self, reflectance: npt.ArrayLike) -> Array:

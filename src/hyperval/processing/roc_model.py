@@ -96,7 +96,7 @@ class RocScores:
     def sd(self) -> Array:
         """(n,) standard deviation of that score, the spread of the fill included."""
         away = self.means - self.mean[:, None]
-        return np.sqrt((self.weights * (self.sds**2 + away**2)).sum(axis=1))
+        return np.asarray(np.sqrt((self.weights * (self.sds**2 + away**2)).sum(axis=1)))
 
     def rows(self, index: Index) -> RocScores:
         """The evaluations that ``index`` names."""
@@ -151,7 +151,7 @@ class RocScores:
             above = (self.weights * ndtr((self.means - middle[:, None]) / sds)).sum(axis=1) > pd
             low, high = np.where(above, middle, low), np.where(above, high, middle)
         log_pfa, _ = log_false_alarm(0.5 * (low + high), self.classes.rows(self.which))
-        return np.minimum(log_pfa / np.log(10.0), 0.0)
+        return np.asarray(np.minimum(log_pfa / np.log(10.0), 0.0))
 
     def auc(self) -> Array:
         """Area under the ROC (n,): the probability that a target pixel outscores a background pixel.
