@@ -63,6 +63,16 @@ def test_every_detector_engine_and_formulation_has_its_rows_and_the_folder_repea
     assert ("small-planks", "cem/pixel", "pd@1e-2") in measured
     assert ("large-planks", "sam/object", "far@pd0.5") in measured
 
+    for name in ("matched-filter", "ace", "rx"):  # SPy beside ours
+        ours, peer = (
+            next(r for r in rows if (r["subject"], r["method"], r["metric"]) == ("large-planks", method, "auc"))
+            for method in (f"{name}/pixel", f"spy-{name}/pixel")
+        )
+        assert float(peer["value"]) == pytest.approx(float(ours["value"]), abs=1e-6)
+        assert peer["n"] == ours["n"]
+        order = next(r for r in rows if (r["method"], r["metric"]) == (f"spy-{name}/pixel", "rank_correlation"))
+        assert float(order["value"]) > 0.999999
+
     variants = {(r["method"], r["metric"]): r for r in rows if r["subject"] == "all subjects"}
     for label in ("sixs, corrected", "sixs, thesis"):
         assert variants[label, "radiance_median_abs_difference_ratio"]["outcome"] == "none"

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from skimage.exposure import adjust_gamma, rescale_intensity
+import spectral
+from skimage.exposure import adjust_gamma
 from skimage.util import img_as_ubyte
 
 from hyperval.imagery.cube import Cube
@@ -58,9 +59,8 @@ def quicklook(observed: Observed) -> Quicklook | None:
     elif cube.quantity == "radiance":
         picture = picture / np.array([irradiance for _, irradiance in COLOURS])
     high = max(float(np.nanpercentile(picture, 99.0)), np.finfo(float).tiny)
-    scaled = adjust_gamma(
-        rescale_intensity(np.nan_to_num(picture), in_range=(0.0, high), out_range=(0.0, 1.0)), GAMMA
-    )
+    colours = spectral.get_rgb(np.nan_to_num(picture), (0, 1, 2), bounds=[(0.0, high)] * 3)
+    scaled = adjust_gamma(np.clip(colours, 0.0, 1.0), GAMMA)
     size = observed.place.pixel_area_m2
     masks = {n: mask for n, mask in observed.place.regions.items() if n not in observed.place.by_rule}
     if observed.place.targets:

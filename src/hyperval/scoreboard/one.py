@@ -25,6 +25,7 @@ from hyperval.scoreboard.looks import (
     with_every_detector,
     with_own_detectors,
 )
+from hyperval.scoreboard.peers import peer_rows
 from hyperval.scoreboard.variants import variant_rows
 
 INTERNAL_ERROR = 4
@@ -102,6 +103,7 @@ def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | Non
 
     with collected(job, asked=ask, show_progress=show_progress) as held:
         rows = detector_rows(name, held.observed, chosen, seed=entry.seed, show_progress=show_progress)
+        rows += peer_rows(name, held.observed, chosen.campaign.detection, held.inputs.resolve)
         found, predictions = variant_rows(name, held, seed=entry.seed, show_progress=show_progress)
         record = record_of(
             held.inputs.log,

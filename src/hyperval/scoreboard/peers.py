@@ -1,0 +1,95 @@
+"""Peers of the benchmark: matched filter, ACE and RX of SPy on the same pixels, bands, spectra and background."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import spectral
+from scipy import stats
+
+from hyperval.collection import Detection
+from hyperval.compare.rows import RowMaker
+from hyperval.observe import Observed
+from hyperval.observe.subjects import scored_pixels, target_groups
+from hyperval.prediction.inputs import Sources
+from hyperval.processing.objects import values_on
+from hyperval.results import Result
+from hyperval.scoreboard.looks import EVERY_OBJECT, PRODUCT
+
+Array = npt.NDArray[np.float64]
+MOST_VALUES = 50_000_000  # of the image in the bands of the filters: SPy works on all of it in memory
+PEER = "spy"
+
+
+def _matched_filter(image: Array, target: Array, background: Any) -> Array:
+    return np.asarray(spectral.matched_filter(image, target, background=background), dtype=np.float64)
+
+
+def _ace(image: Array, target: Array, background: Any) -> Array:
+    return np.asarray(spectral.ace(image, target, background=background), dtype=np.float64)
+
+
+def _rx(image: Array, target: Array, background: Any) -> Array:
+    return np.asarray(spectral.rx(image, background=background), dtype=np.float64)
+
+
+# By the name of our own detector.
+PEERS: dict[str, Callable[[Array, Array, Any], Array]] = {"matched-filter": _matched_filter, "ace": _ace, "rx": _rx}
+
+
+def peer_rows(
+    campaign: str, observed: Observed, detection: Detection | None, resolve: Callable[[str], Path]
+) -> list[Result]:
+    """Area under the ROC by pixel of each subject and peer (``auc``), and how SPy's scores follow ours.
+
+    ``rank_correlation`` is Spearman's between its map and ours over all pixels that both score: 1 where both put
+    them into the same order.  One SKIPPED row where the image is too large to be taken into memory.
+    """
+    place, detected = observed.place, observed.detected
+    if detection is None or place is None or detected is None:
+        return []
+    cube, bands = place.cube, np.flatnonzero(detected.bands)
+    if cube.lines * cube.samples * bands.size > MOST_VALUES:
+        why = f"SPy holds the image in memory, and it has more than {MOST_VALUES:.0e} values"
+        return [RowMaker(campaign, PRODUCT, EVERY_OBJECT, PEER).skipped(why, "auc")]
+    image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
+    if observed.elm is not None:
+        image = (image - observed.elm.offset[bands]) / observed.elm.gain[bands]
+    valid = np.isfinite(image).all(axis=-1)
+    background = spectral.calc_stats(image, mask=(place.background(detection.background) & valid).astype(np.int8))
+    image[~valid] = background.mean
+    alarms = place.background(detection.false_alarms) & valid
+    sources = Sources(cube.axis, {}, resolve)
+    rows = []
+    for target in detection.targets:
+        spectrum = sources.spectrum(target.spectrum, target.name).mean[bands]
+        groups = target_groups(place.targets, target, detection.group)
+        for name, peer in PEERS.items():
+            scores = peer(image, spectrum, background)
+            scores[~valid] = np.nan
+            for subject, members in groups.items():
+                pixels = np.concatenate([values_on(scores, scored_pixels(o, place)) for o in members])
+                make = RowMaker(campaign, PRODUCT, subject, f"{PEER}-{name}/pixel")
+                rows += _subject_rows(make, pixels[np.isfinite(pixels)], scores[alarms])
+            own = detected.score_maps.get(name if name == "rx" else f"{target.name}-{name}")
+            if own is not None:
+                make = RowMaker(campaign, PRODUCT, target.name, f"{PEER}-{name}/pixel")
+                both = np.isfinite(own) & np.isfinite(scores)
+                value = float(stats.spearmanr(own[both], scores[both]).statistic)
+                rows.append(make.row("rank_correlation", value, n=int(both.sum()), reason=_version()))
+    return rows
+
+
+def _subject_rows(make: RowMaker, pixels: Array, noise: Array) -> list[Result]:
+    if not pixels.size or not noise.size:
+        return [make.skipped("no valid pixel on the targets, or none of the background", "auc")]
+    share = stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
+    return [make.row("auc", float(share), n=int(pixels.size), reason=_version())]
+
+
+def _version() -> str:
+    return f"a peer: SPy {spectral.__version__}, same bands, spectra and background"
