@@ -70,7 +70,9 @@ def test_every_detector_engine_and_formulation_has_its_rows_and_the_folder_repea
         )
         assert float(peer["value"]) == pytest.approx(float(ours["value"]), abs=1e-6)
         assert peer["n"] == ours["n"]
-        order = next(r for r in rows if (r["method"], r["metric"]) == (f"spy-{name}/pixel", "rank_correlation"))
+        order = next(
+            r for r in rows if (r["method"], r["metric"]) == (f"spy-{name}/pixel", "score_rank_correlation")
+        )
         assert float(order["value"]) > 0.999999
 
     variants = {(r["method"], r["metric"]): r for r in rows if r["subject"] == "all subjects"}

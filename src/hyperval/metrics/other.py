@@ -46,6 +46,8 @@ METRICS = (
            low=1.0, better="low", interval="bootstrap of objects and blocks", evidence=_PIPELINE),
     Metric("first_*", "share of draws in which a detector is first by one metric", _RANKS, low=0.0, high=1.0,
            better="high", evidence=_PIPELINE),
+    Metric("score_rank_correlation", "Spearman's correlation of a peer's score map with ours",
+           "scoreboard.peers.peer_rows", low=-1.0, high=1.0, better="high", evidence=_PIPELINE),
     Metric("*_median_abs_difference_ratio", "median over bands and subjects of |predicted − collected| / collected",
            "scoreboard.agreement.median_abs", low=0.0, agreement=0.0, better="low", tolerance=_RATIO,
            interval="bootstrap of subjects and blocks of bands"),

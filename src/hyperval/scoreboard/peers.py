@@ -17,7 +17,7 @@ from hyperval.observe import Observed
 from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.objects import values_on
-from hyperval.results import Result
+from hyperval.results import Cause, Result
 from hyperval.scoreboard.looks import EVERY_OBJECT, PRODUCT
 
 Array = npt.NDArray[np.float64]
@@ -46,8 +46,8 @@ def peer_rows(
 ) -> list[Result]:
     """Area under the ROC by pixel of each subject and peer (``auc``), and how SPy's scores follow ours.
 
-    ``rank_correlation`` is Spearman's between its map and ours over all pixels that both score: 1 where both put
-    them into the same order.  One SKIPPED row where the image is too large to be taken into memory.
+    ``score_rank_correlation`` is Spearman's between its map and ours over all pixels that both score: 1 where
+    both put them into the same order.  One SKIPPED row where the image is too large to be taken into memory.
     """
     place, detected = observed.place, observed.detected
     if detection is None or place is None or detected is None:
@@ -55,7 +55,7 @@ def peer_rows(
     cube, bands = place.cube, np.flatnonzero(detected.bands)
     if cube.lines * cube.samples * bands.size > MOST_VALUES:
         why = f"SPy holds the image in memory, and it has more than {MOST_VALUES:.0e} values"
-        return [RowMaker(campaign, PRODUCT, EVERY_OBJECT, PEER).skipped(why, "auc")]
+        return [RowMaker(campaign, PRODUCT, EVERY_OBJECT, PEER).skipped(Cause.REFUSED, why, "auc")]
     image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
     if observed.elm is not None:
         image = (image - observed.elm.offset[bands]) / observed.elm.gain[bands]
@@ -80,13 +80,13 @@ def peer_rows(
                 make = RowMaker(campaign, PRODUCT, target.name, f"{PEER}-{name}/pixel")
                 both = np.isfinite(own) & np.isfinite(scores)
                 value = float(stats.spearmanr(own[both], scores[both]).statistic)
-                rows.append(make.row("rank_correlation", value, n=int(both.sum()), reason=_version()))
+                rows.append(make.row("score_rank_correlation", value, n=int(both.sum()), reason=_version()))
     return rows
 
 
 def _subject_rows(make: RowMaker, pixels: Array, noise: Array) -> list[Result]:
     if not pixels.size or not noise.size:
-        return [make.skipped("no valid pixel on the targets, or none of the background", "auc")]
+        return [make.skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")]
     share = stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
     return [make.row("auc", float(share), n=int(pixels.size), reason=_version())]
 
