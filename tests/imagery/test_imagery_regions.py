@@ -19,12 +19,12 @@ from scipy import ndimage
 
 from hyperval.errors import HypervalError, InputError, UsageError
 from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.polygons import polygon_mask
 from hyperval.imagery.regions import (
     Region,
     guard,
     objects,
     overlaps,
-    polygon_region,
     read_regions,
     rectangle_region,
 )
@@ -171,10 +171,10 @@ def test_every_format_gives_the_same_region(tmp_path: Path, kind: str):
 
 def test_pixel_centre_rule():
     # From 2.4 to 5.6 the centres 2.5, 3.5, 4.5, 5.5 lie inside; from 2.6 to 5.4 only 3.5 and 4.5.
-    wide = polygon_region("w", [(2.4, 0), (5.6, 0), (5.6, 1), (2.4, 1)], SHAPE)
-    narrow = polygon_region("n", [(2.6, 0), (5.4, 0), (5.4, 1), (2.6, 1)], SHAPE)
-    assert np.flatnonzero(wide.mask[0]).tolist() == [2, 3, 4, 5]
-    assert np.flatnonzero(narrow.mask[0]).tolist() == [3, 4]
+    wide = polygon_mask([(2.4, 0), (5.6, 0), (5.6, 1), (2.4, 1)], SHAPE, where="w")
+    narrow = polygon_mask([(2.6, 0), (5.4, 0), (5.4, 1), (2.6, 1)], SHAPE, where="n")
+    assert np.flatnonzero(wide[0]).tolist() == [2, 3, 4, 5]
+    assert np.flatnonzero(narrow[0]).tolist() == [3, 4]
 
 
 @given(
@@ -191,7 +191,7 @@ def test_triangles_hold_the_centres_on_the_inner_side_of_their_edges(points):
     low, high = np.min(sides, axis=0), np.max(sides, axis=0)
     inside, outside = (low > 1e-6) | (high < -1e-6), (low < -1e-6) & (high > 1e-6)
     try:
-        mask = polygon_region("t", points, SHAPE).mask
+        mask = polygon_mask(points, SHAPE, where="t")
     except InputError:
         mask = np.zeros(SHAPE, bool)
     assert np.all(mask[inside])
@@ -202,7 +202,7 @@ def test_holes_and_united_features(tmp_path: Path):
     hole = [(3.0, 4.0), (5.0, 4.0), (5.0, 6.0), (3.0, 6.0)]
     mask = expected()
     mask[4:6, 3:5] = False
-    assert np.array_equal(polygon_region("h", SQUARE, SHAPE, holes=[hole]).mask, mask)
+    assert np.array_equal(polygon_mask(SQUARE, SHAPE, [hole], where="h"), mask)
     path = tmp_path / "h.xml"
     path.write_text(xml(f"<Polygon>{ring(SQUARE)}{ring(hole, 'Interior')}</Polygon>"))
     assert np.array_equal(read_regions(path, SHAPE)["grass"].mask, mask)
@@ -230,7 +230,7 @@ def test_duplicate_points_count_once_and_a_single_pixel_is_a_region(tmp_path: Pa
 
 
 def test_self_crossing_polygon_follows_the_even_odd_rule():
-    bow = polygon_region("bow", [(1, 1), (9, 9), (9, 1), (1, 9)], SHAPE).mask
+    bow = polygon_mask([(1, 1), (9, 9), (9, 1), (1, 9)], SHAPE, where="bow")
     # Centres above and below the crossing lie between the two loops, those beside it inside one.
     assert not bow[2, 4]
     assert not bow[7, 4]
@@ -272,7 +272,7 @@ def test_bands_of_a_mask_cube_are_regions(tmp_path: Path):
 )
 def test_bad_polygons(points, message: str):
     with pytest.raises(InputError, match=message):
-        polygon_region("p", points, SHAPE)
+        polygon_mask(points, SHAPE, where="p")
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from hyperval.errors import InputError, UsageError
 from hyperval.imagery import regions_envi, regions_files, regions_vector
 from hyperval.imagery.drawing import WARNING, Drawing
 from hyperval.imagery.envi_raster import header_beside
-from hyperval.imagery.polygons import Position, polygon_mask
+from hyperval.imagery.polygons import Position
 from hyperval.imagery.tiff_raster import TIFF_SUFFIXES
 from hyperval.paths import checked_file
 
@@ -152,13 +152,6 @@ def _region(name: str, made: Mask | Drawing, source: str, touched: bool) -> Regi
         return Region(name, made, source)
     made.check(f"{source}: region {name!r}")
     return Region(name, made.touched if touched else made.mask, source, made.notes())
-
-
-def polygon_region(
-    name: str, vertices: npt.ArrayLike, shape: tuple[int, int], *, holes: Sequence[npt.ArrayLike] = ()
-) -> Region:
-    """Region of a polygon (n, 2) of (sample, line) vertices in continuous pixel coordinates."""
-    return Region(name, polygon_mask(vertices, shape, holes, where=f"region {name!r}"), "inline")
 
 
 def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int], shape: tuple[int, int]) -> Region:
