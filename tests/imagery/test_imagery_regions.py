@@ -272,7 +272,7 @@ def test_bands_of_a_mask_cube_are_regions(tmp_path: Path):
 )
 def test_bad_polygons(points, message: str):
     with pytest.raises(InputError, match=message):
-        polygon_mask(points, SHAPE, where="p")
+        Region("p", polygon_mask(points, SHAPE, where="p"), "inline")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,241 @@
+"""What the verbs give: the products, rows and tables of the package with a short ``repr`` and the usual views."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from hyperval import products
+from hyperval.api.plots import ImagePlot, ResultsPlot, SidesPlot, TablePlot
+from hyperval.campaign.one_side import product_rows
+from hyperval.imagery.cube import open_cube
+from hyperval.imagery.interchange import cube_to_xarray
+from hyperval.metrics import Metric
+from hyperval.report.netcdf import dataset
+from hyperval.results import ResultTable
+from hyperval.simulate.collection import SimulatedCollection
+from hyperval.units import RADIANCE_UNIT
+
+_WIDTH = 100
+_LINES = 9
+
+
+def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
+    """A head and a line for each fact that there is, ten lines at most."""
+    lines = [f"<{head}>"]
+    for name, values in facts.items():
+        words = ", ".join(map(str, values))
+        if words:
+            lines.append(textwrap.shorten(f"  {name}: {words}", _WIDTH, placeholder=" ..."))
+            lines[-1] = "  " + lines[-1].lstrip()
+    if len(lines) > _LINES + 1:
+        lines = [*lines[:_LINES], "  ..."]
+    return "\n".join(lines)
+
+
+class _Side:
+    """Views of one side of a comparison."""
+
+    def __repr__(self: Any) -> str:
+        """Bands, and what there is of each product."""
+        nm = self.axis.centre_nm
+        facts: dict[str, Iterable[object]] = {
+            name: sorted({key if isinstance(key, str) else "/".join(key) for key in getattr(self, name)})
+            for name in ("radiance", "snr", "reflectance", "scores", "roc", "abundance", "classification")
+        }
+        return _card(f"{type(self).__name__} of {nm.size} bands, {nm[0]:.0f}-{nm[-1]:.0f} nm", facts)
+
+    def to_xarray(self: Any) -> xr.Dataset:
+        """Spectra, covariances, noise and curves as the group of ``products.nc`` has them."""
+        return dataset(self)
+
+    def to_dataframe(self: Any) -> pd.DataFrame:
+        """Spectra by band, score moments, P_D at decades of P_FA and areas: a row each, as in ``results.csv``."""
+        return ResultTable(product_rows("", self, type(self).__name__.lower())).frame()
+
+    @property
+    def plot(self: Any) -> SidesPlot:
+        """``plot.spectra()``, ``plot.roc()``; ``plot()`` draws what there is."""
+        return SidesPlot({type(self).__name__.lower(): self.to_xarray()})
+
+
+class Prediction(_Side, products.Prediction):
+    """The products as the model gives them."""
+
+
+class Observation(_Side, products.Observation):
+    """The products as the collection gives them."""
+
+
+class Results(ResultTable):
+    """Rows of results."""
+
+    def __repr__(self) -> str:
+        """Number of rows by product and by outcome."""
+        frame = self.frame()
+        counts = {
+            name: [f"{n} {value}" for value, n in frame[name].value_counts(sort=False).items()]
+            for name in ("product", "outcome", "cause")
+        }
+        return _card(f"Results of {len(frame)} rows", {"campaigns": frame["campaign"].unique(), **counts})
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The rows in the columns of ``results.csv``."""
+        return self.frame()
+
+    def to_xarray(self) -> xr.Dataset:
+        """The columns as variables over the rows."""
+        return xr.Dataset.from_dataframe(self.frame().rename_axis("row"))
+
+    @property
+    def plot(self) -> ResultsPlot:
+        """``plot()`` draws the rows that were judged, with their intervals and limits."""
+        return ResultsPlot(self.frame())
+
+
+@dataclass(frozen=True, repr=False)
+class Run:
+    """A campaign that was run, now or earlier.
+
+    Attributes
+    ----------
+    name : of the campaign
+    results : every planned comparison, a row each
+    sides : "predicted" and "observed" as datasets
+    provenance : inputs, versions, command
+    notes : assumptions, what was left out
+    prediction, observation : the sides as objects; None for a run that was opened
+    """
+
+    name: str
+    results: Results
+    sides: Mapping[str, xr.Dataset]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    prediction: Prediction | None = None
+    observation: Observation | None = None
+
+    def __repr__(self) -> str:
+        """The campaign, and its rows by outcome."""
+        counts = self.results.frame()["outcome"].value_counts(sort=False)
+        facts: dict[str, Iterable[object]] = {
+            "rows": [f"{n} {value}" for value, n in counts.items()],
+            "sides": list(self.sides),
+        }
+        for name, data in self.sides.items():
+            subjects = data.get("radiance_subject", data.get("reflectance_subject"))
+            facts[name] = [] if subjects is None else subjects.to_numpy().tolist()
+        return _card(f"Run of {self.name}", facts)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The rows in the columns of ``results.csv``."""
+        return self.results.to_dataframe()
+
+    def to_xarray(self) -> xr.DataTree:
+        """Both sides as the groups of ``products.nc``."""
+        return xr.DataTree.from_dict(dict(self.sides), name=self.name)
+
+    @property
+    def plot(self) -> SidesPlot:
+        """``plot.spectra()``, ``plot.roc()`` of both sides; ``results.plot()`` draws what was judged."""
+        return SidesPlot(self.sides)
+
+
+@dataclass(frozen=True, repr=False)
+class Study:
+    """A study that was evaluated, now or earlier.
+
+    Attributes
+    ----------
+    table : inputs and outputs over the points
+    results : sensitivities, knees and answers, a row each
+    provenance : inputs, versions, command
+    """
+
+    table: xr.Dataset
+    results: Results
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Number of points and the range of each column."""
+        facts = {}
+        for name, column in self.table.items():
+            if column.dtype.kind == "f":
+                unit = column.attrs.get("units", "")
+                facts[str(name)] = [f"{np.nanmin(column):.4g} to {np.nanmax(column):.4g} {unit}"]
+            else:
+                facts[str(name)] = sorted(set(map(str, column.to_numpy())))
+        return _card(f"Study of {self.table.sizes['point']} points", facts)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """A row for each point."""
+        return self.table.to_dataframe()
+
+    def to_xarray(self) -> xr.Dataset:
+        """The columns as variables over the points."""
+        return self.table
+
+    @property
+    def plot(self) -> TablePlot:
+        """``plot(x, y)`` draws one column against another; by default the last against the first."""
+        return TablePlot(self.table)
+
+
+class Collection(SimulatedCollection):
+    """A simulated collection on disk."""
+
+    def __repr__(self) -> str:
+        """Where it is, and its files."""
+        cube = open_cube(self.cube, quantity="radiance", unit=RADIANCE_UNIT)
+        paths = [getattr(self, f.name) for f in fields(self)]
+        files = [path.name for path in paths if isinstance(path, Path) and path != self.folder]
+        size = f"{cube.lines} lines, {cube.samples} samples, {cube.bands} bands"
+        return _card(f"Collection of {size}", {"folder": [self.folder], "files": files})
+
+    def to_xarray(self) -> xr.Dataset:
+        """The cube, read where it is asked for: radiance over lines, samples and bands."""
+        return xr.Dataset(
+            {"radiance": cube_to_xarray(open_cube(self.cube, quantity="radiance", unit=RADIANCE_UNIT))}
+        )
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The list of targets."""
+        return pd.read_csv(self.targets)
+
+    @property
+    def plot(self) -> ImagePlot:
+        """``plot()`` shows the cube near 660, 550 and 470 nm."""
+        return ImagePlot(self.to_xarray())
+
+
+@dataclass(frozen=True, repr=False)
+class Metrics:
+    """The table of metrics.
+
+    Attributes
+    ----------
+    rows : name -> metric
+    """
+
+    rows: Mapping[str, Metric]
+
+    def __repr__(self) -> str:
+        """Number of metrics by kind."""
+        kinds = self.to_dataframe()["kind"].value_counts(sort=False)
+        return _card(f"Metrics: {len(self.rows)}", {"kinds": [f"{n} {kind}" for kind, n in kinds.items()]})
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """A row for each metric, by name."""
+        names = [f.name for f in fields(Metric) if f.name not in ("tolerance", "usual")]
+        return pd.DataFrame([{n: getattr(m, n) for n in names} for m in self.rows.values()]).set_index("name")
+
+    def to_xarray(self) -> xr.Dataset:
+        """The columns as variables over the names."""
+        return xr.Dataset.from_dataframe(self.to_dataframe())

@@ -1,0 +1,247 @@
+"""What the API does: each verb takes paths or objects and gives an object of :mod:`hyperval.api.objects`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
+
+import xarray as xr
+
+from hyperval import metrics as metrics_table
+from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Run, Study
+from hyperval.baseline.check import check as check_numbers
+from hyperval.baseline.store import DEFAULT_FOLDER
+from hyperval.campaign.one import Job, collected, jobs_of, run_campaign
+from hyperval.campaign.schema import load_campaign as read_campaign
+from hyperval.compare import compare_products
+from hyperval.errors import InputError
+from hyperval.folders import whole_folder
+from hyperval.predict import predict as predict_scenario
+from hyperval.products import Products
+from hyperval.report.netcdf import dataset
+from hyperval.report.outputs import write_outputs
+from hyperval.report.stored import read_run
+from hyperval.scenario import Scenario, load_scenario
+from hyperval.simulate import simulate as simulate_scene
+from hyperval.simulate.schema import SceneFile
+from hyperval.study.run import study_to_folder
+
+__all__ = [
+    "check", "compare", "load_campaign", "load_scenario", "metrics", "observe", "open", "predict", "simulate",
+    "study", "validate",
+]  # fmt: skip
+Side = TypeVar("Side", Prediction, Observation)
+
+
+def load_campaign(path: Path | str) -> Job:
+    """Read and check a campaign file of one run; its parts are below ``campaign``.
+
+    >>> load_campaign("campaign.yaml").campaign.name
+    'small'
+
+    Raises
+    ------
+    InputError, UsageError : of the file.
+    """
+    return Job(read_campaign(Path(path)), Path(path))
+
+
+def predict(scenario: Scenario | Path | str, **options: Any) -> Prediction:
+    """What the model says of a scenario, a scenario file or a built-in name.
+
+    >>> predict("scenario.yaml").radiance["grey-panel-35"].mean.shape
+    (16,)
+
+    Parameters
+    ----------
+    options : of :func:`hyperval.predict.predict`
+
+    Raises
+    ------
+    InputError, UsageError, EngineError : of the scenario.
+    """
+    known = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario))
+    return _side(Prediction, predict_scenario(known, **options))
+
+
+def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) -> Observation:
+    """What the collection of a campaign says.
+
+    >>> sorted(observe("campaign.yaml").reflectance)[:3]
+    ['black-panel', 'court', 'field']
+
+    Raises
+    ------
+    InputError, UsageError : of the campaign; MissingDataError where its data are not at hand.
+    """
+    with collected(_job(campaign), show_progress=show_progress) as found:
+        return _side(Observation, found.observed.observation)
+
+
+def compare(
+    prediction: Products | Scenario | Path | str,
+    observation: Products | Job | Path | str,
+    *,
+    name: str = "comparison",
+    method: str = "model",
+) -> Results:
+    """Compare two sides on the same bands: a row for each metric of each product, none of which gates.
+
+    A scenario is predicted on the bands of the observation, a campaign is observed.
+
+    >>> rows = compare("scenario.yaml", "campaign.yaml")
+    >>> rows.to_dataframe()["product"].unique().tolist()[:2]
+    ['radiance', 'snr']
+
+    Raises
+    ------
+    UsageError : the two sides are not on the same bands.
+    """
+    measured = observation if isinstance(observation, Products) else observe(observation)
+    known = prediction if isinstance(prediction, Products) else predict(prediction, axis=measured.axis)
+    return Results(compare_products(known, measured, campaign=name, method=method))
+
+
+def validate(
+    campaign: Job | Path | str, *, output: Path | str | None = None, show_progress: bool | None = None
+) -> Run:
+    """Predict, observe and compare a campaign of one run; with ``output`` the folder of results is written, too.
+
+    >>> run = validate("campaign.yaml")
+    >>> run.results.exit_code()
+    0
+    >>> run.prediction.axis.centre_nm.size
+    16
+
+    Raises
+    ------
+    InputError, UsageError, EngineError : of the campaign.  Data that are not at hand make its rows SKIPPED.
+    """
+    report = run_campaign(_job(campaign), show_progress=show_progress)
+    if output is not None:
+        with whole_folder(Path(output)) as folder:
+            write_outputs(report, folder)
+    sides = {"predicted": report.prediction, "observed": report.observation}
+    return Run(
+        name=report.campaign,
+        results=Results(report.table),
+        sides={name: dataset(products) for name, products in sides.items() if products is not None},
+        provenance=report.provenance,
+        notes=tuple(report.notes),
+        prediction=None if report.prediction is None else _side(Prediction, report.prediction),
+        observation=None if report.observation is None else _side(Observation, report.observation),
+    )
+
+
+def study(path: Path | str, *, output: Path | str | None = None, show_progress: bool | None = None) -> Study:
+    """Evaluate a study file; without ``output`` nothing is kept on disk.
+
+    >>> table = study("study.yaml").to_dataframe()
+    >>> table.columns.tolist()
+    ['fill', 'pd']
+
+    Raises
+    ------
+    UsageError, InputError, EngineError : of the study or its scenario.
+    """
+    with TemporaryDirectory(prefix="hyperval-study-") as scratch:
+        folder = Path(scratch) / "study" if output is None else Path(output)
+        study_to_folder(Path(path), folder, show_progress=show_progress)
+        return _study(folder)
+
+
+def check(
+    campaigns: Path | str | Iterable[Path | str] = (),
+    sensors: str | Iterable[str] = (),
+    *,
+    baselines: Path | str = DEFAULT_FOLDER,
+    show_progress: bool | None = None,
+) -> Results:
+    """Compare campaigns and sensors with the accepted numbers; ``exit_code()`` of the rows is that of the command.
+
+    >>> check(sensors="prospectir-vs", baselines="nothing-accepted").exit_code()
+    1
+
+    Raises
+    ------
+    UsageError, InputError : of the campaigns, sensors or baselines.
+    """
+    files = [campaigns] if isinstance(campaigns, Path | str) else list(campaigns)
+    names = [sensors] if isinstance(sensors, str) else list(sensors)
+    found = check_numbers([Path(f) for f in files], names, baselines=Path(baselines), show_progress=show_progress)
+    return Results(found.table)
+
+
+def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress: bool | None = None) -> Collection:
+    """Write a simulated collection with its truth into a folder.
+
+    >>> simulate("scene.yaml", "simulated").cube.name
+    'small_rad.img'
+
+    Raises
+    ------
+    UsageError, InputError, EngineError : of the scene.
+    """
+    known = scene if isinstance(scene, SceneFile) else Path(scene)
+    made = simulate_scene(known, Path(output), show_progress=show_progress)
+    return Collection(**{f.name: getattr(made, f.name) for f in fields(made)})
+
+
+def open(folder: Path | str) -> Run | Study:
+    """A folder of results of an earlier run, or of a study.
+
+    >>> run = validate("campaign.yaml", output="results")
+    >>> open("results").results.to_dataframe().shape == run.results.to_dataframe().shape
+    True
+
+    Raises
+    ------
+    InputError : no folder of results.
+    """
+    folder = Path(folder)
+    if (folder / "table.nc").is_file():
+        return _study(folder)
+    stored = read_run(folder)
+    products = folder / "products.nc"
+    sides: dict[str, xr.Dataset] = {}
+    if products.is_file():
+        try:
+            with xr.open_datatree(products, engine="h5netcdf") as tree:
+                sides = {name: node.load().to_dataset() for name, node in tree.children.items()}
+        except (OSError, ValueError) as error:
+            raise InputError(f"cannot be read: {error}", where=str(products)) from error
+    name = next((row.campaign for row in stored.table), folder.name)
+    return Run(name=name, results=Results(stored.table), sides=sides, provenance=stored.provenance)
+
+
+def metrics() -> Metrics:
+    """Every metric of the results: unit, range, direction, formula.
+
+    >>> metrics().to_dataframe().loc["bias_ratio", "unit"]
+    '1'
+    """
+    return Metrics(metrics_table.table())
+
+
+def _job(campaign: Job | Path | str) -> Any:
+    """The campaign as it is, or that of a file of one run."""
+    if isinstance(campaign, Job):
+        return campaign
+    jobs = jobs_of(Path(campaign))
+    return jobs[0] if len(jobs) == 1 else load_campaign(campaign)  # which says what is wrong with several
+
+
+def _side(kind: type[Side], products: Products) -> Side:
+    return kind(**{f.name: getattr(products, f.name) for f in fields(products)})
+
+
+def _study(folder: Path) -> Study:
+    with xr.open_dataset(folder / "table.nc", engine="h5netcdf") as data:
+        table = data.load()
+    stored = read_run(folder)
+    provenance = json.loads((folder / "provenance.json").read_text("utf-8"))
+    return Study(table=table, results=Results(stored.table), provenance=provenance)
