@@ -27,6 +27,7 @@ from hyperval.prediction.object_scores import predicted_object_scores
 from hyperval.prediction.setup import Setup
 from hyperval.prediction.spectra import spectral_products, without_calibration_error
 from hyperval.prediction.uncertainty import (
+    Change,
     Moved,
     Steps,
     moved_predictions,
@@ -181,7 +182,7 @@ def spectrum_errors(setup: Setup) -> dict[str, Array]:
 
 def _prediction(
     case: Case, steps: Steps, objects: bool | int, object_curves: bool
-) -> tuple[Prediction, dict[RocKey, list[Array]]]:
+) -> tuple[Prediction, dict[RocKey, list[Change]]]:
     """A case with the errors of its spectra by light and sensor.
 
     The second part are the changes of probit P_D by one standard uncertainty of each input of light and sensor, and
@@ -209,14 +210,14 @@ def _with_objects(
     return replace(detection, object_scores=scores)
 
 
-def _changes(detection: Detection, pairs: int) -> dict[RocKey, list[Array]]:
+def _changes(detection: Detection, pairs: int) -> dict[RocKey, list[Change]]:
     """Changes of probit P_D by one standard uncertainty, from evaluations in the order of :func:`_prediction`."""
     out = {}
     for key, curves in detection.curves.items():
         z = probit(curves)
-        found = [0.5 * (z[1 + k] - z[1 + pairs + k]) for k in range(pairs)]
+        found = [(z[1 + k] - z[0], z[1 + pairs + k] - z[0]) for k in range(pairs)]
         if len(z) > 1 + 2 * pairs:
-            found.append(0.5 * (z[-2] - z[-1]))
+            found.append((z[-2] - z[0], z[-1] - z[0]))
         out[key] = found
     return out
 
@@ -264,17 +265,18 @@ def _of_classes(found: Prediction, given: Given, again: Again) -> list[Moved]:
 
 
 def _with_moves(
-    found: Prediction, changes: Mapping[RocKey, list[Array]], moves: Sequence[Moved], of_classes: Sequence[Moved]
+    found: Prediction, changes: Mapping[RocKey, list[Change]], moves: Sequence[Moved], of_classes: Sequence[Moved]
 ) -> Prediction:
     """The prediction with the errors by inputs that change surfaces, fills or bands, and limits of its curves."""
     spectra: dict[str, Any] = {p: dict(getattr(found, p)) for p in ("radiance", "snr", "reflectance")}
     for product, estimates in spectra.items():
         with_moves(estimates, product, moves)
     pairs = [*moves, *of_classes]
-    whole = {
-        key: [*changes[key], *(0.5 * (probit(m.plus.roc[key].pd) - probit(m.minus.roc[key].pd)) for m in pairs)]
-        for key in found.roc
-    }
+    whole = {}
+    for key, curve in found.roc.items():
+        z = probit(curve.pd)
+        moved = [(probit(m.plus.roc[key].pd) - z, probit(m.minus.roc[key].pd) - z) for m in pairs]
+        whole[key] = [*changes[key], *moved]
     return replace(found, **spectra, roc=with_bands(found.roc, whole))
 
 

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
 
 from hyperval.prediction.budget import ENGINE, ENGINE_LINES, ENGINE_PATH, gas_depth
 from hyperval.prediction.cases import Case, Origins, settings_of, stepped
@@ -23,9 +24,10 @@ from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 RocKey = tuple[str, str, str]
+Change = tuple[Array, Array]  # by one standard uncertainty up, and down
 Z95 = 1.959963984540054
 TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
-_CURVES = 2000  # drawn for the limits of a ROC curve
+_CURVES = 2048  # drawn for the limits of a ROC curve
 MOST_DIRECTIONS = 24  # of one input over wavelength; the rest of a short correlation length moves little
 
 
@@ -193,44 +195,41 @@ def _nothing(bands: int) -> Array:
     return zero
 
 
-def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Array]]) -> dict[RocKey, RocCurve]:
+def with_bands(
+    roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Change]]
+) -> dict[RocKey, RocCurve]:
     """The curves with 95 % intervals of P_D from drawn curves.
 
-    Each draw moves a whole curve, in probit, along all directions of all inputs at once; as a ROC curve rises with
-    P_FA, so does each of the draws, and with them the limits: where an input moves much of a curve down, what lay
-    higher at a lower P_FA holds it up.
+    Each draw moves a whole curve along all directions of all inputs at once: by as many times the change that one
+    standard uncertainty up or down makes of it, in probit.  A ROC curve rises with P_FA; a draw that does not,
+    being extrapolated, is put in rising order, which brings it nearer to any curve that rises (Chernozhukov,
+    Fernandez-Val & Galichon, Biometrika 96, 559, 2009), and so are the limits.
 
     Parameters
     ----------
-    changes : key -> for each direction the change (K,) of probit P_D by one standard uncertainty
+    changes : key -> for each direction the changes (K,) of probit P_D by one standard uncertainty up and down
     """
-    return {key: _with_limits(curve, np.array(changes.get(key, ()))) for key, curve in roc.items()}
+    return {key: _with_limits(curve, changes.get(key, ())) for key, curve in roc.items()}
 
 
-def _with_limits(curve: RocCurve, changes: Array) -> RocCurve:
-    if not changes.size or not np.any(changes):
+def _with_limits(curve: RocCurve, changes: Sequence[Change]) -> RocCurve:
+    if not any(np.any(part) for pair in changes for part in pair):
         return curve
-    z, half = probit(curve.pd), Z95 * np.sqrt((changes**2).sum(axis=0))
-    moved = z + _normal_draws(changes.shape[0]) @ changes
-    rising = np.maximum.accumulate(moved, axis=1)
-    lower, upper = z - half, z + half
-    if not np.array_equal(rising, moved):
-        # The limits of plain draws are known in closed form; the draws say by how much rising moves them.
-        (low, high), (plain_low, plain_high) = (np.quantile(x, [0.025, 0.975], axis=0) for x in (rising, moved))
-        lower, upper = lower + (low - plain_low), upper + (high - plain_high)
-    lower, upper = np.minimum(ndtr(lower), curve.pd), np.maximum(ndtr(upper), curve.pd)
-    return replace(
-        curve,
-        pd_lower=np.minimum.accumulate(lower[::-1])[::-1],
-        pd_upper=np.maximum.accumulate(upper),
-    )
+    up, down = (np.array([pair[i] for pair in changes]) for i in (0, 1))
+    c = _normal_draws(len(changes))
+    z, even = probit(curve.pd), 0.5 * (up - down)
+    drawn = np.sort(z + np.maximum(c, 0.0) @ up + np.maximum(-c, 0.0) @ down, axis=1)
+    # The even part has its limits in closed form: the draws say by how much the whole differs from it.
+    half, plain = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
+    (low, high), (even_low, even_high) = (np.quantile(x, [0.025, 0.975], axis=0) for x in (drawn, plain))
+    low, high = (ndtr(np.sort(x)) for x in (low - even_low + z - half, high - even_high + z + half))
+    return replace(curve, pd_lower=np.minimum(low, curve.pd), pd_upper=np.maximum(high, curve.pd))
 
 
 @lru_cache(maxsize=8)
 def _normal_draws(directions: int) -> Array:
-    """(N, directions) standard normal numbers in pairs of opposite sign, the same for all curves."""
-    half = np.random.default_rng(12).standard_normal((_CURVES // 2, directions))
-    found = np.concatenate([half, -half])
+    """(N, directions) standard normal numbers, evenly spread (Sobol, scrambled), the same for all curves."""
+    found = np.asarray(ndtri(qmc.Sobol(directions, seed=12).random(_CURVES)))
     found.setflags(write=False)
     return found
 
