@@ -82,6 +82,15 @@ def test_under_a_true_budget_nothing_gains_much():
     assert np.median(gains) < 1.0
 
 
+def test_a_direction_that_would_go_too_far_stops_there_and_the_others_go_where_they_must():
+    g, r = np.eye(6)[:, :2], np.array([30.0, 3.0, 0.1, -0.2, 0.1, 0.0])
+    found = explanation(Whitened(r, 0.01**2 * np.eye(6)), g, budgeted=False, most=10.0)
+    assert found.limited
+    np.testing.assert_allclose(found.amplitudes, [10.0, 3.0], rtol=1e-3)
+    assert found.chi_square == pytest.approx((20.0 / 0.01) ** 2 + 6 * 100, rel=1e-3)
+    assert not explanation(Whitened(r, 0.01**2 * np.eye(6)), g, budgeted=False).limited
+
+
 def test_refuses_what_has_no_uncertainty():
     with pytest.raises(UsageError, match="uncertainty"):
         Whitened([1.0, 2.0], np.diag([1.0, 0.0]))

@@ -114,9 +114,8 @@ def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool, most:
     t2 = _best_tau_squared(s, q, most**2)
     shrink = 1.0 / (1.0 + t2 * s**2)
     z = (t2 + float(budgeted)) * (vt.T @ (s * shrink * q))  # best linear unbiased prediction of z
-    farthest = float(np.max(np.abs(z)))
-    if farthest > most:  # it goes as far as it can, and the rest stays
-        z = z * (most / farthest)
+    if np.max(np.abs(z)) > most:  # it goes as far as it can, and the rest stays
+        z = np.clip(z, -most, most)
         left = data.residual - w @ z
         chi = float(left @ left)
         gain = data.chi_square - chi - float(np.sum(np.log1p(t2 * s**2)))
