@@ -94,7 +94,7 @@ class Given:
 class InputPath:
     """What stands at a path: ``nominal``, a number or (n,), and ``to``, value -> the truth that has it there."""
 
-    nominal: float | Array
+    nominal: Any
     to: Callable[[Array], Departure]
 
 
@@ -130,7 +130,7 @@ def input_path(given: Given, path: str) -> InputPath:
             return _fraction(scenario, name)
         case ["blur"]:
             return _blur(scenario)
-    return InputPath(setting(scenario, path), lambda v: Departure(settings={path: _number(v)}))
+    return InputPath(setting(scenario, path), lambda v: Departure(settings={path: np.asarray(v).ravel()[0].item()}))
 
 
 def state_value(state: AtmosphericState, name: str) -> float:

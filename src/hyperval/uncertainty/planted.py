@@ -60,7 +60,7 @@ class PlantedError:
         except NotPlantable:
             raise
         except UsageError as error:
-            raise NotPlantable(f"{self.name}: {error.what}") from error
+            raise NotPlantable(error.what) from error
 
 
 def planted_errors() -> tuple[PlantedError, ...]:
@@ -70,9 +70,9 @@ def planted_errors() -> tuple[PlantedError, ...]:
         PlantedError("sunlight x 1.05", _times("light.irradiance", 1.05)),
         PlantedError("path radiance x 1.1", _times("light.path", 1.1)),
         PlantedError("spherical albedo x 1.5", _times("light.spherical_albedo", 1.5)),
-        PlantedError("spectral shift of 0.1 band", _shifted(0.1)),
-        PlantedError("spectral shift of 0.5 band", _shifted(0.5)),
-        PlantedError("wavelengths + 5 nm", lambda given: {"sensor.wavelength_shift_nm": 5.0}),
+        PlantedError("spectral shift of 0.1 band", _shifted(bands=0.1)),
+        PlantedError("spectral shift of 0.5 band", _shifted(bands=0.5)),
+        PlantedError("wavelengths + 5 nm", _shifted(nm=5.0)),
         PlantedError("noise x 1.5", _times("sensor.noise", 1.5)),
         PlantedError("electrons x 1.05", _times("sensor.electrons", 1.05)),
         PlantedError("class spread x 0.8", _spread(0.8)),
@@ -121,9 +121,19 @@ def _times(path: str, factor: float) -> Callable[[Given], Values]:
     return values
 
 
-def _shifted(part: float) -> Callable[[Given], Values]:
-    """True band centres off by a part of each band's width."""
-    return lambda given: {"sensor.wavelength_shift_nm": part * given.axis.fwhm_nm}
+def _shifted(*, bands: float = 0.0, nm: float = 0.0) -> Callable[[Given], Values]:
+    """True band centres off by a part of each band's width, or by so much; spectra may end before such a band."""
+
+    def values(given: Given) -> Values:
+        found: dict[str, Any] = {"sensor.wavelength_shift_nm": bands * given.axis.fwhm_nm + nm}
+        scene = given.scenario.scene
+        for key in ("classes", "panels", "sites", "targets"):
+            for s in getattr(scene, key):
+                if s.spectrum.measured is None:
+                    found[f"scene.{key}.[{s.name}].spectrum.gaps"] = "allowed"
+        return found
+
+    return values
 
 
 def _spread(factor: float) -> Callable[[Given], Values]:
