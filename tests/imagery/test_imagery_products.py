@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import tracemalloc
 import warnings
 from pathlib import Path
 
@@ -359,6 +360,22 @@ def test_every_layout_names_its_source_and_a_known_unit():
         assert tree.quantity in ("radiance", "reflectance")
         assert tree.unit == "1" or radiance_to_internal(tree.unit) > 0
     assert all(radiance_to_internal(s.radiance_unit) > 0 and s.source for s in layouts().sidecars)
+
+
+def test_memory_does_not_grow_with_the_image(tmp_path: Path):
+    """300 MB in blocks that were never written: a shell as large as a flight line takes a few lines of memory."""
+    shape = (284, 2000, 132)
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        group = file.create_group("radiance")
+        group.create_dataset("radiance", shape, "f4", chunks=(24, 64, 44), fillvalue=2.0, compression="gzip")
+        group["wavelength"], group["fwhm"] = np.linspace(380, 2500, 284), np.full(284, 7.5)
+    cube = open_cube(tmp_path / "a.nc", quantity="radiance")
+    tracemalloc.start()
+    seen = sum(int(cube.read_stored(line, 5)[1].sum()) for line in range(0, 2000, 5))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert seen == 2000 * 132
+    assert peak < 60e6  # of 300: the lines of one block, and what is made of five of them
 
 
 def test_lines_of_a_block_are_read_once(tmp_path: Path, monkeypatch):

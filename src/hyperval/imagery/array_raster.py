@@ -131,6 +131,7 @@ class ArrayRaster:
             block, fit = self._block_lines
             lines = max(count, min((first // block + 1) * block - first, fit, self.lines - first))
             begin = first
+            slab = None
             self._slabs.last = (0, None)  # the memory of the one before is given back first
             slab = self._part(slice(begin, begin + lines), slice(0, self.samples))
             self._slabs.last = (begin, slab)
@@ -167,6 +168,11 @@ class ArrayRaster:
 
     def _part(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
         """(bands, lines, samples) of a window."""
+        only = self.pieces[0]
+        if len(self.pieces) == len(only.terms) == 1 and "b" in only.axes and self.zero_for is None:
+            ranges = {"l": lines, "s": samples, "b": slice(0, only.size("b"))}
+            stored = self.store.read(only.terms[0].name, tuple(ranges[axis] for axis in only.axes))
+            return np.asarray(stored.transpose([only.axes.index(axis) for axis in "bls"]), self.dtype)
         size = (self.bands, lines.stop - lines.start, samples.stop - samples.start)
         out, at = np.empty(size, self.dtype), 0
         for piece in self.pieces:
