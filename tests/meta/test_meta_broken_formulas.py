@@ -16,9 +16,8 @@ def broken_formulas(*words: str) -> subprocess.CompletedProcess[str]:
 
 def test_every_formula_turns_the_evidence_red():
     outcome = broken_formulas()
-    assert "formulas turn the evidence red" in outcome.stdout, outcome.stdout[-2000:] + outcome.stderr[-2000:]
-    green = [line for line in outcome.stdout.splitlines() if line.startswith("GREEN")]
-    assert green == []
+    assert [line for line in outcome.stdout.splitlines() if line.startswith("GREEN")] == []
+    assert outcome.returncode == 0, outcome.stdout[-2000:] + outcome.stderr[-2000:]
     assert sum(line.startswith("red ") for line in outcome.stdout.splitlines()) >= 20
 
 

@@ -354,7 +354,7 @@ def _scenario(source: Scenario | str, inputs: Inputs, words: Mapping[str, str]) 
     return scenario
 
 
-def _resolver(scenario: Scenario, inputs: Inputs) -> Any:
+def _resolver(scenario: Scenario, inputs: Inputs) -> Callable[[str], Path]:
     """References of a scenario are relative to its own file; what is read is recorded with the campaign's."""
     folder = scenario.folder
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,7 @@ from hyperval.scene.fill import FillDistribution
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+Made = TypeVar("Made")
 Index = npt.NDArray[np.intp]
 
 
@@ -302,11 +303,12 @@ class Batch:
     def _at(self, values: Array, point: int, target: int) -> float:
         return float(values[point if values.shape[0] > 1 else 0, target])
 
-    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+    def once(self, key: Any, make: Callable[[], Made]) -> Made:
         """What ``make`` gives, made the first time that ``key`` is asked for."""
         if key not in self._made:
             self._made[key] = make()
-        return self._made[key]
+        made: Made = self._made[key]
+        return made
 
 
 def distinct(columns: Sequence[npt.NDArray[Any]], n: int) -> tuple[Index, Index]:

@@ -26,12 +26,12 @@ def directions(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor
     if form.correlation_nm is not None:
         return covariance_directions(np.outer(u, u) * correlation(axis, form.correlation_nm))
     if form.correlation == "random":
-        return np.diag(u)[u > 0]
+        return np.asarray(np.diag(u)[u > 0])
     if form.correlation in ("groups", "arms"):
         rows = np.array([np.where(group, u, 0.0) for group in _groups(form, axis, sensor)])
         rows = rows[np.any(rows > 0, axis=1)]
         return np.asarray(rows[np.argsort(-(rows**2).sum(axis=1), kind="stable")])
-    return u[None, :]
+    return np.asarray(u[None, :])
 
 
 def covariance_directions(covariance: Array) -> Array:

@@ -58,7 +58,8 @@ class Input:
     @property
     def size(self) -> int:
         """Number of directions."""
-        return self.rows.shape[0]
+        result: int = self.rows.shape[0]
+        return result
 
     @property
     def distribution(self) -> str:

@@ -77,7 +77,7 @@ class Evaluations:
 
     def weights(self, target: str, detector: str) -> Array:
         """(F,) of the filter that looks for a target."""
-        return self.group.filters[target, detector][0].weights[self.row]
+        return np.asarray(self.group.filters[target, detector][0].weights[self.row])
 
     def slope(self, target: str) -> Array:
         """(F,) change of what the detector sees per change of a target's reflectance, under its own light."""

@@ -29,7 +29,8 @@ def stacked(items: Sequence[T], bands: int) -> T:
             changes[f.name] = tuple(_joined(list(parts), bands) for parts in zip(*values, strict=True))
         elif isinstance(values[0], np.ndarray | float | int) and not isinstance(values[0], bool):
             changes[f.name] = _joined(values, bands)
-    return replace(first, **changes)
+    result: T = replace(first, **changes)
+    return result
 
 
 def stacked_noise(models: Sequence[NoiseModel], bands: int) -> NoiseModel:

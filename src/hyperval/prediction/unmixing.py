@@ -155,4 +155,4 @@ def _errors(
 def _full_rank(covariance: Array) -> Array:
     """With a spread in every direction, too small to be seen, so that it has a Cholesky factor."""
     mean = float(np.trace(covariance)) / covariance.shape[0]
-    return covariance + max(_SMALLEST * mean, 1e-18) * np.eye(covariance.shape[0])
+    return np.asarray(covariance + max(_SMALLEST * mean, 1e-18) * np.eye(covariance.shape[0]))
