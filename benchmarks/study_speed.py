@@ -31,7 +31,7 @@ from hyperval.atmosphere.interpolation import spaced
 from hyperval.config import parse_yaml, validate
 from hyperval.executors import in_order, workers
 from hyperval.predict import predict
-from hyperval.processing.roc_model import false_alarm_grid
+from hyperval.processing.thresholds import false_alarm_grid
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.study.evaluate import Evaluator, Sky, make_ready
@@ -69,7 +69,7 @@ def full(piece: tuple[bytes, Columns]) -> tuple[float, float]:
     evaluator, columns = opened(piece[0]), piece[1]
     size = len(next(iter(columns.values())))
     batch = evaluator.batch(evaluator.base, columns, size)
-    names = evaluator.base.prepared.class_names
+    names = evaluator.base.stage.setup.classes
     total = sum(float(batch.radiance(s).sum()) for s in (*names, "plank"))
     total += sum(float(batch.snr(s, calibration).sum()) for s in names for calibration in (True, False))
     total += float(batch.scores("plank", "cem").detection(false_alarm_grid()[None, :]).sum())

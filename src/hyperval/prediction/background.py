@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,12 +28,16 @@ class Ground:
     surfaces : name -> statistics of every class, panel, site and target
     classes : names of the M classes
     average, covariance : (B,) rho_ave of (3.8), (B, B) Sigma_ave of (3.11)
+    stack : (M, B, B) covariances of the classes in one piece, where many fractions are to come; None: apart
+    room : what grounds of the same surfaces share
     """
 
     surfaces: Mapping[str, SurfaceStatistics]
     classes: tuple[str, ...]
     average: Array
     covariance: Array
+    stack: Array | None = None
+    room: dict[bytes, tuple[dict[str, SurfaceStatistics], Array | None]] = field(default_factory=dict)
 
     @cached_property
     def means(self) -> Array:
@@ -45,33 +49,36 @@ class Ground:
         """M times (B, B)."""
         return tuple(self.surfaces[n].covariance for n in self.classes)
 
-    @cached_property
-    def _cuts(self) -> dict[bytes, Ground]:
-        return {}
-
-    def __getstate__(self) -> dict[str, object]:
-        return {k: v for k, v in self.__dict__.items() if k != "_cuts"}
-
     def at(self, bands: Index, needed: Sequence[str]) -> Ground:
-        """The surfaces ``needed`` on some bands alone; the latest set of bands is kept."""
+        """The surfaces ``needed`` on some bands alone; for the latest set of bands they are kept in ``room``."""
         key = bands.tobytes()
-        if key not in self._cuts:
-            self._cuts.clear()
+        if key not in self.room:
+            self.room.clear()
             of = {
                 n: replace(s, mean=s.mean[bands], covariance=cut(s.covariance, bands))
                 for n, s in self.surfaces.items()
                 if n in needed
             }
-            self._cuts[key] = Ground(of, self.classes, self.average[bands], cut(self.covariance, bands))
-        return self._cuts[key]
+            self.room[key] = of, None if self.stack is None else _stack(of, self.classes)
+        of, stack = self.room[key]
+        return Ground(of, self.classes, self.average[bands], cut(self.covariance, bands), stack)
+
+
+def _stack(surfaces: Mapping[str, SurfaceStatistics], classes: Sequence[str]) -> Array:
+    return np.array([surfaces[n].covariance for n in classes])
 
 
 def ground_of(
-    surfaces: Mapping[str, SurfaceStatistics], classes: Sequence[str], fractions: Array, like: Sequence[Ground] = ()
+    surfaces: Mapping[str, SurfaceStatistics],
+    classes: Sequence[str],
+    fractions: Array,
+    like: Sequence[Ground] = (),
+    stack: Array | None = None,
 ) -> Ground:
     """Averages over the classes for area fractions (M,) (3.8, 3.11).
 
-    ``like`` : grounds of the same fractions, whose averages are taken over where the classes are the same too
+    ``like`` : grounds of the same fractions, whose averages are taken over where the classes are the same too;
+    ``stack`` : their covariances in one piece
 
     Raises
     ------
@@ -84,8 +91,9 @@ def ground_of(
         ):
             return Ground(surfaces, names, other.average, other.covariance)
     means = np.array([filled(surfaces[n].mean) for n in names])
-    covariance = mixture_covariance(fractions, means, [surfaces[n].covariance for n in names])
-    return Ground(surfaces, names, average_reflectance(fractions, means), covariance)
+    spreads = [surfaces[n].covariance for n in names] if stack is None else stack
+    covariance = mixture_covariance(fractions, means, spreads)
+    return Ground(surfaces, names, average_reflectance(fractions, means), covariance, stack)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +152,13 @@ class Settings:
         if not vectors.any():
             return found
         matrices = [covariance(g) for g in self.grounds]
-        for number in {id(c): i for i, c in enumerate(matrices)}.values():
-            same = [i for i, c in enumerate(matrices) if c is matrices[number]]
-            rows = np.flatnonzero(np.isin(self.which, same))
-            if rows.size:
-                v = vectors[rows]
-                product = (v.reshape(-1, v.shape[2]) @ matrices[number]).reshape(v.shape)
-                found[rows] = np.einsum("ukf,ukf->uk", product, v)
+        first: dict[int, int] = {}
+        codes = np.array([first.setdefault(id(c), i) for i, c in enumerate(matrices)])[self.which]
+        order = np.argsort(codes, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(codes[order])) + 1):
+            v = vectors[rows]
+            product = (v.reshape(-1, v.shape[2]) @ matrices[codes[rows[0]]]).reshape(v.shape)
+            found[rows] = np.einsum("ukf,ukf->uk", product, v)
         return found
 
 

@@ -184,7 +184,7 @@ class Designer:
         parts = np.array([p.part for p in populations])
         fraction = (1.0 - parts.sum()) * fraction / (1.0 if chosen.all() else at.fractions[u][self._chosen].sum())
         weights = np.concatenate([fraction, parts])
-        reflectance = self._reflectance(fraction * at.gains[u][chosen], np.flatnonzero(chosen), ground.covariances)
+        reflectance = self._reflectance(fraction * at.gains[u][chosen], np.flatnonzero(chosen), ground)
         around, means, noise = seen.around[u][chosen], seen.means[u][chosen], seen.noise[u][chosen]
         if populations:
             reflectance = reflectance + sum(p.part * p.covariance for p in populations)
@@ -264,14 +264,20 @@ class Designer:
                 out[i] = solved_filter(spectra[i][0], d, solved * scale, mixture.mean)
         return [out[i] for i in range(len(spectra))]
 
-    def _reflectance(self, weights: Array, chosen: Index, covariances: Sequence[Array]) -> Array:
+    def _reflectance(self, weights: Array, chosen: Index, ground: Ground) -> Array:
         """Sum over classes of w_m Sigma_m; kept while weights and covariances stay."""
+        covariances = ground.covariances
         key = (weights.tobytes(), chosen.tobytes(), *(id(c) for c in covariances))
         if self._mixed is None or self._mixed[0] != key:
-            total = np.zeros(self._matrix.shape)
-            for w, m in zip(weights, chosen, strict=True):
-                total += w * covariances[m]
-            self._mixed = key, total, tuple(covariances)  # those whose numbers the key holds stay in memory
+            if ground.stack is not None:
+                whole = np.zeros(len(covariances))
+                whole[chosen] = weights
+                total = (whole @ ground.stack.reshape(whole.size, -1)).reshape(self._matrix.shape)
+            else:
+                total = np.zeros(self._matrix.shape)
+                for w, m in zip(weights, chosen, strict=True):
+                    total += w * covariances[m]
+            self._mixed = key, total, covariances  # those whose numbers the key holds stay in memory
         return self._mixed[1]
 
     def _factor(self, mixture: Mixture) -> tuple[Array, Array]:

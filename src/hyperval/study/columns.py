@@ -69,8 +69,17 @@ class Stage:
         key = fractions.tobytes()
         if key not in self._grounds:
             self._grounds.clear()  # those of one batch at most: each holds a matrix
-            self._grounds[key] = ground_of(self.setup.surfaces, self.setup.classes, fractions)
+            ground = ground_of(self.setup.surfaces, self.setup.classes, fractions, stack=self._stack)
+            self._grounds[key] = replace(ground, room=self._room)
         return self._grounds[key]
+
+    @cached_property
+    def _stack(self) -> Array:
+        return np.array([self.setup.surfaces[n].covariance for n in self.setup.classes])
+
+    @cached_property
+    def _room(self) -> dict[bytes, Any]:
+        return {}
 
     def noise(self, changes: Mapping[str, Any], operation: Mapping[str, Any]) -> NoiseModel:
         """The noise (3.13)-(3.20) with other numbers of the sensor or of how it is run.
