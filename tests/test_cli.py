@@ -322,3 +322,12 @@ main()
     assert process.returncode == code
     assert err.startswith(b"hyperval: ")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_too_long_for_a_file_is_a_mistake_of_the_user(tmp_path, capsys, monkeypatch):
+    def check(*args: object, **options: object) -> None:
+        (tmp_path / ("n" * 300)).write_text("x")
+
+    monkeypatch.setattr("hyperval.baseline.check", check)
+    assert cli.run(["check", "--sensors", "casi-1500", "--junit", "n" * 300 + ".xml"]) == 2
+    assert "name another file or folder" in capsys.readouterr().err

@@ -281,3 +281,16 @@ def test_models_are_frozen():
     inner = Inner(altitude_km=1)
     with pytest.raises(ValueError, match="frozen"):
         inner.altitude_km = 2  # type: ignore[misc]
+
+
+def test_half_a_character_is_refused_with_its_line():
+    # It could not be written into any report.
+    with pytest.raises(UsageError, match=r"c\.yaml:2: half of a pair"):
+        parse_yaml('a: 1\ntitle: "x\\ud800"\n', "c.yaml")
+
+
+def test_of_many_mistakes_the_first_are_listed():
+    data, lines = parse_yaml("".join(f"key{i}: 1\n" for i in range(500)))
+    with pytest.raises(UsageError, match=r"and 48[0-9] more") as caught:
+        validate(Inner, data, lines, "c.yaml")
+    assert len(str(caught.value).splitlines()) <= 22

@@ -12,12 +12,13 @@ from typing import Annotated, Any, TypeVar
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.units import radiance_to_internal, wavelength_to_nm
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
-MAX_NODES = 100_000
+MAX_NODES = 20_000
+MOST_MISTAKES = 20  # that are listed
 # A value that begins so is one that the user has still to give: "FILL_IN: what it is".
 FILL_IN = "FILL_IN"
 
@@ -77,6 +78,7 @@ for _tag, _pattern, _first in (
     )
 
 
+@reader
 def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
     """Read a YAML file strictly.
 
@@ -89,16 +91,21 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
+        with open(path, "rb") as stream:
+            content = stream.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
             raise UsageError(f"larger than {MAX_BYTES} bytes", where=str(path), expected="a hand-written YAML file")
-        text = path.read_bytes().decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except FileNotFoundError as error:
         raise InputError("no such file", where=str(path)) from error
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
     except UnicodeDecodeError as error:
         raise UsageError("not UTF-8 text", where=str(path), expected="a YAML file in UTF-8") from error
-    return parse_yaml(text, str(path))
+    data, lines = parse_yaml(text, str(path))
+    if not isinstance(data, dict):
+        raise UsageError("holds no keys", where=f"{path}:1", expected="lines of the form 'key: value'")
+    return data, lines
 
 
 def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int]]:
@@ -153,6 +160,8 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
     if isinstance(node, yaml.SequenceNode):
         return [_construct(item, (*at, i), lines, name, count) for i, item in enumerate(node.value)]
     value = node.value
+    if not value.isascii() and any("\ud800" <= c <= "\udfff" for c in value):
+        raise UsageError("half of a pair of UTF-16 is no character", where=f"{name}:{node.start_mark.line + 1}")
     if node.tag.endswith(":bool"):
         return value.lower() == "true"
     if node.tag.endswith(":int"):
@@ -192,7 +201,7 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        found = []
+        found: list[tuple[int, str]] = []
         for item in error.errors(include_url=False):
             # Locations of unions carry the name of the tried member, which is no key of the file.
             at: Location = ()
@@ -207,13 +216,16 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
             if item["type"] == "string_pattern_mismatch":
                 text = _spelled(item["ctx"]["pattern"]) or text
             if item["type"] == "extra_forbidden":
-                near = difflib.get_close_matches(str(item["loc"][-1]), _keys_of(model), n=1)
+                few = len(found) < MOST_MISTAKES  # what is looked for takes long beside what is listed
+                near = difflib.get_close_matches(str(item["loc"][-1]), _keys_of(model), n=1) if few else []
                 text = "unknown key" + (f"; did you mean {near[0]!r}?" if near else "")
             found.append((line, f"{name}:{line}: {key}: {text}"))
         found.sort()
         if not found:
             raise UsageError(f"{name}: {error}") from error
-        first, *rest = [text for _, text in found]
+        first, *rest = [text for _, text in found[:MOST_MISTAKES]]
+        if len(found) > MOST_MISTAKES:
+            rest.append(f"and {len(found) - MOST_MISTAKES} more")
         raise UsageError("\n  ".join([first, *rest])) from error
 
 
@@ -227,6 +239,7 @@ def _spelled(pattern: str) -> str:
     return f"a name of {allowed[found[0]]}" if found and found[0] in allowed else ""
 
 
+@reader
 def load_model(model: type[M], path: Path) -> M:
     """Read ``path`` as strict YAML and validate it as ``model``."""
     data, lines = load_yaml(path)

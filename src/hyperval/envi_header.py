@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError
+from hyperval.errors import InputError, reader
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_KEYS = 1000
@@ -137,6 +137,7 @@ class EnviHeader:
             ) from None
 
 
+@reader
 def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
     """Read an ENVI header file.
 

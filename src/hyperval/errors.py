@@ -6,8 +6,16 @@ command line prints the message alone; the Python API raises the exception.
 
 from __future__ import annotations
 
+import os
+import stat
 import traceback
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _OWN = Path(__file__).parent
 _CALLS = 4
@@ -50,6 +58,39 @@ class EngineError(HypervalError):
     """An external engine (6S, MODTRAN) that is missing or failed (exit code 3)."""
 
     exit_code = 3
+
+
+def reader(function: Callable[P, R]) -> Callable[P, R]:
+    """Wrap a function that reads the file named by its first argument.
+
+    Whatever damage raises is an InputError; so is a pipe or device, of which nobody knows whether it ever ends.
+    """
+
+    @wraps(function)
+    def read(*args: P.args, **options: P.kwargs) -> R:
+        named = next(iter((*args, *options.values())), "")
+        try:
+            if isinstance(named, str | Path) and _is_endless(named):
+                raise InputError("is a pipe, socket or device", where=str(named), expected="a regular file")
+            return function(*args, **options)
+        except HypervalError:
+            raise
+        except Exception as error:
+            words = str(error).splitlines()[0][:200] if str(error) else "no more is known"
+            raise InputError(
+                f"damaged, or not of the kind that its name says ({type(error).__name__}: {words})",
+                where=str(named)[:300],
+            ) from error
+
+    return read
+
+
+def _is_endless(path: str | Path) -> bool:
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def internal_error(error: Exception) -> str:

@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import Model, load_model
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, reader
 from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.scenario_sources import CovarianceSource as CovarianceSource
@@ -321,6 +321,7 @@ def builtin_scenarios() -> tuple[str, ...]:
     return tuple(sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml")))
 
 
+@reader
 def load_scenario(name_or_path: str | Path) -> Scenario:
     """A built-in scenario by name, or a scenario file by path.
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.files import whole_file
 from hyperval.paths import checked_file
 from hyperval.scene.statistics import ClassStatistics
@@ -79,6 +79,7 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
         data.to_netcdf(temporary, engine="h5netcdf")
 
 
+@reader
 def read_statistics_library(path: Path, record: str | None = None) -> ClassStatistics:
     """One class of a library; ``record`` may be left out when there is only one.
 

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.units import radiance_to_internal
 
 Array = npt.NDArray[np.float64]
@@ -141,6 +141,7 @@ class ChannelBlock:
         return self.thermal + self.path - added
 
 
+@reader
 def read_chn_blocks(path: Path) -> list[ChannelBlock]:
     """All tables of a channel file, in their order; errors as :func:`read_chn`."""
     lines = text_lines(Path(path), "a MODTRAN .chn file")
@@ -259,6 +260,7 @@ class Tape7Case:
         return round(float(1.0 - np.median(emissivity)), 4)
 
 
+@reader
 def read_tape7(path: Path) -> list[Tape7Case]:
     """All cases of a ``tape7`` or ``.tp7`` file, packed or not.
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from hyperval.atmosphere.modtran_read import ChannelBlock, Tape7Case, read_chn_blocks, read_tape7
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.units import radiance_per_wavelength
 
 Array = npt.NDArray[np.float64]
@@ -239,6 +239,7 @@ def _diffuse(sun_share: Array) -> Array:
     return np.clip(1.0 - np.interp(index, index[known], sun_share[known]), 0.0, 1.0)
 
 
+@reader
 def read_chn(path: Path, albedos: Sequence[float] | None = None) -> AtmosphericTerms:
     """Terms at the channels of a MODTRAN ``.chn`` (or ``.chn.gz``) file.
 

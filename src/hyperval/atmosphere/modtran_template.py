@@ -10,7 +10,7 @@ from typing import Any
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.modtran_read import text_lines
 from hyperval.atmosphere.modtran_write import HAZES, MODELS
-from hyperval.errors import InputError
+from hyperval.errors import InputError, reader
 
 _WHAT = "MODTRAN 6 JSON input"
 _MAX_BYTES = 16 << 20
@@ -19,6 +19,7 @@ _HAZES = {name: state for state, (_, name) in HAZES.items()}
 _COMMON_YEAR = 2018  # the input has a day of the year and no year
 
 
+@reader
 def read_modtran_json(path: Path) -> list[dict[str, Any]]:
     """The MODTRANINPUT of every case of a MODTRAN 6 JSON input file.
 

@@ -18,7 +18,7 @@ from hyperval.atmosphere.modtran_read import ChannelBlock, read_chn_blocks
 from hyperval.atmosphere.modtran_solve import read_chn, terms_from_blocks
 from hyperval.atmosphere.modtran_template import read_modtran_json, stated_albedo, stated_fields
 from hyperval.atmosphere.table import AXES, NAMED, OPTIONAL, QUANTITIES, AtmosphericTable, leave_one_out
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.files import sha256_of, whole_file
 
 Array = npt.NDArray[np.float64]
@@ -42,6 +42,7 @@ _FILE_NAMES = {
 _PART = re.compile(r"([A-Za-z][A-Za-z0-9_]*?)-(\d+(?:\.\d+)?)(?=_|$)")
 
 
+@reader
 def read_table(path: Path, template: Path | None = None) -> AtmosphericTable:
     """A table from a NetCDF file, a folder of channel files, or the run template (.json) in such a folder.
 

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from hyperval.baseline.tolerances import Tolerance, looser_than_default, objection
 from hyperval.config import Model, load_model
+from hyperval.errors import reader
 from hyperval.metrics.metric import Of
 
 Kind = Literal["campaign", "sensor"]
@@ -78,6 +79,7 @@ def split_key(key: str) -> tuple[str, str, str, str]:
     return product, parts[0], parts[1], parts[2]
 
 
+@reader
 def load_baseline(path: Path) -> Baseline:
     """Read and check a baseline.
 

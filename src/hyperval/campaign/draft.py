@@ -12,7 +12,7 @@ from hyperval.campaign.schema import Campaign, Outline
 from hyperval.campaign.template import campaign_runs
 from hyperval.config import Location, load_yaml, unfilled, validate
 from hyperval.datasets import held_set
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, reader
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,7 @@ class Text:
         return unfilled(list(self.named.to_fill_in))
 
 
+@reader
 def read_texts(path: Path) -> list[Text]:
     """Every run of a campaign file, before anything in it is checked."""
     data, lines = load_yaml(path)

@@ -12,7 +12,7 @@ from hyperval.campaign.template import campaign_runs
 from hyperval.collection import Classification, Collection, Detection
 from hyperval.compare.gates import Gate
 from hyperval.config import Model, load_yaml, validate
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, reader
 from hyperval.scenario import Scenario
 from hyperval.uncertainty.attribution.schema import AttributionOptions
 
@@ -86,6 +86,7 @@ class Campaign(Outline):
         return self
 
 
+@reader
 def load_campaigns(path: Path) -> list[Campaign]:
     """Read and check a campaign file; one campaign for each of its ``runs``, or one.
 
@@ -103,6 +104,7 @@ def load_campaigns(path: Path) -> list[Campaign]:
     return out
 
 
+@reader
 def load_campaign(path: Path) -> Campaign:
     """Read and check a campaign file of one run.
 

@@ -17,13 +17,15 @@ from typer.exceptions import Abort, TyperException
 from hyperval import __version__
 from hyperval.cli import baseline, check, compare, data, metrics, power, runs, scoreboard, sensor, study  # noqa: F401  (each adds its commands to the application)  # noqa: F401
 from hyperval.cli.shared import app, settings
-from hyperval.errors import HypervalError, internal_error
+from hyperval.errors import HypervalError, UsageError, internal_error
 
 INTERNAL_ERROR = 4
 INTERRUPTED = 130
 TERMINATED = 143
 OUTPUT_CLOSED = 141
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+# Files and folders that a command was told to use and that cannot be.
+_PLACES = (errno.ENAMETOOLONG, errno.EACCES, errno.EROFS, errno.ENOTDIR, errno.EISDIR)
 
 
 class _Terminated(BaseException):
@@ -82,6 +84,10 @@ def _internal(error: Exception) -> int:
         traceback.print_exc()
         _error(what)
         return INTERNAL_ERROR
+    if isinstance(error, OSError) and error.errno in _PLACES and error.filename:
+        name = os.fsdecode(error.filename)[:300]
+        _error(f"{name}: {error.strerror}\n  to mend it: name another file or folder")
+        return UsageError.exit_code
     if isinstance(error, OSError) and error.errno in _FULL:
         _error(
             f"{error}\n  to mend it: free space there, or name another folder with --output; "

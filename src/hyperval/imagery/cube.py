@@ -13,7 +13,7 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.band_table import BandTable, band_table, ordered_bands, wavelengths_in_nm
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, open_raster
@@ -256,6 +256,7 @@ class Cube:
         return values, valid
 
 
+@reader
 def open_cube(
     path: Path | str | Any,
     *,

@@ -15,7 +15,7 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.description import Description
 from hyperval.imagery.stores import MemoryStore, Store
@@ -47,6 +47,7 @@ class Candidate:
         return f"{self.group.strip('/')}/{self.name}".strip("/") + f" ({axes}; {self.array.dtype})"
 
 
+@reader
 def open_labelled(path: Path, variable: str | None = None, engine: str | None = None) -> ArrayRaster:
     """The image of a file that xarray opens: the only array with a wavelength coordinate, or ``variable``.
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.errors import InputError
+from hyperval.errors import InputError, reader
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, open_raster
 
@@ -131,6 +131,7 @@ class LookupTable:
         return (stored[1], stored[0]) if self.swapped else (stored[0], stored[1])
 
 
+@reader
 def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> LookupTable:
     """Open the GLT (a file, or its raster) of a raw image of ``shape`` (lines, samples); all of it is checked.
 

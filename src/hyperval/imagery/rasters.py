@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hyperval.envi_header import read_header
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.envi_raster import EnviRaster, check_size, header_beside
 from hyperval.imagery.sidecars import image_of
@@ -30,6 +30,7 @@ _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".
 Raster = EnviRaster | TiffRaster | ArrayRaster
 
 
+@reader
 def open_raster(
     path: Path | str,
     *,

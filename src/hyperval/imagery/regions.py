@@ -14,7 +14,7 @@ from rasterio.crs import CRS
 from scipy import ndimage
 from skimage.measure import label
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery import regions_envi, regions_files, regions_vector
 from hyperval.imagery.drawing import WARNING, Drawing
 from hyperval.imagery.envi_raster import header_beside
@@ -66,6 +66,7 @@ class Region:
         ]
 
 
+@reader
 def read_regions(
     path: Path | str,
     cube_shape: tuple[int, int],

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.drawing import Drawing
 from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
 from hyperval.imagery.rasters import open_raster
@@ -44,6 +44,7 @@ def head_of(path: Path, count: int = 512) -> bytes:
     return head
 
 
+@reader
 def read_text(path: Path) -> str:
     """Text of a region file, gzipped or not, up to 32 MiB."""
     opener = gzip.open if head_of(path, 2) != _plain_head(path) else open
@@ -65,6 +66,7 @@ def _plain_head(path: Path) -> bytes:
         return stream.read(2)
 
 
+@reader
 def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """Column names of a CSV file, and its rows with their line numbers; short rows are filled with "".
 

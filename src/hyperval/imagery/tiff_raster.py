@@ -20,7 +20,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from hyperval.envi_header import EnviHeader, read_header
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.description import Description
 from hyperval.imagery.envi_raster import header_beside
 from hyperval.imagery.georeference import crs_of, transform_of
@@ -96,6 +96,7 @@ class TiffRaster:
         return out
 
 
+@reader
 def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffRaster:
     """Open a GeoTIFF with the header or the metadata that lie beside it.
 

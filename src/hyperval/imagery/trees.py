@@ -13,7 +13,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.envi_header import parse_header
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.description import Description
 from hyperval.imagery.georeference import crs_of, transform_of
@@ -27,6 +27,7 @@ _FILL_NAMES = ("_FillValue", "Data_Ignore_Value", "missing_value")
 _HIGHEST = 65535.0  # of the 16 bits that a range of values is divided into
 
 
+@reader
 def open_tree(path: Path) -> ArrayRaster | None:
     """The image of a product whose layout is known; None when the file has none of the layouts.
 

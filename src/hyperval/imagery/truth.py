@@ -13,7 +13,7 @@ import numpy.typing as npt
 from affine import Affine
 from scipy import ndimage
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.lookup_table import LookupTable
 from hyperval.imagery.polygons import Position, inside_image, map_to_pixel, point_mask, polygon_mask
 from hyperval.imagery.regions import Region, guard, objects
@@ -109,6 +109,7 @@ def cut_out(mask: Mask) -> Placed:
     return (int(rows[0]), int(columns[0])), mask[window].copy()
 
 
+@reader
 def read_targets(
     path: Path | str,
     shape: tuple[int, int],

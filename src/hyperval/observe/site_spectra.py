@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hyperval.collection import Collection
 from hyperval.collection_files import BandTable
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
 from hyperval.products import Observation
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
@@ -89,6 +89,7 @@ def in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str,
     return mean, (f"{at.size} samples averaged over the {len(axis)} bands",)
 
 
+@reader
 def read_band_table(path: Path, table: BandTable) -> SpectralAxis:
     """The spectral axis of a whitespace-separated text table."""
     if path.stat().st_size > MAX_TABLE_BYTES:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.metrics import Evidence
 from hyperval.report.tables import SCHEMA_VERSION
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
@@ -38,6 +38,7 @@ class StoredRun:
     figures: Mapping[str, Path]
 
 
+@reader
 def read_run(folder: Path) -> StoredRun:
     """Read a folder that ``validate``, ``observe``, ``predict`` or another command wrote.
 
@@ -56,6 +57,7 @@ def read_run(folder: Path) -> StoredRun:
     )
 
 
+@reader
 def read_results(path: Path) -> ResultTable:
     """The rows of a results.json.
 

@@ -120,7 +120,7 @@ def _cell(value: Any) -> str:
     if value is None:
         return ""
     if isinstance(value, str):
-        return str(value)
+        return harmless(str(value))
     if isinstance(value, float) or hasattr(value, "dtype"):
         number = float(value)
         if hasattr(value, "dtype") and value.dtype.kind in "iu":
@@ -132,6 +132,11 @@ def _cell(value: Any) -> str:
 _ELEMENTS = {
     Outcome.DISAGREES: "failure", Outcome.ERROR: "error", Outcome.SKIPPED: "skipped", Outcome.UNDECIDED: "skipped",
 }  # fmt: skip
+
+
+def harmless(text: str) -> str:
+    """The text of a CSV cell, with an apostrophe before what a spreadsheet would take for a formula."""
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else text
 
 
 def _totals(rows: Sequence[Result]) -> str:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from hyperval.config import Model, load_model
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, reader
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.operation import SensorOperation, averaged_noise
 from hyperval.sensor.published import KnownDiscrepancy, PublishedSnr
@@ -234,6 +234,7 @@ def library_names() -> tuple[str, ...]:
     return tuple(sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml")))
 
 
+@reader
 def load_sensor(name_or_path: str | Path) -> Sensor:
     """A sensor of the library by name, or a sensor file by path.
 

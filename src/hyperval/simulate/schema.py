@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.config import Model, load_model
+from hyperval.errors import reader
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
 
@@ -219,6 +220,7 @@ class SceneFile(Model):
         return list(dict.fromkeys([*self.surfaces(), *extra]))
 
 
+@reader
 def load_scene(path: Path) -> SceneFile:
     """Read and check a scene file.
 

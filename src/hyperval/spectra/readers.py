@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.paths import checked_file
 from hyperval.spectra import readers_asd, readers_instruments, readers_library, readers_rows, readers_text
 from hyperval.spectra.readers_record import MAX_BYTES, FieldSpectrum, Record, finished, mean_of
@@ -21,6 +21,7 @@ _TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])
 __all__ = ["FieldSpectrum", "read_records", "read_spectrum"]
 
 
+@reader
 def read_spectrum(
     path: Path | str,
     *,
@@ -74,6 +75,7 @@ def read_spectrum(
     )
 
 
+@reader
 def read_records(
     path: Path | str | Any,
     *,

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, model_validator
 
 from hyperval.config import Model, load_model
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, reader
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$", max_length=60)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
@@ -319,6 +319,7 @@ class Study(Model):
         return self._folder
 
 
+@reader
 def load_study(path: Path) -> Study:
     """Read a study file.
 

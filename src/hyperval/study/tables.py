@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 import hyperval
 from hyperval.progress import track
+from hyperval.report.tables import harmless
 from hyperval.study.design import Points
 
 Array = npt.NDArray[np.float64]
@@ -91,12 +92,13 @@ def _write_csv(table: StudyTable, path: Path, show_progress: bool | None) -> Non
         for start, columns in track(table.stretches(), "table", total, show=show_progress):
             cells = [_cells(columns[f.name]) for f in (*table.inputs, *table.outputs)]
             for i, row in enumerate(zip(*cells, strict=True)):
-                writer.writerow([start + i, *row, table.reasons.get(start + i, "")])
+                writer.writerow([start + i, *row, harmless(table.reasons.get(start + i, ""))])
 
 
 def _cells(column: npt.NDArray[Any]) -> list[str]:
     """Numbers as the shortest text that gives them back; nothing for NaN and None."""
-    return ["" if v is None or v != v else repr(v) if isinstance(v, float) else str(v) for v in column.tolist()]
+    listed = ("" if v is None or v != v else v for v in column.tolist())
+    return [harmless(v) if isinstance(v, str) else repr(v) if isinstance(v, float) else str(v) for v in listed]
 
 
 def _write_netcdf(table: StudyTable, path: Path) -> None:

@@ -1,0 +1,155 @@
+"""Readers of files: whatever stands in a file, what comes back is its content or one clear error, and soon."""
+
+from __future__ import annotations
+
+import ast
+import gzip
+import importlib
+import inspect
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hyperval
+from hyperval import cli
+from hyperval.errors import HypervalError, InputError, reader
+
+PACKAGE = Path(hyperval.__file__).parent
+STARTS = ("read_", "load_", "open_")
+PATHS = {"path", "name_or_path", "table"}
+# Several files at once, of which each is read by a reader below.
+JOINED = {"read_modtran_runs"}
+
+
+def readers() -> dict[str, Callable[..., Any]]:
+    """Every public function whose name and first argument say that it reads a file."""
+    found = {}
+    for source in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.parse(source.read_text("utf-8")).body:
+            if not isinstance(node, ast.FunctionDef) or not node.name.startswith(STARTS):
+                continue
+            first = next(iter(node.args.args), None)
+            if first is None or first.arg not in PATHS or node.name in JOINED:
+                continue
+            module = ".".join(source.relative_to(PACKAGE.parent).with_suffix("").parts)
+            found[f"{module}.{node.name}"] = getattr(importlib.import_module(module), node.name)
+    return found
+
+
+READERS = readers()
+# What each needs besides the path.
+MORE: dict[str, dict[str, Any]] = {
+    "open_cube": {"quantity": "other"},
+    "open_lookup_table": {"shape": (2, 2)},
+    "read_targets": {"shape": (2, 2)},
+    "read_regions": {"shape": (2, 2)},
+}
+DEEP = "[" * 100_000
+FEATURE = (
+    b'{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"name": "a"}, '
+    b'"geometry": {"type": "Polygon", "coordinates": %b}}]}'
+)
+CONTENTS = {
+    "nothing": b"",
+    "zeros": bytes(4096),
+    "every byte": bytes(range(256)) * 8,
+    "plain words": b"just plain words\n",
+    "a number": b"7",
+    "JSON null": b"null",
+    "JSON list": b"[1, 2, 3]",
+    "JSON deep": DEEP.encode(),
+    "JSON huge integer": b'{"MODTRAN": [{"MODTRANINPUT": ' + b"9" * 5000 + b"}]}",
+    "GeoJSON huge integer": FEATURE % (b"[[[" + b"9" * 5000 + b", 1], [1, 1], [2, 2]]]"),
+    "GeoJSON bad points": FEATURE % b'[[1, [2], null, "x", {}]]',
+    "MODTRAN without SURFACE": b'{"MODTRAN": [{"MODTRANINPUT": {"SURFACE": {}, "ATMOSPHERE": {}}}]}',
+    "damaged gzip": gzip.compress(b"wavelength value\n" * 500)[:60],
+    "gzip with another check sum": gzip.compress(b"wavelength value\n" * 500)[:-8] + bytes(8),
+    "YAML": b"schema: 1\nname: [a, {b: c}]\n",
+    "YAML with a lone surrogate": b'schema: 1\nname: "\\ud800"\ntitle: "\\udfff"\n',
+    "text of UTF-16": "wavelength,value\n400,0.1\n".encode("utf-16"),
+}  # fmt: skip
+ENDINGS = (".yaml", ".json", ".csv", ".hdr", ".tif", ".nc", ".chn.gz")
+
+
+class TooLong(BaseException):
+    """Not an Exception, so that no reader takes it for damage."""
+
+
+@pytest.fixture
+def soon() -> Iterator[None]:
+    """Ends what waits for a file that never ends; the time is for hanging alone."""
+
+    def stop(*_: object) -> None:
+        raise TooLong
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def test_every_reader_is_wrapped():
+    assert len(READERS) > 25
+    bare = [name for name, function in READERS.items() if not hasattr(inspect.unwrap(function), "__code__")]
+    assert bare == []
+    assert [name for name, function in READERS.items() if not hasattr(function, "__wrapped__")] == []
+
+
+def test_the_wrapper_says_what_and_where_and_passes_clear_errors_on(tmp_path: Path):
+    @reader
+    def divides(path: Path, by: int) -> float:
+        if by == 1:
+            raise InputError("clear")
+        return 1 / by
+
+    assert divides(tmp_path, 2) == 0.5
+    with pytest.raises(InputError, match=r"named: damaged, or not .* \(ZeroDivisionError: division by zero\)"):
+        divides(tmp_path / "named", by=0)
+    with pytest.raises(InputError, match=r"^clear$"):
+        divides(tmp_path, by=1)
+
+
+def exit_code(function: Callable[..., Any], path: Path) -> int:
+    """Of reading the file as a command would; 0 where it can be read."""
+    try:
+        function(path, **MORE.get(function.__name__, {}))
+    except HypervalError as error:
+        return error.exit_code
+    return 0
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", READERS)
+def test_damaged_files_are_clear_errors(name: str, tmp_path: Path, soon: None):
+    for number, content in enumerate(CONTENTS.values()):
+        for ending in ENDINGS:
+            path = tmp_path / f"a{number}{ending}"
+            path.write_bytes(content)
+            assert exit_code(READERS[name], path) in (0, 2, 3), path
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", READERS)
+def test_pipes_and_devices_are_not_waited_for(name: str, tmp_path: Path, soon: None):
+    for ending in ENDINGS:
+        pipe = tmp_path / f"pipe{ending}"
+        os.mkfifo(pipe)
+        keep = os.open(pipe, os.O_RDWR | os.O_NONBLOCK)  # somebody who writes nothing and does not close
+        link = tmp_path / f"zero{ending}"
+        link.symlink_to("/dev/zero")
+        try:
+            assert {exit_code(READERS[name], path) for path in (pipe, link)} <= {2, 3}
+        finally:
+            os.close(keep)
+
+
+@pytest.mark.parametrize("content", [b"just plain words\n", b"- a\n- b\n", b"7\n"])
+def test_plain_text_as_a_campaign_is_a_mistake_of_the_user(content: bytes, tmp_path: Path, capsys):
+    (tmp_path / "c.yaml").write_bytes(content)
+    assert cli.run(["validate", str(tmp_path / "c.yaml"), "-o", str(tmp_path / "out")]) == 2
+    assert "holds no keys" in capsys.readouterr().err
