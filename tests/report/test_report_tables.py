@@ -91,7 +91,7 @@ def test_junit_of_an_empty_table_parses():
 
 @pytest.mark.parametrize("text", ["=1+1", "+A1", "-2+3", "@SUM(A1)", "\t=1"])
 def test_no_text_of_the_csv_is_a_formula_to_a_spreadsheet(text):
-    row = Result(text, "radiance", text, text, "ratio", value=-1.5, lower=-2.0, reason=text)
+    row = Result(text, "radiance", text, text, "bias_ratio", value=-1.5, lower=-2.0, reason=text)
     (read,) = csv.DictReader(io.StringIO(results_csv([row]), newline=""))
     assert {read[k] for k in ("campaign", "subject", "method", "reason")} == {"'" + text}
     assert float(read["value"]) == -1.5  # numbers stay numbers
