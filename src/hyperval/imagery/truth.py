@@ -123,11 +123,10 @@ def read_targets(
     Columns: ``material``; ``name`` (default: material and line); the place of the centre as ``row0,col0``
     or ``row1,col1`` (whole or fractional pixel numbers, an integer meaning the pixel centre), ``line,sample``
     (continuous, (0.5, 0.5) the centre of the first pixel) or ``easting,northing`` (the cube's map system, or that
-    of its lookup table);
-    ``side_m`` or ``width_m`` with ``length_m``; optionally ``shape`` (``square``, ``rectangle``, or ``circle`` and
-    ``ellipse``, whose side, width and length are diameters), ``area_m2``, ``heading_deg`` (of the length, clockwise
-    from the direction of decreasing line; from grid north for ``easting,northing`` with a lookup table) and
-    ``position_uncertainty_m``, which widens the mask.
+    of its lookup table); ``side_m`` or ``width_m`` with ``length_m``; optionally ``shape`` (``square``,
+    ``rectangle``, or ``circle`` and ``ellipse``, whose side, width and length are diameters), ``area_m2``,
+    ``heading_deg`` (of the length, clockwise from the direction of decreasing line; from grid north for
+    ``easting,northing`` with a lookup table) and ``position_uncertainty_m``, which widens the mask.
     The mask holds every pixel that the target's outline touches.  Where no size is known the uncertainty of the
     position stands alone: the mask holds every pixel whose centre is that near to the centre of the target's pixel.
 
