@@ -35,7 +35,7 @@ def test_a_halo_scores_background_and_objects_alike(world):
     scores = seen.detected.score_maps["paint-cem"]
     curve = seen.observation.roc["fill 0.8", "cem", "object"]
     guarded = ~seen.place.left_out
-    tiles = footprint_maxima(scores, np.ones((3, 3), bool), ~guarded)
+    tiles = footprint_maxima(scores, np.ones((3, 3), bool), ~guarded)[0]
     assert curve.n_target == 2
     assert curve.n_background == tiles.size  # two objects of one shape share their placements
     assert curve.background_area_km2 == pytest.approx(tiles.size * 9 * 4.0 / 1e6)
@@ -44,7 +44,7 @@ def test_a_halo_scores_background_and_objects_alike(world):
     best = max(scores[9:12, 9:12].max(), scores[9:12, 19:22].max())
     assert curve.pd[curve.threshold < best].max() == 1
     world.detection["halo_pixels"] = 24
-    with pytest.raises(UsageError, match=r"fit"):
+    with pytest.raises(UsageError, match=r"'t0' with a halo of 24 pixels is larger"):
         world.observe()
 
 

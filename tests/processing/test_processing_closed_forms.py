@@ -230,22 +230,32 @@ def test_interval_of_exceedance_by_blocks_in_plain_loops():
     counted = rng.random(image.shape) < 0.9
     curve = exceedance_curve(image, counted, side=4)
     total = counted.sum()
+    effects, struck = [], []
+    for t, p in zip(curve.threshold, curve.probability, strict=True):
+        left = np.zeros((8, 10))  # a ring of nothing around 6 x 8 blocks
+        weights = 0.0
+        for i in range(6):
+            for j in range(8):
+                inside = counted[4 * i : 4 * i + 4, 4 * j : 4 * j + 4]
+                alarms = np.sum(image[4 * i : 4 * i + 4, 4 * j : 4 * j + 4][inside] > t)
+                left[i + 1, j + 1] = alarms - p * inside.sum()
+                weights += (2 - (i in (0, 5)) / 2) * (2 - (j in (0, 7)) / 2)
+        squares = sum(left[i : i + 2, j : j + 2].sum() ** 2 / 4 for i in range(7) for j in range(9))
+        together = squares * 48 / (48 - weights / 48)
+        alone = np.sum(left**2) * 48 / 47
+        effects.append(max(together, alone, total * p * (1 - p)) / (total * p * (1 - p)) if p else 1.0)
+        struck.append(np.count_nonzero(np.abs(left[1:-1, 1:-1] + p * np.array([
+            [counted[4 * i : 4 * i + 4, 4 * j : 4 * j + 4].sum() for j in range(8)] for i in range(6)
+        ])) > 1e-9))  # fmt: skip
     checked = 0
-    for t, p, low, high in zip(curve.threshold, curve.probability, curve.lower, curve.upper, strict=True):
-        alarms, held = [], []
-        for i in range(0, 22, 4):
-            for j in range(0, 30, 4):
-                inside = counted[i : i + 4, j : j + 4]
-                if inside.any():
-                    held.append(inside.sum())
-                    alarms.append(np.sum(image[i : i + 4, j : j + 4][inside] > t))
-        m, struck = len(held), np.count_nonzero(alarms)
-        if struck < 2:
+    for i, (p, low, high) in enumerate(zip(curve.probability, curve.lower, curve.upper, strict=True)):
+        if struck[i] < 2:
             assert np.isnan(low)
             continue
-        scatter = m / (m - 1) * sum((k - p * n) ** 2 for k, n in zip(alarms, held, strict=True)) / total**2
-        half = stats.t.ppf(0.975, struck - 1) * np.sqrt(scatter) / p
-        assert (low, high) == pytest.approx((p * np.exp(-half), min(p * np.exp(half), 1.0)), rel=1e-10)
+        effect = max(e for e, q in zip(effects, curve.probability, strict=True) if p <= q <= 10 * p)
+        k, n = total * p / effect, total / effect
+        exact = stats.beta.ppf(0.025, k, n - k + 1), stats.beta.ppf(0.975, k + 1, n - k)
+        assert (low, high) == pytest.approx(exact, rel=1e-9)
         checked += 1
     assert checked > 5
 

@@ -6,7 +6,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
 from hyperval.errors import UsageError
-from hyperval.processing.exceedance import block_side, exceedance_at, exceedance_curve
+from hyperval.processing.alarm_blocks import block_side
+from hyperval.processing.exceedance import exceedance_at, exceedance_curve
 
 
 def test_counts_are_those_of_the_pixels():

@@ -20,8 +20,16 @@ def test_a_pool_counts_the_targets_of_all_curves_at_one_false_alarm_rate():
     assert pool.n_target == 20
     assert np.allclose(pool.pd, (7 * a.pd + 13 * b.pd) / 20)
     low, high = clopper_pearson(np.rint(20 * pool.pd).astype(int), 20)
-    assert np.array_equal(pool.pd_lower, low)
-    assert np.array_equal(pool.pd_upper, high)
+    # Each curve's own interval is the binomial one and what its threshold adds in quadrature.
+    parts = []
+    for curve, n in ((a, 7), (b, 13)):
+        own = clopper_pearson(np.rint(n * curve.pd), n)
+        sides = ((curve.pd - curve.pd_lower, curve.pd - own[0]), (curve.pd_upper - curve.pd, own[1] - curve.pd))
+        parts.append([n / 20 * np.sqrt(np.maximum(w**2 - p**2, 0)) for w, p in sides])
+    below, above = np.sum(parts, axis=0)
+    assert below.max() > 0.02
+    assert np.allclose(pool.pd_lower, np.maximum(pool.pd - np.hypot(pool.pd - low, below), 0.0))
+    assert np.allclose(pool.pd_upper, np.minimum(pool.pd + np.hypot(high - pool.pd, above), 1.0))
 
 
 def test_a_pool_of_different_counts_is_refused():

@@ -234,13 +234,15 @@ def test_an_object_in_its_window_scores_as_in_the_whole_image(halo):
 
 def test_footprint_maxima_by_hand_and_without_the_excluded():
     scores = np.arange(24.0).reshape(4, 6)
-    assert sorted(footprint_maxima(scores, np.ones((2, 3), bool))) == [8.0, 11.0, 20.0, 23.0]
+    assert sorted(footprint_maxima(scores, np.ones((2, 3), bool))[0]) == [8.0, 11.0, 20.0, 23.0]
     cross = np.array([[True, False], [False, False]])
-    assert sorted(footprint_maxima(scores, cross)) == [0, 2, 4, 12, 14, 16]
+    assert sorted(footprint_maxima(scores, cross)[0]) == [0, 2, 4, 12, 14, 16]
     exclude = np.zeros((4, 6), bool)
     exclude[0, 0] = True
-    assert sorted(footprint_maxima(scores, np.ones((2, 3), bool), exclude)) == [11.0, 20.0, 23.0]
-    assert footprint_maxima(np.full((4, 4), np.nan), np.ones((2, 2), bool)).size == 0
+    maxima, lines, samples = footprint_maxima(scores, np.ones((2, 3), bool), exclude)
+    assert sorted(maxima) == [11.0, 20.0, 23.0]
+    assert all(scores[a : a + 2, b : b + 3].max() == m for m, a, b in zip(maxima, lines, samples, strict=True))
+    assert footprint_maxima(np.full((4, 4), np.nan), np.ones((2, 2), bool))[0].size == 0
     with pytest.raises(UsageError, match="does not fit"):
         footprint_maxima(scores, np.ones((5, 5), bool))
 
@@ -258,5 +260,5 @@ def test_noise_scored_with_the_same_halo_on_both_sides_is_not_detection():
     target = list(object_scores(scores, masks, halo=2).values())
     every = np.any(list(masks.values()), axis=0)
     assert auc_with_interval(target, scores[~every]).auc > 0.9
-    background = footprint_maxima(scores, footprint(masks["0"], 2), exclude=every)
+    background = footprint_maxima(scores, footprint(masks["0"], 2), exclude=every)[0]
     assert abs(auc_with_interval(target, background).auc - 0.5) < 0.152

@@ -18,8 +18,9 @@ from hyperval.observe.object_roc import object_curve
 from hyperval.observe.place import IMAGE, SCENE, Place
 from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.prediction.inputs import Sources
+from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.elm import EmpiricalLine
-from hyperval.processing.exceedance import FEWEST_FOR_A_CURVE, exceedance_curve
+from hyperval.processing.exceedance import FEWEST_FOR_A_CURVE, exceedance_of
 from hyperval.processing.local_scores import LocalWindow, score_cube_locally
 from hyperval.processing.objects import object_scores, values_on
 from hyperval.processing.pixel_scores import PixelDetector, score_cube
@@ -153,10 +154,9 @@ class _Curves:
         key = map_name(target.name, detector)
         scores = self.maps[key]
         self.outlined.setdefault(key, {}).update({o.name: o for members in groups.values() for o in members})
-        noise = scores[self.alarms]
-        noise = noise[np.isfinite(noise)]
-        if noise.size >= FEWEST_FOR_A_CURVE:
-            self.exceedance[target.name, detector] = exceedance_curve(scores, self.alarms)
+        noise = AlarmBlocks.of_map(scores, self.alarms)
+        if noise.scores.size >= FEWEST_FOR_A_CURVE:
+            self.exceedance[target.name, detector] = exceedance_of(noise)
         for subject, members in groups.items():
             if (subject, detector) in self.scores:
                 raise UsageError(
@@ -167,7 +167,7 @@ class _Curves:
             self._subject(subject, detector, members, scores, noise)
 
     def _subject(
-        self, subject: str, detector: str, members: Sequence[TargetObject], scores: Array, noise: Array
+        self, subject: str, detector: str, members: Sequence[TargetObject], scores: Array, noise: AlarmBlocks
     ) -> None:
         objects = {o.name: scored_pixels(o, self.place) for o in members}
         pixels = np.concatenate([values_on(scores, placed) for placed in objects.values()])
@@ -175,9 +175,11 @@ class _Curves:
         if pixels.size == 0:
             raise InputError(f"no valid pixel on the targets of {subject!r}")
         self.scores[subject, detector] = _moments(pixels)
-        self.scores[background_of(subject), detector] = _moments(noise)
-        by_pixel = empirical_roc(pixels, noise, unit="pixel", background_area_km2=self.area_km2)
-        self.roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise)
+        self.scores[background_of(subject), detector] = _moments(noise.scores)
+        by_pixel = empirical_roc(
+            pixels, noise.scores, unit="pixel", background_area_km2=self.area_km2, blocks=noise
+        )
+        self.roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise.scores, blocks=noise)
         if not self.detection.halo_pixels:  # the model does not know what a halo may catch
             best = object_scores(scores, objects)
             self.of_objects[subject, detector] = ObjectScores(np.array(list(best.values())), tuple(best))
@@ -185,6 +187,7 @@ class _Curves:
             scores,
             objects,
             self.alarms,
+            noise,
             self.detection.halo_pixels,
             self.place.pixel_area_m2,
             draws=self.detection.bootstrap.draws,

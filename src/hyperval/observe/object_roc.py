@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
+from hyperval.processing.alarm_blocks import AlarmBlocks, block_side
 from hyperval.processing.objects import Placed, footprint, footprint_maxima, object_scores
 from hyperval.processing.roc import empirical_roc, with_summary
 from hyperval.products import RocCurve
@@ -20,6 +21,7 @@ def object_curve(
     scores: Array,
     objects: Mapping[str, Placed],
     alarms: Mask,
+    blocks: AlarmBlocks,
     halo: int,
     pixel_area_m2: float | None,
     *,
@@ -37,6 +39,7 @@ def object_curve(
     scores : (lines, samples), NaN where invalid
     objects : the pixels that are scored, each object in its window
     alarms : (lines, samples) True on the background
+    blocks : the scores of its valid pixels with their places
     draws, seed : of the bootstrap over objects
 
     Raises
@@ -46,21 +49,37 @@ def object_curve(
     best = np.array(list(object_scores(scores, objects, halo).values()))
     best = best[np.isfinite(best)]
     if halo == 0:
-        noise = scores[alarms]
-        noise, looked_at = noise[np.isfinite(noise)], int(np.count_nonzero(alarms))
+        looked_at = int(np.count_nonzero(alarms))
     else:
-        parts, looked_at = [], 0
-        shapes = [footprint(part, halo) for _, part in objects.values()]
-        # The placements of one shape count once, however many objects have it: they are the same pixels.
-        for shape in {(s.shape, s.tobytes()): s for s in shapes}.values():
-            parts.append(footprint_maxima(scores, shape, ~alarms))
-            looked_at += parts[-1].size * shape.size
-        noise = np.concatenate(parts)
-        if noise.size == 0:
-            raise UsageError(
-                f"with a halo of {halo} pixels no footprint of the targets fits on the background",
-                where="detection.halo_pixels",
-            )
+        blocks, looked_at = _placements(scores, objects, alarms, halo)
     area = None if pixel_area_m2 is None else looked_at * pixel_area_m2 / 1e6
-    curve = empirical_roc(best, noise, unit="object", background_area_km2=area)
-    return with_summary(curve, best, noise, draws=draws, rng=np.random.default_rng(seed))
+    noise = blocks.scores
+    curve = empirical_roc(best, noise, unit="object", background_area_km2=area, blocks=blocks)
+    return with_summary(curve, best, noise, draws=draws, rng=np.random.default_rng(seed), blocks=blocks)
+
+
+def _placements(scores: Array, objects: Mapping[str, Placed], alarms: Mask, halo: int) -> tuple[AlarmBlocks, int]:
+    """Greatest score of every placement of the objects' footprints on the background, and the pixels looked at."""
+    parts, looked_at = [], 0
+    shapes = []
+    for name, (_, part) in objects.items():
+        shapes.append(footprint(part, halo))
+        if any(np.greater(shapes[-1].shape, scores.shape)):
+            raise UsageError(
+                f"the object {name!r} with a halo of {halo} pixels is larger than the image, {scores.shape}",
+                where="detection.halo_pixels",
+                expected="a halo that leaves background around the object",
+            )
+    # The placements of one shape count once, however many objects have it: they are the same pixels.
+    for shape in {(s.shape, s.tobytes()): s for s in shapes}.values():
+        parts.append(footprint_maxima(scores, shape, ~alarms))
+        looked_at += parts[-1][0].size * shape.size
+    maxima, lines, samples = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if maxima.size == 0:
+        names = ", ".join(objects)
+        raise UsageError(
+            f"with a halo of {halo} pixels no footprint of the targets fits on the background ({names})",
+            where="detection.halo_pixels",
+        )
+    # Blocks as large on the ground as those of the pixels.
+    return AlarmBlocks.of_places(maxima, lines, samples, block_side(int(np.count_nonzero(alarms)))), looked_at

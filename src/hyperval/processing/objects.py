@@ -13,6 +13,7 @@ from hyperval.errors import UsageError
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
 # First line and sample of a window of the image, and the mask of an object within it.
 Placed = tuple[tuple[int, int], Mask]
 
@@ -80,7 +81,9 @@ def footprint(mask: npt.NDArray[Any], halo: int = 0) -> Mask:
     return grown[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
-def footprint_maxima(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None = None) -> Array:
+def footprint_maxima(
+    score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None = None
+) -> tuple[Array, Indices, Indices]:
     """Greatest score of each placement of an object's footprint on the background.
 
     The image is tiled by the footprint's bounding box, without overlap, so that the maxima are separate
@@ -94,11 +97,11 @@ def footprint_maxima(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDAr
 
     Returns
     -------
-    (n,) maxima: the ``background_scores`` that belong with haloed object scores.  One of them stands for a
-    false alarm per footprint, not per pixel.
+    maxima, lines, samples : (n,) the ``background_scores`` that belong with haloed object scores, of which one
+        stands for a false alarm per footprint, not per pixel; and the first line and sample of each placement
     """
-    values = _tiles(score_map, shape, exclude)
-    return values.max(axis=1) if values.size else np.empty(0)
+    values, lines, samples = _tiles(score_map, shape, exclude)
+    return values.max(axis=1) if values.size else np.empty(0), lines, samples
 
 
 def footprint_sums(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None = None) -> Array:
@@ -107,11 +110,13 @@ def footprint_sums(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArra
     Their spread is the standard uncertainty of the same sum over the object, with the correlation between
     neighbouring pixels in it.  Parameters and placements as :func:`footprint_maxima`.
     """
-    return np.asarray(_tiles(score_map, shape, exclude).sum(axis=1))
+    return np.asarray(_tiles(score_map, shape, exclude)[0].sum(axis=1))
 
 
-def _tiles(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None) -> Array:
-    """(n, pixels of the footprint) scores of every placement that touches no invalid or excluded pixel."""
+def _tiles(
+    score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] | None
+) -> tuple[Array, Indices, Indices]:
+    """(n, pixels of the footprint) scores of each placement without invalid or excluded pixels; line and sample."""
     scores = np.array(score_map, dtype=float)
     if exclude is not None:
         scores[np.asarray(exclude, dtype=bool)] = np.nan
@@ -121,4 +126,5 @@ def _tiles(score_map: npt.NDArray[Any], shape: Mask, exclude: npt.NDArray[Any] |
         raise UsageError(f"a footprint of {h} x {w} pixels does not fit a score map of {scores.shape}")
     tiles = scores[: rows * h, : columns * w].reshape(rows, h, columns, w).transpose(0, 2, 1, 3)
     values = tiles.reshape(rows * columns, h * w)[:, shape.ravel()]
-    return np.asarray(values[~np.isnan(values).any(axis=1)])
+    free = np.flatnonzero(~np.isnan(values).any(axis=1))
+    return np.asarray(values[free]), free // columns * h, free % columns * w

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from hyperval.errors import UsageError
+from hyperval.processing.alarm_blocks import AlarmBlocks, same_scores
 from hyperval.processing.alarms import alarms_at_detection
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.order_statistics import OrderStatistics
@@ -72,6 +73,7 @@ def pd_at_pfa(
     *,
     level: float = 0.95,
     nan: Nan = "raise",
+    blocks: AlarmBlocks | None = None,
 ) -> DetectionRate:
     """Detection probability at the lowest threshold whose empirical false-alarm rate is at most ``pfa``.
 
@@ -82,15 +84,18 @@ def pd_at_pfa(
     Clopper-Pearson.  (2) The threshold x that truly gives ``pfa`` is known only through the background sample:
     the number of background scores above x is binomial, so x lies between two order statistics of the
     background, at which P_D is read again; where n pfa is too small, no score bounds x from above and the lower
-    limit of P_D is 0.  The distances of both from P_D are added in quadrature on each side (as in Newcombe, Stat.
-    Med. 17, 873-890, 1998).  Simulated coverage at 95 % is 0.95 to 0.99, table in docs/statistics.md; with the
-    first part alone it falls below 0.4 for a small background and many targets.  Targets must be independent of
-    each other, so count objects, not the pixels of one object.
+    limit of P_D is 0.  Where the places of the background are known (``blocks``), alarms that come in clusters
+    widen that range (:meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.rank_limits`).  The distances of both
+    from P_D are added in quadrature on each side (as in Newcombe, Stat. Med. 17, 873-890, 1998).  Simulated
+    coverage at 95 % is 0.95 to 0.99, table in docs/statistics.md; with the first part alone it falls below 0.4 for
+    a small background and many targets.  Targets must be independent of each other, so count objects, not the
+    pixels of one object.
 
     Parameters
     ----------
     target_scores, background_scores : any shape; +-inf allowed; NaN raises, or is left out with ``nan="omit"``
     pfa : preset false-alarm probabilities in (0, 1]
+    blocks : the background scores with their places
 
     Raises
     ------
@@ -108,6 +113,10 @@ def pd_at_pfa(
     r = stats.binom.ppf(tail, b.size, p).astype(np.int64)
     # The least s with P(s scores or more above it) <= tail: the s-th greatest bounds it from below.
     s = stats.binom.isf(tail, b.size, p).astype(np.int64) + 1
+    if blocks is not None:
+        same_scores(blocks, b)
+        above, below = blocks.rank_limits(p)
+        r, s = np.minimum(r, above), np.maximum(s, below)
     ordered = OrderStatistics(b, np.concatenate([k + 1, r, s]))
     threshold, everything = ordered.greatest(k + 1), k >= b.size
     detected = _above(t, threshold, everything)
@@ -145,6 +154,7 @@ def empirical_roc(
     background_area_km2: float | None = None,
     level: float = 0.95,
     nan: Nan = "raise",
+    blocks: AlarmBlocks | None = None,
 ) -> RocCurve:
     """Empirical ROC curve at preset false-alarm probabilities, with the interval of :func:`pd_at_pfa`.
 
@@ -156,7 +166,9 @@ def empirical_roc(
         decades = int(np.ceil(np.log10(max(n, 10))))
         grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
         pfa = grid[grid * n * (1.0 + 1e-12) >= 1.0]
-    found = pd_at_pfa(target_scores, background_scores, np.sort(np.asarray(pfa, dtype=float)), level=level, nan=nan)
+    found = pd_at_pfa(
+        target_scores, background_scores, np.sort(np.asarray(pfa, dtype=float)), level=level, nan=nan, blocks=blocks
+    )
     return RocCurve(
         pfa=found.pfa,
         pd=found.pd,
@@ -178,24 +190,27 @@ def with_summary(
     *,
     draws: int = 1000,
     rng: np.random.Generator | None = None,
+    blocks: AlarmBlocks | None = None,
 ) -> RocCurve:
     """The curve of these scores with its areas (:mod:`hyperval.processing.roc_areas`) and alarms at stated P_D.
 
     Parameters
     ----------
     draws, rng : of the bootstrap over objects; by default a generator of seed 0
+    blocks : the background scores with their places
     """
     counts = counts_of(target_scores, background_scores)
     areas = areas_within(int(curve.n_background or 0))
-    found = area_estimates(counts, areas, curve.unit, draws, rng or np.random.default_rng(0))
+    found = area_estimates(counts, areas, curve.unit, draws, rng or np.random.default_rng(0), blocks)
     return replace(curve, areas=found, at_detection=alarms_at_detection(counts))
 
 
 def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
     """One curve for several groups of targets, each with its own detector, at the same false-alarm probability.
 
-    P_D is the share of all targets detected; its interval is that of Clopper & Pearson on the pooled count and
-    does not hold the sampling of the thresholds, of which there are several.
+    P_D is the share of all targets detected; its interval is that of Clopper & Pearson on the pooled count and, in
+    quadrature, what the sampling of the thresholds brings to each curve, added by the shares of the targets: the
+    detectors share their background, and its errors may go together.
 
     Raises
     ------
@@ -214,12 +229,19 @@ def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
     detected = sum(np.rint(c.pd[i] * int(c.n_target or 0)) for c, i in zip(curves, at, strict=True))
     total = sum(int(c.n_target or 0) for c in curves)
     low, high = clopper_pearson(np.asarray(detected, dtype=np.int64), total, level)
+    pd = np.asarray(detected) / total
+    below, above = np.zeros(grid.size), np.zeros(grid.size)
+    for curve, i in zip(curves, at, strict=True):
+        share = int(curve.n_target or 0) / total
+        each = clopper_pearson(np.rint(curve.pd[i] * int(curve.n_target or 0)), int(curve.n_target or 0), level)
+        below += share * _beyond(curve.pd[i] - curve.pd_lower[i], curve.pd[i] - each[0])
+        above += share * _beyond(curve.pd_upper[i] - curve.pd[i], each[1] - curve.pd[i])
     backgrounds = [c.n_background for c in curves if c.n_background is not None]
     return RocCurve(
         pfa=grid,
-        pd=np.asarray(detected) / total,
-        pd_lower=low,
-        pd_upper=high,
+        pd=pd,
+        pd_lower=np.clip(pd - np.hypot(pd - low, below), 0.0, low),
+        pd_upper=np.clip(pd + np.hypot(high - pd, above), high, 1.0),
         threshold=np.full(grid.shape, np.nan),  # every curve has its own
         unit=curves[0].unit,
         n_target=total,
@@ -227,6 +249,11 @@ def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
         background_area_km2=curves[0].background_area_km2,
         areas=pooled_areas([c.areas for c in curves], min(backgrounds) if backgrounds else 0),
     )
+
+
+def _beyond(whole: Array, part: Array) -> Array:
+    """What was added in quadrature to ``part`` to give ``whole``."""
+    return np.sqrt(np.maximum(whole**2 - part**2, 0.0))
 
 
 def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from scipy import special, stats
 
 from hyperval.errors import UsageError
+from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.intervals import bounded_mean_limits, clopper_pearson
 from hyperval.processing.rank_counts import RankCounts
 from hyperval.products import AreaEstimate
@@ -104,22 +105,43 @@ def area_variance(counts: RankCounts, area: RocArea = WHOLE) -> tuple[float, flo
     (Ann. Math. Stat. 28, 933-945, 1957) stands in for that part.
     """
     v, weight = placements(counts, area), counts.targets
-    over, tie = _shares(counts)
     m, n = int(weight.sum()), int(counts.ties.sum() + counts.between.sum())
     value = float(weight @ v / m)
     bound = value * (1.0 - value)
     of_targets = float(weight @ (v - value) ** 2 / (m - 1)) if m > 1 else bound
     if n < 2:
         return of_targets / m, bound
+    w, times = np.concatenate(_background_parts(counts, area)), np.concatenate([counts.between, counts.ties])
+    mean = float(times @ w / n)
+    return of_targets / m, float(times @ (w - mean) ** 2 / (n - 1)) / n
+
+
+def clustered_variance(counts: RankCounts, area: RocArea, blocks: AlarmBlocks) -> float:
+    """The part of the background in :func:`area_variance` where it comes in clusters.
+
+    The W_j are summed by block of the image, and the blocks' sums have the variance of
+    :meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.variance_of_sum`.  Source of the form: Obuchowski,
+    Biometrics 53, 567-578, 1997 (clustered ROC data).
+    """
+    between, on = _background_parts(counts, area)
+    left = np.searchsorted(counts.value, blocks.scores, side="left")
+    tied = counts.value[np.minimum(left, counts.value.size - 1)] == blocks.scores
+    w = np.where(tied, on[np.minimum(left, on.size - 1)], between[left])
+    n = w.size
+    sums = np.asarray(np.bincount(blocks.block, w - w.mean(), minlength=blocks.pixels.size), dtype=float)
+    return float(blocks.variance_of_sum(sums[None, :])[0]) / n**2
+
+
+def _background_parts(counts: RankCounts, area: RocArea) -> tuple[Array, Array]:
+    """W (K + 1,) of background scores between the targets, and (K,) on them."""
+    over, tie = _shares(counts)
+    weight, m = counts.targets, int(counts.targets.sum())
     # Slope of g across the tie: what one more background score above the target, or level with it, takes away.
     above = _slope(area, over, tie, 1.0)
     level = _slope(area, over, tie, 0.5)
-    # W of background scores between targets k - 1 and k: those above targets 0 .. k - 1; on target k: its half too.
+    # Between targets k - 1 and k: above targets 0 .. k - 1; on target k: its half too.
     cumulated = np.concatenate([[0.0], np.cumsum(weight * above)]) / m
-    on = cumulated[:-1] + weight * level / m
-    w, times = np.concatenate([cumulated, on]), np.concatenate([counts.between, counts.ties])
-    mean = float(times @ w / n)
-    return of_targets / m, float(times @ (w - mean) ** 2 / (n - 1)) / n
+    return cumulated, cumulated[:-1] + weight * level / m
 
 
 def _slope(area: RocArea, over: Array, tie: Array, part: float) -> Array:
@@ -138,7 +160,7 @@ def _slope(area: RocArea, over: Array, tie: Array, part: float) -> Array:
     return np.where(flat, part * single, slanted)
 
 
-def logit_interval(value: float, variance: float, m: int, n: int, level: float = 0.95) -> tuple[float, float]:
+def logit_interval(value: float, variance: float, m: int, n: float, level: float = 0.95) -> tuple[float, float]:
     """Interval of an area, symmetric in its logit, with Student's t of the smaller sample.
 
     Where the estimate has no spread, or stands at 0 or 1, the limit is the exact binomial one of min(m, n) trials.
@@ -155,7 +177,7 @@ def logit_interval(value: float, variance: float, m: int, n: int, level: float =
 
 
 def interval_of_mean(
-    placed: Array, target_variance: float, background_variance: float, n: int, level: float = 0.95
+    placed: Array, target_variance: float, background_variance: float, n: float, level: float = 0.95
 ) -> tuple[float, float]:
     """Interval of an area from the placements (m,) of its targets and the two parts of its variance.
 
@@ -176,9 +198,17 @@ def interval_of_mean(
 
 
 def area_estimates(
-    counts: RankCounts, areas: Mapping[str, RocArea], unit: str, draws: int, rng: np.random.Generator
+    counts: RankCounts,
+    areas: Mapping[str, RocArea],
+    unit: str,
+    draws: int,
+    rng: np.random.Generator,
+    blocks: AlarmBlocks | None = None,
 ) -> dict[str, AreaEstimate]:
-    """Areas by name with 95 % intervals: DeLong's variance by pixel, that of a bootstrap by object."""
+    """Areas by name with 95 % intervals: DeLong's variance by pixel, that of a bootstrap by object.
+
+    ``blocks``: the background with its places, which may come in clusters.
+    """
     n = int(counts.ties.sum() + counts.between.sum())
     m = int(counts.targets.sum())
     drawn = None
@@ -192,7 +222,13 @@ def area_estimates(
         if drawn is not None:
             method = f"bootstrap of {m} objects, {draws} draws"
             of_targets = max(float(drawn[i]) - of_background, 0.0)
-        low, high = interval_of_mean(placed, of_targets, of_background, n)
+        known_by = float(n)
+        if blocks is not None:
+            of_background = max(of_background, clustered_variance(counts, area, blocks))
+            # Few blocks know their scatter badly; by the part of the background in the whole (Satterthwaite).
+            share = of_background / max(of_targets + of_background, 1e-300)
+            known_by = min(known_by, 1.0 + blocks.degrees_of_freedom / max(share, 1e-6) ** 2)
+        low, high = interval_of_mean(placed, of_targets, of_background, known_by)
         out[name] = AreaEstimate(float(placed.mean()), low, high, method, placed, of_background)
     return out
 

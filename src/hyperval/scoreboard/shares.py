@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.processing.exceedance import block_side
+from hyperval.processing.alarm_blocks import block_side
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
