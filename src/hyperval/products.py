@@ -34,6 +34,7 @@ class SpectralEstimate:
         independent of each other, so their squares sum to the diagonal of ``error_covariance``
     estimated : parts (B, B) of ``error_covariance`` that were estimated from samples, each with its degrees of
         freedom; the rest counts as known
+    circular : why the estimate is no evidence, such as a panel that its own empirical line goes through; else empty
     """
 
     mean: Array
@@ -42,6 +43,7 @@ class SpectralEstimate:
     n: int | None = None
     budget: Mapping[str, Array] = field(default_factory=dict)
     estimated: tuple[tuple[Array, float], ...] = field(default=(), compare=False, repr=False)
+    circular: str = ""
 
     @property
     def standard_uncertainty(self) -> Array:

@@ -31,6 +31,13 @@ def test_the_first_campaign_runs_and_passes(folder):
     table = read_run(out).table
     passed = table.where(outcome=Outcome.AGREES)
     assert {r.subject for r in passed} == {"field", "court", "white-panel", "black-panel"}
+    # The page closes: seven full tests, each of which has p below 0.002 or above 0.998 once in 250 right models.
+    full = {(r.product, r.subject): r.value for r in table if r.metric == "p_value_full"}
+    assert set(full) >= {("radiance", "black-panel"), ("reflectance", "field"), ("reflectance", "court")}
+    assert all(0.002 < p < 0.998 for p in full.values()), full
+    lines = [r for r in table if r.product == "reflectance" and r.subject in ("white-panel", "black-panel")]
+    assert len(lines) == 2
+    assert all("no degree of freedom" in r.reason for r in lines)  # the line goes through both panels
     assert "would pass" in next(r.reason for r in table if r.metric == "pd_inside_interval@1e-2")
 
 

@@ -34,6 +34,8 @@ Array = npt.NDArray[np.float64]
 
 # Two measurements never meet to this part of their level.
 ROUNDING = 1e-9
+# Spectra of files and cubes have 24 bits: a smaller stated uncertainty is none.
+NUMERICAL = 6e-8
 
 
 def compare_spectra(
@@ -53,9 +55,12 @@ def compare_spectra(
     ``max_abs_difference_ratio_R``.  Over the windows: ``chi2_reduced_diagonal``, ``p_value_diagonal``,
     ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (mean difference ratio), ``chi2_reduced_shape``,
     ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``.  A region
-    without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.
+    without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.  A measured spectrum
+    that is no evidence, since the prediction's own input made it, gives one SKIPPED row.
     """
     make = RowMaker(campaign, product, subject, method)
+    if predicted is not None and observed is not None and observed.circular:
+        return [make.skipped(Cause.CIRCULAR, observed.circular)]
     return make.compared(predicted, observed, lambda p, o: _rows(make, p, o, axis))
 
 
@@ -165,8 +170,8 @@ def _consistency(
     cov = covariance[np.ix_(window, window)]
     parts_here = [(c[np.ix_(window, window)], nu) for c, nu in estimated]
     cause = Cause.NONE
-    if not np.all(np.diag(cov) > 0):
-        cause, reason = Cause.NO_UNCERTAINTY, "neither side states an uncertainty in some bands"
+    if not np.all(np.diag(cov) > (NUMERICAL * observed[window]) ** 2):
+        cause, reason = Cause.NO_UNCERTAINTY, "neither side states an uncertainty beyond rounding in some bands"
     elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(observed[window])):
         # Such as a panel that an empirical line of two panels goes through.
         reason = "both sides are equal to rounding: one was made from the other, which is no evidence"

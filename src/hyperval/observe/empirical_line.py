@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from hyperval.collection import EmpiricalLineSource, PanelReference
 from hyperval.errors import UsageError
@@ -23,6 +24,8 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _PIXELS_AT_ONCE = 10_000
+FEWEST_USABLE = 0.8  # of the good bands
+MOST_LEFT_OUT = 0.05  # reflectance that the other panels may be off by
 
 
 def empirical_line(
@@ -97,6 +100,31 @@ def refuse_saturated(source: EmpiricalLineSource | None, masks: Mapping[str, Mas
             )
 
 
+def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
+    """Why a line is not to be relied on: bands lost, panels that do not lie on one line."""
+    out = []
+    good = int(axis.good.sum())
+    usable = int((elm.usable & axis.good).sum())
+    if usable < FEWEST_USABLE * good:
+        out.append(f"the empirical line can be used in {usable} of {good} good bands only")
+    chi2 = elm.reduced_chi2[np.isfinite(elm.reduced_chi2)]
+    freedom = len(elm.panels) - elm.parameters
+    if chi2.size and np.median(chi2) > stats.chi2.ppf(0.99, freedom) / freedom:
+        out.append(
+            "the panels of the empirical line do not lie on one line within their stated errors: reduced "
+            f"chi-square {np.median(chi2):.3g} (median over bands)"
+        )
+    if elm.leave_one_out is not None:
+        for name, error in zip(elm.panels, elm.leave_one_out[:, elm.usable & axis.good], strict=True):
+            known = error[np.isfinite(error)]
+            if known.size and np.median(np.abs(known)) > MOST_LEFT_OUT:
+                out.append(
+                    f"the other panels of the empirical line give {name} a reflectance that is off by "
+                    f"{np.median(np.abs(known)):.2g} (median over bands)"
+                )
+    return [f"warning: {line}" for line in out]
+
+
 def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     """What is to be said of a line: its panels, the bands it cannot be used in, how well its panels agree."""
     notes = [f"empirical line through {', '.join(elm.panels)}: usable in {int(elm.usable.sum())} bands"]
@@ -120,7 +148,7 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     chi2 = elm.reduced_chi2[np.isfinite(elm.reduced_chi2)]
     if chi2.size:
         notes.append(f"empirical line: reduced chi-square of its panels {np.median(chi2):.3g} (median over bands)")
-    return notes
+    return [*notes, *line_warnings(elm, axis)]
 
 
 def _field(panel: PanelReference, cube: Cube, resolve: Callable[[str], Path]) -> tuple[Array, Array]:

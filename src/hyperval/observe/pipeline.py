@@ -21,7 +21,7 @@ from hyperval.observe.sampling import mean_error
 from hyperval.observe.site_spectra import observe_spectra
 from hyperval.observe.spread import pixel_distribution
 from hyperval.observe.subjects import scored_pixels, target_groups
-from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
+from hyperval.observe.uncertainty import calibration_covariance, rounding_variance, spectral_estimate
 from hyperval.observe.unmixing import Unmixed, unmix
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.elm_error import LineError
@@ -38,6 +38,7 @@ Mask = npt.NDArray[np.bool_]
 Resolve = Callable[[str], Path]
 Sampling = tuple[Array, float]  # error covariance of a mean, and the degrees of freedom behind it
 
+CIRCULAR = "the empirical line goes through this panel whatever it reflects: no degree of freedom is left"
 # At most this many pixels of a region are held in memory for its SNR.
 MAX_SNR_PIXELS = 20_000
 
@@ -105,7 +106,7 @@ def observe(
     regions = {name: measured[name] for name in place.regions}
     subjects = regions | {name: measured[name] for name in populations}
     sampling: dict[str, Sampling] = {
-        name: mean_error(place, masks[name], s)
+        name: _with_rounding(place, s, mean_error(place, masks[name], s))
         for name, s in track(list(subjects.items()), "sampling", show=show_progress)
     }
     errors = {name: covariance for name, (covariance, _) in sampling.items()}
@@ -170,6 +171,15 @@ def observe(
     return Observed(observation, classes, place, detected, elm, unmixed)
 
 
+def _with_rounding(place: Place, sample: SampleStatistics, sampling: Sampling) -> Sampling:
+    """The error of a mean with that of values which are stored as whole steps."""
+    cube = place.cube
+    if cube.dtype.kind not in "iu" or sample.n < 2:
+        return sampling
+    spread = np.sqrt(np.clip(np.diag(sample.covariance), 0.0, None))
+    return sampling[0] + np.diag(rounding_variance(np.abs(cube.gain), spread)), sampling[1]
+
+
 def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[str, Mask]:
     """Pixels of every target subject with at least two of them, for its mean spectrum.
 
@@ -210,15 +220,20 @@ def _spread(sample: SampleStatistics) -> Array | None:
 
 
 def _reflectance(name: str, sample: SampleStatistics, sampling: Sampling, error: LineError) -> SpectralEstimate:
-    """After the empirical line, whose error is common to all pixels and hangs together between bands."""
-    elm = error.line
+    """After the empirical line, whose error is common to all pixels and hangs together between bands.
+
+    A panel of the line is no evidence for it: its reflectance is that of the line through the other panels.  Where
+    they fix none, the line goes through the panel whatever it reflects.
+    """
+    others = error.without(name) if name in error.line.panels else error
+    elm = (others or error).line
     mean, covariance = in_reflectance(sample, elm)
-    parts, dof = _sampling_part(sample, (sampling[0] / np.outer(elm.gain, elm.gain), sampling[1]))
-    parts["empirical line"] = error.covariance(sample.mean, own=name)
-    if name in elm.panels:  # its pixels made the line: what they are off by is in the line's error
-        parts.pop("sampling", None)
-        dof.pop("sampling", None)
     spread = covariance if sample.n > 1 else None
+    if others is None:
+        own = {"empirical line": error.covariance(sample.mean, own=name)}
+        return spectral_estimate(mean, own, pixel_covariance=spread, n=sample.n, circular=CIRCULAR)
+    parts, dof = _sampling_part(sample, (sampling[0] / np.outer(elm.gain, elm.gain), sampling[1]))
+    parts["empirical line"] = others.covariance(sample.mean)
     return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, dof=dof)
 
 

@@ -34,6 +34,25 @@ def calibration_covariance(
     return np.outer(sigma, sigma) * correlation(axis, calibration.correlation_nm)
 
 
+def rounding_variance(step: npt.ArrayLike, standard_deviation: npt.ArrayLike) -> Array:
+    """Variance of the error that storing whole steps leaves in a mean over any number of pixels.
+
+    Noise of a step smooths the rounding away, a panel without noise keeps all of it: normal values about x with
+    standard deviation s are off by sum_k (-1)^k step/(pi k) sin(2 pi k x/step) exp(-2 pi^2 k^2 s^2/step^2) on
+    average, whose mean square over x is step^2/(2 pi^2) sum_k exp(-4 pi^2 k^2 s^2/step^2)/k^2, step^2/12 without
+    noise.  Source: Widrow, Kollar & Liu, IEEE Trans. Instrum. Meas. 45, 353-361, 1996.
+
+    Parameters
+    ----------
+    step : of the stored values; standard_deviation : of the pixels, in the same unit
+    """
+    q, s = np.broadcast_arrays(np.asarray(step, dtype=float), np.asarray(standard_deviation, dtype=float))
+    k = np.arange(1, 200)[:, None]
+    with np.errstate(under="ignore"):
+        terms = np.exp(-4.0 * np.pi**2 * k**2 * (s.ravel() / np.where(q.ravel() > 0.0, q.ravel(), 1.0)) ** 2) / k**2
+    return (q**2 / (2.0 * np.pi**2)) * terms.sum(axis=0).reshape(q.shape)
+
+
 def spectral_estimate(
     mean: npt.ArrayLike,
     parts: Mapping[str, npt.NDArray[np.float64]],
@@ -41,13 +60,14 @@ def spectral_estimate(
     pixel_covariance: Array | None = None,
     n: int | None = None,
     dof: Mapping[str, float] | None = None,
+    circular: str = "",
 ) -> SpectralEstimate:
     """Estimate whose error covariance is the sum of independent ``parts`` (B, B), each named in the budget.
 
-    ``dof``: degrees of freedom of the parts that were estimated from samples.
+    ``dof``: degrees of freedom of the parts that were estimated from samples; ``circular``: as in the estimate.
     """
     mean = np.asarray(mean, dtype=float)
     total = sum(parts.values(), np.zeros((mean.size, mean.size)))
     budget = {name: np.sqrt(np.clip(np.diag(part), 0.0, None)) for name, part in parts.items()}
     estimated = tuple((parts[name], v) for name, v in (dof or {}).items())
-    return SpectralEstimate(mean, total, pixel_covariance, n, budget, estimated)
+    return SpectralEstimate(mean, total, pixel_covariance, n, budget, estimated, circular)

@@ -68,6 +68,7 @@ class EmpiricalLine:
         the darkest and the brightest; None below 3 panels
     usable : (B,) False where the panels do not differ enough, or are too noisy, to fix a gain
     panels : names, in the order of the residuals
+    parameters : fitted in each band: 2, or 1 for a line through the origin
     """
 
     gain: Array
@@ -78,6 +79,7 @@ class EmpiricalLine:
     leave_one_out: Array | None
     usable: npt.NDArray[np.bool_]
     panels: tuple[str, ...]
+    parameters: int = 2
 
     def reflectance(self, radiance: npt.ArrayLike) -> Array:
         """(..., B) reflectance (L - b)/k of a radiance (..., B)."""

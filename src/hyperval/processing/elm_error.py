@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.errors import UsageError
 from hyperval.processing.elm import EmpiricalLine, PanelMeasurement
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +35,7 @@ class LineError:
     by_reflectance, by_radiance : for each panel, lines fitted with it a step up and a step down
     steps : (P, 2, B) those steps
     errors : of each panel
+    fit, panels : how and through what the line was fitted
     """
 
     line: EmpiricalLine
@@ -41,6 +43,16 @@ class LineError:
     by_radiance: tuple[tuple[EmpiricalLine, EmpiricalLine], ...]
     steps: Array
     errors: tuple[PanelErrors, ...]
+    fit: Fit
+    panels: tuple[PanelMeasurement, ...]
+
+    def without(self, name: str) -> LineError | None:
+        """The line through the other panels; None where they fix no line."""
+        rest = [i for i, panel in enumerate(self.panels) if panel.name != name]
+        try:
+            return line_error(self.fit, [self.panels[i] for i in rest], [self.errors[i] for i in rest])
+        except UsageError:
+            return None
 
     def covariance(self, radiance: npt.ArrayLike, own: str = "") -> Array:
         """(B, B) error covariance, by its panels, of the reflectance of a mean radiance (B,).
@@ -79,12 +91,20 @@ def line_error(
         h, g = _STEP * np.maximum(p.reflectance, 0.01), _STEP * np.maximum(np.abs(p.radiance), 1e-12)
         steps.append([h, g])
         by_reflectance.append(
-            tuple(fit(_with(panels, i, replace(p, reflectance=p.reflectance + s * h))) for s in (1.0, -1.0))
+            (
+                fit(_with(panels, i, replace(p, reflectance=p.reflectance + h))),
+                fit(_with(panels, i, replace(p, reflectance=p.reflectance - h))),
+            )
         )
         by_radiance.append(
-            tuple(fit(_with(panels, i, replace(p, radiance=p.radiance + s * g))) for s in (1.0, -1.0))
+            (
+                fit(_with(panels, i, replace(p, radiance=p.radiance + g))),
+                fit(_with(panels, i, replace(p, radiance=p.radiance - g))),
+            )
         )
-    return LineError(found, tuple(by_reflectance), tuple(by_radiance), np.array(steps), tuple(errors))  # type: ignore[arg-type]
+    return LineError(
+        found, tuple(by_reflectance), tuple(by_radiance), np.array(steps), tuple(errors), fit, tuple(panels)
+    )
 
 
 def _with(panels: Sequence[PanelMeasurement], i: int, panel: PanelMeasurement) -> list[PanelMeasurement]:

@@ -81,7 +81,7 @@ def fit_gain(
             left[i, clear] = radiance[i, clear] / part[clear] - rho[i, clear]
     return EmpiricalLine(
         np.where(usable, k, np.nan), np.where(usable, 0.0, np.nan), covariance, residuals, reduced, left, usable,
-        tuple(p.name for p in panels),
+        tuple(p.name for p in panels), 1,
     )  # fmt: skip
 
 
