@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -16,6 +17,8 @@ from hyperval.campaign.schema import load_campaign, load_campaigns
 from hyperval.campaign.template import campaign_runs, filled
 from hyperval.config import load_yaml, placeholders
 from hyperval.errors import InputError, UsageError
+from hyperval.imagery.envi_write import write_cube
+from hyperval.spectra.axis import SpectralAxis
 
 CAMPAIGN = {
     "schema": 1,
@@ -59,17 +62,19 @@ def written(tmp_path: Path, campaign: dict | None = None, scenario: dict | None 
 
 
 def complete(tmp_path: Path) -> Path:
-    """The campaign with its values, and all its files, of which only the names count here."""
+    """The campaign with its values, and all its files."""
     campaign = copy.deepcopy(CAMPAIGN)
+    campaign["collection"]["regions"] = [{"name": n, "rectangle": [i, 0, 1, 4]} for i, n in enumerate("ab")]
     campaign["collection"]["cube"]["scale"] = 0.001
     scenario = copy.deepcopy(SCENARIO)
-    scenario["scene"]["classes"][0]["fraction"] = 1.0
-    (tmp_path / "rois.geojson").write_text("{}")
+    scenario["scene"]["classes"] = [
+        {"name": n, "fraction": f, "spectrum": {"builtin": "grass"}} for n, f in (("a", 0.75), ("b", 0.25))
+    ]
     lines = tmp_path / "data" / "share2012" / "lines"
     lines.mkdir(parents=True)
     for run in campaign["runs"]:
-        (lines / f"{run['line']}_rad.dat").write_bytes(b"1")
-        (lines / f"{run['line']}_rad.hdr").write_bytes(b"1")
+        axis = SpectralAxis(np.array([450.0, 550.0]), np.full(2, 10.0))
+        write_cube(lines / f"{run['line']}_rad.dat", np.ones((3, 4, 2)), data_type=4, axis=axis)
     return written(tmp_path, campaign, scenario)
 
 
@@ -114,7 +119,7 @@ def test_a_campaign_that_is_filled_in_wrongly_is_refused(places, tmp_path):
     with pytest.raises(UsageError, match=r"campaign\.yaml:12: collection\.cube\.scale.*greater than 0"):
         dry_run([path])
     path = complete_again(tmp_path)
-    (tmp_path / "scenario.yaml").write_text((tmp_path / "scenario.yaml").read_text().replace("1.0", "0.5"))
+    (tmp_path / "scenario.yaml").write_text((tmp_path / "scenario.yaml").read_text().replace("0.75", "0.25"))
     with pytest.raises(UsageError, match=r"scenario\.yaml.*sum to 0\.5"):
         dry_run([path])
 

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from hyperval.campaign.draft import Text, read_texts
+from hyperval.campaign.names import (
+    Lookup,
+    Mistake,
+    campaign_mistakes,
+    comparison_mistakes,
+    scenario_mistakes,
+)
 from hyperval.campaign.references import Reference
 from hyperval.campaign.template import filled
 from hyperval.compare.gates import Gate
-from hyperval.config import load_yaml, validate
-from hyperval.datasets import held_set, how_to_get
+from hyperval.config import Location, load_yaml, validate
+from hyperval.datasets import held_set, how_to_get, resolve
 from hyperval.file_names import matching
 from hyperval.imagery.envi_raster import header_beside
 from hyperval.imagery.rasters import needs_header
-from hyperval.scenario import Scenario, builtin_scenarios
+from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 
-FILE, VALUE, COMPARISON = "file", "value", "comparison"
-FOUND, MISSING, TO_FILL_IN, PLANNED = "found", "missing", "to fill in", "planned"
+FILE, VALUE, COMPARISON, NAME = "file", "value", "comparison", "name"
+FOUND, MISSING, TO_FILL_IN, PLANNED, WRONG = "found", "missing", "to fill in", "planned", "wrong"
 
 
 @dataclass(frozen=True)
@@ -28,10 +36,10 @@ class Item:
     Attributes
     ----------
     campaign : its name
-    kind : "file", "value" or "comparison"
-    state : "found", "missing", "to fill in" or "planned"
-    what : the reference, the key, or product and subjects
-    detail : size of a file, how to get it, what a value is, the limit of a comparison
+    kind : "file", "value", "comparison" or "name"
+    state : "found", "missing", "to fill in", "planned" or "wrong"
+    what : the reference, the key, product and subjects, or file, line and key of a name that does not fit
+    detail : size of a file, how to get it, what a value is, the limit of a comparison, what is wrong
     """
 
     campaign: str
@@ -43,11 +51,11 @@ class Item:
     @property
     def lacking(self) -> bool:
         """Whether the campaign cannot run for want of it."""
-        return self.state in (MISSING, TO_FILL_IN)
+        return self.state in (MISSING, TO_FILL_IN, WRONG)
 
 
 def dry_run(paths: Sequence[Path]) -> list[Item]:
-    """List what every campaign names; nothing is computed and no cube is opened.
+    """List what every campaign names, and every name that does not fit; headers are opened, nothing is computed.
 
     Raises
     ------
@@ -65,8 +73,10 @@ def summary(items: Sequence[Item]) -> list[str]:
         own = [i for i in items if i.campaign == name]
         files = sum(i.state == MISSING for i in own)
         values = sum(i.state == TO_FILL_IN for i in own)
-        lacking = f"{files} files missing, {values} values to fill in"
-        out.append(f"{name}: {lacking if files or values else 'ready'}")
+        wrong = sum(i.state == WRONG for i in own)
+        lacking = f"{files} files missing, {values} values to fill in" if files or values else ""
+        lacking += f"{', ' if lacking else ''}{wrong} names that do not fit" if wrong else ""
+        out.append(f"{name}: {lacking or 'ready'}")
     holders = {owner.name: owner for i in items if i.state == MISSING and (owner := held_set(i.what)) is not None}
     out += [f"{o.name} is held by {o.held_by}: {how_to_get(o)}" for o in holders.values()]
     return out
@@ -79,7 +89,9 @@ def _items(text: Text) -> list[Item]:
     items += [Item(name, VALUE, TO_FILL_IN, p.key, f"{p.what} ({p.where})") for p in text.named.to_fill_in]
     items += [_comparison(name, gate) for gate in outline.comparisons]
     if not text.named.to_fill_in:
-        _check(text)
+        scenarios = _scenarios(text)
+        if not any(item.state == MISSING for item in items):
+            items += [Item(name, NAME, WRONG, m.where, m.what) for m in _mistakes(text, scenarios)]
     return items
 
 
@@ -107,17 +119,51 @@ def _comparison(name: str, gate: Gate) -> Item:
     return Item(name, COMPARISON, PLANNED, what, f"{gate.limit_text}{pooled}, {decides}")
 
 
-def _check(text: Text) -> None:
-    """Raise UsageError for mistakes in the campaign or in the scenario files that are at hand."""
-    for scenario in text.campaign().scenarios:
-        if not isinstance(scenario, str) or scenario in builtin_scenarios():
-            continue
-        path = Reference("scenarios", scenario, text.path.resolve().parent).path
-        if path is not None:
-            scenario_of(path, text)
+def _scenarios(text: Text) -> list[tuple[Scenario, str, Mapping[Location, int], Location]]:
+    """The scenarios that are at hand, each with the file it stands in, its lines, and where in it.
+
+    Raises
+    ------
+    UsageError : mistakes in the campaign or in the scenario files.
+    """
+    out: list[tuple[Scenario, str, Mapping[Location, int], Location]] = []
+    for i, source in enumerate(text.campaign().scenarios):
+        if isinstance(source, Scenario):
+            source._folder = text.path.resolve().parent
+            out.append((source, str(text.path), text.lines, ("scenarios", i)))
+        elif source in builtin_scenarios():
+            out.append((load_scenario(source), str(text.path), text.lines, ("scenarios", i)))
+        else:
+            path = Reference("scenarios", source, text.path.resolve().parent).path
+            if path is not None:
+                scenario, lines = scenario_of(path, text)
+                out.append((scenario, str(path), lines, ()))
+    return out
 
 
-def scenario_of(path: Path, text: Text) -> Scenario:
-    """A scenario file with the words of the run; UsageError for its mistakes."""
+def _mistakes(
+    text: Text, scenarios: Sequence[tuple[Scenario, str, Mapping[Location, int], Location]]
+) -> list[Mistake]:
+    campaign, base = text.campaign(), text.path.resolve().parent
+    own = Lookup(str(text.path), text.lines)
+    offered = campaign_mistakes(campaign, own, base)
+    collection = campaign.collection
+    reflects = collection.cube is not None and collection.cube.quantity == "reflectance"
+    subjects: list[str] = []
+    others: list[Mistake] = []
+    for scenario, file, lines, at in scenarios:
+        lookup = Lookup(file, lines)
+        find = partial(resolve, base=scenario.folder or base)
+        measured = reflects or collection.empirical_line is not None
+        subjects += scenario_mistakes(scenario, lookup, at, offered, measured, find)
+        others += lookup.mistakes
+    comparison_mistakes(campaign, own, offered, subjects)
+    return [*own.mistakes, *others]
+
+
+def scenario_of(path: Path, text: Text) -> tuple[Scenario, Mapping[Location, int]]:
+    """A scenario file with the words of the run, and its lines; UsageError for its mistakes."""
     data, lines = load_yaml(path)
-    return validate(Scenario, filled(data, text.words), lines, str(path))
+    scenario = validate(Scenario, filled(data, text.words), lines, str(path))
+    scenario._folder = path.resolve().parent
+    return scenario, lines

@@ -78,7 +78,7 @@ def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], outpu
 
 
 def _dry_run(campaigns: list[Path]) -> int:
-    from hyperval.campaign.dry_run import dry_run, summary
+    from hyperval.campaign.dry_run import WRONG, dry_run, summary
     from hyperval.errors import InputError
 
     items = dry_run(campaigns)
@@ -86,4 +86,6 @@ def _dry_run(campaigns: list[Path]) -> int:
     print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in items])
     for line in summary(items):
         note(line)
+    if any(i.state == WRONG for i in items):
+        return UsageError.exit_code
     return InputError.exit_code if any(i.lacking for i in items) else 0

@@ -1,0 +1,284 @@
+"""Every name that a campaign uses, looked up without a pixel's being computed: headers, regions, truth, spectra."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from hyperval.campaign.references import SIMULATED
+from hyperval.campaign.schema import Campaign
+from hyperval.collection import Detection
+from hyperval.config import Location
+from hyperval.datasets import resolve
+from hyperval.errors import HypervalError
+from hyperval.observe.place import IMAGE, SCENE, Place, open_place
+from hyperval.observe.subjects import target_groups
+from hyperval.prediction.inputs import Sources
+from hyperval.scenario import Scenario, SpectrumSource
+from hyperval.scene.builtin import builtin_class
+from hyperval.sensor.specification import load_sensor
+from hyperval.simulate import load_scene
+from hyperval.spectra.axis import SpectralAxis
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A name that does not fit: ``file:line`` with its key, and what is wrong."""
+
+    where: str
+    what: str
+
+
+@dataclass
+class Lookup:
+    """Mistakes of one file, with the lines of its entries."""
+
+    file: str
+    lines: Mapping[Location, int]
+    mistakes: list[Mistake] = field(default_factory=list)
+
+    def add(self, at: Location, what: str) -> None:
+        """A mistake at an entry; the line is that of the entry or of the nearest one that holds it."""
+        line = next((self.lines[at[:n]] for n in range(len(at), -1, -1) if at[:n] in self.lines), 1)
+        key = ".".join(str(part) for part in at)
+        self.mistakes.append(Mistake(f"{self.file}:{line}: {key}", what))
+
+    @contextmanager
+    def at(self, *location: str | int) -> Any:
+        """Errors of what is done inside stand at an entry."""
+        try:
+            yield
+        except HypervalError as error:
+            where = f"{error.where}: " if error.where else ""
+            expected = f"; expected: {error.expected}" if error.expected else ""
+            self.add(location, f"{where}{error.what}{expected}")
+
+    def known(self, location: Location, names: Iterable[str], known: Iterable[str], noun: str) -> None:
+        """A mistake for every name of a list that is none of ``known``."""
+        listed = list(dict.fromkeys(known))
+        for i, name in enumerate(names):
+            if name not in listed:
+                self.add((*location, i), f"no {noun} {name!r}; expected: one of {', '.join(listed) or 'none'}")
+
+
+@dataclass(frozen=True)
+class Collected:
+    """What a collection offers by name; ``axis`` None where no cube could be opened.
+
+    ``subjects`` are the populations of targets; empty where a group names what only a simulation writes.
+    """
+
+    axis: SpectralAxis | None
+    regions: tuple[str, ...]
+    subjects: tuple[str, ...]
+    pixel_size: bool
+
+
+def campaign_mistakes(campaign: Campaign, lookup: Lookup, base: Path) -> Collected:
+    """Look up everything that a campaign names of its collection; mistakes go to ``lookup``.
+
+    Parameters
+    ----------
+    base : folder of the campaign file
+    """
+    collection = campaign.collection
+
+    def find(reference: str) -> Path:
+        return resolve(reference, base)
+
+    if collection.spectra:
+        subjects = tuple(s.subject for s in collection.spectra)
+        return Collected(None, subjects, (), True)
+    offered = _simulated(campaign, lookup, find) if collection.simulate else _opened(campaign, lookup, find)
+    if offered is None:
+        return Collected(None, (), (), True)
+    regions = offered.regions
+    lookup.known(("collection", "leave_out"), collection.leave_out, regions, "region")
+    lookup.known(("collection", "snr_regions"), collection.snr_regions, regions, "region")
+    line = collection.empirical_line
+    for i, panel in enumerate(line.panels if line else ()):
+        at = ("collection", "empirical_line", "panels", i)
+        if panel.region not in regions:
+            lookup.add((*at, "region"), f"no region {panel.region!r}; expected: one of {', '.join(regions)}")
+        _spectrum(lookup, (*at, "spectrum"), panel.spectrum, panel.region, offered.axis, find, ())
+    if campaign.classification is not None:
+        lookup.known(("classification", "classes"), campaign.classification.classes, regions, "region")
+    if campaign.detection is not None:
+        _detection(campaign.detection, offered, lookup, find)
+    return offered
+
+
+def scenario_mistakes(
+    scenario: Scenario,
+    lookup: Lookup,
+    at: Location,
+    offered: Collected,
+    measured: bool,
+    find: Callable[[str], Path],
+) -> tuple[str, ...]:
+    """Look up everything that a scenario names; returns the names of its subjects.
+
+    Parameters
+    ----------
+    at : where the scenario stands in its file
+    measured : whether the collection gives statistics of its regions
+    find : references of the scenario
+    """
+    axis = offered.axis
+    if scenario.sensor is not None:
+        with lookup.at(*at, "sensor"):
+            name = scenario.sensor
+            sensor = load_sensor(find(name) if name.endswith((".yaml", ".yml")) else name)
+            axis = axis or sensor.axis
+    scene = scenario.scene
+    regions = offered.regions if measured else ()
+    surfaces: list[tuple[Location, Any]] = []
+    for kind in ("classes", "panels", "sites", "targets"):
+        surfaces += [((*at, "scene", kind, i), s) for i, s in enumerate(getattr(scene, kind))]
+    for location, surface in surfaces:
+        _spectrum(lookup, (*location, "spectrum"), surface.spectrum, surface.name, axis, find, regions)
+        spread = surface.covariance
+        if spread is not None and spread.measured is not None and spread.measured not in regions:
+            _unmeasured(lookup, (*location, "covariance", "measured"), spread.measured, regions, measured)
+        if spread is not None and spread.builtin is not None and axis is not None:
+            with lookup.at(*location, "covariance", "builtin"):
+                builtin_class(spread.builtin, axis)
+    names = [s.name for s in (*scene.classes, *scene.panels, *scene.sites)]
+    return (*names, *(p.name for t in scene.targets for p in t.populations))
+
+
+def comparison_mistakes(campaign: Campaign, lookup: Lookup, offered: Collected, predicted: Sequence[str]) -> None:
+    """Subjects of spectra and curves that neither side has, by the patterns of the comparisons."""
+    detection = campaign.detection
+    pools = [pool.name for pool in detection.pools] if detection else []
+    both = {
+        **{key: [*offered.regions, *offered.subjects] for key in ("radiance", "reflectance", "snr")},
+        "roc": [*offered.subjects, *pools],
+    }
+    for i, gate in enumerate(campaign.comparisons):
+        collected = both.get(gate.product)
+        if not collected:
+            continue
+        for k, pattern in enumerate(gate.subjects):
+            at = ("comparisons", i, "subjects", k)
+            if not any(fnmatchcase(name, pattern) for name in collected):
+                lookup.add(at, f"the collection has no {pattern!r}; expected: one of {', '.join(collected)}")
+            elif gate.product != "roc" and not any(fnmatchcase(name, pattern) for name in predicted):
+                lookup.add(at, f"no scenario has a subject {pattern!r}; expected: one of {', '.join(predicted)}")
+
+
+def _opened(campaign: Campaign, lookup: Lookup, find: Callable[[str], Path]) -> Collected | None:
+    """The collection as it lies on the disk; rules on spectra are not run."""
+    collection = campaign.collection
+    rules = [str(r.name) for r in collection.regions if r.normalized_difference is not None]
+    if collection.bands is not None:
+        with lookup.at("collection", "bands"):
+            find(collection.bands.path)
+    plain = collection.model_copy(update={"regions": [], "targets": None, "leave_out": []})
+    place: Place | None = None
+    with lookup.at("collection", "cube"):
+        place = open_place(plain, find, show_progress=False)
+    if place is None:
+        return None
+    names: list[str] = []
+    for i, source in enumerate(collection.regions):
+        if source.normalized_difference is not None:
+            continue
+        with lookup.at("collection", "regions", i):
+            names += open_place(plain.model_copy(update={"regions": [source]}), find, show_progress=False).regions
+    for name in sorted({n for n in names if names.count(n) > 1}):
+        lookup.add(("collection", "regions"), f"two regions are named {name!r}")
+    if collection.targets is not None:
+        with lookup.at("collection", "targets"):
+            place = open_place(plain.model_copy(update={"targets": collection.targets}), find, show_progress=False)
+    groups: dict[str, None] = {}
+    detection = campaign.detection
+    for i, target in enumerate(detection.targets if detection else ()):
+        with lookup.at("detection", "targets", i, "material"):
+            groups |= dict.fromkeys(target_groups(place.targets, target, detection.group if detection else ""))
+    return Collected(place.cube.axis, (*names, *rules), tuple(groups), place.pixel_area_m2 is not None)
+
+
+def _simulated(campaign: Campaign, lookup: Lookup, find: Callable[[str], Path]) -> Collected | None:
+    """The collection as its scene file says that it will be."""
+    with lookup.at("collection", "simulate"):
+        scene = load_scene(find(str(campaign.collection.simulate)))
+        axis = load_sensor(scene.sensor).axis
+        regions = (*(p.name for p in scene.panels), *(r.name for r in scene.regions))
+        more = tuple(str(r.name) for r in campaign.collection.regions if r.file is None)
+        materials = tuple(dict.fromkeys(g.material for g in scene.targets))
+        targets = campaign.detection.targets if campaign.detection else []
+        for i, target in enumerate(targets):
+            if target.material not in materials:
+                lookup.add(
+                    ("detection", "targets", i, "material"),
+                    f"the scene has no target of material {target.material!r}; one of {', '.join(materials)}",
+                )
+        subjects: tuple[str, ...] = ()
+        if campaign.detection is not None and campaign.detection.group == "{group}":
+            subjects = tuple(g.name for g in scene.targets)
+        return Collected(axis, regions + more, subjects, True)
+    return None
+
+
+def _detection(detection: Detection, offered: Collected, lookup: Lookup, find: Callable[[str], Path]) -> None:
+    regions = offered.regions
+    for key in ("background", "false_alarms"):
+        lookup.known(("detection", key), getattr(detection, key), (SCENE, IMAGE, *regions), "region")
+    lookup.known(("detection", "undesired"), detection.undesired, regions, "region")
+    for i, target in enumerate(detection.targets):
+        at = ("detection", "targets", i, "spectrum")
+        _spectrum(lookup, at, target.spectrum, target.name, offered.axis, find, ())
+    if offered.subjects:
+        for i, pool in enumerate(detection.pools):
+            lookup.known(("detection", "pools", i, "subjects"), pool.subjects, offered.subjects, "subject")
+    named = [t.name for t in detection.targets]
+    for i, check in enumerate(detection.areas):
+        _target(lookup, ("detection", "areas", i, "target"), check.target, named)
+        if check.detector not in detection.detectors:
+            lookup.add(("detection", "areas", i, "detector"), f"{check.detector!r} is none of detection.detectors")
+    if detection.unmixing is not None:
+        for i, item in enumerate(detection.unmixing.targets):
+            _target(lookup, ("detection", "unmixing", "targets", i, "target"), item.target, named)
+        lookup.known(("detection", "unmixing", "background"), [detection.unmixing.background], regions, "region")
+    if (detection.areas or detection.unmixing) and not offered.pixel_size:
+        lookup.add(
+            ("detection", "areas" if detection.areas else "unmixing"),
+            "areas need the ground area of a pixel, which neither the cube's map nor targets.pixel_size_m states",
+        )
+
+
+def _target(lookup: Lookup, at: Location, name: str, named: Sequence[str]) -> None:
+    if name not in named:
+        lookup.add(at, f"no detection target {name!r}; expected: one of {', '.join(named)}")
+
+
+def _spectrum(
+    lookup: Lookup,
+    at: Location,
+    source: SpectrumSource,
+    name: str,
+    axis: SpectralAxis | None,
+    find: Callable[[str], Path],
+    regions: Sequence[str],
+) -> None:
+    """Read a spectrum on the bands; one that a simulation writes, or a region gives, by its name alone."""
+    if source.measured is not None:
+        if source.measured not in regions:
+            _unmeasured(lookup, (*at, "measured"), source.measured, regions, bool(regions))
+        return
+    if axis is None or (source.file or "").startswith(SIMULATED):
+        return
+    with lookup.at(*at):
+        Sources(axis, {}, find).spectrum(source, name)
+
+
+def _unmeasured(lookup: Lookup, at: Location, region: str, regions: Sequence[str], measured: bool) -> None:
+    if measured:
+        lookup.add(at, f"no region {region!r}; expected: one of {', '.join(regions)}")
+    else:
+        lookup.add(at, "nothing is measured in reflectance: a cube in radiance needs collection.empirical_line")
