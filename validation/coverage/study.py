@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from intervals import exact, shares
 from world import AXIS, HIGH, LOW, PANEL_SIDE, SITE, Collection, collect, engine, scenario, tilt, truth
 from world import B as BANDS
 
@@ -30,7 +31,7 @@ from hyperval.processing.mean_error import components, independent_pixels, mean_
 from hyperval.processing.roc import empirical_roc, with_summary
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.processing.spatial_correlation import neighbour_shares
-from hyperval.products import Observation, Prediction
+from hyperval.products import ObjectScores, Observation, Prediction
 from hyperval.progress import track
 from hyperval.results import Result
 from hyperval.scene.builtin import builtin_class
@@ -47,7 +48,7 @@ LOOKED_FOR = builtin_class("yellow-paint-plank", AXIS).mean
 
 def predictions(samples: int) -> dict[str, Prediction]:
     """What is predicted, by both ways of propagation."""
-    return {m: predict(scenario(m, samples), axis=AXIS, engine=engine) for m in METHODS}
+    return {m: predict(scenario(m, samples), axis=AXIS, engine=engine, objects=True) for m in METHODS}
 
 
 def observed(c: Collection) -> Observation:
@@ -78,12 +79,14 @@ def observed(c: Collection) -> Observation:
             dof={"sampling": dof},
         )
     }
-    roc = {}
+    roc, objects = {}, {}
     if c.background.size:
         scores = [_scores(line.reflectance(x), line.reflectance(c.background)) for x in (c.targets, c.background)]
         curve = empirical_roc(*scores)
         roc["plank", "cem", "pixel"] = with_summary(curve, *scores, draws=200)
-    return Observation(AXIS, radiance, {"bright": snr_decorrelated(c.bright)}, reflectance, roc=roc)
+        objects["plank", "cem"] = ObjectScores(scores[0], tuple(str(i) for i in range(scores[0].size)))
+    snr = {"bright": snr_decorrelated(c.bright)}
+    return Observation(AXIS, radiance, snr, reflectance, roc=roc, object_scores=objects)
 
 
 def _field_error(field: Array, mean: Array, covariance: Array) -> tuple[Array, float]:
@@ -168,11 +171,23 @@ def outcomes(
                     inside = [r.value for r in mine if r.metric == f"pd_inside_interval{label}"]
                     note(("P_D", "plank", f"95 % interval at {pfa:g}", method), inside)
                 note(("AUC", "plank", "95 % interval", method), _area_held(mine))
+                inside = [r.value for r in rows if (r.subject, r.metric) == ("plank", "objects_inside_95")]
+                note(("scores", "plank", "object inside its 95 % interval", method), inside)
         tilted = observed(collect(t, np.random.default_rng([seed, i, 1]), detection=False, extra=tilt(TILT)))
         rows = compare_products(p["linear"], tilted, campaign="coverage", method="linear")
         mine = [r for r in rows if (r.product, r.subject) == ("radiance", "bright")]
         note(("radiance", "bright", f"full test rejects {100 * TILT:g} % tilt", "linear"), _rejected(mine))
     return [_outcome(key, np.array(values), runs[key]) for key, values in held.items()]
+
+
+def interval_outcomes(worlds: int, seed: int) -> list[Outcome]:
+    """Intervals of the background, of curves, areas and eigenvalues: :mod:`intervals`."""
+    out = []
+    for (what, clustered), (inside, count) in shares(worlds, seed).items():
+        low, high = exact(inside, count)
+        kind = "clusters" if clustered else "independent"
+        out.append(Outcome("interval", kind, what, "pixels", inside / count, low, high, count, count, COVERED))
+    return out
 
 
 def _ratio_held(rows: list[Result]) -> list[float]:
@@ -207,14 +222,15 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--output", type=Path, default=Path("reports/coverage"))
     args = parser.parse_args()
-    found = outcomes(predictions(args.draws), args.collections, args.spectra, args.seed, None)
+    found = interval_outcomes(args.collections, args.seed)
+    found += outcomes(predictions(args.draws), args.collections, args.spectra, args.seed, None)
     names = [*asdict(found[0]), "met"]
     lines = [",".join(names)]
     for o in found:
         values = {**asdict(o), "met": o.met, "wanted": f"{o.wanted[0]:g} to {o.wanted[1]:g}"}
         lines.append(",".join(f"{v:.4f}" if isinstance(v, float) else str(v) for v in values.values()))
         verdict = "" if o.met else "NOT MET"
-        print(f"{o.product:12} {o.subject:8} {o.what:28} {o.method:12} {o.share:.3f} ({o.collections}) {verdict}")
+        print(f"{o.product:12} {o.subject:11} {o.what:32} {o.method:12} {o.share:.3f} ({o.collections}) {verdict}")
     args.output.mkdir(parents=True, exist_ok=True)
     write_text(args.output / "coverage.csv", "\n".join(lines) + "\n")
     record = {"seed": args.seed, "draws": args.draws, "outcomes": [{**asdict(o), "met": o.met} for o in found]}

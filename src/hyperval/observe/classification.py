@@ -75,7 +75,7 @@ def class_sets(task: Classification) -> list[tuple[str, ...]]:
 
 
 def _halves(place: Place, name: str, task: Classification) -> tuple[_Half, _Half]:
-    mask = place.region(name) & ~place.near_targets
+    mask = place.pixels_of(name)
     lines, samples = np.nonzero(mask)
     block = lines // task.block_lines
     held = np.unique(block)

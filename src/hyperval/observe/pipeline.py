@@ -16,7 +16,7 @@ from hyperval.observe.classification import classification_errors
 from hyperval.observe.detection import Detected, detect
 from hyperval.observe.empirical_line import empirical_line, line_notes, refuse_saturated
 from hyperval.observe.filter_bank import BACKGROUND, in_reflectance
-from hyperval.observe.place import Place, open_place
+from hyperval.observe.place import IMAGE, Place, open_place
 from hyperval.observe.sampling import mean_error
 from hyperval.observe.site_spectra import observe_spectra
 from hyperval.observe.spread import pixel_distribution
@@ -92,7 +92,7 @@ def observe(
     place = open_place(collection, resolve, show_progress=show_progress)
     cube = place.cube
     masks: dict[str, Mask] = {
-        name: mask & ~place.near_targets if np.any(mask & ~place.near_targets) else mask
+        name: mask if not (counted := place.pixels_of(name)).any() else counted
         for name, mask in place.regions.items()
     }
     populations: dict[str, Mask] = {}
@@ -139,6 +139,8 @@ def observe(
         for name in track(list(place.regions), "tails", show=show_progress)
     }
     notes = list(place.notes)
+    if detection is not None:
+        notes += _population_notes(place, detection, masks)
     notes += [
         f"warning: region {name!r} is a single pixel: how far pixels differ is not known and in no interval"
         for name, sample in regions.items()
@@ -178,6 +180,24 @@ def _with_rounding(place: Place, sample: SampleStatistics, sampling: Sampling) -
         return sampling
     spread = np.sqrt(np.clip(np.diag(sample.covariance), 0.0, None))
     return sampling[0] + np.diag(rounding_variance(np.abs(cube.gain), spread)), sampling[1]
+
+
+def _population_notes(place: Place, detection: Detection, masks: Mapping[str, Mask]) -> list[str]:
+    """How the pixels behind filter, false alarms and classes differ, where they do."""
+    filters, alarms = masks[BACKGROUND], place.background(detection.false_alarms)
+    notes = []
+    if not np.array_equal(filters, alarms):
+        notes.append(
+            f"the filters have their statistics from {int(filters.sum())} pixels "
+            f"({', '.join(detection.background)}), false alarms are counted on {int(alarms.sum())} "
+            f"({', '.join(detection.false_alarms)})"
+        )
+    if IMAGE in detection.background:
+        within = int((filters & place.near_targets).sum())
+        notes.append(
+            f"{within} pixels of targets and their guard are in the filters' statistics, and in no class's"
+        )
+    return notes
 
 
 def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[str, Mask]:
@@ -268,8 +288,6 @@ def _classes(
         return {}
     out = {}
     for name, sample in regions.items():
-        if sample.n < 2:
-            continue  # a spectrum is no statistics
         mean, covariance = in_reflectance(sample, elm)
         known = np.isfinite(mean)
         if not known.all():

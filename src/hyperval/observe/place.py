@@ -57,6 +57,7 @@ class Place:
     target_pixels : which pixels of an object are scored: "touched" or "centre"
     notes : what was assumed or found on opening
     table : geographic lookup table of a cube in scanner geometry, None without
+    leave_out : names of the regions that are left out
     """
 
     cube: Cube
@@ -69,6 +70,7 @@ class Place:
     by_rule: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
     table: LookupTable | None = None
+    leave_out: frozenset[str] = frozenset()
 
     @property
     def source_files(self) -> tuple[Path, ...]:
@@ -86,8 +88,19 @@ class Place:
             return ~self.left_out
         union = np.zeros(self.cube.shape, bool)
         for name in names:
-            union |= self.region(name)
-        return union & ~self.near_targets
+            union |= self.pixels_of(name)
+        return union
+
+    def pixels_of(self, name: str) -> Mask:
+        """The pixels of a region that count, for its statistics as for filter and false alarms.
+
+        Those of targets, their guard and of other regions that are left out are not among them.
+        """
+        mask = self.region(name)
+        for other in self.leave_out - {name}:
+            if name not in self.leave_out:
+                mask = mask & ~self.region(other)
+        return mask & ~self.near_targets
 
     def region(self, name: str) -> Mask:
         """The mask of a region; raises UsageError for a name that no region has."""
@@ -138,6 +151,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         by_rule,
         tuple(notes),
         table,
+        frozenset(collection.leave_out),
     )
 
 

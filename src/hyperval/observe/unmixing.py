@@ -83,7 +83,7 @@ def unmix(
         raise UsageError("the detection has no 'unmixing'")
     if place.pixel_area_m2 is None:
         raise UsageError("unmixing: areas need the ground area of a pixel; the cube is not georeferenced")
-    region = place.region(task.background) & ~place.near_targets
+    region = place.pixels_of(task.background)
     covariances: dict[str, Array | None] = {}
     for weights in task.weights:
         _, covariance = in_reflectance(measured[task.background], elm)

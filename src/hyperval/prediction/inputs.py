@@ -79,6 +79,8 @@ class Sources:
         """
         base = self.spectrum(surface.spectrum, surface.name)
         if surface.covariance is None:
+            if surface.spectrum.measured is not None:
+                _refuse_single(base.n, surface.spectrum.measured, surface.name)
             return base
         # Tails are those of the pixels that the covariance is of; a stated spread has none of its own.
         covariance, tail_dof = self._spread(surface.covariance, base, surface.name)
@@ -153,7 +155,9 @@ class Sources:
         if region not in self.measured:
             raise UsageError(
                 f"{name!r} takes the measured statistics of region {region!r}, which were not handed in",
-                expected="one of " + ", ".join(self.measured) if self.measured else "a region of the collection",
+                expected="one of " + ", ".join(self.measured)
+                if self.measured
+                else "a region of a collection in reflectance, or in radiance with an empirical_line",
                 mend="run it from a campaign whose collection has that region "
                 f"(such as collection.regions: [{{name: {region}, whole_image: true}}]), or name another spectrum",
             )
@@ -172,11 +176,21 @@ class Sources:
             pixels = self._library(source.library, source.record, name, "covariance")
         elif source.measured is not None:
             pixels = self._measured(source.measured, name)
+            _refuse_single(pixels.n, source.measured, name)
         else:
             sd = (source.relative_sd or 0.0) * np.nan_to_num(base.mean)
             stated = np.outer(sd, sd) * correlation(self.axis, source.correlation_nm)
             return stated + source.band_sd**2 * np.eye(sd.size), base.tail_dof
         return pixels.covariance, pixels.tail_dof
+
+
+def _refuse_single(n: int | None, region: str, name: str) -> None:
+    if n is not None and n < 2:
+        raise UsageError(
+            f"the region {region!r} is a single pixel: the spread of {name!r} is not known from it",
+            expected="a region of two pixels or more, or a covariance",
+            mend="state covariance of the surface, such as covariance: {relative_sd: 0.05}, or enlarge the region",
+        )
 
 
 def correlation(axis: SpectralAxis, length_nm: float | None) -> Array:

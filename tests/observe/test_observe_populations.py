@@ -1,0 +1,72 @@
+"""Filter, class and false alarms are of the same pixels, or the notes say how they differ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperval.collection import Collection, Detection
+from hyperval.errors import UsageError
+from hyperval.observe.place import open_place
+from hyperval.prediction.inputs import Sources
+from hyperval.scenario import CovarianceSource, SpectrumSource, Surface
+
+
+def populations(world):
+    """Pixels behind the class of the whole image, the filter, and the false alarms."""
+    place = open_place(Collection.model_validate(world.collection), world.resolve, show_progress=False)
+    detection = Detection.model_validate(world.detection)
+    seen = world.observe()
+    return seen, place, (
+        seen.statistics["ground"].n,
+        int(place.background(detection.background).sum()),
+        next(iter(seen.observation.exceedance.values())).n,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("background", [["scene"], ["ground"]])
+def test_regions_that_are_left_out_are_left_out_of_every_population(world, background):
+    world.collection["regions"] = [
+        {"name": "ground", "whole_image": True}, {"name": "bright roof", "rectangle": [40, 30, 3, 3]},
+    ]  # fmt: skip
+    world.collection["leave_out"] = ["bright roof"]
+    world.detection |= {"background": background, "false_alarms": background}
+    values = world.values.copy()
+    values[40:43, 30:33] = 0.9
+    world.write(values)
+    seen, place, (of_class, of_filter, of_alarms) = populations(world)
+    assert of_class == of_filter == of_alarms == values.shape[0] * values.shape[1] - int(place.left_out.sum())
+    assert seen.statistics["ground"].mean.max() < 0.5
+    assert seen.statistics["bright roof"].n == 9  # what is left out has statistics of its own
+    assert not [n for n in seen.observation.notes if "false alarms are counted on" in n]
+
+
+def test_the_notes_say_how_the_populations_differ(world):
+    world.collection["regions"] = [{"name": "ground", "whole_image": True}]
+    world.detection |= {"background": ["image"], "false_alarms": ["scene"]}
+    seen, place, _ = populations(world)
+    near = int(place.near_targets.sum())
+    total = int(np.prod(place.cube.shape))
+    (note,) = [n for n in seen.observation.notes if "false alarms are counted on" in n]
+    assert note.startswith(f"the filters have their statistics from {total} pixels (image)")
+    assert f"counted on {total - near} (scene)" in note
+    assert any(
+        n.startswith(f"{near} pixels of targets and their guard are in the filters'")
+        for n in seen.observation.notes
+    )
+
+
+def test_a_single_pixel_gives_a_mean_and_no_spread(world):
+    world.collection["regions"] = [{"name": "dot", "rectangle": [3, 3, 1, 1]}]
+    seen = world.observe()
+    dot = seen.statistics["dot"]
+    assert dot.n == 1
+    assert dot.mean == pytest.approx(world.values[3, 3], rel=1e-6)
+    sources = Sources(seen.observation.axis, seen.statistics, world.resolve)
+    with pytest.raises(UsageError, match="'dot' is a single pixel: the spread of 'court' is not known"):
+        sources.surface(Surface(name="court", spectrum=SpectrumSource(measured="dot")))
+    stated = Surface(
+        name="court", spectrum=SpectrumSource(measured="dot"), covariance=CovarianceSource(relative_sd=0.1)
+    )
+    found = sources.surface(stated)
+    assert np.sqrt(np.diag(found.covariance)) == pytest.approx(0.1 * found.mean)

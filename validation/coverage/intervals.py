@@ -1,0 +1,143 @@
+"""How often the intervals of background, curves, areas and eigenvalues hold, on score maps whose truth is known.
+
+Each is simulated twice: from independent pixels, and from a background in clusters of 49 pixels, correlation 0.9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+from world import AXIS
+
+from hyperval.collection import AreaCheck, Detection
+from hyperval.imagery.truth import TargetObject, all_pixels
+from hyperval.observe.areas import target_areas
+from hyperval.processing.alarm_blocks import AlarmBlocks
+from hyperval.processing.covariance_sampling import Directions, SamplingBand, sampling_band
+from hyperval.processing.exceedance import exceedance_of
+from hyperval.processing.intervals import clopper_pearson
+from hyperval.processing.rank_counts import counts_of
+from hyperval.processing.roc import pd_at_pfa
+from hyperval.processing.roc_areas import AREAS, area_estimates
+from hyperval.scene.builtin import builtin_class
+
+Array = npt.NDArray[np.float64]
+Held = Iterator[tuple[str, bool]]
+
+SIDE, TILE, CORRELATION = 210, 7, 0.9  # [pixels]
+SEPARATION = 2.0
+TARGETS = (25, 80, 300)
+LEVELS = (1e-1, 1e-2, 1e-3)
+AREA_M2 = 4.0  # of a pixel
+
+
+def background(rng: np.random.Generator, clustered: bool, side: int = SIDE) -> Array:
+    """Standard normal scores (side, side), independent or in square clusters."""
+    own = rng.standard_normal((side, side))
+    if not clustered:
+        return own
+    count = -(-side // TILE)
+    common = rng.standard_normal((count, count)).repeat(TILE, 0).repeat(TILE, 1)[:side, :side]
+    return np.asarray(np.sqrt(CORRELATION) * common + np.sqrt(1.0 - CORRELATION) * own)
+
+
+def detection(rng: np.random.Generator, clustered: bool) -> Held:
+    """P_D at preset P_FA, P_FA at a threshold and areas, of targets 2 standard deviations above the background."""
+    scores = background(rng, clustered)
+    blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
+    curve = exceedance_of(blocks)
+    for level in LEVELS:
+        at = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
+        true = float(stats.norm.sf(curve.threshold[at]))
+        if np.isfinite(curve.lower[at]):
+            yield f"P_FA near {level:g}", bool(curve.lower[at] <= true <= curve.upper[at])
+    levels = np.array(LEVELS)
+    true_pd = stats.norm.sf(stats.norm.isf(levels) - SEPARATION)
+    for count in TARGETS:
+        target = rng.normal(SEPARATION, 1.0, count)
+        rate = pd_at_pfa(target, blocks.scores, levels, blocks=blocks)
+        for level, low, high, true in zip(LEVELS, rate.lower, rate.upper, true_pd, strict=True):
+            yield f"P_D at {level:g}, {count} targets", bool(low <= true <= high)
+        counts = counts_of(target, blocks.scores)
+        unit = "object" if count < 50 else "pixel"
+        estimates = area_estimates(counts, AREAS, unit, 200, rng, blocks)
+        for name, found in estimates.items():
+            yield f"{name}, {count} targets", bool(found.lower <= TRUE_AREAS[name] <= found.upper)
+
+
+def _true_areas() -> dict[str, float]:
+    out = {}
+    for name, area in AREAS.items():
+        s = stats.norm.sf(stats.norm.ppf((np.arange(400_000) + 0.5) / 400_000, loc=SEPARATION))
+        out[name] = float(area.share(s).mean())
+    return out
+
+
+TRUE_AREAS = _true_areas()
+
+
+def areas(rng: np.random.Generator, clustered: bool) -> Held:
+    """The area of an object as the sum of its scores, beside the area that was put there."""
+    side, truth = 120, 2.3
+    scores = 0.05 * background(rng, clustered, side)
+    corner = int(rng.integers(20, 90)), int(rng.integers(20, 90))
+    part = np.ones((3, 3), bool)
+    target = TargetObject("t", "paint", 1.0, truth * AREA_M2, (side, side), corner, part)
+    share = rng.dirichlet(np.ones(9)).reshape(3, 3)
+    scores[corner[0] : corner[0] + 3, corner[1] : corner[1] + 3] += truth * share
+    near = all_pixels([target], (side, side))
+    place = SimpleNamespace(
+        pixel_area_m2=AREA_M2, targets=[target], cube=SimpleNamespace(shape=(side, side)), near_targets=near,
+        background=lambda names: np.ones((side, side), bool),
+    )  # fmt: skip
+    asked = Detection.model_validate(
+        {"targets": [{"name": "t", "material": "paint", "spectrum": {"constant": 0.5}}],
+         "areas": [AreaCheck(target="t", detector="cem", margin_pixels=1).model_dump()]}
+    )  # fmt: skip
+    ((found,), _) = (list(x.values()) for x in target_areas(place, asked, {"t-cem": scores}))  # type: ignore[arg-type]
+    yield "area of an object", bool(abs(found.area_m2 - truth * AREA_M2) <= 1.96 * found.standard_uncertainty)
+
+
+_COVARIANCE = builtin_class("soil", AXIS).covariance + 1e-8 * np.eye(len(AXIS))
+_ROOT = np.linalg.cholesky(_COVARIANCE)
+EIGENVALUES = (1, 2, 5, 10)
+PIXELS = 600
+
+
+def eigenvalues(rng: np.random.Generator, clustered: bool) -> Held:
+    """Eigenvalues of a sample beside those drawn from the covariance that it came from."""
+    if clustered:
+        return
+    pixels = rng.standard_normal((PIXELS, len(AXIS))) @ _ROOT.T
+    measured = np.linalg.eigvalsh(np.cov(pixels.T))[::-1]
+    directions = Directions.of(_COVARIANCE)
+    band = sampling_band(directions, float(PIXELS - 1), max(EIGENVALUES), (1,), rng)
+    low, high = SamplingBand.limits(band.eigenvalues)
+    for k in EIGENVALUES:
+        yield f"eigenvalue {k}", bool(low[k - 1] <= measured[k - 1] <= high[k - 1])
+
+
+KINDS: tuple[Callable[[np.random.Generator, bool], Held], ...] = (detection, areas, eigenvalues)
+
+
+def shares(worlds: int, seed: int) -> dict[tuple[str, bool], tuple[int, int]]:
+    """How many of the intervals of each kind hold the truth, and of how many; keys: what, and whether clustered."""
+    out: dict[tuple[str, bool], tuple[int, int]] = {}
+    for i in range(worlds):
+        for number, kind in enumerate(KINDS):
+            for clustered in (False, True):
+                rng = np.random.default_rng([seed, i, number, clustered])
+                for what, held in kind(rng, clustered):
+                    inside, count = out.get((what, clustered), (0, 0))
+                    out[what, clustered] = inside + held, count + 1
+    return out
+
+
+def exact(inside: int, count: int) -> tuple[float, float]:
+    """The 95 % interval of a share."""
+    low, high = clopper_pearson(inside, count)
+    return float(low), float(high)
