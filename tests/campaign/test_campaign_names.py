@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from hyperval import cli
@@ -142,3 +144,15 @@ def test_names_of_a_simulated_collection_are_those_of_its_scene(tmp_path):
     ((what, detail),) = mistakes(path)
     assert what.endswith("collection.leave_out.0")
     assert "one of white-panel, black-panel, field, court" in detail
+
+
+def test_warnings_of_a_run_stand_on_the_console_and_beside_its_results(small, tmp_path, capsys):
+    panels = small.data["collection"]["empirical_line"]["panels"]
+    for entry in panels:
+        entry["relative_uncertainty"] = 0.01
+    panels[2]["spectrum"] = {"constant": 0.6}  # grey, and not as bright as is said
+    out = tmp_path / "out"
+    cli.run(["observe", str(small.write()), "-o", str(out)])
+    said = capsys.readouterr().err
+    assert "small: warning: the panels of the empirical line do not lie on one line" in said
+    assert any("do not lie on one line" in w for w in json.loads((out / "provenance.json").read_text())["warnings"])

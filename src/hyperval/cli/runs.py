@@ -7,7 +7,17 @@ from typing import Annotated, Literal
 
 import typer
 
-from hyperval.cli.shared import Output, Scheduler, app, finished, note, print_table, say_verdicts, settings
+from hyperval.cli.shared import (
+    Output,
+    Scheduler,
+    app,
+    finished,
+    note,
+    print_table,
+    say_verdicts,
+    say_warnings,
+    settings,
+)
 from hyperval.errors import UsageError
 
 
@@ -35,6 +45,7 @@ def observe(
     from hyperval.campaign.run import observe as run
 
     code = run(campaign, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
+    say_warnings(output)
     return finished(code, output)
 
 
@@ -65,6 +76,7 @@ def validate(
     if junit is not None:
         write_text(junit, (output / "junit.xml").read_text("utf-8"))
     note(f"results in {output}")
+    say_warnings(output)
     say_verdicts(output)
     return code
 

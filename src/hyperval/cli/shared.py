@@ -105,6 +105,17 @@ def say_verdicts(output: Path) -> None:
     note(last_line(rows))
 
 
+def say_warnings(output: Path) -> None:
+    """The warnings of a finished run, each with its campaign."""
+    import json
+
+    for path in sorted([*output.glob("provenance.json"), *output.glob("*/provenance.json")]):
+        record = json.loads(path.read_text("utf-8"))
+        name = record.get("configuration", {}).get("campaign", {}).get("name", path.parent.name)
+        for line in record.get("warnings", ()):
+            note(f"{name}: {line}")
+
+
 def note(text: str) -> None:
     """A message that --quiet leaves out."""
     if not settings.quiet:

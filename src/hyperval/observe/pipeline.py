@@ -23,10 +23,11 @@ from hyperval.observe.spread import pixel_distribution
 from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.observe.uncertainty import calibration_covariance, rounding_variance, spectral_estimate
 from hyperval.observe.unmixing import Unmixed, unmix
+from hyperval.observe.wavelengths import wavelength_notes
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.elm_error import LineError
 from hyperval.processing.region_statistics import region_statistics
-from hyperval.processing.sample import SampleStatistics
+from hyperval.processing.sample import SCENE, SampleStatistics
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.products import Observation, SpectralEstimate
 from hyperval.progress import track, watch_lines
@@ -138,7 +139,9 @@ def observe(
         name: pixel_distribution(place, masks[name], measured[name])
         for name in track(list(place.regions), "tails", show=show_progress)
     }
-    notes = list(place.notes)
+    reflects = cube.quantity == "reflectance"
+    means = [s.mean for s in regions.values()] or [measured[SCENE].mean]
+    notes = [*place.notes, *wavelength_notes(means, cube.axis, reflectance=reflects)]
     if detection is not None:
         notes += _population_notes(place, detection, masks)
     notes += [

@@ -12,6 +12,7 @@ from hyperval.collection import Collection
 from hyperval.collection_files import BandTable
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
+from hyperval.observe.wavelengths import wavelength_notes
 from hyperval.products import Observation
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 from hyperval.spectra.readers import FieldSpectrum, read_spectrum
@@ -54,6 +55,7 @@ def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> O
         if collection.calibration is not None:
             parts["calibration"] = calibration_covariance(mean, axis, collection.calibration, resolve)
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
+    notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
     return Observation(axis=axis, radiance=radiance, notes=tuple(notes), provenance={"quantity": "radiance"})
 
 

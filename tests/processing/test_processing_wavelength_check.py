@@ -1,0 +1,96 @@
+"""Wavelengths against features: planted shifts are found, on closed forms and on collected spectra."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperval.observe.wavelengths import wavelength_notes
+from hyperval.processing.wavelength_check import (
+    FEATURES,
+    RED_EDGE,
+    absorption_centre,
+    red_edge,
+    wavelength_shifts,
+)
+from hyperval.scene.builtin import builtin_class
+from hyperval.spectra.axis import SpectralAxis
+
+OXYGEN, WATER, _ = FEATURES
+SITES = ("184227_rdn_v2p11_AstroGreenBaseball", "184227_rdn_v2p11_BeckmanLawn", "184829_rdn_v2p11_darklot")
+PLANTED = (2.0, 5.0, 10.0, -2.0, -5.0, -10.0)
+
+
+def site(name: str) -> tuple[np.ndarray, np.ndarray]:
+    root = os.environ.get("HYPERVAL_DATA")
+    path = Path(root or "-") / f"pasadena/remote/ang20171108t{name}.txt"
+    if not path.is_file():
+        pytest.skip("needs HYPERVAL_DATA: pasadena")
+    table = np.loadtxt(path)
+    return table[:, 0] * (1000.0 if table[0, 0] < 10.0 else 1.0), table[:, 1]
+
+
+@pytest.mark.parametrize("width", [2.0, 4.0])
+def test_the_centre_of_an_absorption_is_its_first_moment_whatever_the_band_width(width):
+    # Two lines of unequal depth; the moment of their sum is the average by area, 762.9 + 0.25.
+    w = np.arange(700.0, 830.0, 1.0)
+    lines = 0.3 * np.exp(-0.5 * ((w - 761.9) / width) ** 2) + 0.5 * np.exp(-0.5 * ((w - 763.9) / width) ** 2)
+    level = 40.0 - 0.1 * (w - 760.0)
+    centre, depth = absorption_centre(w, level * (1.0 - lines), OXYGEN)
+    assert centre == pytest.approx((0.3 * 761.9 + 0.5 * 763.9) / 0.8, abs=0.05)
+    assert 0.5 < depth < 0.8
+
+
+def test_a_spectrum_without_the_absorption_has_no_centre():
+    w = np.arange(700.0, 830.0, 1.0)
+    assert np.isnan(absorption_centre(w, 40.0 - 0.1 * (w - 760.0), OXYGEN)[0])
+    assert list(wavelength_shifts(np.ones(50), SpectralAxis(np.linspace(400, 700, 50), np.full(50, 6.0)))) == []
+
+
+def test_the_red_edge_lies_at_half_of_the_rise():
+    w = np.arange(640.0, 820.0, 2.0)
+    assert red_edge(w, 0.05 + 0.4 / (1.0 + np.exp(-(w - 718.0) / 8.0))) == pytest.approx(718.0, abs=0.3)
+    assert np.isnan(red_edge(w, np.full(w.size, 0.2)))
+    grass = builtin_class("grass", SpectralAxis(w, np.full(w.size, 4.0))).mean
+    assert abs(red_edge(w, grass) - RED_EDGE.centre_nm) < 2.0 * RED_EDGE.uncertainty_nm
+
+
+@pytest.mark.parametrize("name", SITES)
+def test_collected_spectra_stand_where_they_should_and_planted_shifts_are_found(name):
+    w, radiance = site(name)
+    bands = np.full(w.size, 5.5)
+    unmoved = {s.feature: s for s in wavelength_shifts(radiance, SpectralAxis(w, bands))}
+    assert set(unmoved) == {f.name for f in FEATURES}
+    assert not any(s.certain for s in unmoved.values())
+    for planted in PLANTED:
+        found = {s.feature: s for s in wavelength_shifts(radiance, SpectralAxis(w + planted, bands))}
+        for feature, shift in found.items():
+            assert shift.nm - unmoved[feature].nm == pytest.approx(planted, abs=0.05)
+        # The oxygen band sees 5 nm with certainty on every site; 2 nm from the side on which it stood.
+        if abs(planted) >= 5.0:
+            assert found[OXYGEN.name].certain
+            assert found[WATER.name].certain
+
+
+def test_a_shift_is_warned_of_in_the_notes():
+    spectra = [site(name) for name in SITES]
+    w = spectra[0][0]
+    means = [radiance for _, radiance in spectra]
+    (told,) = wavelength_notes(means, SpectralAxis(w, np.full(w.size, 5.5)), reflectance=False)
+    assert "oxygen A band +0." in told
+    assert "3 spectra" in told
+    for planted in (2.0, 5.0, 10.0):
+        notes = wavelength_notes(means, SpectralAxis(w + planted, np.full(w.size, 5.5)), reflectance=False)
+        warned = [n for n in notes if n.startswith("warning: the oxygen A band lies ")]
+        assert len(warned) == 1
+        assert float(warned[0].split()[6]) == pytest.approx(planted, abs=1.0)
+
+
+def test_what_cannot_be_checked_is_said():
+    axis = SpectralAxis(np.linspace(400, 700, 50), np.full(50, 6.0))
+    assert wavelength_notes([np.ones(50)], axis, reflectance=True) == [
+        "the wavelengths could not be checked: no spectrum shows a red edge of plants"
+    ]
