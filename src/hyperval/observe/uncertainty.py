@@ -50,7 +50,7 @@ def rounding_variance(step: npt.ArrayLike, standard_deviation: npt.ArrayLike) ->
     k = np.arange(1, 200)[:, None]
     with np.errstate(under="ignore"):
         terms = np.exp(-4.0 * np.pi**2 * k**2 * (s.ravel() / np.where(q.ravel() > 0.0, q.ravel(), 1.0)) ** 2) / k**2
-    return (q**2 / (2.0 * np.pi**2)) * terms.sum(axis=0).reshape(q.shape)
+    return np.asarray((q**2 / (2.0 * np.pi**2)) * terms.sum(axis=0).reshape(q.shape))
 
 
 def spectral_estimate(

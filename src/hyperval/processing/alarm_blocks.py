@@ -92,9 +92,9 @@ class AlarmBlocks:
         alone = np.sum(deviation**2, axis=1) * m / max(m - 1, 1)
         free = m - float(self.neighbours.sum()) / m
         if free <= 0.0:
-            return alone
+            return np.asarray(alone)
         together = np.sum(deviation * (self.neighbours @ deviation.T).T, axis=1) * m / free
-        return np.maximum(alone, together)
+        return np.asarray(np.maximum(alone, together))
 
     @property
     def degrees_of_freedom(self) -> float:
