@@ -9,6 +9,7 @@ import pytest
 from scipy import integrate, ndimage, optimize, stats
 
 from hyperval.errors import UsageError
+from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.auc import auc_with_interval
 from hyperval.processing.covariance_sampling import SamplingBand, drawn_covariance
 from hyperval.processing.elm import PanelMeasurement, fit_elm
@@ -228,7 +229,7 @@ def test_interval_of_exceedance_by_blocks_in_plain_loops():
     rng = np.random.default_rng(5)
     image = ndimage.gaussian_filter(rng.standard_normal((22, 30)), 1.0)  # 30 columns: blocks of 4 leave two over
     counted = rng.random(image.shape) < 0.9
-    curve = exceedance_curve(image, counted, side=4)
+    curve = exceedance_curve(AlarmBlocks.of_map(image, counted, side=4))
     total = counted.sum()
     effects, struck = [], []
     for t, p in zip(curve.threshold, curve.probability, strict=True):

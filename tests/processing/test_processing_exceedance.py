@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
 from hyperval.errors import UsageError
-from hyperval.processing.alarm_blocks import block_side
+from hyperval.processing.alarm_blocks import AlarmBlocks, block_side
 from hyperval.processing.exceedance import exceedance_at, exceedance_curve
 
 
@@ -16,7 +16,7 @@ def test_counts_are_those_of_the_pixels():
     scores[0, :5] = np.nan
     counted = np.ones((40, 50), bool)
     counted[:, 45:] = False
-    curve = exceedance_curve(scores, counted)
+    curve = exceedance_curve(AlarmBlocks.of_map(scores, counted))
     values = scores[counted & np.isfinite(scores)]
     assert curve.n == values.size == 1795
     for t, p in zip(curve.threshold, curve.probability, strict=True):
@@ -30,13 +30,15 @@ def test_counts_are_those_of_the_pixels():
 
 def test_equal_scores_pass_together():
     scores = np.repeat([[0.0, 1.0]], 30, axis=0)
-    curve = exceedance_curve(scores, np.ones((30, 2), bool))
+    curve = exceedance_curve(AlarmBlocks.of_map(scores, np.ones((30, 2), bool)))
     assert curve.threshold.tolist() == [0.0, 1.0] or curve.threshold.tolist() == [1.0]
     assert set(curve.probability.tolist()) <= {0.5, 0.0}
 
 
 def test_log_linear_between_points():
-    curve = exceedance_curve(np.random.default_rng(2).exponential(size=(60, 60)), np.ones((60, 60), bool))
+    curve = exceedance_curve(
+        AlarmBlocks.of_map(np.random.default_rng(2).exponential(size=(60, 60)), np.ones((60, 60)))
+    )
     x, p = curve.threshold, curve.probability
     assert exceedance_at(curve, float(x[3])) == pytest.approx(p[3])
     assert exceedance_at(curve, 0.5 * (x[3] + x[4])) == pytest.approx(np.sqrt(p[3] * p[4]))
@@ -53,7 +55,7 @@ def test_the_interval_covers_clustered_alarms(blur, level, least):
         image = rng.standard_normal((90, 120))
         if blur:
             image = gaussian_filter(image, blur, mode="wrap") / np.sqrt((kernel**2).sum())
-        curve = exceedance_curve(image, np.ones(image.shape, bool))
+        curve = exceedance_curve(AlarmBlocks.of_map(image, np.ones(image.shape, bool)))
         at = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
         true, p = norm.sf(curve.threshold[at]), curve.probability[at]
         hits += curve.lower[at] <= true <= curve.upper[at]
@@ -67,4 +69,4 @@ def test_blocks():
     assert block_side(64 * 100) == 10
     assert block_side(30) == 4
     with pytest.raises(UsageError, match="too few"):
-        exceedance_curve(np.zeros((4, 4)), np.ones((4, 4), bool))
+        exceedance_curve(AlarmBlocks.of_map(np.zeros((4, 4)), np.ones((4, 4), bool)))

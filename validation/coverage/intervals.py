@@ -18,7 +18,7 @@ from hyperval.imagery.truth import TargetObject, all_pixels
 from hyperval.observe.areas import target_areas
 from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.covariance_sampling import Directions, SamplingBand, sampling_band
-from hyperval.processing.exceedance import exceedance_of
+from hyperval.processing.exceedance import exceedance_curve
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.rank_counts import counts_of
 from hyperval.processing.roc import pd_at_pfa
@@ -49,7 +49,7 @@ def detection(rng: np.random.Generator, clustered: bool) -> Held:
     """P_D at preset P_FA, P_FA at a threshold and areas, of targets 2 standard deviations above the background."""
     scores = background(rng, clustered)
     blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
-    curve = exceedance_of(blocks)
+    curve = exceedance_curve(blocks)
     for level in LEVELS:
         at = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
         true = float(stats.norm.sf(curve.threshold[at]))

@@ -20,7 +20,7 @@ from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.elm import EmpiricalLine
-from hyperval.processing.exceedance import FEWEST_FOR_A_CURVE, exceedance_of
+from hyperval.processing.exceedance import FEWEST_FOR_A_CURVE, exceedance_curve
 from hyperval.processing.local_scores import LocalWindow, score_cube_locally
 from hyperval.processing.objects import object_scores, values_on
 from hyperval.processing.pixel_scores import PixelDetector, score_cube
@@ -156,7 +156,7 @@ class _Curves:
         self.outlined.setdefault(key, {}).update({o.name: o for members in groups.values() for o in members})
         noise = AlarmBlocks.of_map(scores, self.alarms)
         if noise.scores.size >= FEWEST_FOR_A_CURVE:
-            self.exceedance[target.name, detector] = exceedance_of(noise)
+            self.exceedance[target.name, detector] = exceedance_curve(noise)
         for subject, members in groups.items():
             if (subject, detector) in self.scores:
                 raise UsageError(

@@ -39,27 +39,16 @@ class FalseAlarmRatio:
     predicted: float
 
 
-def exceedance_curve(score_map: npt.ArrayLike, counted: npt.ArrayLike, side: int | None = None) -> ExceedanceCurve:
-    """P(score > threshold) of the pixels that count, at ten thresholds for each decade of it, down to 5 alarms.
+def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
+    """P(score > threshold) of background pixels, at ten thresholds for each decade of it, down to 5 alarms.
 
     The interval is :meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.pfa_limits`; there is none where all alarms
     lie in one block.
-
-    Parameters
-    ----------
-    score_map : (lines, samples), NaN where invalid
-    counted : (lines, samples) True on background
-    side : of the blocks [pixels]; None: about 64 of them
 
     Raises
     ------
     UsageError : fewer than 20 pixels count.
     """
-    return exceedance_of(AlarmBlocks.of_map(score_map, counted, side))
-
-
-def exceedance_of(background: AlarmBlocks) -> ExceedanceCurve:
-    """:func:`exceedance_curve` of background scores whose blocks are known."""
     n = background.scores.size
     if n < FEWEST_FOR_A_CURVE:
         raise UsageError(
