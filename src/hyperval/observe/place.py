@@ -86,21 +86,15 @@ class Place:
             return np.ones(self.cube.shape, bool)
         if SCENE in names:
             return ~self.left_out
-        union = np.zeros(self.cube.shape, bool)
-        for name in names:
-            union |= self.pixels_of(name)
-        return union
+        counted = [np.zeros(self.cube.shape, bool), *(self.pixels_of(name) for name in names)]
+        return np.asarray(np.logical_or.reduce(counted))
 
     def pixels_of(self, name: str) -> Mask:
-        """The pixels of a region that count, for its statistics as for filter and false alarms.
-
-        Those of targets, their guard and of other regions that are left out are not among them.
-        """
-        mask = self.region(name)
-        for other in self.leave_out - {name}:
-            if name not in self.leave_out:
-                mask = mask & ~self.region(other)
-        return mask & ~self.near_targets
+        """Pixels of a region that count: without targets, their guard and other regions that are left out."""
+        mask = self.region(name) & ~self.near_targets
+        for other in () if name in self.leave_out else self.leave_out:
+            mask &= ~self.region(other)
+        return mask
 
     def region(self, name: str) -> Mask:
         """The mask of a region; raises UsageError for a name that no region has."""
