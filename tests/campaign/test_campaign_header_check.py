@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.campaign.header_check import centre_of, distance_km, scenario_notes
 from hyperval.campaign.one import jobs_of, run_campaign
+from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.rasters import open_raster
 from hyperval.observe.place import Place
 
 UTM18 = CRS.from_epsg(32618)
@@ -45,6 +49,20 @@ def test_another_place_or_time_is_a_warning_once():
         "warning: the cube lies at latitude 42.902",
     ]
     assert "111 km from the place of scenario 'line' (43.9, -77.75)" in notes[1]
+
+
+def test_another_sun_in_the_observation_file_is_a_warning(tmp_path: Path):
+    cube = write_cube(tmp_path / "f01_rdn_img", np.ones((4, 5, 2)), data_type=4)
+    angles = write_cube(tmp_path / "f01_rdn_obs", np.full((4, 5, 2), 41.5), data_type=5)
+    header = next(p for p in tmp_path.glob("f01_rdn_obs*.hdr"))
+    header.write_text(header.read_text() + "band names = {Path length, To-sun zenith}\n")
+    raw = place(None)
+    raw.cube.raster = open_raster(cube)  # type: ignore[misc]
+    assert scenario_notes(raw, [scenario(sun=(41.0, 180.0))]) == []
+    notes = scenario_notes(raw, [scenario(sun=(44.0, 180.0))])
+    assert notes == [
+        f"warning: the sun stands at a zenith angle of 41.50 degrees in {angles.name}, at 44.00 in scenario 'line'"
+    ]
 
 
 def test_the_lookup_table_places_a_raw_cube():

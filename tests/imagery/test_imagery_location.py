@@ -11,7 +11,7 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
 from hyperval.errors import InputError
-from hyperval.imagery.companions import companion, table_of
+from hyperval.imagery.companions import companion, sun_zenith_deg, table_of
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.envi_write import write_cube
 from hyperval.imagery.location import LocationTable, metres_per_degree
@@ -126,3 +126,21 @@ def test_places_that_are_none(tmp_path: Path, axis, line_values):
         location_table(open_raster(tmp_path / "empty"), (LINES, SAMPLES))
     with pytest.raises(InputError, match="two bands: x and y"):
         location_table(open_raster(table), (LINES, SAMPLES + 1))
+
+
+@pytest.mark.parametrize(
+    ("names", "want"),
+    [
+        ("Path length (m), To-sun zenith (0 to 90 degrees from zenith)", 41.5),
+        ("Path length, To-sensor zenith", None),
+    ],
+)
+def test_the_angle_of_the_sun_in_an_observation_file(tmp_path: Path, axis, line_values, names: str, want):
+    cube = write_cube(tmp_path / "f01_rdn_v2n1_img", line_values, data_type=4, axis=axis)
+    angles = np.stack([np.full((LINES, SAMPLES), 4000.0), np.full((LINES, SAMPLES), 41.5)], axis=-1)
+    angles[:, :3] = -9999.0
+    path = write_cube(tmp_path / "f01_rdn_obs", angles, data_type=5)
+    header = next(p for p in tmp_path.glob("f01_rdn_obs*.hdr"))
+    header.write_text(header.read_text() + f"band names = {{{names}}}\n")
+    found = sun_zenith_deg(open_raster(cube))
+    assert found == (None if want is None else (want, path.name))

@@ -10,11 +10,13 @@ from rasterio.warp import transform as reproject
 
 from hyperval.atmosphere.solar import parse_utc
 from hyperval.imagery.acquisition import time_notes
+from hyperval.imagery.companions import sun_zenith_deg
 from hyperval.observe.place import Place
 from hyperval.scenario import Scenario
 
 # A flight line is seldom longer; over this distance the sun's zenith angle changes by a tenth of a degree.
 MAX_KM = 10.0
+MAX_SUN_DEG = 1.0  # a path of 1 % more or less at a zenith angle of 30 degrees
 _KM_PER_DEGREE = 111.2
 
 
@@ -24,6 +26,7 @@ def scenario_notes(place: Place | None, scenarios: Sequence[Scenario]) -> list[s
         return []
     notes: list[str] = []
     where = centre_of(place)
+    sun = sun_zenith_deg(place.cube.raster)
     for scenario in scenarios:
         state = scenario.atmosphere
         if state is None:
@@ -31,6 +34,11 @@ def scenario_notes(place: Place | None, scenarios: Sequence[Scenario]) -> list[s
         if state.time_utc is not None:
             notes += time_notes(place.cube.extras, parse_utc(str(state.time_utc)), scenario.name)
         latitude, longitude = state.latitude_deg, state.longitude_deg
+        if sun is not None and abs(sun[0] - state.sun[0]) > MAX_SUN_DEG:
+            notes.append(
+                f"warning: the sun stands at a zenith angle of {sun[0]:.2f} degrees in {sun[1]}, at "
+                f"{state.sun[0]:.2f} in scenario {scenario.name!r}"
+            )
         if where is not None and latitude is not None and longitude is not None:
             km = distance_km(where, (latitude, longitude))
             if km > MAX_KM:

@@ -1,4 +1,4 @@
-"""Files that belong to a cube in scanner geometry: lookup table (GLT), places of its pixels (IGM, LOC)."""
+"""Files that belong to a cube: lookup table (GLT), places of its pixels (IGM, LOC), angles (OBS)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _KINDS = re.compile(r"^(img|rdn|rad|rfl|refl|radiance|reflectance|ort|raw|data|c
 
 
 def companion(image: Path, kind: str) -> Path | None:
-    """The file of a kind ("glt", "igm", "loc") beside an image, by the names that producers give; None else.
+    """The file of a kind ("glt", "igm", "loc", "obs") beside an image, by the names that producers give; None else.
 
     Their names are the same but for the words that say what a file is; none is taken where two would fit.
     """
@@ -62,6 +62,28 @@ def table_of(raster: Raster) -> tuple[LookupTable | None, tuple[str, ...]]:
             return None, (f"warning: {path.name} lies beside the cube and is left aside: {error.what}",)
         return table, (f"{path.name} lies beside the cube and places its pixels",)
     return None, ()
+
+
+def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:
+    """Median zenith angle of the sun [degrees] in the observation file (OBS) beside an ENVI cube, and its name.
+
+    None where there is none of the cube's size, or none of its bands is called so.
+    """
+    path = companion(raster.path, "obs") if isinstance(raster, EnviRaster) else None
+    if path is None:
+        return None
+    try:
+        angles = open_raster(path)
+    except HypervalError:
+        return None
+    names = (angles.header.strings("band names") if angles.header is not None else None) or ()
+    bands = [i for i, name in enumerate(names) if re.search(r"(sun|solar)\W+zenith", name, re.IGNORECASE)]
+    if len(bands) != 1 or (angles.lines, angles.samples) != (raster.lines, raster.samples):
+        return None
+    lines = np.unique(np.linspace(0, angles.lines - 1, 16).astype(int))
+    zenith = np.concatenate([angles.read_bands(int(line), 1)[bands[0]].ravel() for line in lines]).astype(float)
+    zenith = zenith[np.isfinite(zenith) & (zenith >= 0.0) & (zenith <= 180.0)]
+    return (float(np.median(zenith)), path.name) if zenith.size else None
 
 
 def _name(path: Path) -> tuple[tuple[str, ...], set[str]]:
