@@ -14,7 +14,7 @@ from typing import Any
 import hyperval
 from hyperval.campaign.draft import Waiting
 from hyperval.campaign.one import Job, collected, jobs_of, outcomes, predicted_side
-from hyperval.errors import HypervalError, MissingDataError, UsageError
+from hyperval.errors import MissingDataError, UsageError
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.files import write_text
 from hyperval.folders import POWER, whole_folder
@@ -163,7 +163,7 @@ def power_table(
             try:
                 found[error.name] = turned(before, judged_with(error))
             except NotPlantable as why:
-                found[error.name] = Planted(not_applicable=_why(error, why))
+                found[error.name] = Planted(not_applicable=why.what)
         gates = [row for row in before if row.gates]
         disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)
         return PowerTable(
@@ -198,10 +198,6 @@ def _key(row: Result) -> tuple[object, ...]:
 def _name(row: Result) -> str:
     band = [f"{row.band_nm:g} nm"] if row.per_band else []
     return " | ".join([row.product, row.subject, row.method, row.metric, *band])
-
-
-def _why(error: PlantedError, why: HypervalError) -> str:
-    return why.what.removeprefix(f"{error.name}: ")
 
 
 def _csv(found: Sequence[Power]) -> str:

@@ -233,7 +233,10 @@ def _fill(scenario: Scenario, name: str | None) -> InputPath:
         if name in (None, t.name, p.name)
     }
     if not fills:
-        raise UsageError("fill" if name is None else f"fill.{name}", expected="a target of the scene")
+        raise UsageError(
+            "fill: no target of the scene has one" if name is None else f"fill.{name}",
+            expected="a target of the scene",
+        )
     stated = np.array(list(fills.values()))
 
     def to(v: Array) -> Departure:
