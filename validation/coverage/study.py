@@ -129,8 +129,8 @@ class Outcome:
 
     @property
     def met(self) -> bool:
-        """Whether the share lies where it is to lie."""
-        return self.wanted[0] <= self.share <= self.wanted[1]
+        """Whether the exact interval of the share reaches into where it is to lie."""
+        return self.upper >= self.wanted[0] and self.lower <= self.wanted[1]
 
 
 COVERED, REJECTED, FOUND = (0.92, 0.98), (0.03, 0.07), (0.90, 1.0)

@@ -23,14 +23,14 @@ MOST_REJECTED = 9
 
 @pytest.fixture(scope="module")
 def found():
-    predictions = {"linear": study.predict(study.scenario(), axis=study.AXIS, engine=study.engine)}
+    predictions = {"linear": study.predict(study.scenario(), axis=study.AXIS, engine=study.engine, objects=True)}
     return study.outcomes(predictions, 30, 60, 7, show=False)
 
 
 def test_every_product_is_there(found):
     assert {(o.product, o.subject) for o in found} == {
         ("radiance", "field"), ("radiance", "bright"), ("reflectance", "field"), ("snr", "bright"),
-        ("P_D", "plank"), ("AUC", "plank"),
+        ("P_D", "plank"), ("AUC", "plank"), ("scores", "plank"),
     }  # fmt: skip
     assert all(o.comparisons >= o.collections > 0 for o in found)
 
