@@ -156,6 +156,15 @@ def test_the_budget_stays_that_of_the_scenario():
     np.testing.assert_allclose(found.budget["solar irradiance"], 0.02 * found.mean, rtol=1e-9)
 
 
+def test_an_error_may_be_planted_in_what_the_budget_moves():
+    s = with_settings(SCENE, {"uncertainty": {"psf_fwhm_pixels": 0.1, "electrons": {"relative": 0.02}}})
+    blurred = with_settings(s, {"scene.targets.green.fill.geometry.psf_fwhm_pixels": 1.2})
+    found, there = planted("blur x 1.5", s), run(blurred)
+    for name in ("green", "tenth"):
+        here = found.reflectance[name].standard_uncertainty
+        np.testing.assert_allclose(here, there.reflectance[name].standard_uncertainty, rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "changes", "words"),
     [

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.predict import predict
 from hyperval.prediction.budget import given_of
-from hyperval.prediction.departure import Departure, combined
+from hyperval.prediction.departure import Departure, combined, departed_scenario
 from hyperval.prediction.input_paths import Given, input_path
 from hyperval.products import Prediction, SpectralEstimate
 from hyperval.scenario import Scenario
@@ -100,7 +100,10 @@ def planted_prediction(scenario: Scenario, error: PlantedError, **options: Any) 
     """
     names = ("axis", "measured", "resolve", "cache_dir", "show_progress", "engine", "sensor")
     truth = error.departure(given_of(scenario, **{name: options[name] for name in names if name in options}))
-    return _seen(predict(scenario, departure=truth, **options), scenario, error), truth
+    # Entries of the file differ in the scenario itself: the budget may move the same ones from there.
+    planted = departed_scenario(scenario, Departure(truth.settings))
+    found = predict(planted, departure=replace(truth, settings={}), **options)
+    return _seen(found, scenario, error), truth
 
 
 def _seen(found: Prediction, scenario: Scenario, error: PlantedError) -> Prediction:
