@@ -16,7 +16,7 @@ from hyperval.atmosphere import AtmosphericTerms
 from hyperval.prediction.batch import Batch
 from hyperval.prediction.budget import inputs_of, spectrum_inputs
 from hyperval.prediction.cases import Case, Engine, Origins, batch_of, case_of
-from hyperval.prediction.departure import Departure, combined
+from hyperval.prediction.departure import Departure, moved_on
 from hyperval.prediction.detection import Detection, RocKey, detect
 from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.input import Input
@@ -107,7 +107,7 @@ def predict(
 
     def again(truths: Iterable[Departure], stand_in: Engine | None = None) -> Iterator[Prediction]:
         from_here = replace(origins, engine=stand_in or engine)
-        return predictions(scenario, (combined(truth, d) for d in truths), **vars(from_here))
+        return predictions(scenario, (moved_on(truth, d) for d in truths), **vars(from_here))
 
     found, changes = _prediction(case, steps, objects, object_curves)
     found = _with_moves(found, changes, moved_predictions(inputs, again), _of_classes(found, given, again))

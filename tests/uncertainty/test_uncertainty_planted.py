@@ -193,3 +193,13 @@ def test_an_error_of_a_path_that_leads_nowhere_names_it():
     lost = PlantedError("nothing", lambda given: {"surfaces.nobody.mean": 0.1})
     with pytest.raises(NotPlantable, match=r"surfaces\.nobody"):
         planted_prediction(SCENE, lost, axis=AXIS, engine=engine)
+
+
+def test_an_input_of_the_budget_moves_from_where_it_was_planted():
+    """Two values of one blur were refused, and with them every campaign that states its uncertainty."""
+    stated = with_settings(SCENE, {"uncertainty": {"psf_fwhm_pixels": 0.1}})
+    wide = with_settings(stated, {"scene.targets.green.fill.geometry.psf_fwhm_pixels": 1.2})
+    found, there = planted("blur x 1.5", stated).roc, run(wide).roc
+    key = next(k for k in there if k[0] == "green")
+    for limit in ("pd_lower", "pd_upper"):
+        np.testing.assert_allclose(getattr(found[key], limit), getattr(there[key], limit), rtol=1e-9)

@@ -137,6 +137,12 @@ def combined(*departures: Departure) -> Departure:
     return Departure(settings, spectra, statistics, fill, fractions, **numbers)  # type: ignore[arg-type]
 
 
+def moved_on(truth: Departure, move: Departure) -> Departure:
+    """The truth moved further; settings of the move, which start from those of the truth, stand in their place."""
+    kept = {path: value for path, value in truth.settings.items() if path not in move.settings}
+    return combined(replace(truth, settings=kept), move)
+
+
 def _both(name: str, a: StatisticsDeparture, b: StatisticsDeparture) -> StatisticsDeparture:
     for what in ("covariance", "tail_dof"):
         if getattr(a, what) is not None and getattr(b, what) is not None:
