@@ -46,10 +46,6 @@ class Filters:
         """The settings that ``index`` names."""
         return Filters(self.weights[index], self.offset[index])
 
-    def one(self, number: int) -> LinearFilter:
-        """The filter of one setting."""
-        return LinearFilter(self.weights[number], float(self.offset[number]))
-
 
 @dataclass(frozen=True)
 class Population:
