@@ -466,3 +466,13 @@ def test_rounding_beyond_the_bound_is_summed_again(tmp_path, monkeypatch):
     again = region_statistics(cube, precision="fast")["scene"]
     np.testing.assert_array_equal(again.covariance, exact.covariance)
     assert again.rounding == 0.0
+
+
+def test_a_scene_that_is_constant_nearly_everywhere_is_summed_exactly(tmp_path):
+    # In the sampled batches nothing stands out, which says nothing of the one that holds all of the spread.
+    x = np.full((400, SAMPLES, BANDS), 700.0, np.float32)
+    x[157:160] += np.random.default_rng(3).normal(0.0, 5.0, (3, SAMPLES, BANDS)).astype(np.float32)
+    cube = opened(write(tmp_path, x, dtype="<f4"))
+    fast, exact = (region_statistics(cube, precision=p, block_lines=4)["scene"] for p in ("fast", "exact"))
+    np.testing.assert_allclose(fast.mean, exact.mean, rtol=1e-12)
+    np.testing.assert_allclose(fast.covariance, exact.covariance, rtol=1e-6, atol=1e-9)

@@ -72,11 +72,6 @@ class Input:
         parts = path_parts(self.path)
         return parts[1] if parts[0] == "surfaces" and parts[2] == "mean" else ""
 
-    def leading(self, share: float) -> int:
-        """Number of directions, the leading ones, that hold this share of the variance."""
-        held = np.cumsum((self.rows**2).sum(axis=1))
-        return min(int(np.searchsorted(held, share * held[-1])) + 1, self.size)
-
     def along(self, c: Array) -> Departure:
         """The truth at factors (K,) of the directions."""
         return self.to(value_along(self.nominal, self.rows, self.law, c))

@@ -178,7 +178,8 @@ class Sums:
         typical = self.directions.typical
         if typical is None:
             return 1.0
-        return float(np.max(squares / np.maximum(typical, np.finfo(float).tiny)))
+        with np.errstate(over="ignore"):  # beside a constant scene anything stands out without bound
+            return float(np.max(squares / np.maximum(typical, np.finfo(float).tiny)))
 
     def _in_double(self, stored: npt.NDArray[Any], pixels: npt.NDArray[Any], keep: Mask | None) -> Array:
         """The differences from the reference: those of whole numbers are exact already."""

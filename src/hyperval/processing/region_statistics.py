@@ -121,8 +121,13 @@ def region_statistics(
                     joined.merge(value)
             found = _statistics(cube, name, joined, int(left_out[i]))
             if joined.n_split:
-                parts = [max(1.0, joined.above_typical / above) * _part(error, found.covariance, cube.gain)
-                         for above, error in errors]  # fmt: skip
+                # A sampled batch in which nothing stands out says nothing of the others: no bound, exact sums.
+                parts = [
+                    max(1.0, joined.above_typical / above) * _part(error, found.covariance, cube.gain)
+                    if above > 0.0
+                    else np.inf
+                    for above, error in errors
+                ]
                 bound = MARGIN * max(parts, default=np.inf) * joined.n_split / joined.n
                 found = replace(found, rounding=bound)
             if not found.rounding <= MOST_ROUNDING:  # NaN too

@@ -35,8 +35,8 @@ ALL = "all"
 ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
 _CHECKS = 4
 MOST_TOGETHER = 6
-# Directions of an input with a correlation length that are looked at: those that hold so much of its variance.
-SHARE, MOST_DIRECTIONS = 0.99, 8
+# Directions of an input with a correlation length that are looked at: they hold nearly all of its variance.
+MOST_DIRECTIONS = 8
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 SINGLE_BANDS = 0.01
 
@@ -76,7 +76,7 @@ class _Reason:
 
     @property
     def size(self) -> int:
-        return min(max(m.leading(SHARE) for m in self.members if m is not None), MOST_DIRECTIONS)
+        return min(max(m.size for m in self.members if m is not None), MOST_DIRECTIONS)
 
     def at(self, direction: int, units: float) -> list[Departure]:
         return [
