@@ -18,6 +18,7 @@ from hyperval.errors import MissingDataError, UsageError
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.files import write_text
 from hyperval.folders import POWER, whole_folder
+from hyperval.metrics import Evidence
 from hyperval.predict import predict
 from hyperval.prediction.departure import Departure
 from hyperval.progress import track
@@ -164,7 +165,7 @@ def power_table(
                 found[error.name] = turned(before, judged_with(error))
             except NotPlantable as why:
                 found[error.name] = Planted(not_applicable=why.what)
-        gates = [row for row in before if row.gates]
+        gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
         disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)
         return PowerTable(
             schema=1,
