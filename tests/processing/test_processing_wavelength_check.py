@@ -94,3 +94,12 @@ def test_what_cannot_be_checked_is_said():
     assert wavelength_notes([np.ones(50)], axis, reflectance=True) == [
         "the wavelengths could not be checked: no spectrum shows a red edge of plants"
     ]
+
+
+def test_an_absorption_of_which_bands_are_left_out_has_no_centre():
+    # The polished products leave out the middle of the water vapour at 940 nm: what remains of it lies to one side.
+    w = np.arange(820.0, 1080.0, 5.0)
+    radiance = 10.0 * (1.0 - 0.6 * np.exp(-0.5 * ((w - WATER.centre_nm) / 20.0) ** 2))
+    assert absorption_centre(w, radiance, WATER)[0] == pytest.approx(WATER.centre_nm, abs=0.5)
+    kept = (w < 919.0) | (w > 964.0)
+    assert np.isnan(absorption_centre(w[kept], radiance[kept], WATER)[0])

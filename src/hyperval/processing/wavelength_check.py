@@ -14,6 +14,7 @@ Array = npt.NDArray[np.float64]
 
 LEAST_DEPTH = 0.15  # of an absorption under the line between its shoulders
 LEAST_BANDS = 3  # in a feature
+MOST_GAP = 2.5  # widest step between bands of a feature, in their usual step: bands left out hide its centre
 LEAST_PLANT = 3.0  # reflectance at 785 nm over that at 675 nm
 _STEPS = 20
 _SAMPLING = 0.08  # part of the band spacing by which a centre of few bands is uncertain
@@ -62,7 +63,8 @@ def absorption_centre(
     """Centre of the area of an absorption under the line between its shoulders, and its depth; NaN without one.
 
     The first moment of what is absorbed, sum d w dw / sum d dw with d = 1 - L / L_line: a symmetric band response
-    widens the absorption and leaves the moment where it is.  The window follows the centre until both agree, so
+    widens the absorption and leaves the moment where it is.  Bands left out within the window take part of it away, so
+    that there is no centre.  The window follows the centre until both agree, so
     that a shift of its own width is found too.
 
     Parameters
@@ -83,6 +85,9 @@ def absorption_centre(
         after = (w > high) & (w <= high + feature.shoulder_nm)
         inside = (w >= low) & (w <= high)
         if not before.any() or not after.any() or inside.sum() < LEAST_BANDS:
+            return float("nan"), 0.0
+        steps = np.diff(w[(w >= low - feature.shoulder_nm) & (w <= high + feature.shoulder_nm)])
+        if steps.max() > MOST_GAP * np.median(steps):
             return float("nan"), 0.0
         ends = [w[before].mean(), w[after].mean()], [y[before].mean(), y[after].mean()]
         d = 1.0 - y[inside] / np.interp(w[inside], *ends)
