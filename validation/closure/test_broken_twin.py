@@ -9,8 +9,8 @@ import pytest
 from twin_run import FIELDS, PANELS, TWIN, difference, levels, run_twin
 
 from hyperval.campaign.schema import load_campaign
-from hyperval.compare import apply_gates
-from hyperval.results import ResultTable, Status
+from hyperval.compare import judged
+from hyperval.results import Outcome, ResultTable
 
 MEDIAN = "median_abs_difference_ratio_windows"
 
@@ -53,12 +53,12 @@ def test_scores_of_planks_that_lie_as_they_fall_are_lower_than_predicted(run, su
 
 def test_the_gates_of_closure_would_fail(run):
     gates = load_campaign(TWIN / "campaign.yaml").comparisons
-    judged = ResultTable(apply_gates(list(run), gates, "share2012-twin"))
-    assert {row.product for row in judged.where(status=Status.FAIL)} == {
+    table = ResultTable(judged(list(run), gates, "share2012-twin"))
+    assert {row.product for row in table.gates().where(outcome=Outcome.DISAGREES)} == {
         "radiance",
         "reflectance",  # of mixed fields, by the full test
         "roc",
         "scores",  # of planks
         "covariance",  # of mixed fields
     }
-    assert judged.exit_code() == 1
+    assert table.exit_code() == 1

@@ -123,7 +123,8 @@ def region_statistics(
             if joined.n_split:
                 # A sampled batch in which nothing stands out says nothing of the others: no bound, exact sums.
                 parts = [
-                    max(1.0, joined.above_typical / above) * _part(error, found.covariance, cube.gain)
+                    max(1.0, joined.above_typical / above)
+                    * _part(error, found.covariance, cube.gain, rank=min(joined.n - 1, cube.bands))
                     if above > 0.0
                     else np.inf
                     for above, error in errors
@@ -155,14 +156,19 @@ def _rounding_errors(cube: StoredCube, directions: Directions, step: int) -> lis
     return found
 
 
-def _part(error: Array, covariance: Array, gain: Array) -> float:
-    """The greatest part of a variance, in any direction that has one, that the error of stored numbers is."""
+def _part(error: Array, covariance: Array, gain: Array, *, rank: int) -> float:
+    """The greatest part of a variance, in any direction that has one, that the error of stored numbers is.
+
+    A covariance that should be definite and is not has no such part.  One of few pixels has variance in ``rank``
+    leading directions alone; the rest is zero, on whichever side rounding puts it.
+    """
     if not np.all(np.isfinite(covariance)):
         return float("inf")
     values, vectors = np.linalg.eigh(covariance)
-    if values[0] < -LEAST_VARIANCE * values[-1]:
+    if rank == values.size and values[0] < -LEAST_VARIANCE * values[-1]:
         return float("inf")
     keep = values > LEAST_VARIANCE * values[-1]
+    keep[: values.size - rank] = False
     if not keep.any():
         return 0.0
     white = (vectors[:, keep] / np.sqrt(values[keep])).T * gain

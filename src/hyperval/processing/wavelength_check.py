@@ -63,9 +63,9 @@ def absorption_centre(
     """Centre of the area of an absorption under the line between its shoulders, and its depth; NaN without one.
 
     The first moment of what is absorbed, sum d w dw / sum d dw with d = 1 - L / L_line: a symmetric band response
-    widens the absorption and leaves the moment where it is.  Bands left out within the window take part of it away, so
-    that there is no centre.  The window follows the centre until both agree, so
-    that a shift of its own width is found too.
+    widens the absorption and leaves the moment where it is.  The window follows the centre until both agree, so
+    that a shift of its own width is found too.  Bands left out within it take part of the absorption away, so that
+    there is no centre.
 
     Parameters
     ----------

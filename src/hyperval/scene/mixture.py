@@ -47,9 +47,9 @@ def mixture_covariance(
     result = (d * f[:, None]).T @ d
     if isinstance(covariances, np.ndarray):  # in one piece: one pass over the memory
         result += (f @ covariances.reshape(f.size, -1)).reshape(result.shape)
-        return np.asarray(result)  # Sigma_ave of (3.11)
-    for part, covariance in zip(f, covariances, strict=True):  # type: ignore[arg-type]
-        result += part * np.asarray(covariance, dtype=float)
+    else:
+        for part, covariance in zip(f, covariances, strict=True):
+            result += part * np.asarray(covariance, dtype=float)
     return np.asarray(result)  # Sigma_ave of (3.11)
 
 
