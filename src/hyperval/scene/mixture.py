@@ -48,7 +48,7 @@ def mixture_covariance(
     if isinstance(covariances, np.ndarray):  # in one piece: one pass over the memory
         result += (f @ covariances.reshape(f.size, -1)).reshape(result.shape)
     else:
-        for part, covariance in zip(f, covariances, strict=True):
+        for part, covariance in zip(f, covariances, strict=True):  # type: ignore[arg-type]
             result += part * np.asarray(covariance, dtype=float)
     return np.asarray(result)  # Sigma_ave of (3.11)
 
