@@ -203,11 +203,13 @@ def test_filled_in_it_runs_through(no_data, tmp_path):
     decided = {
         r.subject: r
         for r in rows
-        if not math.isnan(r.threshold) and r.product == "radiance" and "median_abs" in r.metric
+        if math.isfinite(r.limit_high) and r.product == "radiance" and "median_abs" in r.metric
     }
     assert set(decided) == {"white-panel", "black-panel", "grass-field", "asphalt-court"}
-    # The stand-in atmosphere is the same on both sides, so the radiances must meet.
-    assert all(r.outcome == "agrees" for s, r in decided.items() if s != "asphalt-court")
+    # The stand-in atmosphere is the same on both sides, so the radiances must meet; the template's stated budget is
+    # as wide as the range, which may leave the outcome open.
+    met = [r for s, r in decided.items() if s != "asphalt-court"]
+    assert [r.subject for r in met if r.value > r.limit_high or r.outcome not in ("agrees", "undecided")] == []
     explained = {
         (r.product, r.subject): r.value
         for r in rows
