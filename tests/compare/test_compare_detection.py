@@ -151,12 +151,14 @@ def test_one_object_gives_values_but_no_verdict():
         row = rows[f"{metric}@1e-2"]
         assert row.outcome is Outcome.SKIPPED
         assert row.reason == "the measured interval 0.025 to 1 from 1 object accepts nearly any prediction"
-    # A gate on it is skipped, and a pool of nothing else cannot tell.
+    # A gate on it is skipped. A pool of this row alone knows nothing of the share: counted as amiss it is 0 of 1,
+    # with 0 as the lower limit; counted as met 1 of 1, with 1 as the upper one; 0 to 1 lies neither in nor out.
     plan = {"product": "roc", "metric": "pd_inside_interval@1e-2", "reason": "why"}
     gated = judged(rows.values(), [Gate(**plan, at_least=1.0)])
     assert {r.outcome for r in gated if r.metric == "pd_inside_interval@1e-2"} == {Outcome.SKIPPED}
     pooled = judged(rows.values(), [Gate(**plan, fraction_at_least=0.5)])[-1]
     assert (pooled.outcome, pooled.value) == (Outcome.UNDECIDED, 0.0)
+    assert (pooled.lower, pooled.upper) == (0.0, 1.0)
     assert "0 of 1 rows at least 1, 1 without an outcome of their own" in pooled.reason
     several = empirical_roc(np.full(5, 5.0), np.random.default_rng(1).normal(size=20000), unit="object")
     assert by_metric(compare_roc(model_curve(-9.0), several, **NAMES))["pd_inside_interval@1e-2"].value == 0.0

@@ -1,5 +1,7 @@
 """Difference ratios and consistency tests: closed forms, Monte Carlo, and a tilt that only one test sees."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -21,12 +23,13 @@ from hyperval.compare.difference import (
     regions,
     size_intervals,
 )
+from hyperval.compare.outcomes import detectable_departure
 from hyperval.compare.radiance import compare_radiance
 from hyperval.compare.reflectance import compare_reflectance
 from hyperval.compare.snr import compare_snr
 from hyperval.errors import UsageError
 from hyperval.products import SpectralEstimate
-from hyperval.results import Outcome
+from hyperval.results import Outcome, Result
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
@@ -318,3 +321,11 @@ def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held()
     assert np.max(median) < 0.05
     assert np.mean(greatest > 0.1) < 0.05
     assert inside >= 186  # 95 % of 200 is 190, sd 3.1
+
+
+def test_what_a_cut_interval_could_have_shown_is_its_whole_width():
+    """A size of 0.01 known to 0.2: its interval ends at 0 below, and what it could have found is 0.05 + 0.2 x 1.43."""
+    row = Result("c", "radiance", "a", "m", "median_abs_difference_ratio_windows", 0.01, lower=0.0, upper=0.21)
+    assert detectable_departure(row, -np.inf, 0.05) == pytest.approx(0.05 + 0.2 * 1.4294, rel=1e-4)
+    inner = replace(row, value=0.3, lower=0.2, upper=0.4)
+    assert detectable_departure(inner, -np.inf, 0.05) == pytest.approx(0.05 + 0.1 * 1.4294, rel=1e-4)

@@ -11,7 +11,7 @@ import pytest
 from hyperval import cli
 from hyperval.campaign.one import Job, run_campaign
 from hyperval.campaign.schema import load_campaign
-from hyperval.results import Outcome, ResultTable
+from hyperval.results import Cause, Outcome, ResultTable
 from hyperval.scene.builtin import builtin_class
 from small_campaign import SmallCampaign
 
@@ -226,8 +226,19 @@ def test_a_product_that_one_side_lacks_is_an_error_where_it_gates(small, remove,
 
 
 def test_an_uncertainty_does_not_excuse_a_wrong_mean(small):
-    # The gate is on the difference itself; a generous budget can leave it undecided and must not turn it green.
+    """A wrong mean under a budget that reaches beyond the range: it is not called right, and not shown to be wrong.
+
+    Grass 5 % too bright puts the median |difference ratio| above its limit, which disagrees as long as the interval
+    does too (the test of the falsified inputs above).  A calibration known to 50 % makes that interval value +- 1
+    at the least: it holds the whole range, so that the collection cannot tell the two apart.  What it could have
+    found is more than its own half width, and the row says that.
+    """
     brighter_class(small)
     small.data["collection"]["calibration"] = {"relative": 0.5}
-    outcomes = {row.outcome for row in table_of(small).gates().where(product="radiance", subject="field")}
-    assert outcomes == {Outcome.UNDECIDED}
+    table = table_of(small)
+    (row,) = table.gates().where(product="radiance", subject="field", metric=MEDIAN)
+    assert row.lower < row.limit_high < row.value < row.upper
+    assert (row.outcome, row.cause) == (Outcome.UNDECIDED, Cause.WIDE_INTERVAL)
+    assert row.upper - row.value > 1.96 * 0.5 * 0.9
+    assert row.detectable > row.upper - row.value
+    assert table.exit_code(strict=True) == 1

@@ -148,7 +148,9 @@ def detectable_departure(row: Result, low: float, high: float) -> float:
     """Smallest departure from agreement whose interval would lie outside the range with 80 % probability.
 
     Of a value that agrees at a (0 of a difference, 1 of a ratio) with an interval of half width h on the side of
-    the limit L: |L - a| + h (1 + 0.842/1.960), the smaller of both sides.  NaN where no interval is known.
+    the limit L: |L - a| + h (1 + 0.842/1.960), the smaller of both sides.  An end cut by the range of the metric,
+    such as that of a size at 0, says nothing of the width: the other half stands for it.  NaN where no interval is
+    known.
     """
     known = metric_of(row.metric)
     if known.kind is Kind.TEST:
@@ -156,11 +158,16 @@ def detectable_departure(row: Result, low: float, high: float) -> float:
     if known.kind is not Kind.QUANTITY or math.isnan(known.agreement) or math.isnan(row.upper - row.lower):
         return math.nan
     reach = 1.0 + float(stats.norm.ppf(0.8) / stats.norm.ppf(0.975))
+    below, above = row.value - row.lower, row.upper - row.value
+    if row.lower <= known.low:
+        below = max(below, above)
+    elif row.upper >= known.high:
+        above = max(below, above)
     sides = []
     if math.isfinite(high):
-        sides.append(max(high - known.agreement, 0.0) + (row.value - row.lower) * reach)
+        sides.append(max(high - known.agreement, 0.0) + below * reach)
     if math.isfinite(low):
-        sides.append(max(known.agreement - low, 0.0) + (row.upper - row.value) * reach)
+        sides.append(max(known.agreement - low, 0.0) + above * reach)
     return min(sides, default=math.nan)
 
 
