@@ -324,7 +324,7 @@ def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held()
 
 
 def test_what_a_cut_interval_could_have_shown_is_its_whole_width():
-    """A size of 0.01 known to 0.2: its interval ends at 0 below, and what it could have found is 0.05 + 0.2 x 1.43."""
+    """A size of 0.01 known to 0.2: its interval ends at 0 below, could have found 0.05 + 0.2 x 1.43."""
     row = Result("c", "radiance", "a", "m", "median_abs_difference_ratio_windows", 0.01, lower=0.0, upper=0.21)
     assert detectable_departure(row, -np.inf, 0.05) == pytest.approx(0.05 + 0.2 * 1.4294, rel=1e-4)
     inner = replace(row, value=0.3, lower=0.2, upper=0.4)
