@@ -9,7 +9,6 @@ from hyperval.prediction.classification import predicted_classification
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.inputs import Sources
 from hyperval.prediction.unmixing import UnmixedSubject, labelled, predicted_areas
-from hyperval.processing.unmixing import abundance_covariance
 from hyperval.products import PixelDistribution, Prediction, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
@@ -18,6 +17,7 @@ AXIS = SpectralAxis(np.linspace(450.0, 900.0, 10), 10.0)
 B = len(AXIS)
 GRASS = np.linspace(0.05, 0.5, B)
 SPREAD = 1e-4 * np.outer(GRASS, GRASS) + 1e-6 * np.eye(B)
+DIRECTION = np.full(B, 0.3) - GRASS
 
 
 def scenario(fill, pixels=1):
@@ -42,7 +42,8 @@ def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariance
 
 def test_spread_is_the_linear_error_where_no_limit_binds():
     area = predicted({"fixed": 0.4})
-    error = abundance_covariance(np.stack([np.full(B, 0.3), GRASS]), 0.6**2 * SPREAD)[0, 0]
+    gain = DIRECTION / (DIRECTION @ DIRECTION)  # of the fill, as least squares between two spectra give it
+    error = 0.6**2 * gain @ SPREAD @ gain
     assert area.area_m2 == pytest.approx(1.6, abs=0.01)
     # A standard deviation of 4000 draws is known to 1.1 %, and so is that of the pool they are from: 5 % is three
     # of both.
@@ -60,7 +61,8 @@ def test_a_truth_with_another_fill_or_material_is_unmixed_with_the_endmembers_as
 def test_an_empty_pixel_is_biased_upwards():
     # Half of the errors are cut off at 0: mean sd/sqrt(2 pi), 4 % known from 4000 draws.
     area = predicted({"fixed": 0.0})
-    sd = 4.0 * np.sqrt(abundance_covariance(np.stack([np.full(B, 0.3), GRASS]), SPREAD)[0, 0])
+    gain = DIRECTION / (DIRECTION @ DIRECTION)  # of the fill, as least squares between two spectra give it
+    sd = 4.0 * np.sqrt(gain @ SPREAD @ gain)
     assert area.area_m2 == pytest.approx(sd / np.sqrt(2 * np.pi), rel=0.12)
 
 

@@ -104,7 +104,9 @@ def test_line_of_two_panels_has_the_variance_of_the_closed_form_and_the_correlat
     rho = np.full(6, 0.3)
     level = offset + gain * rho
     c = found.covariance(level)
-    np.testing.assert_allclose(np.diag(c), found.line.reflectance_error_variance(level), rtol=1e-4)
+    of = found.line.covariance
+    variance = (rho**2 * of[:, 0, 0] + 2.0 * rho * of[:, 0, 1] + of[:, 1, 1]) / found.line.gain**2
+    np.testing.assert_allclose(np.diag(c), variance, rtol=1e-4)
     # By hand: weights (0.6 - 0.3) / 0.5 and (0.3 - 0.1) / 0.5 of the two panels' errors.
     systematic = (0.6 * 0.02 * 0.1) ** 2 + (0.4 * 0.02 * 0.6) ** 2
     np.testing.assert_allclose(c[0, 1], systematic, rtol=1e-4)

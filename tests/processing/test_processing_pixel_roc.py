@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from exact_forms import auc, auc_estimate, auc_variance, roc_points
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
 from hyperval.errors import UsageError
-from hyperval.processing.auc import auc_with_interval, partial_auc
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.objects import (
     footprint,
@@ -17,7 +17,9 @@ from hyperval.processing.objects import (
     values_on,
     with_halo,
 )
-from hyperval.processing.roc import empirical_roc, pd_at_pfa, roc_points
+from hyperval.processing.rank_counts import counts_of
+from hyperval.processing.roc import empirical_roc, pd_at_pfa
+from hyperval.processing.roc_areas import RocArea, roc_area
 
 few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), min_size=1, max_size=25)
 
@@ -49,10 +51,10 @@ def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
 @given(few_values, few_values)
 def test_auc_is_the_mann_whitney_count(target, background):
     wins = [(t > b) + 0.5 * (t == b) for t in target for b in background]
-    found = auc_with_interval(target, background)
-    assert found.auc == pytest.approx(np.mean(wins), abs=1e-14)
-    assert 0.0 <= found.lower <= found.auc + 1e-12
-    assert found.auc - 1e-12 <= found.upper <= 1.0
+    estimate = auc_estimate(target, background)
+    assert estimate.value == pytest.approx(np.mean(wins), abs=1e-14)
+    assert 0.0 <= estimate.lower <= estimate.value + 1e-12
+    assert estimate.value - 1e-12 <= estimate.upper <= 1.0
 
 
 def test_auc_is_the_area_under_all_corners():
@@ -60,15 +62,15 @@ def test_auc_is_the_area_under_all_corners():
     t, b = rng.integers(0, 9, 40) + 2, rng.integers(0, 9, 300)
     pfa, pd, _ = roc_points(t, b)
     area = np.trapezoid(pd, pfa)
-    assert auc_with_interval(t, b).auc == pytest.approx(area, abs=1e-14)
-    assert partial_auc(t, b, 0.0, 1.0) == pytest.approx(area, abs=1e-14)
+    counts = counts_of(t, b)
+    assert roc_area(counts) == pytest.approx(area, abs=1e-14)
     low, high = 0.013, 0.37
     x = np.unique(np.concatenate([np.linspace(low, high, 200001), pfa[(pfa > low) & (pfa < high)]]))
     even = np.trapezoid(np.interp(x, pfa, pd), x) / (high - low)
-    assert partial_auc(t, b, low, high) == pytest.approx(even, rel=1e-9)
+    assert roc_area(counts, RocArea(low, high)) == pytest.approx(even, rel=1e-9)
     u = np.log(x)
     expected = np.trapezoid(np.interp(x, pfa, pd), u) / (u[-1] - u[0])
-    assert partial_auc(t, b, low, high, logarithmic=True) == pytest.approx(expected, rel=1e-8)
+    assert roc_area(counts, RocArea(low, high, logarithmic=True)) == pytest.approx(expected, rel=1e-8)
 
 
 def test_delong_variance_by_brute_force_and_interval_coverage():
@@ -76,21 +78,21 @@ def test_delong_variance_by_brute_force_and_interval_coverage():
     t, b = rng.normal(1.0, 1.0, 12), rng.normal(0.0, 1.0, 30)
     wins = (t[:, None] > b[None, :]).astype(float)
     by_hand = np.var(wins.mean(axis=1), ddof=1) / 12 + np.var(wins.mean(axis=0), ddof=1) / 30
-    assert auc_with_interval(t, b).variance == pytest.approx(by_hand, rel=1e-12)
+    assert auc_variance(t, b) == pytest.approx(by_hand, rel=1e-12)
     # Normal scores: AUC = Phi(d/sqrt 2).  800 draws at 95 %: the count is binomial with sd 6.2 of 760;
     # the band 0.92-0.98 is 4 sd away (false failure below 1e-3).
     truth, hits = stats.norm.cdf(1.5 / np.sqrt(2)), 0
     for _ in range(800):
-        found = auc_with_interval(rng.normal(1.5, 1, 30), rng.normal(0, 1, 200))
-        hits += found.lower <= truth <= found.upper
+        estimate = auc_estimate(rng.normal(1.5, 1, 30), rng.normal(0, 1, 200))
+        hits += estimate.lower <= truth <= estimate.upper
     assert 0.92 < hits / 800 < 0.98
 
 
 def test_separated_samples_keep_an_honest_limit():
-    found = auc_with_interval(np.arange(20) + 100.0, np.arange(500.0) / 500)
-    assert (found.auc, found.upper) == (1.0, 1.0)
-    assert found.lower == pytest.approx(0.025 ** (1 / 20), rel=1e-9)
-    assert auc_with_interval([1.0], [0.0]).lower == pytest.approx(0.025)
+    estimate = auc_estimate(np.arange(20) + 100.0, np.arange(500.0) / 500)
+    assert (estimate.value, estimate.upper) == (1.0, 1.0)
+    assert estimate.lower == pytest.approx(0.025 ** (1 / 20), rel=1e-9)
+    assert auc_estimate([1.0], [0.0]).lower == pytest.approx(0.025)
 
 
 @pytest.mark.parametrize(("pfa", "m", "n"), [(1e-1, 200, 3000), (1e-2, 25, 1000), (1e-3, 80, 10_000)])
@@ -184,7 +186,7 @@ def test_perfect_inverted_and_constant_scores():
     assert pd_at_pfa([0, 0], [1, 2, 3], 0.34).pd[0] == 0.0
     constant = pd_at_pfa([1, 1, 1], [1, 1], [0.5, 1.0])
     assert constant.pd.tolist() == [0.0, 1.0]  # all tied: nothing can be declared without everything
-    assert auc_with_interval([1, 1, 1], [1, 1]).auc == 0.5
+    assert auc([1, 1, 1], [1, 1]) == 0.5
 
 
 def test_missing_scores_are_refused_or_left_out_by_name():
@@ -259,6 +261,6 @@ def test_noise_scored_with_the_same_halo_on_both_sides_is_not_detection():
         masks[str(i)] = mask
     target = list(object_scores(scores, masks, halo=2).values())
     every = np.any(list(masks.values()), axis=0)
-    assert auc_with_interval(target, scores[~every]).auc > 0.9
+    assert auc(target, scores[~every]) > 0.9
     background = footprint_maxima(scores, footprint(masks["0"], 2), exclude=every)[0]
-    assert abs(auc_with_interval(target, background).auc - 0.5) < 0.152
+    assert abs(auc(target, background) - 0.5) < 0.152

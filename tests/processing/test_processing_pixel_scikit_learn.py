@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from exact_forms import roc_points
 
 from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc import roc_points
 from hyperval.processing.roc_areas import RocArea, roc_area
 from hyperval.processing.sample import statistics_of
 

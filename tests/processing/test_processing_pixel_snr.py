@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.snr import snr_decorrelated, snr_from_moments, snr_interval, snr_mean_sd
+from hyperval.processing.snr import snr_decorrelated, snr_from_moments
 
 BANDS = 20
 
@@ -16,19 +16,14 @@ def region(seed, n=2000, texture=0.0, noise=0.02):
     return mean * (1.0 + texture * common) + noise * rng.normal(size=(n, BANDS)), mean / noise
 
 
-def test_plain_estimate_is_right_without_texture():
-    # n = 2000: each SNR good to 1.6 %; 20 bands, band of 5 sd (false failure 1e-5).
-    pixels, truth = region(1)
-    assert snr_mean_sd(pixels).mean == pytest.approx(truth, rel=0.08)
-
-
 @pytest.mark.parametrize("texture", [0.0, 0.05, 0.3])
 def test_decorrelated_estimate_is_right_with_and_without_texture(texture):
+    # n = 2000: each SNR good to 1.6 %; 20 bands, band of 5 sd (false failure 1e-5).
     pixels, truth = region(2, texture=texture)
     found = snr_decorrelated(pixels)
     assert found.mean == pytest.approx(truth, rel=0.08)
     if texture:
-        assert np.all(snr_mean_sd(pixels).mean < 0.2 * truth)
+        assert np.all(pixels.mean(axis=0) / pixels.std(axis=0, ddof=1) < 0.2 * truth)
 
 
 def test_noise_that_changes_with_band_is_followed():
@@ -39,23 +34,11 @@ def test_noise_that_changes_with_band_is_followed():
     assert found[1:-1] == pytest.approx(np.ones(BANDS - 2), rel=0.08)
 
 
-def test_interval_covers():
-    # 20 bands x 100 regions of 40 pixels; the share inside has sd 0.005: band of 4 sd (6e-5).
-    inside = total = 0
-    for seed in range(100):
-        pixels, truth = region(100 + seed, n=40)
-        found = snr_mean_sd(pixels)
-        low, high = snr_interval(found.mean, 39)
-        inside += int(np.sum((low <= truth) & (truth <= high)))
-        total += BANDS
-    assert inside / total == pytest.approx(0.95, abs=0.02)
-
-
 def test_stated_uncertainty_is_the_scatter():
     # 400 regions of 60 pixels: the sd of one band is good to 3.5 %, the mean over 20 bands to below 1 %; the
     # one stated value carries 2 % of its own (20 bands of 9 %): band of 4 sd.
-    values = np.array([snr_mean_sd(region(1000 + s, n=60)[0]).mean for s in range(400)])
-    stated = snr_mean_sd(region(1, n=60)[0])
+    values = np.array([snr_decorrelated(region(1000 + s, n=60)[0]).mean for s in range(400)])
+    stated = snr_decorrelated(region(1, n=60)[0])
     ratio = values.std(axis=0).mean() / stated.standard_uncertainty.mean()
     assert ratio == pytest.approx(1.0, abs=0.08)
     assert sum(u**2 for u in stated.budget.values()) == pytest.approx(np.diag(stated.error_covariance))
@@ -63,13 +46,13 @@ def test_stated_uncertainty_is_the_scatter():
 
 
 def test_what_cannot_be_estimated_is_refused():
-    with pytest.raises(UsageError, match="at least 3"):
-        snr_mean_sd(np.ones((2, 5)))
+    with pytest.raises(UsageError, match="at least 5"):
+        snr_decorrelated(np.ones((4, 5)))
     with pytest.raises(UsageError, match="two neighbours"):
         snr_decorrelated(np.ones((10, 2)))
     with pytest.raises(UsageError, match="NaN"):
-        snr_mean_sd(np.full((5, 3), np.nan))
-    assert np.isnan(snr_mean_sd(np.ones((5, 3))).mean).all()  # no spread: no SNR, not an infinite one
+        snr_decorrelated(np.full((5, 3), np.nan))
+    assert np.isnan(snr_decorrelated(np.ones((5, 3))).mean).all()  # no spread: no SNR, not an infinite one
 
 
 def test_from_moments_it_is_that_of_the_pixels():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -11,17 +11,14 @@ from hyperval.compare.classification import compare_classification
 from hyperval.compare.covariance import compare_covariance, compare_distribution
 from hyperval.compare.exceedance import compare_exceedance
 from hyperval.compare.objects import compare_object_scores
-from hyperval.compare.radiance import compare_radiance
-from hyperval.compare.reflectance import compare_reflectance
 from hyperval.compare.roc import compare_roc
 from hyperval.compare.scores import compare_scores
-from hyperval.compare.snr import compare_snr
+from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import UsageError
 from hyperval.products import Products
 from hyperval.results import Result
 
-SPECTRAL = {"radiance": compare_radiance, "snr": compare_snr, "reflectance": compare_reflectance}
-PRODUCTS = (*SPECTRAL, "covariance", "classification", "scores", "roc", "abundance")
+SPECTRAL = ("radiance", "snr", "reflectance")
 # Quantities in which pixels of a class spread.
 SPREAD = ("radiance", "reflectance")
 MOST_NAMED = 6
@@ -55,36 +52,25 @@ def compare_products(
             mend="predict on the axis of the collection",
         )
     rows: list[Result] = []
-    for product, compare in SPECTRAL.items():
+    for product in SPECTRAL:
         left, right = getattr(predicted, product), getattr(observed, product)
         for subject in _keys(left, right):
-            rows += compare(
+            rows += compare_spectra(
                 left.get(subject),
                 right.get(subject),
                 campaign=campaign,
+                product=product,
                 subject=subject,
                 method=method,
                 axis=observed.axis,
             )
     rows += _covariance_rows(predicted, observed, campaign)
-    for classes, features in _keys(predicted.classification, observed.classification):
-        pair = (classes, features)
-        rows += compare_classification(
-            predicted.classification.get(pair),
-            observed.classification.get(pair),
-            campaign=campaign,
-            subject=classes,
-            method=features,
-        )
-    for subject, detector in _keys(predicted.scores, observed.scores):
-        key = (subject, detector)
-        rows += compare_scores(
-            predicted.scores.get(key), observed.scores.get(key), campaign=campaign, subject=subject, method=detector
-        )
+    rows += _paired(compare_classification, predicted.classification, observed.classification, campaign)
+    rows += _paired(compare_scores, predicted.scores, observed.scores, campaign)
     for detector in dict.fromkeys(detector for _, detector in predicted.object_scores):
         rows += compare_object_scores(
-            {s: held for (s, d), held in predicted.object_scores.items() if d == detector},
-            {s: held for (s, d), held in observed.object_scores.items() if d == detector},
+            {s: scores for (s, d), scores in predicted.object_scores.items() if d == detector},
+            {s: scores for (s, d), scores in observed.object_scores.items() if d == detector},
             campaign=campaign,
             method=detector,
         )
@@ -104,21 +90,33 @@ def compare_products(
         )
         lacking = next((side for side in (predicted, observed) if key_of_curve not in side.roc), None)
         if lacking is not None:
-            made = [replace(row, reason=f"{row.reason}{_held_instead(lacking, subject)}") for row in made]
+            made = [replace(row, reason=f"{row.reason}{_alternatives(lacking, subject)}") for row in made]
         rows += made
-    for subject, detector in _keys(predicted.abundance, observed.abundance):
-        key = (subject, detector)
-        rows += compare_abundance(
-            predicted.abundance.get(key),
-            observed.abundance.get(key),
-            campaign=campaign,
-            subject=subject,
-            method=detector,
-        )
+    rows += _paired(compare_abundance, predicted.abundance, observed.abundance, campaign)
     return rows + compare_area_errors(predicted.abundance, observed.abundance, campaign=campaign)
 
 
-def _held_instead(side: Products, subject: str) -> str:
+def _paired(
+    compare: Callable[..., list[Result]],
+    left: Mapping[tuple[str, str], Any],
+    right: Mapping[tuple[str, str], Any],
+    campaign: str,
+) -> list[Result]:
+    """Rows of a product that goes by subject and method."""
+    return [
+        row
+        for subject, method in _keys(left, right)
+        for row in compare(
+            left.get((subject, method)),
+            right.get((subject, method)),
+            campaign=campaign,
+            subject=subject,
+            method=method,
+        )
+    ]
+
+
+def _alternatives(side: Products, subject: str) -> str:
     """What a side has that lacks a curve: other detectors of the subject, else other subjects."""
     detectors = list(dict.fromkeys(d for s, d, _ in side.roc if s == subject))
     if detectors:

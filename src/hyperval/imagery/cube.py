@@ -199,10 +199,6 @@ class Cube:
         values, valid = self.marked_pixels(where)
         return values[valid]
 
-    def valid_pixels(self, where: Where) -> Mask:
-        """(n,) which of the pixels of ``where`` are valid."""
-        return self.marked_pixels(where)[1]
-
     def marked_pixels(self, where: Where) -> tuple[Array, Mask]:
         """(n, B) values of :meth:`pixels` and (n,) which of them are valid, read once."""
         rows, cols = self._index(where)

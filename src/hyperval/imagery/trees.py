@@ -22,7 +22,6 @@ from hyperval.imagery.stores import Hdf5Store
 from hyperval.units import RADIANCE_UNIT, radiance_to_internal
 
 Array = npt.NDArray[np.float64]
-HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _FILL_NAMES = ("_FillValue", "Data_Ignore_Value", "missing_value")
 _HIGHEST = 65535.0  # of the 16 bits that a range of values is divided into
 

@@ -89,23 +89,6 @@ class EmpiricalLine:
         """(..., B) radiance b + k rho of a reflectance (..., B)."""
         return np.asarray(self.offset + self.gain * np.asarray(reflectance, dtype=float))
 
-    def reflectance_error_variance(self, radiance: npt.ArrayLike, radiance_variance: npt.ArrayLike = 0.0) -> Array:
-        """(..., B) variance of the reflectance: [var L + var b + rho^2 var k + 2 rho cov(k, b)]/k^2."""
-        rho = self.reflectance(radiance)
-        line = rho**2 * self.covariance[:, 0, 0] + 2.0 * rho * self.covariance[:, 0, 1] + self.covariance[:, 1, 1]
-        return (np.asarray(radiance_variance, dtype=float) + line) / self.gain**2
-
-    def reflectance_error_covariance(
-        self, radiance: npt.ArrayLike, radiance_error_covariance: npt.ArrayLike
-    ) -> Array:
-        """(B, B) error covariance of the reflectance of one spectrum.
-
-        The radiance part is scaled by 1/(k_i k_j); the error of the line is added to the diagonal, as its
-        correlation between bands is not part of a panel measurement.
-        """
-        scaled = np.asarray(radiance_error_covariance, dtype=float) / np.outer(self.gain, self.gain)
-        return scaled + np.diag(self.reflectance_error_variance(radiance))
-
 
 def fit_elm(
     panels: Sequence[PanelMeasurement],

@@ -90,20 +90,6 @@ def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[flo
     return float(1.0 - upper[0] - steps @ (1.0 - v)), float(upper[0] + steps @ v[::-1])
 
 
-def wilson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
-    """Wilson's score interval of a proportion: narrower than Clopper-Pearson, right on average over p only.
-
-    Source: Wilson, J. Am. Stat. Assoc. 22, 209-212, 1927.  For figures; gates use the exact interval.
-    """
-    k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    _check(k, n, level)
-    z = float(special.ndtri(0.5 + level / 2.0))
-    p = k / n
-    centre = (p + z**2 / (2.0 * n)) / (1.0 + z**2 / n)
-    half = z / (1.0 + z**2 / n) * np.sqrt(p * (1.0 - p) / n + z**2 / (4.0 * n**2))
-    return np.where(k > 0, centre - half, 0.0), np.where(k < n, centre + half, 1.0)
-
-
 @dataclass(frozen=True)
 class JointRegion:
     """A rectangle that holds (P_FA, P_D) of one threshold with the stated probability."""

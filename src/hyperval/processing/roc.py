@@ -48,24 +48,6 @@ class DetectionRate:
     level: float
 
 
-def roc_points(
-    target_scores: npt.ArrayLike, background_scores: npt.ArrayLike, nan: Nan = "raise"
-) -> tuple[Array, Array, Array]:
-    """Every corner of the empirical ROC: ``pfa``, ``pd`` and the least score declared.
-
-    Equal scores are declared together, so ties make one slanted step.  The first point declares nothing and
-    carries the score +inf; the others belong to the rule "score >= value".
-    """
-    t = _sorted_scores(target_scores, "target", nan)
-    b = _sorted_scores(background_scores, "background", nan)
-    value = np.concatenate([t, b])
-    value.sort(kind="stable")  # two sorted runs: a merge, not a sort
-    value = value[np.concatenate([value[1:] > value[:-1], [True]])][::-1]
-    pd = (t.size - np.searchsorted(t, value, side="left")) / t.size
-    pfa = (b.size - np.searchsorted(b, value, side="left")) / b.size
-    return np.concatenate([[0.0], pfa]), np.concatenate([[0.0], pd]), np.concatenate([[np.inf], value])
-
-
 def pd_at_pfa(
     target_scores: npt.ArrayLike,
     background_scores: npt.ArrayLike,

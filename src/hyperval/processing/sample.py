@@ -8,8 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.scene.statistics import ClassStatistics
-from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 SCENE = "scene"
@@ -35,17 +33,6 @@ class SampleStatistics:
     n_left_out: int = 0
     fourth: float = 0.0
     rounding: float = 0.0
-
-    @property
-    def full_rank_possible(self) -> bool:
-        """False when there are too few pixels (n <= B) for an invertible covariance."""
-        return self.n > self.mean.size
-
-    @property
-    def condition_number(self) -> float:
-        """Ratio of the greatest to the least eigenvalue; inf when singular."""
-        values = np.linalg.eigvalsh(self.covariance)
-        return float(values[-1] / values[0]) if values[0] > values[-1] * np.finfo(float).tiny else float("inf")
 
     @property
     def rank(self) -> int:
@@ -76,15 +63,6 @@ class SampleStatistics:
         """(B, B) well-conditioned covariance: (1 - a) S + a (tr S/B) I with a = :attr:`shrinkage`."""
         a, s = self.shrinkage, self.covariance
         return np.asarray((1.0 - a) * s + a * np.trace(s) / s.shape[0] * np.eye(s.shape[0]))
-
-    def as_class(self, name: str, axis: SpectralAxis, *, shrink: bool = False, source: str = "") -> ClassStatistics:
-        """The same numbers as a surface class, with the shrunk covariance on request."""
-        covariance = self.shrunk_covariance if shrink else self.covariance
-        if not self.full_rank_possible:
-            note = f"{self.n} pixels for {self.mean.size} bands: rank at most {self.n - 1}"
-            note += f", shrunk by {self.shrinkage:.3g}" if shrink else ""
-            source = f"{source}; {note}" if source else note
-        return ClassStatistics(name, axis, self.mean, covariance, self.n, source)
 
 
 def statistics_of(pixels: npt.ArrayLike, *, left_out: int = 0) -> SampleStatistics:

@@ -4,23 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from hyperval.errors import UsageError
 from hyperval.products import SpectralEstimate
 
 Array = npt.NDArray[np.float64]
-
-
-def snr_mean_sd(pixels: npt.ArrayLike) -> SpectralEstimate:
-    """Mean over standard deviation per band: a lower bound, as texture counts as noise.
-
-    Parameters
-    ----------
-    pixels : (n, B) of one region, n >= 3, finite
-    """
-    x = _checked(pixels, 3)
-    return _estimate(x.mean(axis=0), np.std(x, axis=0, ddof=1), len(x), len(x) - 1)
 
 
 def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
@@ -67,17 +55,6 @@ def _noise_variance(covariance: Array) -> Array:
         c = np.linalg.lstsq(covariance[np.ix_(near, near)], common, rcond=None)[0]
         noise[b] = max(covariance[b, b] - c @ common, 0.0) / (1.0 + c @ c)
     return noise
-
-
-def snr_interval(snr: npt.ArrayLike, dof: int, level: float = 0.95) -> tuple[Array, Array]:
-    """Interval of an SNR whose noise was estimated with ``dof`` degrees of freedom.
-
-    dof s^2/sigma^2 follows chi-square, so the true mean/sigma lies between snr sqrt(chi2_a/dof) and
-    snr sqrt(chi2_(1-a)/dof), a = (1 - level)/2; the error of the mean is negligible beside it.
-    """
-    value = np.asarray(snr, dtype=float)
-    low, high = stats.chi2.ppf([(1.0 - level) / 2.0, (1.0 + level) / 2.0], dof)
-    return value * np.sqrt(low / dof), value * np.sqrt(high / dof)
 
 
 def _estimate(mean: Array, sd: Array, n: int, dof: int) -> SpectralEstimate:

@@ -70,28 +70,3 @@ def _closest_in_simplex(pixel: Array, endmembers: Array) -> Array:
     right[-1] = 1.0
     u, _ = nnls(matrix, right)
     return np.asarray(u / u.sum())
-
-
-def sum_to_one_gain(endmembers: npt.ArrayLike, noise: PositiveDefinite | None = None) -> Array:
-    """G (M, B) with a = 1/M + G (x - mean of endmembers): least squares under sum a = 1 alone.
-
-    With the last abundance put in as 1 minus the others, D = rows e_m - e_M (m < M): the others are
-    (D C^-1 D^T)^-1 D C^-1 (x - e_M).  Linear in x, so that a covariance goes through it.
-    """
-    e = np.asarray(endmembers, dtype=float)
-    d = e[:-1] - e[-1]
-    weighted = d if noise is None else np.stack([noise.solve(row) for row in d])
-    others = np.linalg.solve(weighted @ d.T, weighted)
-    return np.vstack([others, -others.sum(axis=0)])
-
-
-def abundance_covariance(
-    endmembers: npt.ArrayLike, pixel_covariance: npt.ArrayLike, noise: PositiveDefinite | None = None
-) -> Array:
-    """Error covariance (M, M) = G Sigma G^T of abundances where no constraint but the sum binds.
-
-    It is the constrained form of (E C^-1 E^T)^-1 where the pixel's covariance Sigma is the C of the fit (Settle &
-    Drake 1993).
-    """
-    g = sum_to_one_gain(endmembers, noise)
-    return np.asarray(g @ np.asarray(pixel_covariance, dtype=float) @ g.T)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -58,16 +57,3 @@ class ClassStatistics:
             raise UsageError(f"class {self.name!r}: tail_dof must exceed 2, got {self.tail_dof:g}")
         object.__setattr__(self, "mean", mean)
         object.__setattr__(self, "covariance", cov)
-
-    def select(self, keep: npt.NDArray[Any]) -> ClassStatistics:
-        """The statistics of the bands that ``keep`` (mask or indices) names."""
-        index = np.arange(len(self.axis))[keep]
-        return ClassStatistics(
-            self.name,
-            self.axis.select(index),
-            self.mean[index],
-            self.covariance[np.ix_(index, index)],
-            self.n,
-            self.source,
-            self.tail_dof,
-        )

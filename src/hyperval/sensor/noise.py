@@ -5,8 +5,8 @@ Variances are in electrons^2 or in radiance^2 as each name says; G is electrons 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -102,12 +102,6 @@ class NoiseBreakdown:
         )
 
 
-_BY_BAND = {
-    "electrons_per_radiance", "fixed_noise", "lsb_electrons", "bits", "bit_error_rate", "calibration_percent",
-    "full_scale",
-}  # fmt: skip
-
-
 @dataclass(frozen=True)
 class NoiseModel:
     """The noise of one sensor on one band set: everything (3.15)-(3.20) needs.
@@ -143,17 +137,6 @@ class NoiseModel:
     readings: float = 1.0
     digital_readings: float = 1.0
     calibration_readings: float = 1.0
-
-    def select(self, index: npt.NDArray[np.intp]) -> NoiseModel:
-        """The noise of the bands that ``index`` names."""
-
-        def cut(x: Any) -> Any:
-            return x[index] if np.ndim(x) else x
-
-        changes: dict[str, Any] = {f.name: cut(getattr(self, f.name)) for f in fields(self) if f.name in _BY_BAND}
-        if self.measured is not None:
-            changes["measured"] = tuple(cut(x) for x in self.measured)
-        return replace(self, **changes)
 
     def breakdown(self, radiance: npt.ArrayLike) -> NoiseBreakdown:
         """The terms of (3.16)-(3.19) at ``radiance`` (..., B), apart from each other."""

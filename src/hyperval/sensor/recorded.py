@@ -29,11 +29,6 @@ class RecordedNoise(NoiseModel):
     offset: float | Array = 0.0
     factor: float | Array = 1.0
 
-    def select(self, index: npt.NDArray[np.intp]) -> NoiseModel:
-        """The noise of the bands that ``index`` names."""
-        own = {n: v[index] if np.ndim(v := getattr(self, n)) else v for n in ("gain", "offset", "factor")}
-        return replace(super().select(index), **own)
-
     def breakdown(self, radiance: npt.ArrayLike) -> NoiseBreakdown:
         """The terms of (3.16)-(3.19) at the recorded radiance (..., B)."""
         terms = super().breakdown(self._true(radiance))

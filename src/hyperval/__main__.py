@@ -1,0 +1,5 @@
+"""python -m hyperval: the command."""
+
+from hyperval.cli import main
+
+main()
