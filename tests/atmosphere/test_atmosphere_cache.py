@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from hyperval.atmosphere.cache import _digest, cache_folder, cache_key, cached
+from hyperval.atmosphere.cache import cache_folder, cache_key, cached, content_digest
 
 INPUTS = {"depth": 0.1, "card": "4\n"}
 
@@ -69,7 +69,7 @@ def test_corrupted_entry_is_computed_again(tmp_path, harm):
     elif harm == "empty":
         entry.write_bytes(b"")
     elif harm == "other inputs":
-        np.savez(entry, inputs=np.array("{}"), content=np.array(_digest(compute.arrays)), **compute.arrays)
+        np.savez(entry, inputs=np.array("{}"), content=np.array(content_digest(compute.arrays)), **compute.arrays)
     else:
         held = {
             "nan": {"a": np.full(3, np.nan)},
@@ -77,7 +77,7 @@ def test_corrupted_entry_is_computed_again(tmp_path, harm):
             "another shape": {"a": np.arange(3.0)[None]},
             "another name": {"b": np.arange(3.0)},
         }[harm]
-        content = _digest(held if harm == "nan" else compute.arrays)
+        content = content_digest(held if harm == "nan" else compute.arrays)
         np.savez(entry, inputs=np.array(json.dumps(INPUTS, sort_keys=True)), content=np.array(content), **held)
     result = cached(tmp_path, "kind", INPUTS, compute)
     assert compute.calls == 2

@@ -89,6 +89,14 @@ def test_several_runs_and_packed_files(tmp_path):
         (lambda t: "\n".join(t.split("\n")[:3]) + "\n", "without rows"),
         (lambda t: "nothing of the kind\n", "no channel table"),
         (lambda t: t.replace("       10", "        0", 1), r"run\.chn:4: equivalent width 0 nm"),
+        (lambda t: t.replace("       10", "       11", 1), r"run\.chn:4: channel radiance .* mean radiance times"),
+        (
+            lambda t: t.replace("8.000000E-06", "8.100000E-06", 1),
+            r"run\.chn:4: channel .* sum of its parts",
+        ),
+        (lambda t: t.replace(t.split("\n")[4] + "\n", "", 1), r"run\.chn:5: channel 3\n  expected: channel 2"),
+        (lambda t: t.rsplit("  CENTER", 1)[0][:-1], r"run\.chn:6: a line of \d+ characters"),
+        (lambda t: t + t.rsplit("\n", 3)[0] + "\n", r"run\.chn:\d+: a table of 2 channels\n  expected: 3, as in"),
     ],
 )
 def test_malformed_file_is_refused_with_its_line(tmp_path, harm, said):

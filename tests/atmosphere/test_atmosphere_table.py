@@ -220,6 +220,11 @@ def test_netcdf_gives_back_the_table_and_the_same_bytes(tmp_path):
     assert read_table(tmp_path / "a.nc").source["made"] == "anew"
 
 
+def unsigned(data: xr.Dataset) -> xr.Dataset:
+    """The data of a table as another program would write it: without a checksum."""
+    return data.drop_attrs().assign_attrs(format=data.attrs["format"])
+
+
 def test_files_that_are_no_table_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_table(tmp_path / "absent.nc")
@@ -234,14 +239,60 @@ def test_files_that_are_no_table_are_refused(tmp_path):
     with xr.open_dataset(tmp_path / "good.nc", engine="h5netcdf") as data:
         loaded = data.load()
     for name, harm, said in (
-        ("neg.nc", lambda d: d.assign(direct=-d["direct"]), "not a valid table: direct has values"),
+        ("neg.nc", lambda d: unsigned(d).assign(direct=-d["direct"]), "not a valid table: direct has values"),
         ("axis.nc", lambda d: d.rename({"aot550": "height"}), "dimensions"),
-        ("json.nc", lambda d: d.assign_attrs(fixed="{"), "not a table"),
+        ("json.nc", lambda d: d.assign_attrs(fixed="{"), "its checksum is another"),
         ("format.nc", lambda d: d.assign_attrs(format="2"), "another format"),
     ):
         harm(loaded).to_netcdf(tmp_path / name, engine="h5netcdf")
         with pytest.raises(InputError, match=said):
             read_table(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("fwhm_nm", 2e-192, r"fwhm_nm is 2e-192 at 400 nm"), ("fwhm_nm", np.nan, "fwhm_nm is nan"),
+        ("solar_irradiance", 0.0, "solar_irradiance is 0 at 400 nm"),
+        ("solar_irradiance", 1e9, r"solar_irradiance is 1e\+09"),
+    ],
+)  # fmt: skip
+def test_a_table_with_absurd_widths_or_no_sun_is_refused(tmp_path, name, value, said):
+    table = made_up({"aot550": [0.1, 0.4]}, lambda nm, aot550: aot550 + 0 * nm, fwhm_nm=np.full(NM.size, 10.0))
+    wrong = np.full(NM.size, 10.0)
+    wrong[0] = value
+    with pytest.raises(UsageError, match=said):
+        replace(table, **{name: wrong})
+    with pytest.raises(UsageError, match="of shape"):
+        replace(table, **{name: np.full(3, 10.0)})
+    write_table(table, tmp_path / "good.nc")
+    with xr.open_dataset(tmp_path / "good.nc", engine="h5netcdf") as data:
+        loaded = data.load()
+    del loaded.attrs["content_sha256"]
+    loaded[name] = ("wavelength_nm", wrong)
+    loaded.to_netcdf(tmp_path / "wrong.nc", engine="h5netcdf")
+    with pytest.raises(InputError, match=f"not a valid table: {said}"):
+        read_table(tmp_path / "wrong.nc")
+
+
+def test_a_table_is_what_was_written_or_refused_and_one_without_a_checksum_is_noted(tmp_path):
+    table = made_up({"aot550": [0.1, 0.4]}, lambda nm, aot550: 0.1 + 0 * nm + 0 * aot550)
+    write_table(table, tmp_path / "good.nc")
+    assert "note" not in read_table(tmp_path / "good.nc").source
+    with xr.open_dataset(tmp_path / "good.nc", engine="h5netcdf") as data:
+        loaded = data.load()
+    harmed = loaded.copy(deep=True)
+    harmed["gas"][1, 30] = 0.1001
+    moved, unfixed = loaded.assign_coords(aot550=[0.1, 0.5]), loaded.assign_attrs(fixed="{}")
+    for number, other in enumerate((harmed, moved, unfixed)):
+        other.to_netcdf(tmp_path / f"{number}.nc", engine="h5netcdf")
+        with pytest.raises(InputError, match="its checksum is another"):
+            read_table(tmp_path / f"{number}.nc")
+    del harmed.attrs["content_sha256"]
+    harmed.to_netcdf(tmp_path / "foreign.nc", engine="h5netcdf")
+    found = read_table(tmp_path / "foreign.nc")
+    assert found.source["note"] == "the file carries no checksum of its content"
+    assert found.quantities["gas"][1, 30] == 0.1001
 
 
 def test_a_table_too_large_is_refused_before_it_is_loaded(tmp_path, monkeypatch):

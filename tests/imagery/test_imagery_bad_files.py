@@ -8,6 +8,7 @@ import lzma
 import os
 import resource
 import shutil
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +155,17 @@ def test_geotiff_with_given_axis(tiff: Path, values: np.ndarray, axis: SpectralA
 def test_geotiff_without_wavelengths(tiff: Path):
     with pytest.raises(InputError, match="lists no wavelengths"):
         open_cube(tiff, quantity="reflectance")
+
+
+def test_more_bands_than_an_imager_has_are_refused(tmp_path: Path):
+    # One pixel of 32,769 bands in 1.4 kB: width, height, bits, samples per pixel, strip and its place.
+    entries = [(256, 4, 1), (257, 4, 1), (258, 3, 8), (259, 3, 1), (262, 3, 1), (273, 4, 8), (277, 3, 32_769)]
+    entries += [(278, 4, 1), (279, 4, 1), (284, 3, 1)]
+    body = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries)
+    path = tmp_path / "many.tif"
+    path.write_bytes(struct.pack("<2sHIH", b"II", 42, 8, len(entries)) + body + bytes(1300))
+    with pytest.raises(InputError, match="32769 bands\n  expected: at most 20000"):
+        open_cube(path, quantity="other")
 
 
 def test_sidecar_that_changes_the_meaning_is_not_read(tiff: Path, axis: SpectralAxis):

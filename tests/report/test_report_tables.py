@@ -7,6 +7,7 @@ import math
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pytest
 from synthetic_run import NASTY, make_run
 
@@ -87,6 +88,16 @@ def test_junit_counts_match_the_table(table):
 def test_junit_of_an_empty_table_parses():
     root = ElementTree.fromstring(junit_xml([]))  # noqa: S314 - our own text
     assert root.get("tests") == "0"
+
+
+@pytest.mark.parametrize("text", ["one\rtwo", "one\r\ntwo", "\rone", "one\r"])
+def test_a_bare_carriage_return_ends_no_row(text):
+    row = Result("c", "radiance", "s", "m", "bias_ratio", value=1.0, reason=text)
+    table = results_csv([row])
+    assert "\r" not in table
+    (read,) = csv.DictReader(io.StringIO(table, newline=""))
+    assert read["reason"].lstrip("'") == text.replace("\r\n", "\n").replace("\r", "\n")
+    assert len(pd.read_csv(io.StringIO(table))) == 1
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+A1", "-2+3", "@SUM(A1)", "\t=1"])

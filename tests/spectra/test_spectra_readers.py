@@ -242,6 +242,37 @@ def test_bad_sed_files(tmp_path: Path, text: str, message: str):
         spectrum(tmp_path, text, "a.sed")
 
 
+def test_a_sed_file_is_as_long_as_it_says(tmp_path: Path):
+    head = SED.format("Reflect. [1.0]").replace("Columns", "Wavelength Range: 400,700\r\nChannels: 4\r\nColumns")
+    body = "".join(f"{w:6.1f}\t{w:E}\t{w:E}\t{r:.5f}\r\n" for w, r in zip(WAVE, RHO, strict=True))
+    assert np.allclose(spectrum(tmp_path, head + body, "a.sed").values, RHO)
+    assert np.allclose(spectrum(tmp_path, head + body[:-2], "a.sed").values, RHO)  # only the end of the line
+    shorter = body[: body.rindex("\r\n", 0, -2) + 2]
+    for text, message in (
+        (head + shorter, "3 rows\n  expected: 4, as it states"),
+        (head.replace("Channels: 4", "Channels: x4") + body, "4 rows\n  expected: x4"),
+        (head.replace("[4]", "[5]") + body, "4 columns under 4 titles\n  expected: 5 of both"),
+        (head + body[:-4], "the last line is cut: '700.0 7.0"),
+        (head + body.replace("700.0", "600.5"), "wavelengths from 400 to 600.5\n  expected: 400 to 700"),
+        (head + body.replace("400.0\t", "380.0\t"), "wavelengths from 380 to 700"),
+    ):
+        with pytest.raises(InputError, match=message):
+            spectrum(tmp_path, text, "a.sed")
+
+
+def test_an_ecostress_file_is_as_long_as_it_says(tmp_path: Path):
+    head = (
+        "Name: Paint\nX Units: Wavelength (micrometers)\nY Units: Reflectance (percentage)\n"
+        "First X Value: 0.7\nLast X Value: 0.4\nNumber of X Values: 4\n\n"
+    )
+    body = rows(WAVE[::-1] / 1000, RHO[::-1] * 100, sep="\t")
+    assert np.allclose(spectrum(tmp_path, head + body).values, RHO)
+    with pytest.raises(InputError, match="3 rows\n  expected: 4"):
+        spectrum(tmp_path, head + body[: body.rindex("\n", 0, -1) + 1])
+    with pytest.raises(InputError, match=r"wavelengths from 0.4 to 0.7\n  expected: 0.4 to 2.5"):
+        spectrum(tmp_path, (head + body).replace("First X Value: 0.7", "First X Value: 2.5"))
+
+
 def asd(
     kind: int = 1, version: bytes = b"as7", reference: bool = True, code: int = 2, description: bytes = b""
 ) -> bytes:
@@ -285,6 +316,50 @@ def test_asd_is_spectrum_over_reference(tmp_path: Path, code: int, kind: int, de
 def test_bad_asd_files(tmp_path: Path, raw: bytes, message: str):
     with pytest.raises(InputError, match=message):
         spectrum(tmp_path, raw, "a.asd")
+
+
+def long_asd(harm) -> bytes:
+    """A file of 400 channels of 5 nm, whose spectrum and reference ``harm`` may change."""
+    head = bytearray(484)
+    head[:3], head[186], head[199] = b"as7", 1, 2
+    struct.pack_into("<2f", head, 191, 400.0, 5.0)
+    struct.pack_into("<H", head, 204, 400)
+    white = 1000.0 * np.sin(np.linspace(0.1, 3.0, 400))
+    spectra = [0.5 * white, white]
+    harm(spectra, head)
+    return bytes(head) + spectra[0].tobytes() + struct.pack("<H", 65535) + b"\0" * 18 + spectra[1].tobytes()
+
+
+def changed(which: int, channels: slice, value: float):
+    def harm(spectra, _):
+        spectra[which][channels] = value
+
+    return harm
+
+
+def first_wavelength(nm: float):
+    return lambda _, head: struct.pack_into("<f", head, 191, nm)
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (changed(0, slice(200, 240), 0.0), "channel 201 holds 0\n"),
+        (changed(1, slice(200, 201), 0.0), "channel 201 holds 0\n"),
+        (changed(0, slice(392, 400), 0.0), "channel 393 holds 0"),
+        (changed(0, slice(0, 400), 0.0), "channel 1 holds 0, as do the 7 after it"),
+        (changed(0, slice(7, 8), np.nan), "channel 8 holds nan"),
+        (changed(1, slice(50, 51), 1e300), r"channel 51 holds 1e\+300"),
+        (changed(0, slice(50, 51), 1e-9), "channel 51 holds 1e-09"),
+        (changed(1, slice(50, 51), -700.0), "channel 51 holds -700"),
+        (first_wavelength(800.0), "wavelengths from 800 to 2795 nm"),
+        (first_wavelength(4.0), "wavelengths from 4 to 1999 nm"),
+    ],
+)
+def test_emptied_and_absurd_channels_of_an_asd_file_are_refused(tmp_path: Path, harm, message: str):
+    assert np.allclose(spectrum(tmp_path, long_asd(changed(0, slice(0, 0), 0.0)), "a.asd").values, 0.5)
+    with pytest.raises(InputError, match=message):
+        spectrum(tmp_path, long_asd(harm), "b.asd")
 
 
 # Libraries --------------------------------------------------------------------------------------

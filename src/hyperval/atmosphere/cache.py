@@ -47,7 +47,7 @@ def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable
     try:
         with whole_file(path) as temporary, open(temporary, "wb") as stream:
             about = json.dumps(inputs, sort_keys=True)
-            np.savez(stream, inputs=np.array(about), content=np.array(_digest(arrays)), **arrays)  # type: ignore[arg-type]
+            np.savez(stream, inputs=np.array(about), content=np.array(content_digest(arrays)), **arrays)  # type: ignore[arg-type]
     except OSError:
         pass
     return arrays
@@ -60,7 +60,7 @@ def _load(path: Path, inputs: Mapping[str, Any]) -> Arrays | None:
                 return None
             names = [name for name in entry.files if name not in ("inputs", "content")]
             arrays = {name: np.asarray(entry[name], dtype=float) for name in names}
-            whole = str(entry["content"]) == _digest(arrays)
+            whole = str(entry["content"]) == content_digest(arrays)
     except Exception:  # whatever a damaged archive raises: what it holds is computed again
         return None
     if not whole or not all(np.all(np.isfinite(a)) for a in arrays.values()):
@@ -68,9 +68,9 @@ def _load(path: Path, inputs: Mapping[str, Any]) -> Arrays | None:
     return arrays
 
 
-def _digest(arrays: Mapping[str, Array]) -> str:
-    """SHA-256 over names, shapes and values."""
-    found = hashlib.sha256()
+def content_digest(arrays: Mapping[str, Array], words: str = "") -> str:
+    """SHA-256 over words, and over names, shapes and values of arrays."""
+    found = hashlib.sha256(words.encode())
     for name in sorted(arrays):
         values = np.ascontiguousarray(arrays[name], dtype="<f8")
         found.update(f"{name}{np.shape(arrays[name])}\n".encode())

@@ -42,6 +42,10 @@ _TRANSMITTANCE_HEADS = [name.split()[0] for name in TRANSMITTANCE_COLUMNS]
 # TOTAL_RAD is the sum of these; five digits are printed of each.
 TOTAL_PARTS = ("PTH_THRML", "SURF_EMIS", "SOL_SCAT", "GRND_RFLT")
 SUM_TOLERANCE = 9e-5
+# A channel's radiance [W cm-2 sr-1] is its mean radiance times its width, and the sum of its parts; printed are
+# seven digits of radiances, four decimals of the width.
+_CHANNEL, _MEAN, _WIDTH, _PARTS, _NUMBER = 6, 4, 8, slice(11, 17), 2
+_CHANNEL_TOLERANCE, _WIDTH_STEP_NM = 1e-5, 1e-4
 _LEAST_RADIANCE = 1e-28  # W cm-2 sr-1 / cm-1: below the range of the format's exponent digits nothing adds up
 _LONGEST_HEAD = 2000  # lines of cards before the column names, with user profiles
 _SURREF = slice(73, 80)
@@ -143,7 +147,13 @@ class ChannelBlock:
 
 @reader
 def read_chn_blocks(path: Path) -> list[ChannelBlock]:
-    """All tables of a channel file, in their order; errors as :func:`read_chn`."""
+    """All tables of a channel file, in their order.
+
+    Raises
+    ------
+    InputError : missing, too large, not such a file, a row that contradicts itself, channels missing between the
+        first and the last, tables of different length, or a last line that is cut off.
+    """
     lines = text_lines(Path(path), "a MODTRAN .chn file")
     blocks: list[ChannelBlock] = []
     number = 0
@@ -152,13 +162,20 @@ def read_chn_blocks(path: Path) -> list[ChannelBlock]:
             number += 1
             continue
         ends = _column_ends(lines[number], f"{path}:{number + 1}")
-        rows = []
+        rows: list[list[float]] = []
         number += 1
         while number < len(lines) and lines[number].strip():
-            rows.append(_row(lines[number], ends, f"{path}:{number + 1}"))
+            rows.append(_row(lines[number], ends, f"{path}:{number + 1}", len(rows) + 1))
             number += 1
         if not rows:
             raise InputError("a table without rows", where=f"{path}:{number + 1}")
+        if blocks and len(rows) != blocks[0].wavelength_nm.size:
+            raise InputError(
+                f"a table of {len(rows)} channels",
+                where=f"{path}:{number}",
+                expected=f"{blocks[0].wavelength_nm.size}, as in the first table",
+                mend="copy the file again: it is cut short",
+            )
         # Sensors with overlapping spectrometers list their channels out of order.
         blocks.append(_block(np.array(sorted(rows, key=lambda row: row[0]))))
     if not blocks:
@@ -203,10 +220,21 @@ def _column_ends(rule: str, where: str) -> list[int]:
     return ends[:_COLUMNS]
 
 
-def _row(line: str, ends: list[int], where: str) -> list[float]:
+def _row(line: str, ends: list[int], where: str, channel: int) -> list[float]:
+    if len(line) < ends[-1]:
+        raise InputError(f"a line of {len(line)} characters", where=where, expected=f"{ends[-1]} or more")
     values = fixed_columns(line, ends, where)
-    if values[8] <= 0.0:
-        raise InputError(f"equivalent width {values[8]:g} nm", where=where, expected="a positive width")
+    if values[_WIDTH] <= 0.0:
+        raise InputError(f"equivalent width {values[_WIDTH]:g} nm", where=where, expected="a positive width")
+    if values[_NUMBER] != channel:
+        raise InputError(f"channel {values[_NUMBER]:g}", where=where, expected=f"channel {channel}, the next one")
+    whole, product, parts = values[_CHANNEL], values[_MEAN] * values[_WIDTH], sum(values[_PARTS])
+    rounding = _CHANNEL_TOLERANCE * abs(whole)
+    if abs(product - whole) > rounding + abs(values[_MEAN]) * _WIDTH_STEP_NM or abs(parts - whole) > rounding:
+        raise InputError(
+            f"channel radiance {whole:.6E}, mean radiance times width {product:.6E}, sum of its parts {parts:.6E}",
+            where=where, expected="the same three times", mend="copy the file again: it is damaged",
+        )  # fmt: skip
     return values
 
 

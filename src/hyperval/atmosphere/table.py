@@ -27,6 +27,7 @@ from hyperval.atmosphere.state import SPACE_KM, AtmosphericState
 from hyperval.atmosphere.table_aerosol import between_aerosols, path_error
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
+from hyperval.units import PLAUSIBLE_NM
 
 Array = npt.NDArray[np.float64]
 
@@ -47,6 +48,8 @@ AXES: dict[str, tuple[Rule | None, float]] = {
 }
 # Values that a table can be computed for only as a whole.
 NAMED = ("model", "aerosol")
+_LEAST_WIDTH_NM = 1e-3
+_SUN = (1e-9, 1e3)  # [uW cm-2 nm-1] at 1 au: its lines reach 250, and 1e-7 is left at 0.1 mm
 _LEAST = 1e-30  # below it a logarithm says nothing
 _RHO = 0.3  # ground over which the error is stated
 _LEAST_GAS = 0.1  # and the two-way gas transmittance above which
@@ -243,3 +246,20 @@ def _check_table(table: AtmosphericTable) -> None:
         raise UsageError("spherical_albedo reaches 1", expected="below 1")
     if table.wavelength_nm.size < 2 or np.any(np.diff(table.wavelength_nm) <= 0):
         raise UsageError("the wavelengths do not increase", expected="increasing wavelengths [nm]")
+    widest = table.wavelength_nm
+    for name, array, least, most in (
+        ("wavelength_nm", table.wavelength_nm, *PLAUSIBLE_NM),
+        ("fwhm_nm", table.fwhm_nm, _LEAST_WIDTH_NM, widest),
+        ("solar_irradiance", table.solar_irradiance, *_SUN),
+    ):
+        if array is None:
+            continue
+        if array.shape != widest.shape:
+            raise UsageError(f"{name} is of shape {array.shape}", expected=f"shape {widest.shape}")
+        wrong = np.flatnonzero(~((array >= least) & (array <= most)))
+        if wrong.size:
+            at = int(wrong[0])
+            low, high = least, np.broadcast_to(most, array.shape)[at]
+            raise UsageError(
+                f"{name} is {array[at]:g} at {table.wavelength_nm[at]:g} nm", expected=f"{low:g} to {high:g}"
+            )

@@ -14,6 +14,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperval.atmosphere import solar, visibility
+from hyperval.atmosphere.cache import content_digest
 from hyperval.atmosphere.modtran_read import ChannelBlock, read_chn_blocks
 from hyperval.atmosphere.modtran_solve import read_chn, terms_from_blocks
 from hyperval.atmosphere.modtran_template import read_modtran_json, stated_albedo, stated_fields
@@ -67,7 +68,7 @@ def read_table(path: Path, template: Path | None = None) -> AtmosphericTable:
 
 
 def write_table(table: AtmosphericTable, path: Path) -> None:
-    """Write a table as NetCDF, whole or not at all; the same table gives the same bytes."""
+    """Write a table as NetCDF, whole or not at all and with a checksum; the same table gives the same bytes."""
     dims = (*table.axes, "wavelength_nm")
     data = xr.Dataset(
         coords={
@@ -90,8 +91,16 @@ def write_table(table: AtmosphericTable, path: Path) -> None:
     if table.fwhm_nm is not None:
         data["fwhm_nm"] = ("wavelength_nm", table.fwhm_nm, {"units": "nm"})
     encoding = {name: {"zlib": True, "complevel": 4, "shuffle": True} for name in held}
+    data.attrs["content_sha256"] = _checksum(data)
     with whole_file(Path(path)) as temporary:
         data.to_netcdf(temporary, mode="w", engine="h5netcdf", encoding=encoding)
+
+
+def _checksum(data: xr.Dataset) -> str:
+    """SHA-256 over every variable and the attributes that are read."""
+    words = [str(data.attrs.get(name)) for name in ("format", "fixed", "source", "leave_one_out_error")]
+    arrays = {f"{name}{values.dims}": _floats(values) for name, values in data.variables.items()}
+    return content_digest(arrays, "\n".join(words))
 
 
 _Stamp = tuple[str, int, int]
@@ -136,6 +145,16 @@ def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
         raise InputError(
             f"dimensions {dims}", where=path, expected="some of " + ", ".join(AXES) + ", and wavelength_nm last"
         )
+    checksum = data.attrs.get("content_sha256")
+    if checksum is not None and checksum != _checksum(data):
+        raise InputError(
+            "the table is not what was written: its checksum is another", where=path,
+            mend="copy the file again, or write it with write_table; a file changed by hand loses the attribute "
+            "content_sha256",
+        )  # fmt: skip
+    file = {"file": Path(path).name, "sha256": sha256_of(Path(path))}
+    if checksum is None:
+        file["note"] = "the file carries no checksum of its content"
     return AtmosphericTable(
         wavelength_nm=_floats(data["wavelength_nm"]),
         axes={name: _floats(data[name]) for name in dims[:-1]},
@@ -143,12 +162,12 @@ def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
         quantities={name: _floats(data[name].transpose(*dims)) for name in held},
         solar_irradiance=_floats(data["solar_irradiance"]) if "solar_irradiance" in data else None,
         fwhm_nm=_floats(data["fwhm_nm"]) if "fwhm_nm" in data else None,
-        source={**_record(data.attrs, "source"), "file": Path(path).name, "sha256": sha256_of(Path(path))},
+        source={**_record(data.attrs, "source"), **file},
         errors=_record(data.attrs, "leave_one_out_error"),
     )
 
 
-def _floats(values: xr.DataArray) -> Array:
+def _floats(values: xr.DataArray | xr.Variable) -> Array:
     return np.ascontiguousarray(values.to_numpy(), dtype=float)
 
 

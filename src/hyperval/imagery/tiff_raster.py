@@ -28,6 +28,7 @@ from hyperval.imagery.sidecars import described_beside
 from hyperval.paths import checked_file
 
 Index = npt.NDArray[np.intp]
+MAX_BANDS = 20_000
 MAX_TILE_BYTES = 1 << 30
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
 TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
@@ -105,6 +106,8 @@ def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffR
     InputError : not readable, mixed or complex types, a mask inside, blocks too large, or metadata that do not fit.
     """
     with _opened(path) as dataset:
+        if dataset.count > MAX_BANDS:
+            raise InputError(f"{dataset.count} bands", where=str(path), expected=f"at most {MAX_BANDS}")
         names = set(dataset.dtypes)
         if len(names) != 1 or not np.issubdtype(np.dtype(names.pop()), np.number):
             raise InputError("bands of different or unknown types", where=str(path))

@@ -135,8 +135,12 @@ _ELEMENTS = {
 
 
 def harmless(text: str) -> str:
-    """The text of a CSV cell, with an apostrophe before what a spreadsheet would take for a formula."""
-    return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else text
+    """The text of a CSV cell, with an apostrophe before what a spreadsheet would take for a formula.
+
+    A carriage return becomes a line feed: readers of CSV take a bare one for the end of the row.
+    """
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\n") else text
 
 
 def _totals(rows: Sequence[Result]) -> str:

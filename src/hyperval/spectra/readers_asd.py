@@ -17,6 +17,8 @@ from hyperval.errors import InputError
 from hyperval.spectra.readers_asd_radiance import IRRADIANCE_UNIT, RADIANCE_UNIT, calibrated
 from hyperval.spectra.readers_record import Record
 
+Array = npt.NDArray[np.float64]
+
 _VERSIONS = (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
 _FORMATS = {0: "<f4", 1: "<i4", 2: "<f8"}
 _TYPES = {
@@ -25,6 +27,10 @@ _TYPES = {
 }  # fmt: skip
 HEADER_BYTES = 484
 MAX_CHANNELS = 10_000
+RANGE_NM = (200.0, 2600.0)  # of the instruments
+# A channel against the median of the two on either side, where these hold signal: noise and the steepest edges stay
+# within 0.15 and 2; and channels in a row that hold nothing at all.
+_GREATEST_RATIO, _SIGNAL, _EMPTY = 100.0, 0.01, 8
 
 
 def is_asd(raw: bytes) -> bool:
@@ -45,6 +51,11 @@ def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> Record:
     channels = struct.unpack_from("<H", raw, 204)[0]
     if raw[199] not in _FORMATS or not 2 <= channels <= MAX_CHANNELS or not (np.isfinite(first) and step > 0):
         raise InputError("the ASD header is not valid", where=where)
+    if not RANGE_NM[0] <= first < first + step * (channels - 1) <= RANGE_NM[1]:
+        raise InputError(
+            f"the ASD header is not valid: wavelengths from {first:g} to {first + step * (channels - 1):g} nm",
+            where=where, expected=f"{RANGE_NM[0]:g} to {RANGE_NM[1]:g} nm",
+        )  # fmt: skip
     if kind not in (0, 1, 2, 4):
         raise InputError(
             f"the file holds {_TYPES.get(kind, 'unknown data')}",
@@ -106,7 +117,37 @@ def _end_of_reference(raw: bytes, channels: int, dtype: np.dtype) -> int:
     return at + 20 + int(struct.unpack_from("<H", raw, at + 18)[0]) + channels * dtype.itemsize
 
 
-def _array(raw: bytes, at: int, count: int, dtype: np.dtype, where: str) -> npt.NDArray[np.float64]:
+def _array(raw: bytes, at: int, count: int, dtype: np.dtype, where: str) -> Array:
     if len(raw) < at + count * dtype.itemsize:
         raise InputError("the ASD file is cut short", where=where)
-    return np.frombuffer(raw, dtype, count, at).astype(float)
+    values = np.frombuffer(raw, dtype, count, at).astype(float)
+    check_channels(values, where)
+    return values
+
+
+def check_channels(values: Array, where: str) -> None:
+    """Refuse values that no instrument stores: not finite, emptied, or nothing like the channels beside them.
+
+    Parameters
+    ----------
+    values : (n,) counts, radiances or ratios, channel by channel
+
+    Raises
+    ------
+    InputError : with the first such channel.
+    """
+    beside = np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5)[:, [0, 1, 3, 4]]
+    with np.errstate(all="ignore"):
+        around = np.median(beside, axis=1)
+        ratio = values / around
+        strong = around > _SIGNAL * np.median(np.abs(values))
+        bad = ~np.isfinite(values) | (strong & ~((ratio > 1.0 / _GREATEST_RATIO) & (ratio < _GREATEST_RATIO)))
+    empty = np.convolve(values == 0.0, np.ones(_EMPTY), "valid") == _EMPTY
+    if bad.any() or empty.any():
+        at = int(np.argmax(bad)) if bad.any() else int(np.argmax(empty))
+        raise InputError(
+            f"channel {at + 1} holds {values[at]:g}" + ("" if bad.any() else f", as do the {_EMPTY - 1} after it"),
+            where=where,
+            expected="values like those of the channels beside it",
+            mend="copy the file again: it is damaged",
+        )

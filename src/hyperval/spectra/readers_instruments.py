@@ -5,9 +5,20 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 from hyperval.errors import InputError
 from hyperval.spectra.readers_record import Record
-from hyperval.spectra.readers_text import number_table, power_unit_in, reflectance_unit_in
+from hyperval.spectra.readers_text import (
+    check_last_line,
+    check_stated,
+    number_table,
+    power_unit_in,
+    reflectance_unit_in,
+)
+
+Array = npt.NDArray[np.float64]
 
 # What the maker says that the numbers of a .sig file, times 1e-10, are in; the file names the quantity alone.
 SVC_UNITS = {"radiance": "W cm-2 sr-1 nm-1", "irradiance": "W cm-2 nm-1"}
@@ -44,6 +55,7 @@ def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
             where=f"{path}:{start}",
             expected="wavelength, reference, target, reflectance in percent",
         )
+    check_last_line(text, str(path))
     name = entries.get("name", "").removesuffix(".sig") or path.stem
     held = entries.get("units", "").split(",")[-1].strip().lower()
     if quantity in SVC_UNITS:
@@ -83,7 +95,7 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
         raise InputError("no 'Data:' line", where=str(path))
     titles = [t.strip() for t in lines[begin + 1].split("\t")]
     if quantity in ("radiance", "irradiance"):
-        return _sed_power(lines, begin, titles, path, quantity)
+        return _sed_power(text, lines, begin, titles, path, quantity)
     found = [i for i, title in enumerate(titles) if re.match(r"reflect|tgt\.?\s*/\s*ref", title, re.IGNORECASE)]
     if len(found) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE):
         raise InputError(
@@ -94,9 +106,7 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     unit = reflectance_unit_in(titles[found[0]])
     if unit is None:
         raise InputError(f"the unit of {titles[found[0]]!r} is not known", where=f"{path}:{begin + 2}")
-    header, table, _ = number_table("\n".join(lines[begin + 2 :]), path, first=begin + 3)
-    if header or table.shape[1] != len(titles):
-        raise InputError(f"{table.shape[1]} columns under {len(titles)} titles", where=f"{path}:{begin + 3}")
+    table = _sed_table(text, lines, begin, len(titles), path)
     return Record(
         name=path.stem,
         wavelength=table[:, 0],
@@ -108,7 +118,24 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     )
 
 
-def _sed_power(lines: list[str], begin: int, titles: list[str], path: Path, quantity: str) -> Record:
+def _sed_table(text: str, lines: list[str], begin: int, columns: int, path: Path) -> Array:
+    """The numbers below the titles, as many rows and columns as the file says and over the range that it says."""
+    header, table, start = number_table("\n".join(lines[begin + 2 :]), path, first=begin + 3)
+    stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
+    named = next((int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))), columns)
+    if header or table.shape[1] != columns or named != columns:
+        what = f"{table.shape[1]} columns under {columns} titles"
+        raise InputError(what, where=f"{path}:{start}", expected=f"{named} of both, as it states")
+    ends = re.fullmatch(r"([0-9.]+)\s*,\s*([0-9.]+)", stated.get("wavelength range", ""))
+    check_stated(
+        table[:, 0], str(path), count=stated.get("channels"),
+        ends=(float(ends[1]), float(ends[2])) if ends else None,
+    )  # fmt: skip
+    check_last_line(text, str(path))
+    return table
+
+
+def _sed_power(text: str, lines: list[str], begin: int, titles: list[str], path: Path, quantity: str) -> Record:
     pattern = r"irr\w*\.?\s*\(target" if quantity == "irradiance" else r"rad\w*\.?\s*\(target"
     found = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
     if len(found) != 1:
@@ -118,9 +145,7 @@ def _sed_power(lines: list[str], begin: int, titles: list[str], path: Path, quan
             expected="Wvl and one column 'Rad. (Target)' or 'Irr. (Target)'",
         )
     stated = next((x.partition(":")[2] for x in lines[:begin] if x.lower().startswith("units:")), "")
-    header, table, _ = number_table("\n".join(lines[begin + 2 :]), path, first=begin + 3)
-    if header or table.shape[1] != len(titles):
-        raise InputError(f"{table.shape[1]} columns under {len(titles)} titles", where=f"{path}:{begin + 3}")
+    table = _sed_table(text, lines, begin, len(titles), path)
     return Record(
         path.stem, table[:, 0], table[:, found[0]], str(path),
         wavelength_unit="nm", quantity=quantity, unit=power_unit_in(stated),

@@ -14,6 +14,7 @@ from hyperval.spectra.readers_record import MAX_ROWS, Record
 Array = npt.NDArray[np.float64]
 MAX_HEADER_LINES = 1000
 MAX_COLUMNS = 2000
+_ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 
 _NUMBER = re.compile(r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
@@ -64,24 +65,26 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         )
     count = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole)
     wavelength = table[:, 0]
+    ends = [float(e) for key in ("First", "Last") if _NUMBER.match(e := _entry(whole, f"{key} X Value") or "")]
+    count_stated = _entry(whole, "Number of X Values")
+    check_stated(wavelength, where, count=count_stated, ends=(ends[0], ends[1]) if len(ends) == 2 else None)
     records = []
     for i in range(1, table.shape[1]):
         if i in spread.values() or (i > 1 and np.array_equal(table[:, i], wavelength)):
             continue
-        y_units = re.search(r"^\W*Y Units?\s*:(.*)$", whole, re.IGNORECASE | re.MULTILINE)
-        name = re.search(r"^\W*Name\s*:\s*(\S.*)$", whole, re.IGNORECASE | re.MULTILINE)
+        y_units, name = _entry(whole, "Y Units?"), _entry(whole, "Name")
         records.append(
             Record(
-                name=titles[i] or (name.group(1).strip() if name else ""),
+                name=titles[i] or (name or ""),
                 wavelength=wavelength,
                 values=table[:, i],
                 where=where,
                 standard_deviation=table[:, spread[i]] if i in spread else None,
                 n=int(count.group(1)) if count else None,
                 wavelength_unit=unit,
-                reflectance_unit=reflectance_unit_in(y_units.group(1) if y_units else titles[i]),
-                quantity=quantity_in(y_units.group(1) if y_units else titles[i]),
-                unit=power_unit_in(y_units.group(1) if y_units else titles[i]),
+                reflectance_unit=reflectance_unit_in(y_units or titles[i]),
+                quantity=quantity_in(y_units or titles[i]),
+                unit=power_unit_in(y_units or titles[i]),
             )
         )
     if len(records) == 1:
@@ -173,6 +176,48 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
     return header, np.array(rows), start
 
 
+def check_stated(wavelength: Array, where: str, *, count: str | None, ends: tuple[float, float] | None) -> None:
+    """Refuse a table that has not as many rows, or not the first and last wavelength, that the file states.
+
+    Parameters
+    ----------
+    count : number of rows as it stands in the file
+    ends : the two ends in either order, each with a fiftieth of itself to spare
+
+    Raises
+    ------
+    InputError : another number of rows or other ends.
+    """
+    mend = "copy the file again: it is damaged or cut short"
+    if count is not None and not (count.strip().isdecimal() and int(count[:9]) == wavelength.size):
+        raise InputError(
+            f"{wavelength.size} rows", where=where, expected=f"{count.strip()[:20]}, as it states", mend=mend
+        )
+    if ends is not None:
+        stated, found = np.array(sorted(ends)), np.array([wavelength.min(), wavelength.max()])
+        if not np.all(np.abs(found - stated) <= _ENDS * np.abs(stated)):
+            raise InputError(
+                f"wavelengths from {found[0]:g} to {found[1]:g}",
+                where=where,
+                expected=f"{stated[0]:g} to {stated[1]:g}, as it states",
+                mend=mend,
+            )
+
+
+def check_last_line(text: str, where: str) -> None:
+    """Refuse a table of one format whose last line has no end and fewer digits than the one above: it was cut."""
+    if not text or text[-1] in "\r\n":
+        return
+    above, last = (line.split() for line in text.splitlines()[-2:])
+    digits = [len(cells[-1].partition(".")[2]) for cells in (above, last) if cells]
+    if len(above) != len(last) or digits[-1] < digits[0]:
+        raise InputError(
+            f"the last line is cut: {' '.join(last)[:60]!r}",
+            where=where,
+            mend="copy the file again: it is cut short",
+        )
+
+
 def reflectance_unit_in(title: str) -> str | None:
     """The reflectance unit that a column title states, None when it states none."""
     if re.search(r"%\s*\*\s*100", title):
@@ -210,6 +255,12 @@ def power_unit_in(text: str) -> str | None:
     watt = {"": "W", "m": "mW"}.get((found.group(1) or "").lower(), "uW")
     angle = "sr-1 " if re.search(r"(?<![a-z])sr(?![a-z])", words, re.IGNORECASE) else ""
     return f"{watt} {'cm' if area.group(1) else 'm'}-2 {angle}{'nm' if per.group(1).lower() == 'n' else 'um'}-1"
+
+
+def _entry(header: str, key: str) -> str | None:
+    """What a header line says behind ``key:``; None where it says nothing."""
+    line = re.search(rf"^\W*{key}\s*:[ \t]*(\S.*)$", header, re.IGNORECASE | re.MULTILINE)
+    return line[1].strip() if line else None
 
 
 def _cells(line: str) -> list[str]:
