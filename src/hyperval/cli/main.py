@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__
-from hyperval.cli import baseline, check, compare, data, metrics, power, runs, scoreboard, sensor, study  # noqa: F401  (each adds its commands to the application)  # noqa: F401
+from hyperval.cli import baseline, check, compare, data, init, metrics, power, runs, scoreboard, sensor, study  # noqa: F401  (each adds its commands to the application)
 from hyperval.cli.shared import app, settings
 from hyperval.errors import HypervalError, UsageError, internal_error
 
