@@ -12,7 +12,7 @@ import yaml
 from hyperval import cli
 from hyperval.campaign.dry_run import WRONG, dry_run, summary
 from hyperval.campaign.schema import load_campaign
-from hyperval.campaign.starter import Spectrum, matching_spectrum
+from hyperval.campaign.starter_scene import Spectrum, matching_spectrum
 from hyperval.config import FILL_IN
 from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import load_sensor
