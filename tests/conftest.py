@@ -42,7 +42,7 @@ def make_small(
 ) -> Callable[..., SmallCampaign]:
     """Make copies of the small campaign, each in a folder of its own."""
     if "figures" not in request.fixturenames:  # drawing is most of a small run's time
-        monkeypatch.setattr("hyperval.report.outputs.draw_figures", lambda run: [])
+        monkeypatch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
 
     def make(name: str = "small") -> SmallCampaign:
         shutil.copytree(small_collection, tmp_path / name)

@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import astuple, dataclass, fields
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
+if TYPE_CHECKING:
+    import pandas as pd
 
 from hyperval.metrics import Evidence, metric_of
 
@@ -155,6 +156,8 @@ class ResultTable:
 
     def frame(self) -> pd.DataFrame:
         """The table in the column order of the output contract."""
+        import pandas as pd  # 70 MB, not wanted before the results are there
+
         names = [f.name for f in fields(Result)]
         frame = pd.DataFrame([astuple(r) for r in self._rows], columns=names)
         frame["n"] = frame["n"].astype("Int64")

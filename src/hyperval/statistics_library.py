@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.files import whole_file
@@ -59,6 +62,8 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
     if not all(c.axis.matches(axis, 1e-6) for c in classes):
         raise UsageError("the classes of a statistics library share one set of bands", where=str(path))
     tail = [np.nan if c.tail_dof is None else c.tail_dof for c in classes]
+    import xarray as xr  # 80 MB with pandas, which most runs do not need
+
     data = xr.Dataset(
         {
             "fwhm": ("band", axis.fwhm_nm, {"units": "nm"}),
@@ -94,6 +99,8 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
     path = checked_file(path, what="statistics library")
     if path.stat().st_size > MAX_BYTES:
         raise InputError(f"larger than {MAX_BYTES >> 20} MB", where=str(path), expected="a statistics library")
+    import xarray as xr
+
     try:
         data = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
     except Exception as error:

@@ -330,3 +330,19 @@ def test_missing_data_of_a_scenario_is_skipped_too(small, no_data):
 def test_the_recorded_command_does_not_name_this_run_s_places(arguments):
     given = ["/usr/bin/hyperval", "validate", "/x/y/lawn/campaign.yaml", *arguments]
     assert command_without_output(given) == ["hyperval", "validate", "lawn/campaign.yaml"]
+
+
+@pytest.mark.parametrize("lacking", ["scenarios", "comparisons"])
+def test_observe_needs_neither_scenario_nor_comparison_and_validate_both(lacking, small, tmp_path, capsys):
+    whole = small.data.copy()
+    del small.data[lacking]
+    assert cli.run(["-q", "observe", str(small.write()), "-o", str(tmp_path / "out")]) == 0
+    small.data = whole
+    assert cli.run(["-q", "observe", str(small.write("whole.yaml")), "-o", str(tmp_path / "whole")]) == 0
+    assert (tmp_path / "out/results.csv").read_bytes() == (tmp_path / "whole/results.csv").read_bytes()
+    capsys.readouterr()
+    assert cli.run(["-q", "validate", str(small.folder / "campaign.yaml"), "-o", str(tmp_path / "v")]) == 2
+    said = capsys.readouterr().err
+    assert f"the campaign has no {lacking}" in said
+    assert "hyperval observe needs neither" in said
+    assert not (tmp_path / "v").exists()

@@ -79,7 +79,6 @@ def test_the_campaigns_of_the_project_are_valid(path):
         ("name: lawn", "name: A Lawn", 2, "a name of small letters, digits and hyphens"),
         ("name: lawn", "name: ../lawn", 2, "a name of small letters, digits and hyphens"),
         ("schema: 1", "schema: 2", 1, "Input should be 1"),
-        ("scenarios: [scenario.yaml]", "scenarios: []", 10, "at least 1 item"),
         ("    at_most: 0.05", "    at_most: 5", 12, "100 % or more"),
         ("    at_most: 0.05\n", "", 12, "a limit is missing"),
         ("    reason: enough\n", "", 12, "reason: Field required"),

@@ -21,6 +21,7 @@ from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.layouts import layouts
 from hyperval.imagery.lookup_table import open_lookup_table
 from hyperval.imagery.rasters import open_raster
+from hyperval.imagery.stores import page_array
 from hyperval.imagery.trees import lookup_raster
 
 LINES, SAMPLES = shells.LINES, shells.SAMPLES
@@ -376,6 +377,23 @@ def test_memory_does_not_grow_with_the_image(tmp_path: Path):
     tracemalloc.stop()
     assert seen == 2000 * 132
     assert peak < 60e6  # of 300: the lines of one block, and what is made of five of them
+
+
+def test_a_few_bands_of_a_line_are_those_of_all(tmp_path: Path):
+    shells.aviris(tmp_path / "a.nc")
+    cube = open_cube(tmp_path / "a.nc", quantity="radiance")
+    wanted = np.stack([cube.read(line, 1).values[0][:, [5, 0, 2]] for line in range(cube.lines)])
+    some = np.concatenate([cube.read_some_bands(line, 1, [5, 0, 2]) for line in range(cube.lines)])
+    np.testing.assert_array_equal(some, wanted)
+    assert np.isnan(some[3, 4]).all()
+
+
+def test_large_arrays_have_pages_of_their_own():
+    large, small = page_array((3, 200_000), np.dtype(np.float64)), page_array((3, 2), np.dtype(np.uint8))
+    assert (large.shape, large.dtype, small.shape, small.dtype) == ((3, 200_000), float, (3, 2), np.uint8)
+    large[:] = 1.0
+    assert large.sum() == 600_000.0
+    assert isinstance(large.base, np.ndarray)
 
 
 def test_lines_of_a_block_are_read_once(tmp_path: Path, monkeypatch):

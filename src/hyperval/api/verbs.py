@@ -78,7 +78,7 @@ def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) ->
     ------
     InputError, UsageError : of the campaign; MissingDataError where its data are not at hand.
     """
-    with collected(_job(campaign), show_progress=show_progress) as found:
+    with collected(_job(campaign, compares=False), show_progress=show_progress) as found:
         return _side(Observation, found.observed.observation)
 
 
@@ -227,11 +227,11 @@ def metrics() -> Metrics:
     return Metrics(metrics_table.table())
 
 
-def _job(campaign: Job | Path | str) -> Any:
-    """The campaign as it is, or that of a file of one run."""
+def _job(campaign: Job | Path | str, *, compares: bool = True) -> Any:
+    """The campaign as it is, or that of a file of one run; ``compares`` as for :func:`jobs_of`."""
     if isinstance(campaign, Job):
         return campaign
-    jobs = jobs_of(Path(campaign))
+    jobs = jobs_of(Path(campaign), compares=compares)
     return jobs[0] if len(jobs) == 1 else load_campaign(campaign)  # which says what is wrong with several
 
 

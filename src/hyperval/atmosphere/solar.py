@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
-from pvlib import solarposition, spectrum
 
 from hyperval.datasets import resolve
 from hyperval.errors import InputError, MissingDataError, UsageError
@@ -47,6 +45,9 @@ def parse_utc(text: str) -> datetime:
 
 def solar_position(latitude_deg: float, longitude_deg: float, when: datetime) -> tuple[float, float]:
     """True (not refracted) solar zenith and azimuth, east of north [deg]; longitude east positive."""
+    import pandas as pd  # with pvlib 110 MB, which a run without a sun to place does not need
+    from pvlib import solarposition
+
     frame = solarposition.get_solarposition(
         pd.DatetimeIndex([pd.Timestamp(when)]), latitude_deg, longitude_deg, method="nrel_numpy"
     )
@@ -55,12 +56,17 @@ def solar_position(latitude_deg: float, longitude_deg: float, when: datetime) ->
 
 def earth_sun_distance_au(when: datetime) -> float:
     """Distance of the Earth from the Sun [au]."""
+    import pandas as pd
+    from pvlib import solarposition
+
     value = solarposition.nrel_earthsun_distance(pd.DatetimeIndex([pd.Timestamp(when)]))
     return float(np.asarray(value)[0])
 
 
 def distance_on_day(day_of_year: int) -> float:
     """Distance at noon UTC of a day of a common year [au]; it differs by 2e-4 from year to year."""
+    import pandas as pd
+
     start = pd.Timestamp("2018-01-01T12:00Z") + pd.Timedelta(days=day_of_year - 1)
     return earth_sun_distance_au(start.to_pydatetime())
 
@@ -128,6 +134,8 @@ def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, 
 def _spectrum(name: str, places: tuple[str, ...]) -> tuple[Array, Array]:
     """Wavelength [nm] and irradiance at 1 au [uW cm-2 nm-1]; ``places`` tells one data directory from another."""
     if name == "astm-g173":
+        from pvlib import spectrum
+
         table = spectrum.get_reference_spectra(standard="ASTM G173-03")
         unit = irradiance_to_internal("W m-2 nm-1")
         return table.index.to_numpy(float), table["extraterrestrial"].to_numpy(float) * unit

@@ -7,11 +7,13 @@ import re
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 from hyperval.atmosphere import solar, visibility
 from hyperval.atmosphere.cache import content_digest
@@ -70,6 +72,8 @@ def read_table(path: Path, template: Path | None = None) -> AtmosphericTable:
 def write_table(table: AtmosphericTable, path: Path) -> None:
     """Write a table as NetCDF, whole or not at all and with a checksum; the same table gives the same bytes."""
     dims = (*table.axes, "wavelength_nm")
+    import xarray as xr  # 80 MB with pandas, which most runs do not need
+
     data = xr.Dataset(
         coords={
             "wavelength_nm": ("wavelength_nm", table.wavelength_nm, {"units": "nm"}),
@@ -117,6 +121,8 @@ def _stamp(path: Path) -> _Stamp:
 
 @lru_cache(maxsize=8)
 def _from_netcdf(path: str, changed_ns: int, size: int) -> AtmosphericTable:
+    import xarray as xr
+
     try:
         with xr.open_dataset(path, engine="h5netcdf") as data:
             return _table_of(data, path)

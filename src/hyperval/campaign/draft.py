@@ -55,6 +55,17 @@ class Text:
         found._run = self.words
         return found
 
+    def check_two_sides(self) -> None:
+        """Raise UsageError for a campaign that names no scenario or no comparison: it can only be observed."""
+        lacking = [key for key in ("scenarios", "comparisons") if not (self.content or {}).get(key)]
+        if lacking:
+            raise UsageError(
+                f"the campaign has no {' and no '.join(lacking)}",
+                where=str(self.path),
+                expected="a scenario to predict from, and what is to be compared",
+                mend="hyperval observe needs neither",
+            )
+
     def not_held(self) -> str | None:
         """Why the campaign cannot be tried here: the collection is not public, and not a file of it is at hand."""
         held = {r: owner for r in self.named.files if (owner := held_set(r.text)) is not None}

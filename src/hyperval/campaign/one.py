@@ -52,8 +52,10 @@ class Job:
         return self.path.resolve().parent
 
 
-def jobs_of(path: Path) -> list[Job | Waiting]:
+def jobs_of(path: Path, *, compares: bool = True) -> list[Job | Waiting]:
     """The campaigns of a file, one for each of its runs.
+
+    ``compares``: there must be a scenario and a comparison, without which a collection can only be observed.
 
     A campaign with values that are still to be filled in waits where its collection is not public and no file of it
     is on this machine.
@@ -67,6 +69,8 @@ def jobs_of(path: Path) -> list[Job | Waiting]:
     out: list[Job | Waiting] = []
     for text in read_texts(path):
         check_names(Path(path), text.named.files)
+        if compares:
+            text.check_two_sides()
         if not text.named.to_fill_in:
             out.append(Job(text.campaign(), Path(path)))
             continue

@@ -19,6 +19,8 @@ from hyperval.report import Quicklook, ScoreMap
 # Wavelength [nm] of red, green, blue and the solar irradiance there relative to green (ASTM G173, rounded).
 COLOURS = ((650.0, 0.84), (550.0, 1.0), (470.0, 1.07))
 MOST_PIXELS = 4_000_000  # of the picture: of larger images every second, third ... line and sample is shown
+STRETCH_PIXELS = 250_000  # that the stretch is taken from, at least
+LINES_TOGETHER = 64
 GAMMA = 0.6  # lifts the dark part of the scene, where most surfaces are
 
 
@@ -54,20 +56,25 @@ def quicklook(observed: Observed) -> Quicklook | None:
     bands = [int(np.argmin(np.abs(centre - at))) for at, _ in COLOURS]
     step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MOST_PIXELS)))
     picture = _some_pixels(cube, bands, step)
+    offset, gain = np.zeros(3), np.ones(3)
     if observed.elm is not None and np.all(observed.elm.usable[bands]):
-        picture = (picture - observed.elm.offset[bands]) / observed.elm.gain[bands]
+        offset, gain = observed.elm.offset[bands], observed.elm.gain[bands]
     elif cube.quantity == "radiance":
-        picture = picture / np.array([irradiance for _, irradiance in COLOURS])
-    high = max(float(np.nanpercentile(picture, 99.0)), np.finfo(float).tiny)
-    colours = spectral.get_rgb(np.nan_to_num(picture), (0, 1, 2), bounds=[(0.0, high)] * 3)
-    scaled = adjust_gamma(np.clip(colours, 0.0, 1.0), GAMMA)
+        gain = np.array([irradiance for _, irradiance in COLOURS])
+    thinned = picture[:: max(1, len(picture) * picture.shape[1] // STRETCH_PIXELS)]
+    high = max(float(np.nanpercentile((thinned - offset) / gain, 99.0)), np.finfo(float).tiny)
+    colours = np.empty(picture.shape, np.uint8)
+    for first in range(0, len(picture), LINES_TOGETHER):  # the whole picture in float64 would be the run's peak
+        part = (picture[first : first + LINES_TOGETHER] - offset) / gain
+        shown = spectral.get_rgb(np.nan_to_num(part), (0, 1, 2), bounds=[(0.0, high)] * 3)
+        colours[first : first + LINES_TOGETHER] = img_as_ubyte(adjust_gamma(np.clip(shown, 0.0, 1.0), GAMMA))
     size = observed.place.pixel_area_m2
     masks = {n: mask for n, mask in observed.place.regions.items() if n not in observed.place.by_rule}
     if observed.place.targets:
         masks["targets"] = all_pixels(observed.place.targets, cube.shape)
-    outlines = {name: mask[::step, ::step] for name, mask in masks.items()}
+    outlines = {name: mask[::step, ::step].copy() for name, mask in masks.items()}
     return Quicklook(
-        img_as_ubyte(scaled),
+        colours,
         outlines,
         tuple(float(centre[b]) for b in bands),
         step * float(np.sqrt(size)) if size else None,
@@ -76,7 +83,9 @@ def quicklook(observed: Observed) -> Quicklook | None:
 
 def _some_pixels(cube: Cube, bands: list[int], step: int) -> npt.NDArray[Any]:
     """(lines, samples, bands) values of every ``step``-th line and sample, as float32."""
-    if step == 1:
-        return np.concatenate([block.values[..., bands] for block in cube.blocks(dtype=np.float32)])
-    lines = [cube.read(line, 1, np.float32).values[:, ::step, bands] for line in range(0, cube.lines, step)]
-    return np.concatenate(lines)
+    lines, samples = range(0, cube.lines, step), range(0, cube.samples, step)
+    out = np.empty((len(lines), len(samples), len(bands)), np.float32)
+    with cube.kept_open():
+        for row, line in enumerate(lines):
+            out[row] = cube.read_some_bands(line, 1, bands)[0, ::step]
+    return out

@@ -38,7 +38,9 @@ class Outline(Model):
         default_factory=list,
         description="choices made after the data were seen, save those of comparisons, which say so themselves",
     )
-    comparisons: list[Gate] = Field(min_length=1)
+    comparisons: list[Gate] = Field(
+        default_factory=list, description="what validate judges; observe alone needs none"
+    )
 
     def every_choice(self) -> list[tuple[str, str]]:
         """What was chosen after the campaign's own data were seen, each with what it was before."""
@@ -63,7 +65,8 @@ class Campaign(Outline):
         description="difference of P_D that is no difference for the purpose; adds pd_equivalence rows",
     )
     scenarios: list[Scenario | str] = Field(
-        min_length=1, description="scenario files, built-in names or scenarios written out"
+        default_factory=list,
+        description="scenario files, built-in names or scenarios written out; observe alone needs none",
     )
 
     attribution: AttributionOptions | None = Field(None, description="look for the reasons where the sides differ")

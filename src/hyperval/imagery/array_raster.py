@@ -122,19 +122,23 @@ class ArrayRaster:
         """(bands, count, samples) values of consecutive lines; ``buffer`` is not used.
 
         Arrays that are stored in blocks are read by as many lines as their blocks have, or as fit into
-        ``SLAB_BYTES``, and these are kept for the next call of the same thread.
+        ``SLAB_BYTES``, and these are kept for the next call of the same thread; lines far from those of the last
+        call are read alone.
         """
         if first < 0 or count < 1 or first + count > self.lines:
             raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
         begin, slab = getattr(self._slabs, "last", (0, None))
         if slab is None or first < begin or first + count > begin + slab.shape[1]:
             block, fit = self._block_lines
-            lines = max(count, min((first // block + 1) * block - first, fit, self.lines - first))
+            lines = count
+            if first == 0 or 0 <= first - getattr(self._slabs, "end", -block) <= block:  # one after the other
+                lines = max(count, min((first // block + 1) * block - first, fit, self.lines - first))
             begin = first
             slab = None
             self._slabs.last = (0, None)  # the memory of the one before is given back first
             slab = self._part(slice(begin, begin + lines), slice(0, self.samples))
             self._slabs.last = (begin, slab)
+        self._slabs.end = first + count
         return slab[:, first - begin : first - begin + count]
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -148,6 +148,16 @@ class Cube:
         stored = self.raster.read_lines(first_line, count)
         values, valid = self._physical(stored, np.dtype(dtype))
         return Block(first_line, values, valid)
+
+    def read_some_bands(self, first_line: int, count: int, bands: Sequence[int]) -> npt.NDArray[np.float32]:
+        """(count, samples, n) values of a few bands of the axis, as for a picture; NaN for ignored values."""
+        order = self.stored_band[list(bands)]
+        stored = self.raster.read_bands(first_line, count)[order].transpose(1, 2, 0)
+        values = stored.astype(np.float32) * self.scaling.gain[order].astype(np.float32)
+        values += self.scaling.offset[order].astype(np.float32)
+        if self.ignore_value is not None:
+            values[equals(stored, self.ignore_value)] = np.nan
+        return np.asarray(values, np.float32)
 
     def blocks(self, lines_per_block: int | None = None, *, dtype: npt.DTypeLike = np.float64) -> Iterator[Block]:
         """All lines in order, ``lines_per_block`` at a time (default: about 8 MiB of values)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from hyperval.errors import InputError
 
 Selection = tuple[slice, ...]
 MAX_CHUNK_BYTES = 256 << 20
+SMALL_BYTES = 1 << 20
 
 
 class Store(Protocol):
@@ -101,7 +103,11 @@ class Hdf5Store(OpenedFile):
         """A part of an array."""
         with self.kept_open() as file:
             try:
-                return np.asarray(file[name][selection])
+                dataset = file[name]
+                shape = tuple(len(range(*s.indices(n))) for s, n in zip(selection, dataset.shape, strict=True))
+                out = page_array(shape, dataset.dtype)
+                dataset.read_direct(out, selection)
+                return out
             except (OSError, KeyError, ValueError) as error:
                 raise InputError(f"{name!r} cannot be read: {error}", where=str(self.path)) from error
 
@@ -110,6 +116,18 @@ class Hdf5Store(OpenedFile):
         with self.kept_open() as file:
             size: tuple[int, ...] | None = file[name].chunks
             return size
+
+
+def page_array(shape: tuple[int, ...], dtype: np.dtype) -> npt.NDArray[Any]:
+    """An array in pages of its own, which go back to the system with it.
+
+    After the first few large arrays the C library serves the next ones from memory that it keeps, and a pass over
+    an image would end with several times what it needs at once.
+    """
+    size = int(np.prod(shape)) * dtype.itemsize
+    if size < SMALL_BYTES:
+        return np.empty(shape, dtype)
+    return np.frombuffer(mmap.mmap(-1, size), dtype).reshape(shape)
 
 
 def check_own_values(path: Path) -> None:

@@ -98,6 +98,7 @@ def region_statistics(
             kinds, missing = regions.kinds(slice(first, first + count), usable)
             left_out += missing
             part.add(stored, kinds, workspace)
+            del stored  # a view of lines that a raster may hold: they would stay while it reads the next
         part.finish()
         return part.sums, left_out
 

@@ -7,10 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hyperval.files import write_text
-from hyperval.report.figures import draw_figures
 from hyperval.report.geotiff import file_stems, write_score_map
-from hyperval.report.html import index_page, report_page
-from hyperval.report.netcdf import write_products
 from hyperval.report.run import RunReport
 from hyperval.report.tables import json_value, junit_xml, results_csv, results_json
 from hyperval.results import ResultTable
@@ -22,6 +19,11 @@ def write_outputs(run: RunReport, folder: Path) -> None:
     results.csv, results.json, junit.xml, provenance.json, products.nc, figures/, scores/ (where there are
     score maps) and report.html.  The same run gives the same bytes.
     """
+    # matplotlib, pandas and xarray take 120 MB: not before the imagery is done with.
+    from hyperval.report.figures import draw_figures
+    from hyperval.report.html import report_page
+    from hyperval.report.netcdf import write_products
+
     folder = Path(folder)
     write_tables(run.table, folder)
     write_text(
@@ -46,6 +48,8 @@ def write_index(runs: Sequence[RunReport], folder: Path, title: str = "Validatio
 
     The folder of a campaign bears its name (``campaign_folders`` tells how a name is made harmless).
     """
+    from hyperval.report.html import index_page
+
     folder = Path(folder)
     write_tables(ResultTable(row for run in runs for row in run.table), folder)
     write_text(folder / "report.html", index_page(runs, campaign_folders(runs), title))
