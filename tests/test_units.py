@@ -47,6 +47,7 @@ def test_irradiance_factor_follows_from_the_prefixes(unit):
         ("μm", 1000),
         (" Micrometers ", 1000),
         ("micron", 1000),
+        ("Angstroms", 0.1),
     ],
 )
 def test_wavelength_factor(unit, factor):

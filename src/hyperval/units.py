@@ -26,6 +26,7 @@ _WAVELENGTH_TO_NM = {
     "nm": 1.0, "nanometer": 1.0, "nanometers": 1.0, "nanometre": 1.0, "nanometres": 1.0,
     "um": 1e3, "µm": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3,
     "micrometer": 1e3, "micrometers": 1e3, "micrometre": 1e3, "micrometres": 1e3,
+    "angstrom": 0.1, "angstroms": 0.1,
 }  # fmt: skip
 
 # What one of the named unit is in uW cm-2 sr-1 nm-1.

@@ -231,8 +231,9 @@ def test_bbl_means_good_where_it_is_1(edit):
     assert any("1 of 4 bands are bad" in note for note in cube.notes)
 
 
-def test_missing_fwhm_is_taken_from_the_spacing_with_a_note(edit):
-    cube = open_cube(edit(fwhm=None), quantity="reflectance")
+@pytest.mark.parametrize("fwhm", [None, "{0, 0, 0, 0}"])
+def test_missing_fwhm_is_taken_from_the_spacing_with_a_note(edit, fwhm):
+    cube = open_cube(edit(fwhm=fwhm), quantity="reflectance")
     assert cube.axis.fwhm_nm.tolist() == [100.0, 100.0, 150.0, 200.0]
     assert any("no fwhm" in note for note in cube.notes)
 

@@ -48,6 +48,7 @@ def rows(*columns, sep: str = " ", end: str = "\n") -> str:
         ("micro sign", "wavelength [µm], rho\n" + rows(WAVE / 1000, RHO, sep=",")),
         ("percent", "nm,reflectance [%]\n" + rows(WAVE, RHO * 100, sep=",")),
         ("hundredths of percent", "nm,refl [%*100]\n" + rows(WAVE, RHO * 10000, sep=",")),
+        ("quoted numbers", '"nm","rho"\n' + "".join(f'"{w:g}","{r:g}"\n' for w, r in zip(WAVE, RHO, strict=True))),
         ("falling", "nm,rho\n" + rows(WAVE[::-1], RHO[::-1], sep=",")),
         ("blank lines", "nm,rho\n\n" + rows(WAVE, RHO, sep=",", end="\n\n")),
         ("no value", "nm,rho\n" + rows(WAVE, RHO, sep=",") + "800,NaN\n900,-1.23e34\n"),

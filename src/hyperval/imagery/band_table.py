@@ -73,6 +73,9 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
             raise InputError("the bad-band list marks every band as bad", where=header.where("bbl"))
         notes.append(f"bad-band list: {int((~good).sum())} of {good.size} bands are bad")
     width = header.numbers("fwhm", header.bands)
+    if width is not None and not width.any():
+        notes.append("every fwhm in the header is 0, which is none")
+        width = None
     if width is not None:
         if np.any(width <= 0):
             at = int(np.flatnonzero(width <= 0)[0])

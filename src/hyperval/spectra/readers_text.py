@@ -16,6 +16,7 @@ MAX_HEADER_LINES = 1000
 MAX_COLUMNS = 2000
 _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 
+_QUOTED = re.compile(r'("[^",;\t]*")([,;\t]"[^",;\t]*")+')
 _NUMBER = re.compile(r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
 _SPREAD = re.compile(r"stand\w*[ _.]*dev|std|(?<![a-z])sd(?![a-z])|sigma|uncertainty", re.IGNORECASE)
@@ -265,6 +266,8 @@ def _entry(header: str, key: str) -> str | None:
 
 def _cells(line: str) -> list[str]:
     text = line.strip()
+    if _QUOTED.fullmatch(text):  # as some spreadsheets export numbers
+        text = text.replace('"', "")
     if ";" in text:  # as spreadsheets export where the comma is the decimal sign
         cells = [c.strip() for c in text.rstrip(";").split(";")]
         return [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in cells]
