@@ -17,6 +17,7 @@ from hyperval.units import radiance_to_internal, wavelength_to_nm
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
+_MAX_DIGITS = 300  # a number of more is none that a calculation can hold
 MAX_NODES = 20_000
 MOST_MISTAKES = 20  # that are listed
 # A value that begins so is one that the user has still to give: "FILL_IN: what it is".
@@ -165,6 +166,8 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
     if node.tag.endswith(":bool"):
         return value.lower() == "true"
     if node.tag.endswith(":int"):
+        if len(value) > _MAX_DIGITS:
+            raise UsageError(f"a number of {len(value)} digits", where=f"{name}:{node.start_mark.line + 1}")
         return int(value)
     if node.tag.endswith(":float"):
         return float(value.lower().replace(".inf", "inf").replace(".nan", "nan"))

@@ -11,6 +11,7 @@ import csv
 import gzip
 import hashlib
 import os
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -64,7 +65,7 @@ class DataFile:
         try:
             with gzip.open(path) as stream:
                 content = stream.read(self.size + 1)
-        except (OSError, EOFError):
+        except (OSError, EOFError, zlib.error):
             return False
         return hashlib.sha256(content).hexdigest() == self.sha256
 

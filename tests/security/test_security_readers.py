@@ -16,6 +16,7 @@ import pytest
 
 import hyperval
 from hyperval import cli
+from hyperval.collection_files import BandTable
 from hyperval.errors import HypervalError, InputError, reader
 
 PACKAGE = Path(hyperval.__file__).parent
@@ -45,8 +46,10 @@ READERS = readers()
 MORE: dict[str, dict[str, Any]] = {
     "open_cube": {"quantity": "other"},
     "open_lookup_table": {"shape": (2, 2)},
+    "open_tiff": {"header": None, "root": None},
+    "read_band_table": {"table": BandTable(path="b.txt", wavelength_unit="nm")},
     "read_targets": {"shape": (2, 2)},
-    "read_regions": {"shape": (2, 2)},
+    "read_regions": {"cube_shape": (2, 2)},
 }
 DEEP = "[" * 100_000
 FEATURE = (
@@ -98,6 +101,8 @@ def test_every_reader_is_wrapped():
     bare = [name for name, function in READERS.items() if not hasattr(inspect.unwrap(function), "__code__")]
     assert bare == []
     assert [name for name, function in READERS.items() if not hasattr(function, "__wrapped__")] == []
+    for function in READERS.values():  # what the wrapper would take for a damaged file
+        assert inspect.signature(function).bind(Path(), **MORE.get(function.__name__, {}))
 
 
 def test_the_wrapper_says_what_and_where_and_passes_clear_errors_on(tmp_path: Path):
@@ -153,3 +158,25 @@ def test_plain_text_as_a_campaign_is_a_mistake_of_the_user(content: bytes, tmp_p
     (tmp_path / "c.yaml").write_bytes(content)
     assert cli.run(["validate", str(tmp_path / "c.yaml"), "-o", str(tmp_path / "out")]) == 2
     assert "holds no keys" in capsys.readouterr().err
+
+
+MISNAMED = b'{"crs": {"properties": {"name": "EPSG:1,5"}}, ' + (FEATURE % b"[[[0, 0], [1, 1], [2, 2]]]")[1:]
+UNPACKABLE = gzip.compress(bytes(range(256)) * 9)[:40] + b"x" * 90
+
+
+@pytest.mark.parametrize(
+    ("function", "name", "content", "message"),
+    [
+        ("spectra.readers.read_spectrum", "a.csv", b"name,400,500,600,700\na,1\rb,2,3,4,5\n", "2 cells"),
+        ("imagery.regions_files.read_table", "a.csv", b"line,sample\n1,2\r3,4,5\n", "3 cells for 2 columns"),
+        ("imagery.regions.read_regions", "a.json", MISNAMED, "unknown coordinate system 'EPSG:1,5'"),
+        ("config.load_yaml", "a.yaml", b"schema: 1\nseed: " + b"9" * 4400, "a.yaml:2: a number of 4400 digits"),
+        ("atmosphere.modtran_read.read_chn_blocks", "a.chn.gz", UNPACKABLE, "cannot read: Error -3 while decomp"),
+    ],
+)  # fmt: skip
+def test_what_mutants_met_is_foreseen(function: str, name: str, content: bytes, message: str, tmp_path: Path):
+    path = tmp_path / name
+    path.write_bytes(content)
+    read = READERS[f"hyperval.{function}"]
+    with pytest.raises(HypervalError, match=message):
+        read(path, **MORE.get(read.__name__, {}))

@@ -7,6 +7,7 @@ wavenumber, W cm-2 sr-1 / cm-1, as in the file.
 from __future__ import annotations
 
 import gzip
+import zlib
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -66,7 +67,7 @@ def text_lines(path: Path, expected: str, limit: int | None = None) -> list[str]
             raw = stream.read(limit + 1)
     except FileNotFoundError as error:
         raise InputError("no such file", where=str(path)) from error
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"cannot read: {error}", where=str(path)) from error
     if len(raw) > limit:
         raise InputError(f"unpacks to more than {limit} bytes", where=str(path))

@@ -7,6 +7,7 @@ import gzip
 import io
 import json
 import re
+import zlib
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ def head_of(path: Path, count: int = 512) -> bytes:
         if head[:2] == b"\x1f\x8b":
             with gzip.open(path) as stream:
                 head = stream.read(count)
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"cannot read: {error}", where=str(path)) from error
     return head
 
@@ -51,7 +52,7 @@ def read_text(path: Path) -> str:
     try:
         with opener(path, "rb") as stream:
             raw = stream.read(MAX_TEXT_BYTES + 1)
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"cannot read: {error}", where=str(path)) from error
     if len(raw) > MAX_TEXT_BYTES:
         raise InputError(f"larger than {MAX_TEXT_BYTES >> 20} MiB", where=str(path))
@@ -76,7 +77,7 @@ def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list
     text = read_text(path)
     first = text.split("\n", 1)[0]
     divider = next((d for d in ",;\t" if d in first), ",")
-    reader = csv.reader(io.StringIO(text), delimiter=divider, skipinitialspace=divider != "\t")
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=divider, skipinitialspace=divider != "\t")
     try:
         fields = [f.strip() for f in next(reader, [])]
         fields = [f.lower() if f.lower() in known else f for f in fields]
@@ -287,7 +288,7 @@ def _stated_crs(data: Any, path: Path) -> CRS | None:
         return None
     try:
         return CRS.from_user_input(name)
-    except CRSError:
+    except (CRSError, ValueError):
         raise InputError(f"unknown coordinate system {name!r}", where=str(path)) from None
 
 

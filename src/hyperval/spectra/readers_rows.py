@@ -32,7 +32,7 @@ _NAMES = (
 
 def is_row_table(text: str) -> bool:
     """Whether the first line has wavelengths as titles of its last columns, behind others or at once."""
-    titles = next(csv.reader(io.StringIO(text.split("\n", 1)[0])), [])
+    titles = next(csv.reader(io.StringIO(text.split("\n", 1)[0], newline="")), [])
     return _first_band(titles) is not None
 
 
@@ -47,7 +47,7 @@ def row_records(text: str, path: Path) -> list[Record]:
     ------
     InputError : rows of another length than the first, cells that are no numbers, or more than can be a table.
     """
-    reader = csv.reader(io.StringIO(text))
+    reader = csv.reader(io.StringIO(text, newline=""))
     try:
         titles = _without_end([t.strip() for t in next(reader)])
         first = _first_band(titles) or 0

@@ -1,0 +1,202 @@
+"""Contents of small valid files in every format that is read."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import rasterio
+import xarray as xr
+from affine import Affine
+from rasterio.crs import CRS
+
+from hyperval.atmosphere.modtran_read import RADIANCE_COLUMNS
+from hyperval.atmosphere.table import QUANTITIES, AtmosphericTable
+from hyperval.atmosphere.table_files import write_table
+from hyperval.imagery.envi_write import write_cube
+from hyperval.scene.builtin import builtin_class
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.statistics_library import write_statistics_library
+
+SHAPE = (10, 12)
+NM = np.arange(400.0, 1000.0, 50.0)
+RHO = 0.3 + 0.1 * np.sin(NM / 90.0)
+MAP = Affine(2.0, 0, 300000.0, 0, -2.0, 4700000.0)
+UTM = CRS.from_epsg(32618)
+
+
+def rows(*columns: Any, sep: str = "\t", end: str = "\n") -> str:
+    return "".join(sep.join(f"{v:.5f}" for v in row) + end for row in zip(*columns, strict=True))
+
+
+def texts() -> dict[str, tuple[str, str]]:
+    """File name and text of spectra in every text format."""
+    titles = ",".join(f"{nm:g}" for nm in NM)
+    across = "".join(f"s{i},{','.join(map(str, RHO + i / 99))}\n" for i in (0, 1))
+    sed = (
+        "Comment:\r\nVersion: 2.0\r\nInstrument: PSR-3500\r\nMeasurement: REFLECTANCE\r\n"
+        f"Wavelength Range: 400,950\r\nChannels: {NM.size}\r\nColumns [4]:\r\n"
+        "Data:\r\nWvl\tRef.\tTarget\tReflect. [1.0]\r\n"
+    )
+    sig = "/*** Spectra Vista SIG Data ***/\nname= x.sig\nunits= Radiance, Radiance\ndata=\n"
+    ecostress = (
+        "Name: Paint\nX Units: Wavelength (micrometers)\nY Units: Reflectance (percentage)\nFirst X Value: 0.95\n"
+        f"Last X Value: 0.4\nNumber of X Values: {NM.size}\nAdditional Information: none\n\n"
+    )
+    plot = "ENVI ASCII Plot File [Mon]\nColumn 1: Wavelength (nm)\nColumn 2: grass~~2\n"
+    return {
+        "columns": ("a.csv", "wavelength_nm,reflectance [1],std\n" + rows(NM, RHO, RHO / 10, sep=",")),
+        "decimal comma": ("a.txt", "Wavelength (nm);rho\n" + rows(NM, RHO, sep="; ").replace(".", ",")),
+        "envi plot": ("a.txt", plot + rows(NM, RHO, sep="  ")),
+        "ecostress": ("a.txt", ecostress + rows(NM[::-1] / 1000, RHO[::-1] * 100)),
+        "sig": ("a.sig", sig + rows(NM, 1000 + NM, 500 + NM, RHO * 100, sep="  ")),
+        "sed": ("a.sed", sed + rows(NM, NM, NM, RHO, end="\r\n")),
+        "rows": (
+            "a.csv",
+            f"name,{titles}\n{across}",
+        ),
+    }
+
+
+def asd(version: bytes, dtype: str, kind: int = 1) -> bytes:
+    head = bytearray(484)
+    head[:3], head[186], head[199] = version, kind, {"<f4": 0, "<i4": 1, "<f8": 2}[dtype]
+    struct.pack_into("<2f", head, 191, NM[0], NM[1] - NM[0])
+    struct.pack_into("<H", head, 204, NM.size)
+    white = (1000.0 * NM).astype(dtype)
+    return (
+        bytes(head) + (RHO * white).astype(dtype).tobytes() + struct.pack("<H", 65535) + b"\0" * 16
+        + struct.pack("<H", 5) + b"white" + white.tobytes()
+    )  # fmt: skip
+
+
+def chn(rho: float = 0.0) -> str:
+    """A channel file of the closed form: L = L_a + F (A + B) rho / (1 - S rho)."""
+    widths = (12, 3, 3, 13, 13, 8, 13, 9, 9, 9, 9, *([13] * 10), *([10] * 5), 11)
+    lines = ["", "HEAD", "  ".join("-" * w for w in widths)]
+    for number, nm in enumerate(NM, 1):
+        f, a, b, s, width = 40.0 * 500 / nm, 0.75 + nm / 5000, 40 / nm, 80 / nm, 10.0
+        ground, path = f * a * rho / (1 - s * rho), 2.0 * (450 / nm) ** 4 + f * b * rho / (1 - s * rho)
+        total = (ground + path) * 1e-6
+        values = [nm, 1, number, 0.0, total, 300.0, total * width, 1.0, width, nm - 9, nm + 9, 0.0, 0.0, 0.0]
+        values += [0.4 * path * width * 1e-6, 0.6 * path * width * 1e-6, ground * width * 1e-6, 0.0]
+        values += [f * width * 1e-6, 0.0, 0.0, a, b, s, 0.9, 1.0]
+        lines.append("  ".join(f"{v:>{w}.6E}" if w == 13 else f"{v:>{w}.7g}" for v, w in zip(values, widths)))  # noqa: B905
+    return "\n".join(line + "  CENTER" * (i > 2) for i, line in enumerate(lines)) + "\n\n"
+
+
+def tape7() -> str:
+    """A tape7 of one case over black ground."""
+    widths = (8, *([11] * 9), 9, 9, 8, 7, 11, 11)
+    card = "T F 2    2    2   -1    0    0    0    0    0    0    0    0    1   0.000  0.0000"
+    lines = [card, "    1    0    0", "".join(f"{n:>{w}}" for n, w in zip(RADIANCE_COLUMNS, widths, strict=True))]
+    for nu in np.linspace(4000.0, 25000.0, 8):
+        numbers = [nu, 0.9, 0.0, None, 0.0, 1e-7, 7e-8, 0.0, 0.0, 1e-7, None, None, 0.105, 1.0, 8e-6, 300.0]
+        forms = ["8.2f", "11.8f", *["11.4E"] * 8, "9", "9", "8.3f", "7.4f", "11.4E", "11.3f"]
+        lines.append(
+            "".join(
+                " " * w if v is None else f"{v:{form}}" for v, w, form in zip(numbers, widths, forms, strict=True)
+            )
+        )
+    return "\n".join([*lines, " -9999."]) + "\n"
+
+
+def roi_text() -> str:
+    pixels = [(line, sample) for line in range(3, 6) for sample in range(2, 6)]
+    head = ["; ENVI Output of ROIs (4.8) [x]", "; Number of ROIs: 1", "; File Dimension: 12 x 10", ";"]
+    head += ["; ROI name: grass", "; ROI rgb value: {0, 255, 0}", f"; ROI npts: {len(pixels)}", ";   ID    X    Y"]
+    return "\n".join(head + [f"{i + 1:6d} {s + 1:4d} {ln + 1:4d}" for i, (ln, s) in enumerate(pixels)]) + "\n"
+
+
+def roi_binary() -> bytes:
+    table = [0] * 45
+    table[0], table[1], table[3], table[42], table[44] = 12, 10, 3, 1, 1
+    ring = (2.0, 6.0, 6.0, 2.0), (3.0, 3.0, 8.0, 8.0)
+    return (
+        b"JoeB" + struct.pack(">3i", 1, 5, 5) + b"grass\0\0\0" + struct.pack(">45i", *table)
+        + struct.pack(">4i", 3, 38, 39, 40) + struct.pack(">2i8f", 4, 4, *ring[0], *ring[1])
+    )  # fmt: skip
+
+
+def drawn() -> dict[str, tuple[str, bytes]]:
+    """File name and content of one region in every format."""
+    ring = [[300004.0, 4699994.0], [300012.0, 4699994.0], [300012.0, 4699984.0], [300004.0, 4699994.0]]
+    shape = {"type": "Polygon", "coordinates": [ring]}
+    listed = {
+        "type": "FeatureCollection",
+        "crs": {"type": "name", "properties": {"name": "EPSG:32618"}},
+        "features": [{"type": "Feature", "properties": {"name": "grass"}, "geometry": shape}],
+    }
+    ring_text = "2 3 6 3 6 8 2 8 2 3"
+    for tag in ("Coordinates", "LinearRing", "Exterior", "Polygon"):
+        ring_text = f"<{tag}>{ring_text}</{tag}>"
+    xml = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<RegionsOfInterest version="1.1">'
+        '<Region name="grass" color="0,255,0">'
+        f"<GeometryDef><CoordSysStr>none</CoordSysStr>{ring_text}</GeometryDef></Region></RegionsOfInterest>"
+    )
+    pixels = "region,row0,col0\n" + "".join(f"grass,{i},{j}\n" for i in range(3, 6) for j in range(2, 6))
+    return {
+        "geojson": ("a.geojson", json.dumps(listed, indent=1).encode()),
+        "roi xml": ("a.xml", xml.encode()),
+        "roi text": ("a.txt", roi_text().encode()),
+        "roi binary": ("a.roi", roi_binary()),
+        "pixel list": ("a.csv", pixels.encode()),
+    }
+
+
+def written(folder: Path) -> dict[str, dict[str, bytes]]:
+    """Files that the project's writers or libraries make, by sample."""
+    axis = SpectralAxis(NM, np.full(NM.size, 20.0))
+    values = np.random.default_rng(1).uniform(0.1, 0.9, (*SHAPE, NM.size)).astype(np.float32)
+
+    def taken(*names: str) -> dict[str, bytes]:
+        return {name: (folder / name).read_bytes() for name in names}
+
+    out = {}
+    write_cube(folder / "a.img", values, data_type=4, interleave="bil", axis=axis)
+    out["envi cube"] = taken("a.img", "a.hdr")
+    library = (
+        f"ENVI\nsamples = {NM.size}\nlines = 2\nbands = 1\nheader offset = 0\nfile type = ENVI Spectral Library\n"
+        "data type = 5\ninterleave = bsq\nbyte order = 0\nwavelength units = nm\n"
+        f"wavelength = {{{', '.join(map(str, NM))}}}\nspectra names = {{one, two}}\n"
+    )
+    out["envi library"] = {"b.sli": np.stack([RHO, RHO / 2]).tobytes(), "b.hdr": library.encode()}
+    column, row = np.meshgrid(np.arange(1, 13), np.arange(1, 11))
+    cells = np.stack([column, row], axis=-1).astype(np.int32)
+    write_cube(folder / "glt.dat", cells, data_type=3, interleave="bip", transform=MAP, crs=UTM)
+    out["lookup table"] = taken("glt.dat", "glt.hdr")
+    options = {"width": 12, "height": 10, "count": 3, "dtype": "int16", "crs": "EPSG:32618", "transform": MAP}
+    with rasterio.open(folder / "a.tif", "w", driver="GTiff", compress="deflate", **options) as dataset:
+        dataset.write((values[..., :3].transpose(2, 0, 1) * 1e4).astype(np.int16))
+        for band in (1, 2, 3):
+            dataset.update_tags(band, wavelength=str(400 + 50 * band), wavelength_units="nm")
+    out["geotiff"] = taken("a.tif")
+    with rasterio.open(folder / "mask.tif", "w", driver="GTiff", **{**options, "count": 1}) as dataset:
+        dataset.write((values[..., :1].transpose(2, 0, 1) > 0.8).astype(np.int16))
+    out["region raster"] = taken("mask.tif")
+    data = xr.Dataset(
+        {"radiance": (("y", "x", "wavelength"), values, {"units": "uW cm-2 sr-1 nm-1"})},
+        coords={"wavelength": ("wavelength", NM, {"units": "nm"})},
+    )
+    data.to_netcdf(folder / "a.nc", engine="h5netcdf")
+    out["netcdf cube"] = taken("a.nc")
+    with h5py.File(folder / "a.h5", "w") as file:
+        file["cube"] = values
+        file["cube"].attrs["units"] = "uW cm-2 sr-1 nm-1"
+        file["wavelength"] = NM
+        file["wavelength"].attrs["units"] = "nm"
+    out["hdf5 tree"] = taken("a.h5")
+    ones = np.full((2, NM.size), 0.2)
+    table = AtmosphericTable(
+        NM, {"aot550": np.array([0.0, 0.4])}, {"model": "tropical"}, dict.fromkeys(QUANTITIES, ones)
+    )
+    write_table(table, folder / "table.nc")
+    out["table"] = taken("table.nc")
+    write_statistics_library(folder / "library.nc", [builtin_class("grass", axis)])
+    out["statistics library"] = taken("library.nc")
+    return out
