@@ -77,7 +77,7 @@ def test_a_set_that_is_not_public_says_who_holds_it_and_where_it_goes(places):
     entry = datasets.dataset("share2012")
     assert not entry.public
     assert entry.files == ()
-    assert "Rochester" in entry.held_by
+    assert "Rochester" in entry.holder
     reference = "data:share2012/lines/0920-1631_rad.dat"
     with pytest.raises(MissingDataError, match=r"not public.*Rochester.*folder share2012 below HYPERVAL_DATA"):
         datasets.resolve(reference)
@@ -92,17 +92,17 @@ def test_a_set_that_is_not_public_says_who_holds_it_and_where_it_goes(places):
     assert (known["dataset"], known["licence"], known["sha256"]) == ("share2012", "not public", None)
     (record,) = (log := InputLog(places[0])).resolve(reference) and log.entries()
     assert (record["dataset"], record["as_registered"]) == ("share2012", None)
-    assert datasets.held_set("share2012/x") is None
-    assert datasets.held_set("data:hysu/x") is None
+    assert datasets.set_on_request("share2012/x") is None
+    assert datasets.set_on_request("data:hysu/x") is None
 
 
 def test_a_set_has_an_address_or_a_holder():
     from hyperval.config import validate
 
     good = {"title": "t", "licence": "l", "citation": "c"}
-    for more in ({}, {"repository": "a/b"}, {"held_by": "h"},
-                 {"repository": "a/b", "commit": "0", "held_by": "h", "obtain": "o"}):  # fmt: skip
-        with pytest.raises(UsageError, match="either repository and commit, or held_by and obtain"):
+    for more in ({}, {"repository": "a/b"}, {"holder": "h"},
+                 {"repository": "a/b", "commit": "0", "holder": "h", "obtain": "o"}):  # fmt: skip
+        with pytest.raises(UsageError, match="either repository and commit, or holder and obtain"):
             validate(datasets._Sets, {"sets": {"x": good | more}}, {}, "sets.yaml")
 
 

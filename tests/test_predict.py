@@ -16,7 +16,7 @@ from hyperval.prediction import filters
 from hyperval.prediction.bands import detection_bands
 from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.inputs import SurfaceStatistics
-from hyperval.prediction.terms import remembered
+from hyperval.prediction.terms import terms_in_memory
 from hyperval.processing.filters import LinearFilter, matched_filter_weights
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction, background_of
@@ -360,10 +360,10 @@ def test_terms_on_bands_are_kept_for_the_same_state_alone():
 
     state = scenario().atmosphere
     drier = state.model_copy(update={"water_vapour_g_cm2": 1.0})
-    first = remembered(counted, state, AXIS, cache_dir=None, show_progress=None)
-    assert remembered(counted, state, AXIS, cache_dir=None, show_progress=True) is first
-    remembered(counted, drier, AXIS, cache_dir=None, show_progress=None)
-    remembered(counted, state, AXIS.select(np.arange(5)), cache_dir=None, show_progress=None)
+    first = terms_in_memory(counted, state, AXIS, cache_dir=None, show_progress=None)
+    assert terms_in_memory(counted, state, AXIS, cache_dir=None, show_progress=True) is first
+    terms_in_memory(counted, drier, AXIS, cache_dir=None, show_progress=None)
+    terms_in_memory(counted, state, AXIS.select(np.arange(5)), cache_dir=None, show_progress=None)
     assert calls == [state, drier, state]
 
 

@@ -187,13 +187,13 @@ def placeholders(data: Any, lines: dict[Location, int], name: str, at: Location 
         return [Placeholder(".".join(str(p) for p in at), f"{name}:{lines.get(at, 1)}", what or "a value")]
     else:
         return []
-    return [found for key, value in inner for found in placeholders(value, lines, name, (*at, key))]
+    return [entry for key, value in inner for entry in placeholders(value, lines, name, (*at, key))]
 
 
-def unfilled(found: list[Placeholder]) -> UsageError:
+def unfilled(entries: list[Placeholder]) -> UsageError:
     """The error that names every value to be filled in."""
-    listed = [f"{p.where}: {p.key}: {p.what}" for p in found]
-    return UsageError("\n  ".join([f"{len(found)} values are still to be filled in", *listed]))
+    listed = [f"{p.where}: {p.key}: {p.what}" for p in entries]
+    return UsageError("\n  ".join([f"{len(entries)} values are still to be filled in", *listed]))
 
 
 def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -> M:
@@ -204,7 +204,7 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        found: list[tuple[int, str]] = []
+        problems: list[tuple[int, str]] = []
         for item in error.errors(include_url=False):
             # Locations of unions carry the name of the tried member, which is no key of the file.
             at: Location = ()
@@ -219,16 +219,16 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
             if item["type"] == "string_pattern_mismatch":
                 text = _spelled(item["ctx"]["pattern"]) or text
             if item["type"] == "extra_forbidden":
-                few = len(found) < MOST_MISTAKES  # what is looked for takes long beside what is listed
+                few = len(problems) < MOST_MISTAKES  # what is looked for takes long beside what is listed
                 near = difflib.get_close_matches(str(item["loc"][-1]), _keys_of(model), n=1) if few else []
                 text = "unknown key" + (f"; did you mean {near[0]!r}?" if near else "")
-            found.append((line, f"{name}:{line}: {key}: {text}"))
-        found.sort()
-        if not found:
+            problems.append((line, f"{name}:{line}: {key}: {text}"))
+        problems.sort()
+        if not problems:
             raise UsageError(f"{name}: {error}") from error
-        first, *rest = [text for _, text in found[:MOST_MISTAKES]]
-        if len(found) > MOST_MISTAKES:
-            rest.append(f"and {len(found) - MOST_MISTAKES} more")
+        first, *rest = [text for _, text in problems[:MOST_MISTAKES]]
+        if len(problems) > MOST_MISTAKES:
+            rest.append(f"and {len(problems) - MOST_MISTAKES} more")
         raise UsageError("\n  ".join([first, *rest])) from error
 
 
@@ -238,8 +238,8 @@ def _spelled(pattern: str) -> str:
         "a-z0-9-": "small letters, digits and hyphens, a letter or digit first",
         "A-Za-z0-9_.-": "letters, digits and _ . -, a letter or digit first",
     }
-    found = re.findall(r"\[([^\]]*)\]\*\$$", pattern)
-    return f"a name of {allowed[found[0]]}" if found and found[0] in allowed else ""
+    patterns = re.findall(r"\[([^\]]*)\]\*\$$", pattern)
+    return f"a name of {allowed[patterns[0]]}" if patterns and patterns[0] in allowed else ""
 
 
 @reader

@@ -74,7 +74,7 @@ class DataFile:
 class DataSet:
     """A data set with its licence, its citation and its files.
 
-    A set that is not public has no address and no listed files: ``held_by`` says who has it, ``obtain`` how to
+    A set that is not public has no address and no listed files: ``holder`` says who has it, ``obtain`` how to
     get it; its files stand below a folder of its name.
     """
 
@@ -85,13 +85,13 @@ class DataSet:
     licence: str
     citation: str
     files: tuple[DataFile, ...]
-    held_by: str = ""
+    holder: str = ""
     obtain: str = ""
 
     @property
     def public(self) -> bool:
         """Whether it can be fetched."""
-        return not self.held_by
+        return not self.holder
 
 
 @dataclass(frozen=True)
@@ -108,15 +108,15 @@ class _SetEntry(Model):
     repository: str = ""
     commit: str = ""
     upstream: str = ""
-    held_by: str = ""
+    holder: str = ""
     obtain: str = ""
     licence: str
     citation: str
 
     @model_validator(mode="after")
     def _has_a_place(self) -> _SetEntry:
-        if bool(self.repository and self.commit) == bool(self.held_by and self.obtain):
-            raise ValueError("give either repository and commit, or held_by and obtain")
+        if bool(self.repository and self.commit) == bool(self.holder and self.obtain):
+            raise ValueError("give either repository and commit, or holder and obtain")
         return self
 
 
@@ -139,7 +139,7 @@ def registry() -> Mapping[str, DataSet]:
         files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), row["sha256"]))
     return {
         name: DataSet(
-            name, e.title, e.repository, e.commit, e.licence, e.citation, tuple(files[name]), e.held_by, e.obtain
+            name, e.title, e.repository, e.commit, e.licence, e.citation, tuple(files[name]), e.holder, e.obtain
         )
         for name, e in entries.items()
     }
@@ -196,13 +196,13 @@ def describe(reference: str) -> dict[str, str | None]:
     nothing: dict[str, str | None] = dict.fromkeys(("dataset", "licence", "citation", "address", "sha256"))
     if not reference.startswith(PREFIX):
         return nothing
-    found = _registered(_data_path(reference))
-    if found is None:
-        holder = held_set(reference)
+    entry = _registered(_data_path(reference))
+    if entry is None:
+        holder = set_on_request(reference)
         if holder is None:
             return nothing
         return nothing | {"dataset": holder.name, "licence": holder.licence, "citation": holder.citation}
-    owner, file = found
+    owner, file = entry
     return {
         "dataset": owner.name,
         "licence": owner.licence,
@@ -212,7 +212,7 @@ def describe(reference: str) -> dict[str, str | None]:
     }
 
 
-def held_set(reference: str) -> DataSet | None:
+def set_on_request(reference: str) -> DataSet | None:
     """The set that is not public to which a ``data:`` reference belongs, None for any other reference."""
     if not reference.startswith(PREFIX):
         return None
@@ -256,17 +256,17 @@ def fetch(name: str, *, show_progress: bool | None = None) -> list[Path]:
     entry = dataset(name)
     if not entry.public:
         raise InputError(
-            f"the data set {name!r} is not public; it is held by {entry.held_by}", mend=how_to_get(entry)
+            f"the data set {name!r} is not public; it is held by {entry.holder}", mend=how_to_get(entry)
         )
     needed = []
     for file in dataset(name).files:
-        found = _find(file.path)
-        if found is not None and file.matches(found):
+        path = _find(file.path)
+        if path is not None and file.matches(path):
             continue
-        if found is not None and not found.is_relative_to(cache_dir()):
+        if path is not None and not path.is_relative_to(cache_dir()):
             raise InputError(
                 "the local copy is not the registered file, and a local copy wins",
-                where=str(found),
+                where=str(path),
                 expected=f"SHA-256 {file.sha256}",
                 mend="remove that file, or leave HYPERVAL_DATA unset",
             )
@@ -307,7 +307,7 @@ class InputLog:
             reference = self._relative(path)
         if reference not in self._entries:
             known = describe(reference)
-            found = _registered(_data_path(reference)) if reference.startswith(PREFIX) else None
+            entry = _registered(_data_path(reference)) if reference.startswith(PREFIX) else None
             self._entries[reference] = {
                 "reference": reference,
                 "sha256": sha256_of(path),
@@ -315,7 +315,7 @@ class InputLog:
                 "dataset": known["dataset"],
                 "licence": known["licence"],
                 "citation": known["citation"],
-                "as_registered": found[1].matches(path) if found else None,
+                "as_registered": entry[1].matches(path) if entry else None,
             }
         return path
 
@@ -362,15 +362,15 @@ def _registered(path: str) -> tuple[DataSet, DataFile] | None:
 
 
 def _resolve_data(path: str) -> Path:
-    found = _find(path)
-    if found is not None:
-        return found
+    path_here = _find(path)
+    if path_here is not None:
+        return path_here
     looked = ", ".join(str(root) for root in _roots())
-    owner, holder = _owner(path), held_set(PREFIX + path)
+    owner, holder = _owner(path), set_on_request(PREFIX + path)
     if owner:
         mend = f"hyperval data fetch {owner}"
     elif holder:
-        mend = f"the collection is not public, it is held by {holder.held_by}: {how_to_get(holder)}"
+        mend = f"the collection is not public, it is held by {holder.holder}: {how_to_get(holder)}"
     else:
         raise _unknown(path, looked)
     raise MissingDataError(f"not on this machine (looked in {looked})", where=PREFIX + path, mend=mend)
@@ -378,10 +378,10 @@ def _resolve_data(path: str) -> Path:
 
 def _owner(path: str) -> str | None:
     """The public set that holds a file, or a file that matches a pattern."""
-    found = _registered(path)
-    if found is None and is_pattern(path):
-        found = next((v for known, v in _by_path().items() if fnmatchcase(known, path)), None)
-    return found[0].name if found else None
+    owner = _registered(path)
+    if owner is None and is_pattern(path):
+        owner = next((v for known, v in _by_path().items() if fnmatchcase(known, path)), None)
+    return owner[0].name if owner else None
 
 
 def _unknown(path: str, looked: str) -> UsageError:

@@ -24,8 +24,8 @@ def matching(path: Path) -> list[Path]:
         return [path]
     if not is_pattern(path.name) or not path.parent.is_dir():
         return []
-    found = (p for p in path.parent.iterdir() if fnmatchcase(p.name, path.name) and p.is_file())
-    return sorted(found)[: MAX_MATCHES + 1]
+    matches = (p for p in path.parent.iterdir() if fnmatchcase(p.name, path.name) and p.is_file())
+    return sorted(matches)[: MAX_MATCHES + 1]
 
 
 def nearest(name: str, known: Iterable[str], count: int = 3) -> list[str]:

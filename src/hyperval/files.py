@@ -26,8 +26,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     prefix = f".{path.name[:60]}.hyperval-"  # the name itself may be as long as a name can be
     left = re.compile(re.escape(prefix) + r"(\d+)-[a-z0-9_]{8}" + re.escape(path.suffix))
     for name in os.listdir(path.parent):
-        found = left.fullmatch(name)
-        if found and is_left(path.parent / name, int(found[1])):
+        match = left.fullmatch(name)
+        if match and is_left(path.parent / name, int(match[1])):
             (path.parent / name).unlink(missing_ok=True)
     handle, name = tempfile.mkstemp(prefix=f"{prefix}{os.getpid()}-", suffix=path.suffix, dir=path.parent)
     os.close(handle)
@@ -62,8 +62,8 @@ def scratch_folder(purpose: str, beside: Path | None = None) -> Iterator[Path]:
     start = f".hyperval-{purpose}-" if beside is not None else f"hyperval-{purpose}-"
     exact = re.compile(re.escape(start) + r"(\d+)-[a-z0-9_]{8}")
     for name in os.listdir(place):
-        found = exact.fullmatch(name)
-        if found and is_left(place / name, int(found[1])):
+        match = exact.fullmatch(name)
+        if match and is_left(place / name, int(match[1])):
             shutil.rmtree(place / name, ignore_errors=True)
     with tempfile.TemporaryDirectory(
         prefix=f"{start}{os.getpid()}-", dir=place, ignore_cleanup_errors=True

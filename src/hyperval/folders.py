@@ -129,11 +129,11 @@ def refuse_foreign(path: Path, kind: Kind = RESULTS) -> None:
         raise UsageError("is a file", where=str(path), expected="a folder for the output")
     if all(p.name.startswith(".hyperval") and p.name != LIST for p in path.iterdir()):
         return
-    found = _list(path)
-    if found is not None:
-        if found[0] == kind.name:
+    listing = _list(path)
+    if listing is not None:
+        if listing[0] == kind.name:
             return
-        what = f"holds {found[0]}, not {kind.name}"
+        what = f"holds {listing[0]}, not {kind.name}"
     elif _begins(path / kind.marker, kind.head):
         return
     else:
@@ -212,9 +212,9 @@ def _empty_folder(place: Path, inside: bool) -> Path:
 
 def _finish(place: Path) -> None:
     """Finish a change that was cut off and remove what a killed run left; the folder is claimed."""
-    found = _list(place / _SWAP)
-    if found is not None:
-        _swap_content(place, *found)
+    listing = _list(place / _SWAP)
+    if listing is not None:
+        _swap_content(place, *listing)
     for left in (*place.glob(_NEW + "*"), place / _SWAP, *_left_beside(place)):
         shutil.rmtree(left, ignore_errors=True)
     (place / (LIST + ".half")).unlink(missing_ok=True)
@@ -311,8 +311,8 @@ def _is_internal(inner: Path) -> bool:
 
 def _names(folder: Path) -> set[str]:
     """Files below a folder, and the lists of the folders in it."""
-    found = (p for p in folder.rglob("*") if p.is_file() or p.is_symlink())
-    inner = (p.relative_to(folder) for p in found)
+    entries = (p for p in folder.rglob("*") if p.is_file() or p.is_symlink())
+    inner = (p.relative_to(folder) for p in entries)
     return {p.as_posix() for p in inner if not _is_internal(p) or (p.name == LIST and len(p.parts) > 1)}
 
 
@@ -326,11 +326,11 @@ def _write_list(folder: Path, kind: str, names: set[str]) -> None:
 def _list(folder: Path) -> tuple[str, set[str]] | None:
     """Kind and files by the list in a folder; None where there is none that can be read."""
     try:
-        found = json.loads((folder / LIST).read_bytes())
-        files = {str(PurePosixPath(name)) for name in found["files"]}
-        if found["schema"] != 1 or any(".." in PurePosixPath(f).parts or f.startswith("/") for f in files):
+        content = json.loads((folder / LIST).read_bytes())
+        files = {str(PurePosixPath(name)) for name in content["files"]}
+        if content["schema"] != 1 or any(".." in PurePosixPath(f).parts or f.startswith("/") for f in files):
             return None
-        return str(found["kind"]), files
+        return str(content["kind"]), files
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
@@ -340,9 +340,9 @@ def _ours(place: Path) -> set[str]:
     out: set[str] = set()
     for listed in place.rglob(LIST):
         inner = listed.parent.relative_to(place)
-        found = _list(listed.parent)
-        if found is not None and not inner.as_posix().startswith(".hyperval"):
-            out |= {(inner / name).as_posix() for name in found[1]}
+        listing = _list(listed.parent)
+        if listing is not None and not inner.as_posix().startswith(".hyperval"):
+            out |= {(inner / name).as_posix() for name in listing[1]}
     if _list(place) is not None:
         return out
     for kind in (RESULTS, COLLECTION):

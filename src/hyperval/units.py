@@ -123,16 +123,16 @@ def _parts(unit: str) -> frozenset[tuple[str, int]] | None:
         first, *rest = divisor.split() or [""]
         products += [(first, -1), *((word, -1 if grouped else 1) for word in rest)]
     read = [_named_power(word, sign) for word, sign in products]
-    found = [item for item in read if item is not None]
-    return frozenset(found) if len(found) == len(read) == len({name for name, _ in found}) else None
+    parts = [item for item in read if item is not None]
+    return frozenset(parts) if len(parts) == len(read) == len({name for name, _ in parts}) else None
 
 
 def _named_power(word: str, sign: int) -> tuple[str, int] | None:
-    found = re.fullmatch(r"([A-Za-z]+)([+-]?\d)?", word)
-    if found is None:
+    match = re.fullmatch(r"([A-Za-z]+)([+-]?\d)?", word)
+    if match is None:
         return None
-    name = next((short for short, names in _SPELLINGS if found[1] in names or found[1].lower() in names), found[1])
-    return name, sign * int(found[2] or 1)
+    name = next((short for short, names in _SPELLINGS if match[1] in names or match[1].lower() in names), match[1])
+    return name, sign * int(match[2] or 1)
 
 
 def _spelled(*pairs: tuple[str, str]) -> Iterable[tuple[str, frozenset[str]]]:

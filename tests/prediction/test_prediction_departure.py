@@ -7,7 +7,7 @@ import pytest
 from uncertain_scene import AXIS, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure, StatisticsDeparture, combined, departed_fill, departs
+from hyperval.prediction.departure import Departure, StatisticsDeparture, combined, departs, true_fill
 from hyperval.prediction.fills import fill_distribution
 from hyperval.prediction.replicates import in_bands
 from hyperval.scenario import Fill
@@ -115,7 +115,7 @@ def test_fills():
 def test_fill_from_geometry_moves_its_mean_by_area():
     fill = Fill.model_validate({"geometry": {"side_m": 0.3, "gsd_m": 1.0, "pixels": "best"}})
     before = fill_distribution(fill)
-    after = fill_distribution(departed_fill(fill, 0.01))
+    after = fill_distribution(true_fill(fill, 0.01))
     assert after.mean - before.mean == pytest.approx(0.01, rel=0.1)  # the area is exact, the phase nearly
 
 

@@ -7,7 +7,7 @@ import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.prediction.budget import drawn_covariance, given_of, inputs_of
-from hyperval.prediction.departure import departed_scenario
+from hyperval.prediction.departure import true_scenario
 from hyperval.prediction.emulator import emulator
 from hyperval.prediction.propagation import auc_of, quantities, tolerance
 from hyperval.scenario import Scenario
@@ -108,11 +108,11 @@ def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
     assert 0.0 < made.error[1] <= made.error[0] < 0.01
     for item in inputs:
         for z in (-(3.0**0.5), 0.0, 3.0**0.5):
-            state = departed_scenario(s, item.moved(z)).atmosphere
+            state = true_scenario(s, item.moved(z)).atmosphere
             exact = engine(state).at_bands(AXIS)
             np.testing.assert_allclose(made(state).direct, exact.direct, rtol=1e-9)
             np.testing.assert_allclose(made(state).at_bands(AXIS).path_radiance, exact.path_radiance, rtol=1e-9)
-        state = departed_scenario(s, item.moved(1.0)).atmosphere
+        state = true_scenario(s, item.moved(1.0)).atmosphere
         np.testing.assert_allclose(made(state).direct, engine(state).at_bands(AXIS).direct, rtol=2e-3)
 
 

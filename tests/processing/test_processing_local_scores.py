@@ -50,7 +50,7 @@ def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(sc
     mean, covariance = x[valid].mean(axis=0), np.cov(x[valid].T)
     target = mean + np.linspace(0.05, 0.3, mean.size)
     detectors = {name: (name, None if name == "rx" else target) for name in LOCAL_DETECTORS}
-    monkeypatch.setattr(local_scores, "_HELD_VALUES", 0)  # strips that end within the image
+    monkeypatch.setattr(local_scores, "_VALUES_AT_ONCE", 0)  # strips that end within the image
     found = score_cube_locally(cube, detectors, whitener_of(mean, covariance), window, counted, elm, bands)
     use = counted & valid
     for line, sample in ((0, 0), (5, 8), (18, 14), (21, 12), (36, 28), (30, 0), (8, 19), (9, 20)):
@@ -73,7 +73,7 @@ def test_tiles_and_threads_change_nothing(scene, monkeypatch):
     whitener = whitener_of(x.mean(axis=0), np.cov(x.T))
     detectors = {"rx": ("rx", None), "ace": ("ace", x.mean(axis=0) + 0.1)}
     reference = score_cube_locally(cube, detectors, whitener, LocalWindow(7, 3), counted, elm, bands, threads=1)
-    monkeypatch.setattr(local_scores, "_HELD_VALUES", 0)
+    monkeypatch.setattr(local_scores, "_VALUES_AT_ONCE", 0)
     monkeypatch.setattr(local_scores, "_LINES_AT_ONCE", 1)  # segments of 16 lines
     other = score_cube_locally(cube, detectors, whitener, LocalWindow(7, 3), counted, elm, bands, threads=2)
     for name in detectors:

@@ -73,7 +73,7 @@ def test_few_objects_order_nothing():
 def test_detectors_that_order_alike_share_their_rank():
     one = counts_of_detectors([1.0, 1.0], 30, np.random.default_rng(4))
     over, tie = (np.concatenate([x, x[:, :1]], axis=1) for x in (one.over, one.tie))
-    counts = BlockCounts(("a", "b", "a again"), over, tie, one.held, one.item, {})
+    counts = BlockCounts(("a", "b", "a again"), over, tie, one.pixels, one.item, {})
     found = ranked(counts, list(range(30)), MEASURES["auc"], draws=200, rng=np.random.default_rng(0))
     assert found.distinct == 2
     assert found.rank[0] == found.rank[2]

@@ -10,9 +10,9 @@ from hyperval.uncertainty.attribution.ranking import (
     DIFFERENT,
     Candidate,
     budget_covariance,
+    common_and_own,
     groups_of,
     ranking,
-    told_apart,
 )
 from hyperval.uncertainty.attribution.schema import AttributionOptions, WhatIf
 from hyperval.uncertainty.attribution.what_ifs import changed_scenarios
@@ -87,7 +87,7 @@ def test_what_all_subjects_share_is_told_apart_from_what_differs():
     rng = np.random.default_rng(6)
     covariance = 0.005**2 * np.eye(60)
     noise = 0.005 * rng.normal(size=60)
-    parts = told_apart(4 * columns[GAIN][:, 0] + noise, covariance, common, columns)
+    parts = common_and_own(4 * columns[GAIN][:, 0] + noise, covariance, common, columns)
     shared, different = (ranking(name, *parts[name]) for name in (COMMON, DIFFERENT))
     assert (shared.dof, different.dof) == (20, 40)
     assert shared.ranked[0].candidate is GAIN
@@ -95,7 +95,7 @@ def test_what_all_subjects_share_is_told_apart_from_what_differs():
     assert different.p_value > 0.001  # false failure 1e-3: the noise alone is there
     assert GAIN not in {r.candidate for r in different.ranked}
     spectrum = next(c for c in columns if c is not GAIN)
-    parts = told_apart(3 * columns[spectrum][:, 0] + noise, covariance, common, columns)
+    parts = common_and_own(3 * columns[spectrum][:, 0] + noise, covariance, common, columns)
     different = ranking(DIFFERENT, *parts[DIFFERENT])
     assert different.ranked[0].candidate is spectrum
     assert different.ranked[0].units == pytest.approx(3.0, abs=0.3)
@@ -106,7 +106,7 @@ def test_the_two_parts_hold_all_of_the_residuals_and_do_not_correlate():
     rng = np.random.default_rng(8)
     a = rng.normal(size=(60, 60))
     covariance, r = a @ a.T / 60 + 0.1 * np.eye(60), rng.normal(size=60)
-    parts = told_apart(r, covariance, common, columns)
+    parts = common_and_own(r, covariance, common, columns)
     whole = r @ np.linalg.solve(covariance, r)
     assert sum(x @ np.linalg.solve(c, x) for x, c, _ in parts.values()) == pytest.approx(whole, rel=1e-9)
 

@@ -52,17 +52,17 @@ class SidesPlot:
         ------
         UsageError : no side has the product.
         """
-        held = self._with(product)
+        sides = self._with(product)
         ax = _axes(ax)
-        subjects = list(dict.fromkeys(str(s) for d in held.values() for s in d[f"{product}_subject"].to_numpy()))
-        for style, (side, data) in zip(_STYLES, held.items(), strict=False):
+        subjects = list(dict.fromkeys(str(s) for d in sides.values() for s in d[f"{product}_subject"].to_numpy()))
+        for style, (side, data) in zip(_STYLES, sides.items(), strict=False):
             for i, subject in enumerate(map(str, data[f"{product}_subject"].to_numpy())):
                 nm, mean = data["wavelength"].to_numpy(), data[product].to_numpy()[i]
                 u = 2.0 * data[f"{product}_standard_uncertainty"].to_numpy()[i]
                 colour = f"C{subjects.index(subject) % 10}"
                 ax.plot(nm, mean, style, color=colour, label=f"{subject}, {side}")
                 ax.fill_between(nm, mean - u, mean + u, color=colour, alpha=0.15, linewidth=0.0)
-        ax.set(xlabel="wavelength [nm]", ylabel=f"{product} [{next(iter(held.values()))[product].attrs['units']}]")
+        ax.set(xlabel="wavelength [nm]", ylabel=f"{product} [{next(iter(sides.values()))[product].attrs['units']}]")
         ax.legend(fontsize="small")
         return ax
 
@@ -73,9 +73,9 @@ class SidesPlot:
         ------
         UsageError : no side has a curve.
         """
-        held = self._with("roc_pd")
+        sides = self._with("roc_pd")
         ax = _axes(ax)
-        for style, (side, data) in zip(_STYLES, held.items(), strict=False):
+        for style, (side, data) in zip(_STYLES, sides.items(), strict=False):
             for i in range(data.sizes["roc_curve"]):
                 words = [str(data[f"roc_{part}"].to_numpy()[i]) for part in ("subject", "detector", "unit")]
                 pfa, pd_ = data["roc_pfa"].to_numpy()[i], data["roc_pd"].to_numpy()[i]
@@ -85,11 +85,11 @@ class SidesPlot:
         return ax
 
     def _with(self, variable: str) -> dict[str, xr.Dataset]:
-        held = {side: data for side, data in self.sides.items() if variable in data}
-        if not held:
+        sides = {side: data for side, data in self.sides.items() if variable in data}
+        if not sides:
             names = sorted({str(n) for data in self.sides.values() for n in data.data_vars})
             raise UsageError(f"nothing to draw: no {variable}", expected="one of " + ", ".join(names[:8]))
-        return held
+        return sides
 
 
 @dataclass(frozen=True)

@@ -70,9 +70,9 @@ def _load(path: Path, inputs: Mapping[str, Any]) -> Arrays | None:
 
 def content_digest(arrays: Mapping[str, Array], words: str = "") -> str:
     """SHA-256 over words, and over names, shapes and values of arrays."""
-    found = hashlib.sha256(words.encode())
+    digest = hashlib.sha256(words.encode())
     for name in sorted(arrays):
         values = np.ascontiguousarray(arrays[name], dtype="<f8")
-        found.update(f"{name}{np.shape(arrays[name])}\n".encode())
-        found.update(values.tobytes())
-    return found.hexdigest()
+        digest.update(f"{name}{np.shape(arrays[name])}\n".encode())
+        digest.update(values.tobytes())
+    return digest.hexdigest()

@@ -117,12 +117,12 @@ def node_weights(nodes: Array, x: npt.ArrayLike, rule: Rule) -> Array:
 
 def along(nodes: Array, values: Array, x: float, rule: Rule) -> Array:
     """Values (K, ...) of one quantity at ``x`` along their first dimension."""
-    held = np.log(np.maximum(values, _LEAST)) if rule.logarithm else values
+    ordinates = np.log(np.maximum(values, _LEAST)) if rule.logarithm else values
     if rule.method == "monotone":
-        found = np.asarray(PchipInterpolator(rule.scale(nodes), held, axis=0)(rule.scale(np.asarray(x))))
+        between = np.asarray(PchipInterpolator(rule.scale(nodes), ordinates, axis=0)(rule.scale(np.asarray(x))))
     else:
-        found = np.tensordot(node_weights(nodes, x, rule)[0], held, axes=1)
-    return _lit(np.exp(found)) if rule.logarithm else found
+        between = np.tensordot(node_weights(nodes, x, rule)[0], ordinates, axes=1)
+    return _lit(np.exp(between)) if rule.logarithm else between
 
 
 def _lit(values: Array) -> Array:
@@ -186,13 +186,13 @@ class Interpolator:
             x = inside(f"atmosphere.{name}", nodes, x) if self.bounded else x
             parts.append(node_weights(nodes, x, self.rules[name]))
         joint = _star(parts) if self.star else reduce(_crossed, parts)
-        found = {}
+        columns_of = {}
         for name, values in self.values.items():
             x = joint @ values
-            found[name] = _lit(np.exp(x)) if name in self.logarithms else x
+            columns_of[name] = _lit(np.exp(x)) if name in self.logarithms else x
             if name in _AT_MOST_ONE:
-                found[name] = np.minimum(found[name], 1.0)
-        return found
+                columns_of[name] = np.minimum(columns_of[name], 1.0)
+        return columns_of
 
 
 def _crossed(a: Array, b: Array) -> Array:
@@ -215,8 +215,8 @@ class InterpolatedTerms:
 
     def __call__(self, columns: Columns) -> AtmosphericTerms:
         """Terms (n, B) at the values (n,) of each input."""
-        found: dict[str, Any] = dict(self.between(columns))
-        return replace(self.pattern, **found)
+        terms: dict[str, Any] = dict(self.between(columns))
+        return replace(self.pattern, **terms)
 
 
 def interpolated_terms(

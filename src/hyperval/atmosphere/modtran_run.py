@@ -62,13 +62,13 @@ def configured_modtran() -> Modtran:
     named = os.environ.get(EXECUTABLE, "").strip()
     if not named:
         raise EngineError("no MODTRAN is configured", expected=f"{EXECUTABLE} in the environment", mend=_HOW)
-    found = shutil.which(named)
-    if found is None:
+    program = shutil.which(named)
+    if program is None:
         raise EngineError("not an executable file", where=f"{EXECUTABLE}={named}", mend=_HOW)
     version = os.environ.get(VERSION, "6").strip()
     if version not in ("4", "5", "6"):
         raise EngineError(f"{VERSION}={version}", expected="4, 5 or 6", mend=_HOW)
-    executable = Path(found).resolve()
+    executable = Path(program).resolve()
     data = os.environ.get(DATA, "").strip()
     folder = Path(data) if data else executable.parent / "DATA"
     if not folder.is_dir():

@@ -119,7 +119,7 @@ def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None
         total = sum((case.column(name) for name in names), np.zeros(nu.size))
         return radiance_per_wavelength(total, nu)[::-1]
 
-    found = solve_coefficients(
+    solution = solve_coefficients(
         rho,
         [per_wavelength(case, "GRND_RFLT") for case in cases],
         [per_wavelength(case, "SOL_SCAT") for case in cases],
@@ -130,15 +130,15 @@ def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None
     sun = per_wavelength(black, "TOA_SUN")
     wavelength = 1e7 / nu[::-1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = per_wavelength(bright, "DRCT_RFLT") / max(rho) / found.direct
-        efficiency = np.where(sun > 0.0, found.direct / sun, 0.0)
+        share = per_wavelength(bright, "DRCT_RFLT") / max(rho) / solution.direct
+        efficiency = np.where(sun > 0.0, solution.direct / sun, 0.0)
     return AtmosphericTerms(
         wavelength_nm=wavelength,
         path_radiance=per_wavelength(black, "SOL_SCAT") + emission,
-        direct=found.direct,
-        adjacency=found.adjacency,
-        spherical_albedo=found.spherical_albedo,
-        ground_irradiance=_ground_irradiance(found.direct, transmittance),
+        direct=solution.direct,
+        adjacency=solution.adjacency,
+        spherical_albedo=solution.spherical_albedo,
+        ground_irradiance=_ground_irradiance(solution.direct, transmittance),
         gas_transmittance=over_continuum(wavelength, efficiency, _LINES_NM),
         provenance={
             "engine": "MODTRAN",
@@ -169,19 +169,19 @@ def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] |
     if len(rho) != len(blocks):
         raise UsageError(f"{len(rho)} albedos for {len(blocks)} runs")
     black = blocks[rho.index(0.0)]
-    found = solve_coefficients(rho, [b.ground for b in blocks], [b.path for b in blocks], black.spherical_albedo)
+    solution = solve_coefficients(rho, [b.ground for b in blocks], [b.path for b in blocks], black.spherical_albedo)
     with np.errstate(divide="ignore", invalid="ignore"):
-        efficiency = np.where(black.unit_radiance > 0.0, found.direct / black.unit_radiance, 0.0)
+        efficiency = np.where(black.unit_radiance > 0.0, solution.direct / black.unit_radiance, 0.0)
     bright = blocks[rho.index(max(rho))]
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = bright.ground_of_sun / max(rho) / found.direct
+        share = bright.ground_of_sun / max(rho) / solution.direct
     return AtmosphericTerms(
         wavelength_nm=black.wavelength_nm,
         path_radiance=black.thermal + black.path,
-        direct=found.direct,
-        adjacency=found.adjacency,
-        spherical_albedo=found.spherical_albedo,
-        ground_irradiance=_ground_irradiance(found.direct, black.path_transmittance),
+        direct=solution.direct,
+        adjacency=solution.adjacency,
+        spherical_albedo=solution.spherical_albedo,
+        ground_irradiance=_ground_irradiance(solution.direct, black.path_transmittance),
         gas_transmittance=over_continuum(black.wavelength_nm, efficiency),
         provenance={
             "engine": "MODTRAN",
@@ -213,15 +213,15 @@ def _is_chn(path: Path) -> bool:
 
 
 def _stated_albedos(cases: Sequence[Tape7Case]) -> list[float]:
-    found = []
+    albedos = []
     for case in cases:
         albedo = case.albedo()
         if albedo is None:
             raise UsageError(
                 "the case does not state one albedo", where=case.where, mend="hand in the albedos of all runs"
             )
-        found.append(albedo)
-    return found
+        albedos.append(albedo)
+    return albedos
 
 
 def _ground_irradiance(direct: Array, transmittance: Array) -> Array:

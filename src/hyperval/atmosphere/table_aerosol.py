@@ -49,8 +49,8 @@ def between_aerosols(
     v = float((aot550 - tau[0]) / (tau[1] - tau[0]))
     w = float((below[1] - below[0]) / (below[2] - below[0])) if below[2] > below[0] else v
     low, high = ({name: array[i + k] for name, array in values.items()} for k in (0, 1))
-    found = {name: _straight(low[name], high[name], v) for name in values}
-    found["path"] = _straight(low["path"], high["path"], w)
+    between = {name: _straight(low[name], high[name], v) for name in values}
+    between["path"] = _straight(low["path"], high["path"], w)
     lit = (low["ground"] > _LEAST) & (high["ground"] > _LEAST)
     lit &= (low["direct"] > _LEAST) & (high["direct"] > _LEAST)
     g = [np.where(lit, part["ground"], 1.0) for part in (low, high)]
@@ -60,8 +60,8 @@ def between_aerosols(
     direct = ground * np.exp(_straight(np.log(a[0]), np.log(a[1]), w))
     adjacency = np.maximum(ground * _straight(both[0], both[1], w) - direct, 0.0)
     for name, value in (("ground", ground), ("direct", direct), ("adjacency", adjacency)):
-        found[name] = np.where(lit, value, found[name])
-    return found
+        between[name] = np.where(lit, value, between[name])
+    return between
 
 
 def path_error(nodes: Array, aot550: float, ground_km: float, sensor_km: float) -> float:

@@ -114,8 +114,8 @@ def _against(run: Run, folder: Path) -> Checked:
         return Checked(run, [], ResultTable([_one(run, Outcome.SKIPPED, run.skipped)]), path)
     baseline = stored(folder, run.kind, run.name)
     if baseline is not None:
-        found = compare(run.owner, baseline.metrics, run.metrics)
-        return Checked(run, found, ResultTable(d.row() for d in found), path)
+        differences = compare(run.owner, baseline.metrics, run.metrics)
+        return Checked(run, differences, ResultTable(d.row() for d in differences), path)
     if run.broken:
         words = f"no baseline ({path}), and this run cannot become one: {run.broken[0]}"
         return Checked(run, [], ResultTable([_one(run, Outcome.DISAGREES, words)]), path)

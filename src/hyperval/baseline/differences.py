@@ -81,7 +81,7 @@ def _objection(key: str, old: Accepted | None, new: Measured | None) -> str:
         return (
             f"{split_key(key)[-1]} is missing: the run does not give this number (accepted {_text(old.accepted)})"
         )
-    told = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
+    reason = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
     value = new.value if math.isfinite(new.value) else None
     words = ""
     if (value is None) != (old.accepted is None):
@@ -91,7 +91,7 @@ def _objection(key: str, old: Accepted | None, new: Measured | None) -> str:
             f"moved from {old.accepted:.6g} to {value:.6g}: {value - old.accepted:+.3g}, tolerance {old.width:.3g}"
         )
     if new.outcome.value != old.outcome:
-        verdict = f"the outcome changed from {old.outcome} to {new.outcome}{told}"
+        verdict = f"the outcome changed from {old.outcome} to {new.outcome}{reason}"
         words = f"{words}; {verdict}" if words else verdict
     return f"{split_key(key)[-1]} {words}" if words else ""
 

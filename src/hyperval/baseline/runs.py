@@ -87,11 +87,11 @@ def all_runs(
     if not campaigns and not sensors:
         raise UsageError("nothing to run", expected="campaign files, or sensors")
     chosen = [load_sensor(name) for name in _names(sensors)]
-    found = _campaign_runs(campaigns, source, keep, show_progress) if campaigns else []
-    names = [run.name for run in found]
+    runs = _campaign_runs(campaigns, source, keep, show_progress) if campaigns else []
+    names = [run.name for run in runs]
     if twice := {n for n in names if names.count(n) > 1}:
         raise UsageError(f"two campaigns are named {min(twice)!r}")
-    return [*found, *(_sensor_run(s, engine) for s in track(chosen, "sensors", len(chosen), show=show_progress))]
+    return [*runs, *(_sensor_run(s, engine) for s in track(chosen, "sensors", len(chosen), show=show_progress))]
 
 
 def _names(sensors: Sequence[str]) -> list[str]:

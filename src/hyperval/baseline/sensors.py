@@ -42,8 +42,8 @@ def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Me
     engine : stands in for the atmosphere engine
     """
     axis, noise = sensor.axis, sensor.noise()
-    found = dict(_bands(axis)) | dict(_noise(axis, noise)) | dict(_scenarios(sensor, engine))
-    return dict(sorted(found.items()))
+    metrics = dict(_bands(axis)) | dict(_noise(axis, noise)) | dict(_scenarios(sensor, engine))
+    return dict(sorted(metrics.items()))
 
 
 def _item(product: str, subject: str, metric: str, value: float, unit: str = "1") -> tuple[str, Measured]:
@@ -95,16 +95,16 @@ def _scenarios(sensor: Sensor, engine: Engine | None) -> Iterator[tuple[str, Mea
     oxygen = _band_at(sensor.axis, LINES_NM[-1])
     for name in builtin_scenarios():
         try:
-            found = predict(load_scenario(name), sensor=sensor, engine=engine, show_progress=False)
+            prediction = predict(load_scenario(name), sensor=sensor, engine=engine, show_progress=False)
         except HypervalError as error:
             key = key_of("scenario", name, METHOD, "runs")
             yield key, Measured(np.nan, outcome=Outcome.SKIPPED, reason=str(error))
             continue
-        for (subject, detector, unit), curve in found.roc.items():
+        for (subject, detector, unit), curve in prediction.roc.items():
             if unit == "pixel":
                 pd = float(detection_at(curve, FALSE_ALARM))
                 yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{FALSE_ALARM:g}", pd)
-        white = found.radiance.get("white panel")
+        white = prediction.radiance.get("white panel")
         if white is not None and oxygen is not None:
             subject = f"{name}, {LINES_NM[-1]:g} nm"
             yield _item("scenario", subject, "white_panel_radiance", white.mean[oxygen], "uW cm-2 sr-1 nm-1")

@@ -44,12 +44,12 @@ def stored(folder: Path, kind: Kind, name: str) -> Baseline | None:
     path = baseline_path(folder, kind, name)
     if not path.is_file():
         return None
-    found = load_baseline(path)
-    if (found.kind, found.name) != (kind, name):
+    baseline = load_baseline(path)
+    if (baseline.kind, baseline.name) != (kind, name):
         raise UsageError(
-            f"is the baseline of {found.kind} {found.name!r}", where=str(path), expected=f"{kind} {name}"
+            f"is the baseline of {baseline.kind} {baseline.name!r}", where=str(path), expected=f"{kind} {name}"
         )
-    return found
+    return baseline
 
 
 def accepted_of(measured: Mapping[str, Measured], before: Mapping[str, Accepted]) -> dict[str, Accepted]:

@@ -25,7 +25,7 @@ def eigenvalue_spectra(
         left, right = getattr(prediction, quantity), getattr(observation, quantity)
         common = [s for s in right if s in left and right[s].n and right[s].pixel_covariance is not None]
         for subject in sorted(common, key=lambda s: -right[s].n)[:MOST_SUBJECTS]:
-            found = sampled(
+            sample = sampled(
                 left[subject],
                 right[subject],
                 observation.axis,
@@ -33,11 +33,11 @@ def eigenvalue_spectra(
                 observation.distribution.get(subject),
                 EIGENVALUES,
             )
-            if found is None or isinstance(found, str):
+            if sample is None or isinstance(sample, str):
                 continue
-            low, high = SamplingBand.limits(found.band.eigenvalues)
+            low, high = SamplingBand.limits(sample.band.eigenvalues)
             out[subject, quantity] = EigenvalueSpectrum(
-                found.measured.eigenvalues, found.band.eigenvalues.mean(axis=0), low, high, found.n
+                sample.measured.eigenvalues, sample.band.eigenvalues.mean(axis=0), low, high, sample.n
             )
     return out
 
@@ -45,21 +45,21 @@ def eigenvalue_spectra(
 def tail_curves(prediction: Prediction, observation: Observation) -> dict[str, TailCurve]:
     """Tails in the leading components, by subject of the collection."""
     out = {}
-    for subject, held in observation.distribution.items():
+    for subject, law in observation.distribution.items():
         known = prediction.distribution.get(subject)
-        if held.distance is not None and held.exceedance is not None and held.leading_dimension is not None:
-            out[subject] = _curve(held, None if known is None else known.tail_dof)
+        if law.distance is not None and law.exceedance is not None and law.leading_dimension is not None:
+            out[subject] = _curve(law, None if known is None else known.tail_dof)
     return out
 
 
-def _curve(held: PixelDistribution, predicted_dof: float | None) -> TailCurve:
-    distance, share = np.asarray(held.distance), np.asarray(held.exceedance)
-    n, dimension = held.n or 1, held.leading_dimension or 1
+def _curve(distribution: PixelDistribution, predicted_dof: float | None) -> TailCurve:
+    distance, share = np.asarray(distribution.distance), np.asarray(distribution.exceedance)
+    n, dimension = distribution.n or 1, distribution.leading_dimension or 1
     lower, upper = clopper_pearson(share * n, np.full(share.size, n))
     normal = exceedance_of_distance(distance, dimension, np.inf)
-    fitted = exceedance_of_distance(distance, dimension, held.leading_tail_dof)
+    fitted = exceedance_of_distance(distance, dimension, distribution.leading_tail_dof)
     predicted = None if predicted_dof is None else exceedance_of_distance(distance, dimension, predicted_dof)
     return TailCurve(
         np.sqrt(distance), share, lower, upper, predicted, normal, fitted,
-        predicted_dof, held.leading_tail_dof, dimension, n,
+        predicted_dof, distribution.leading_tail_dof, dimension, n,
     )  # fmt: skip

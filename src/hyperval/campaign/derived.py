@@ -24,8 +24,8 @@ def with_errors_of_classes(
     if task is None:
         return prediction
     quantity = str(observation.provenance.get("quantity", "radiance"))
-    found = predicted_classification(prediction, class_sets(task), task.features, quantity, task.seed)
-    return replace(prediction, classification=found)
+    errors = predicted_classification(prediction, class_sets(task), task.features, quantity, task.seed)
+    return replace(prediction, classification=errors)
 
 
 def predicted_unmixing(

@@ -11,7 +11,7 @@ from hyperval.campaign.references import Named, named_in
 from hyperval.campaign.schema import Campaign, Outline
 from hyperval.campaign.template import campaign_runs
 from hyperval.config import Location, load_yaml, unfilled, validate
-from hyperval.datasets import held_set
+from hyperval.datasets import set_on_request
 from hyperval.errors import UsageError, reader
 
 
@@ -68,7 +68,7 @@ class Text:
 
     def not_held(self) -> str | None:
         """Why the campaign cannot be tried here: the collection is not public, and not a file of it is at hand."""
-        held = {r: owner for r in self.named.files if (owner := held_set(r.text)) is not None}
+        held = {r: owner for r in self.named.files if (owner := set_on_request(r.text)) is not None}
         if not held or any(r.path is not None for r in held):
             return None
         first, owner = next(iter(held.items()))

@@ -19,7 +19,7 @@ from hyperval.campaign.references import Reference
 from hyperval.campaign.template import filled
 from hyperval.compare.gates import Gate
 from hyperval.config import Location, load_yaml, validate
-from hyperval.datasets import held_set, how_to_get, resolve
+from hyperval.datasets import how_to_get, resolve, set_on_request
 from hyperval.file_names import matching
 from hyperval.imagery.envi_raster import header_beside
 from hyperval.imagery.rasters import needs_header
@@ -77,8 +77,10 @@ def summary(items: Sequence[Item]) -> list[str]:
         lacking = f"{files} files missing, {values} values to fill in" if files or values else ""
         lacking += f"{', ' if lacking else ''}{wrong} names that do not fit" if wrong else ""
         out.append(f"{name}: {lacking or 'ready'}")
-    holders = {owner.name: owner for i in items if i.state == MISSING and (owner := held_set(i.what)) is not None}
-    out += [f"{o.name} is held by {o.held_by}: {how_to_get(o)}" for o in holders.values()]
+    holders = {
+        owner.name: owner for i in items if i.state == MISSING and (owner := set_on_request(i.what)) is not None
+    }
+    out += [f"{o.name} is held by {o.holder}: {how_to_get(o)}" for o in holders.values()]
     return out
 
 
@@ -98,7 +100,7 @@ def _items(text: Text) -> list[Item]:
 def _file(name: str, reference: Reference, text: Text) -> list[Item]:
     path = reference.path
     if path is None:
-        holder = held_set(reference.text)
+        holder = set_on_request(reference.text)
         place = f"to stand below HYPERVAL_DATA (--data-dir); {holder.name} is not public" if holder else ""
         return [Item(name, FILE, MISSING, reference.text, place or reference.problem)]
     found = matching(path)

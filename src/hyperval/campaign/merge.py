@@ -42,8 +42,8 @@ def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Pr
     taken = {s.name for s in surfaces if s.spectrum.measured is not None}
     spread = {s.name for s in surfaces if s.covariance is not None and s.covariance.measured is not None}
     radiance, reflectance = (
-        {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in held.items() if k not in taken}
-        for held in (prediction.radiance, prediction.reflectance)
+        {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in spectra.items() if k not in taken}
+        for spectra in (prediction.radiance, prediction.reflectance)
     )
     fitted = {c.name for x in scenarios for c in x.scene.classes if c.tail_dof == "measured"}
     tails = {k: v for k, v in prediction.distribution.items() if k not in fitted}

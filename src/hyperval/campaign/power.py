@@ -85,19 +85,19 @@ def power(
             raise UsageError(f"two campaigns are named {name!r}")
     before = {name: accepted_table(name) for name in names}
     if output is None:
-        found = _tables(jobs, before, show_progress)
+        tables = _tables(jobs, before, show_progress)
     else:
         with whole_folder(output, POWER) as folder:
-            found = _tables(jobs, before, show_progress)
-            for item in found:
+            tables = _tables(jobs, before, show_progress)
+            for item in tables:
                 if item.table is not None:
                     write_power_table(folder / f"{item.campaign}.yaml", item.table)
-            write_text(folder / POWER.marker, _csv(found))
+            write_text(folder / POWER.marker, _csv(tables))
     if accept:
-        for item in found:
+        for item in tables:
             if item.table is not None:
                 write_power_table(ACCEPTED / f"{item.campaign}.yaml", item.table)
-    return found
+    return tables
 
 
 def _tables(
@@ -159,12 +159,12 @@ def power_table(
             return outcomes(side, observation, job.campaign, scenarios)
 
         before = judged_with(None)
-        found = {}
+        rows = {}
         for error in track(errors, "planted errors", len(errors), show=show_progress):
             try:
-                found[error.name] = turned(before, judged_with(error))
+                rows[error.name] = turned(before, judged_with(error))
             except NotPlantable as why:
-                found[error.name] = Planted(not_applicable=why.what)
+                rows[error.name] = Planted(not_applicable=why.what)
         gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
         disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)
         return PowerTable(
@@ -174,7 +174,7 @@ def power_table(
             files=own_files(here.inputs.log.entries()),
             gates=len(gates) - disagreeing,
             disagreeing=disagreeing,
-            errors=found,
+            errors=rows,
         )
 
 
@@ -201,11 +201,11 @@ def _name(row: Result) -> str:
     return " | ".join([row.product, row.subject, row.method, row.metric, *band])
 
 
-def _csv(found: Sequence[Power]) -> str:
+def _csv(table: Sequence[Power]) -> str:
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow(["campaign", "error", "seen_by", "gates", "rows_that_do_not_decide", "which"])
-    for item in found:
+    for item in table:
         for name, planted in item.table.errors.items() if item.table else ():
             which = planted.not_applicable or "; ".join(planted.gates)
             rows = sum(planted.informing.values())

@@ -70,10 +70,10 @@ def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
 
 def package_versions() -> dict[str, str]:
     """Name and version of every installed distribution, sorted."""
-    found = {
+    versions = {
         d.metadata["Name"].lower(): d.version for d in importlib.metadata.distributions() if d.metadata["Name"]
     }
-    return dict(sorted(found.items()))
+    return dict(sorted(versions.items()))
 
 
 def linear_algebra() -> dict[str, str]:

@@ -52,7 +52,7 @@ def reasons(
     whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
     draws = OBJECT_DRAWS if whole else False
 
-    def asked_again(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[Prediction]:
+    def of_truths(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[Prediction]:
         return predictions(
             scenario,
             truths,
@@ -69,19 +69,19 @@ def reasons(
     def still(scenario: Scenario) -> Prediction:
         known = next((p for s, p in as_stated if s is scenario), None)
         if known is None:
-            known = next(asked_again(scenario, [Departure()]))
+            known = next(of_truths(scenario, [Departure()]))
             as_stated.append((scenario, known))
         return known
 
     def side(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[Prediction]:
-        moved = asked_again(scenario, [truth for truth in truths if departs(truth)])
+        moved = of_truths(scenario, [truth for truth in truths if departs(truth)])
         for truth in truths:
             yield next(moved) if departs(truth) else still(scenario)
 
-    def predicted(asked: Sequence[Scenario], truths: Sequence[Truth]) -> Iterator[Products]:
-        sides = [side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(asked)]
+    def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truth]) -> Iterator[Products]:
+        sides = [side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(scenarios)]
         for parts in zip(*sides, strict=True):
-            joined = without_circles(merged(parts), asked)
+            joined = without_circles(merged(parts), scenarios)
             if campaign.detection is not None:
                 joined = replace(joined, roc=with_pools(joined.roc, observation, campaign.detection))
             yield joined
@@ -102,7 +102,7 @@ def reasons(
         )
         for scenario in scenarios
     ]
-    found = attribute(
+    attribution = attribute(
         Model(scenarios, predicted, measured_again),
         observation,
         [inputs_of(g) for g in given],
@@ -111,4 +111,4 @@ def reasons(
         budgeted=prediction,
         show_progress=show_progress,
     )
-    return attribution_rows(found, campaign.name)
+    return attribution_rows(attribution, campaign.name)

@@ -86,11 +86,11 @@ def observe(
 
         def cube(observed: Observed) -> None:
             if observed.place is not None and write_reflectance:
-                found = reflectance_cube(
+                written = reflectance_cube(
                     folder / "reflectance", "reflectance", observed.place.cube, observed.elm, write_reflectance,
                     show_progress=show_progress,
                 )  # fmt: skip
-                notes.append(found[1])
+                notes.append(written[1])
 
         run = run_campaign(
             job, predicts=False, show_progress=show_progress, with_observed=cube if write_reflectance else None

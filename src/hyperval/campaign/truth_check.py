@@ -35,9 +35,9 @@ def truth_notes(place: Place | None, detection: Detection | None, scenarios: Seq
             for population in item.populations:
                 geometry, members = population.fill.geometry, groups.get(population.name)
                 if geometry is not None and members:
-                    found = ", ".join(_differences(place, geometry, members))
-                    if found:
-                        notes.append(f"warning: {population.name!r} of scenario {scenario.name!r}: {found}")
+                    differences = ", ".join(_differences(place, geometry, members))
+                    if differences:
+                        notes.append(f"warning: {population.name!r} of scenario {scenario.name!r}: {differences}")
     return list(dict.fromkeys(notes))
 
 

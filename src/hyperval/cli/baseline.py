@@ -39,7 +39,7 @@ def baseline_accept(
         show_progress=settings.show_progress,
     )
     header = ("where", "metric", "accepted before", "accepted now")
-    print_table(header, [(c.owner, c.key, _told(c.old), _told(c.new)) for c in done.changes])
+    print_table(header, [(c.owner, c.key, _in_words(c.old), _in_words(c.new)) for c in done.changes])
     for name in done.unchanged:
         note(f"{name}: nothing changed")
     for name, why in done.skipped.items():
@@ -52,7 +52,7 @@ def baseline_accept(
     return done.exit_code
 
 
-def _told(item: object) -> str:
+def _in_words(item: object) -> str:
     from hyperval.baseline.schema import Accepted
 
     if not isinstance(item, Accepted):

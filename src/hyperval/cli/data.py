@@ -21,8 +21,8 @@ def data_list() -> int:
     for name, entry in registry().items():
         if not entry.public:
             count = files_at_hand(name)
-            held = f"{count} files here" if count else f"held by {entry.held_by}; ask them"
-            rows.append((name, "-", entry.licence, held, entry.title))
+            where = f"{count} files here" if count else f"held by {entry.holder}; ask them"
+            rows.append((name, "-", entry.licence, where, entry.title))
             continue
         lacking = len(missing(name))
         here = "here" if not lacking else f"{lacking} of {len(entry.files)} files missing"

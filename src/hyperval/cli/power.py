@@ -21,14 +21,14 @@ def power(
     """Plant standard errors in the model, one at a time: which gates turn?"""
     from hyperval.campaign.power import power as run
 
-    found = run(campaigns, output=output, accept=accept, show_progress=settings.show_progress)
-    done = [item.table for item in found if item.table is not None]
+    tables = run(campaigns, output=output, accept=accept, show_progress=settings.show_progress)
+    done = [item.table for item in tables if item.table is not None]
     names = list(dict.fromkeys(name for table in done for name in table.errors))
     print_table(
         ("planted error", *(table.campaign for table in done)),
         [(name, *(table.errors[name].words for table in done)) for name in names],
     )
-    for item in found:
+    for item in tables:
         if item.skipped:
             note(f"{item.campaign}: skipped: {item.skipped}")
         elif item.table is not None:
@@ -39,4 +39,4 @@ def power(
         note(f"results in {output}")
     if not done:
         return 5
-    return 1 if not accept and any(item.changes for item in found) else 0
+    return 1 if not accept and any(item.changes for item in tables) else 0

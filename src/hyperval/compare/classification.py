@@ -30,10 +30,10 @@ def compare_classification(
         difference = p.error - o.error
         below = float(np.hypot(p.error - p.lower, o.upper - o.error))
         above = float(np.hypot(p.upper - p.error, o.error - o.lower))
-        told = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
+        words = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
         out = [
             make.row("error_predicted", p.error, interval=(p.lower, p.upper), n=p.n),
-            make.row("error_observed", o.error, interval=(o.lower, o.upper), n=o.n, reason=told),
+            make.row("error_observed", o.error, interval=(o.lower, o.upper), n=o.n, reason=words),
             make.row("error_difference", difference, interval=(difference - below, difference + above), n=o.n),
             make.row("error_inside_interval", float(difference - below <= 0.0 <= difference + above), n=o.n),
             make.row("error_approximation", p.approximation),

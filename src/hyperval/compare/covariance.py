@@ -47,11 +47,11 @@ def independent_pixels(n: int, distribution: PixelDistribution | None, size: int
 
     Directions beyond those whose correlation was measured take the last one's value.
     """
-    found = None if distribution is None else distribution.effective_n
-    if found is None or distribution is None or not distribution.n:
+    counts = None if distribution is None else distribution.effective_n
+    if counts is None or distribution is None or not distribution.n:
         return np.full(size, n - 1.0)
-    held = np.asarray(found, dtype=float)[:size]
-    return np.maximum(np.concatenate([held, np.full(size - held.size, held[-1])]) - 1.0, 1.0)
+    leading = np.asarray(counts, dtype=float)[:size]
+    return np.maximum(np.concatenate([leading, np.full(size - leading.size, leading[-1])]) - 1.0, 1.0)
 
 
 def compare_covariance(
@@ -79,21 +79,21 @@ def compare_covariance(
     make = RowMaker(campaign, "covariance", subject, method)
     if predicted is None or observed is None:
         return []
-    found = sampled(predicted, observed, axis, predicted_distribution, observed_distribution, EIGENVALUES)
-    if found is None:
+    sample = sampled(predicted, observed, axis, predicted_distribution, observed_distribution, EIGENVALUES)
+    if sample is None:
         return []
-    if isinstance(found, str):
-        return [make.skipped(Cause.FEW_PIXELS, found)]
-    measured, band, n = found.measured, found.band, found.n
+    if isinstance(sample, str):
+        return [make.skipped(Cause.FEW_PIXELS, sample)]
+    measured, band, n = sample.measured, sample.band, sample.n
     rows = _eigenvalue_rows(make, measured, band, n)
-    rows += _space_rows(make, measured, band, found.spaces, n)
+    rows += _space_rows(make, measured, band, sample.spaces, n)
     if math.isnan(measured.distance):
-        why = f"{found.fewest:.0f} independent pixels for {found.size} directions"
+        why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
         names = ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
         return rows + [make.skipped(Cause.FEW_PIXELS, why, name) for name in names]
-    at = np.ix_(found.bands, found.bands)
+    at = np.ix_(sample.bands, sample.bands)
     first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
-    distance = bhattacharyya_distance(predicted.mean[found.bands], first, observed.mean[found.bands], second)
+    distance = bhattacharyya_distance(predicted.mean[sample.bands], first, observed.mean[sample.bands], second)
     rows.append(make.row("bhattacharyya_distance", distance, n=n))
     excess = measured.distance - float(band.distance.mean())
     low, high = SamplingBand.limits(band.distance - band.distance.mean())
@@ -221,18 +221,18 @@ def compare_distribution(
     if observed is None:
         return []
     o = observed
-    told = "no predicted law to compare with" if predicted is None else f"predicted {_dof_text(predicted.tail_dof)}"
+    note = "no predicted law to compare with" if predicted is None else f"predicted {_dof_text(predicted.tail_dof)}"
     rows = [
         make.row(
             "background_tail_dof", o.tail_dof, interval=(o.tail_lower, o.tail_upper), n=o.n,
-            reason=f"{told}; in {o.dimension} bands",
+            reason=f"{note}; in {o.dimension} bands",
         )
     ]  # fmt: skip
     if not math.isnan(o.leading_tail_dof):
         rows.append(
             make.row(
                 "background_tail_dof_leading", o.leading_tail_dof, interval=(o.leading_lower, o.leading_upper),
-                n=o.n, reason=f"{told}; in the {o.leading_dimension} leading components",
+                n=o.n, reason=f"{note}; in the {o.leading_dimension} leading components",
             )
         )  # fmt: skip
     if predicted is not None and not math.isnan(o.leading_tail_dof):
@@ -241,7 +241,7 @@ def compare_distribution(
         ]
         expected = 0.0 if math.isinf(predicted.tail_dof) else 1.0 / predicted.tail_dof
         low, value, high = (expected - x for x in reversed(inverse))
-        rows.append(make.row("tail_inverse_dof_difference", value, interval=(low, high), n=o.n, reason=told))
+        rows.append(make.row("tail_inverse_dof_difference", value, interval=(low, high), n=o.n, reason=note))
     rows.append(make.row("normality_p_value", o.normality_p_value, n=o.n))
     if o.effective_n is not None and o.effective_n.size:
         rows.append(make.row("effective_pixels", float(o.effective_n[0]), n=o.n))

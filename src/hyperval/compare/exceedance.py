@@ -45,10 +45,10 @@ def compare_exceedance(
             at, model = ratio.at, ratio.predicted
             measured, threshold = float(observed.probability[at]), float(observed.threshold[at])
             beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
-            told = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{model:.3g}, "
-            told += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
+            words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{model:.3g}, "
+            words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
             interval = ratio.lower, ratio.upper
-            out.append(make.row(name, ratio.value, interval=interval, n=observed.n, reason=told))
+            out.append(make.row(name, ratio.value, interval=interval, n=observed.n, reason=words))
         return out
 
     return make.compared(predicted, observed, rows)

@@ -216,7 +216,7 @@ def compare_object_scores(
     and is named in the reason of the summary.
     """
     out: list[Result] = []
-    held: dict[str, Array] = {}
+    common: dict[str, Array] = {}
     lost: list[str] = []
     for name, model in predicted.items():
         make = RowMaker(campaign, "scores", name, method)
@@ -226,7 +226,7 @@ def compare_object_scores(
             out += [make.skipped(Cause.NO_OBSERVATION, "no measured score", metric) for metric in OF_ONE]
             lost.append(name)
             continue
-        held[name] = scores
+        common[name] = scores
         if scores.size > 1:
             out += _together_rows(make, {name: model}, {name: scores}, "")
             continue
@@ -244,41 +244,49 @@ def compare_object_scores(
             ),
         ]
     make = RowMaker(campaign, "scores", subject, method)
-    if not held:
+    if not common:
         return [
             *out,
             *(make.skipped(Cause.NO_OBSERVATION, "no object has both sides", metric) for metric in OF_ALL),
         ]
-    return [*out, *_together_rows(make, predicted, held, f"; without {', '.join(lost)}" if lost else "")]
+    return [*out, *_together_rows(make, predicted, common, f"; without {', '.join(lost)}" if lost else "")]
 
 
 def _together_rows(
     make: RowMaker, predicted: Mapping[str, ObjectScores], scores: Mapping[str, Array], lost: str
 ) -> list[Result]:
-    found, n = judged_together(predicted, scores), sum(x.size for x in scores.values())
-    low, high = found.expected
-    told = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{lost}"
+    sets, n = judged_together(predicted, scores), sum(x.size for x in scores.values())
+    low, high = sets.expected
+    words = f"the model expects {low:.3g} to {high:.3g}; the interval takes objects for independent{lost}"
 
     def test(metric: str, result: Test, reason: str) -> Result:
         return make.row(metric, result.p_value, n=n, detectable=result.detectable, reason=f"{reason}{lost}")
 
     rows = [
-        make.row(OF_ALL[0], found.inside, interval=found.interval, n=n, reason=told),
-        test(OF_ALL[1], found.count, "that so few lie inside, by the model"),
+        make.row(OF_ALL[0], sets.inside, interval=sets.interval, n=n, reason=words),
+        test(OF_ALL[1], sets.count, "that so few lie inside, by the model"),
         test(
-            OF_ALL[2], found.uniformity, "Kolmogorov-Smirnov distance, against sets of objects drawn from the model"
+            OF_ALL[2],
+            sets.uniformity,
+            "Kolmogorov-Smirnov distance, against sets of objects drawn from the model",
         ),
     ]
-    if found.joint is None:
+    if sets.joint is None:
         why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
         rows.append(make.skipped(Cause.FEW_PIXELS, why, JOINT))
     else:
         rows.append(
-            test(JOINT, found.joint, "Mahalanobis distance of the normal scores, against draws of the model")
+            test(JOINT, sets.joint, "Mahalanobis distance of the normal scores, against draws of the model")
         )
-    if found.drift is not None:
+    if sets.drift is not None:
         rows.append(
-            make.row(TREND, found.trend, interval=found.trend_interval, n=n, reason="against draws of the model")
+            make.row(
+                TREND,
+                sets.trend,
+                interval=sets.trend_interval,
+                n=n,
+                reason="against draws of the model",
+            )
         )
-        rows.append(test(f"{TREND}_p_value", found.drift, "drift of the normal scores, against draws of the model"))
+        rows.append(test(f"{TREND}_p_value", sets.drift, "drift of the normal scores, against draws of the model"))
     return rows

@@ -137,9 +137,12 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
             part = level / (len(order) - place)
             kept = kept or tail_probability(out[i]) >= part
             if kept and out[i].outcome is Outcome.DISAGREES:
-                told = f"its part of the level is {part:.2g}, one of {len(order)} tests"
+                why = f"its part of the level is {part:.2g}, one of {len(order)} tests"
                 out[i] = replace(
-                    out[i], outcome=Outcome.UNDECIDED, cause=Cause.MULTIPLICITY, reason=_joined(told, out[i].reason)
+                    out[i],
+                    outcome=Outcome.UNDECIDED,
+                    cause=Cause.MULTIPLICITY,
+                    reason=_joined(why, out[i].reason),
                 )
     return out
 
@@ -288,13 +291,13 @@ def _pooled(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
     matched = [row for row in rows if gate.covers(row)]
     if not matched or gate.fraction_at_least is None:
         return []
-    found, n = _members(matched, gate), len(matched)
-    good = len(found.good)
-    lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(found.bad), n)[1])
-    shown = ", ".join(_name(row) for row in found.bad[:5])
-    shown += f" and {len(found.bad) - 5} more" if len(found.bad) > 5 else ""
+    members, n = _members(matched, gate), len(matched)
+    good = len(members.good)
+    lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(members.bad), n)[1])
+    shown = ", ".join(_name(row) for row in members.bad[:5])
+    shown += f" and {len(members.bad) - 5} more" if len(members.bad) > 5 else ""
     what = f"{good} of {n} rows {gate.limit_text}"
-    what += f", {len(found.open)} without an outcome of their own" if found.open else ""
+    what += f", {len(members.open)} without an outcome of their own" if members.open else ""
     what += f"; outside: {shown}" if shown else ""
     row = Result(
         campaign, gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction", good / n,

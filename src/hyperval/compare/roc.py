@@ -162,9 +162,9 @@ def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, mar
     ]
     if margin is not None:
         yes, (code, word) = equivalent((low, high), margin), equivalence((low, high), margin)
-        told = f"margin {margin:g}"
-        out.append(make.row(names[5], float(yes) if known else math.nan, n=n, reason=told))
-        out.append(make.row(names[6], code if known else math.nan, n=n, reason=f"{word} by a {told}"))
+        words = f"margin {margin:g}"
+        out.append(make.row(names[5], float(yes) if known else math.nan, n=n, reason=words))
+        out.append(make.row(names[6], code if known else math.nan, n=n, reason=f"{word} by a {words}"))
     return [*out, *_preset_rows(make, predicted, pfa, (p, p_interval), (o, o_interval), n)]
 
 
@@ -195,14 +195,14 @@ def _preset_rows(
     ends = difference_interval(value, (low, high), *measured)
     label = scientific(pfa)
     known = not any(math.isnan(x) for x in measured[1])
-    told = f"(3.32) at the preset, without (3.33): {swept[0]:.3g} with it, measured {measured[0]:.3g}"
+    words = f"(3.32) at the preset, without (3.33): {swept[0]:.3g} with it, measured {measured[0]:.3g}"
     return [
-        make.row(f"pd_predicted_preset@{label}", value, interval=(low, high), reason=told),
+        make.row(f"pd_predicted_preset@{label}", value, interval=(low, high), reason=words),
         make.row(
             f"pd_inside_interval_preset@{label}",
             float(ends[0] <= 0.0 <= ends[1]) if known else math.nan,
             n=n,
-            reason=told,
+            reason=words,
         ),
     ]
 

@@ -58,28 +58,28 @@ def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: 
     """
     density = samples_per_km2(observed)
     rows: list[Result] = []
-    for found in observed.at_detection:
-        names = {side: f"far_{side}@pd{found.pd:g}" for side in ("predicted", "measured", "difference")}
+    for point in observed.at_detection:
+        names = {side: f"far_{side}@pd{point.pd:g}" for side in ("predicted", "measured", "difference")}
         if math.isnan(density):
             rows.append(make.skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, names["measured"]))
             continue
-        m_interval = (found.pfa_lower * density, found.pfa_upper * density)
-        rate, n = found.pfa * density, observed.n_target
-        reason = _in_words(found, observed, density)
+        m_interval = (point.pfa_lower * density, point.pfa_upper * density)
+        rate, n = point.pfa * density, observed.n_target
+        reason = _in_words(point, observed, density)
         measured = make.row(names["measured"], rate, interval=m_interval, unit=PER_AREA, n=n, reason=reason)
         if predicted is None:
             rows.append(measured)
             continue
-        p = _pfa_at(predicted, predicted.pd, found.pd)
+        p = _pfa_at(predicted, predicted.pd, point.pd)
         if math.isnan(p):
-            why = f"the predicted curve does not pass P_D {found.pd:g} within its range of P_FA"
+            why = f"the predicted curve does not pass P_D {point.pd:g} within its range of P_FA"
             rows += [
                 make.skipped(Cause.BEYOND_CURVE, why, names["predicted"]),
                 measured,
                 make.skipped(Cause.BEYOND_CURVE, why, names["difference"]),
             ]
             continue
-        low, high = (_pfa_at(predicted, limit, found.pd) for limit in (predicted.pd_upper, predicted.pd_lower))
+        low, high = (_pfa_at(predicted, limit, point.pd) for limit in (predicted.pd_upper, predicted.pd_lower))
         # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
         low = 0.0 if math.isnan(low) else min(low, p)
         high = 1.0 if math.isnan(high) else max(high, p)
@@ -128,10 +128,10 @@ def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, p
     return [*rows, make.row(name, float(inside), n=m)]
 
 
-def _in_words(found: AlarmsAtDetection, observed: RocCurve, density: float) -> str:
-    text = f"{found.alarms} alarms on {observed.background_area_km2:.4g} km2; at this threshold as it stands "
-    text += f"{found.fixed_lower * density:.4g} to {found.fixed_upper * density:.4g}"
-    if found.alarms == 0 and observed.n_background:
+def _in_words(point: AlarmsAtDetection, observed: RocCurve, density: float) -> str:
+    text = f"{point.alarms} alarms on {observed.background_area_km2:.4g} km2; at this threshold as it stands "
+    text += f"{point.fixed_lower * density:.4g} to {point.fixed_upper * density:.4g}"
+    if point.alarms == 0 and observed.n_background:
         text += f" (at most {zero_count_upper_limit(observed.n_background) * density:.4g}, one-sided)"
     return text
 

@@ -81,23 +81,23 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
                 rows.append(make.skipped(Cause.BEYOND_CURVE, reason, label["predicted"]))
         if observed is None:
             continue
-        found = measured.get(full)
-        if found is None:
+        estimate = measured.get(full)
+        if estimate is None:
             cause, lacking = _why_not(observed, area, span)
             rows.append(make.skipped(cause, lacking, label["measured"]))
             if predicted is not None:
                 rows.append(make.skipped(cause, lacking, label["difference"]))
             continue
-        o_interval = (found.lower, found.upper)
+        o_interval = (estimate.lower, estimate.upper)
         n = observed.n_target
-        rows.append(make.row(label["measured"], found.value, interval=o_interval, n=n, reason=found.method))
+        rows.append(make.row(label["measured"], estimate.value, interval=o_interval, n=n, reason=estimate.method))
         if predicted is None:
             continue
         if reason:
             rows.append(make.skipped(Cause.BEYOND_CURVE, reason, label["difference"]))
         else:
-            interval = difference_interval(p, p_interval, found.value, o_interval)
-            rows.append(make.row(label["difference"], p - found.value, interval=interval, n=n))
+            interval = difference_interval(p, p_interval, estimate.value, o_interval)
+            rows.append(make.row(label["difference"], p - estimate.value, interval=interval, n=n))
     return rows
 
 
@@ -107,6 +107,6 @@ _SIDES = ("predicted", "measured", "difference")
 def _why_not(observed: RocCurve, area: RocArea, span: str) -> tuple[Cause, str]:
     n = observed.n_background
     if area.logarithmic and n is not None and observed.areas:
-        told = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {span}; 10 are needed"
-        return Cause.FEW_ALARMS, told
+        words = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {span}; 10 are needed"
+        return Cause.FEW_ALARMS, words
     return Cause.NO_SCORES, "the measured curve comes without its scores, so its area has no interval"

@@ -129,18 +129,18 @@ def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[s
 
 def _clock(text: str) -> float | None:
     """Seconds since midnight of the first hh:mm or hh:mm:ss in a text."""
-    found = re.search(r"(?<![0-9:])([0-9]{1,2}):([0-9]{2})(?::([0-9]{2}(?:\.[0-9]+)?))?", text)
-    if found is None:
+    match = re.search(r"(?<![0-9:])([0-9]{1,2}):([0-9]{2})(?::([0-9]{2}(?:\.[0-9]+)?))?", text)
+    if match is None:
         return None
-    hour, minute, second = int(found.group(1)), int(found.group(2)), float(found.group(3) or 0.0)
+    hour, minute, second = int(match.group(1)), int(match.group(2)), float(match.group(3) or 0.0)
     return hour * 3600.0 + minute * 60.0 + second if hour < 24 and minute < 60 and second < 61 else None
 
 
 def _day(text: str) -> date | None:
     """The first date in the form 2012-09-20 or 2012/09/20; other orders are not clear."""
-    found = re.search(r"(?<![0-9])([0-9]{4})[-/]([0-9]{1,2})[-/]([0-9]{1,2})(?![0-9])", text)
+    match = re.search(r"(?<![0-9])([0-9]{4})[-/]([0-9]{1,2})[-/]([0-9]{1,2})(?![0-9])", text)
     try:
-        return date(*(int(g) for g in found.groups())) if found is not None else None
+        return date(*(int(g) for g in match.groups())) if match is not None else None
     except ValueError:
         return None
 
@@ -202,11 +202,11 @@ def _short(text: str) -> str:
 
 
 def _first(text: str) -> float | None:
-    found = _NUMBER.search(text)
-    value = float(found.group()) if found else None
+    match = _NUMBER.search(text)
+    value = float(match.group()) if match else None
     return value if value is not None and np.isfinite(value) else None
 
 
 def _pair(text: str) -> tuple[int, int] | None:
-    found = re.fullmatch(r"\s*([0-9]{1,6})\s*,\s*([0-9]{1,6})\s*", text)
-    return (int(found.group(1)), int(found.group(2))) if found else None
+    match = re.fullmatch(r"\s*([0-9]{1,6})\s*,\s*([0-9]{1,6})\s*", text)
+    return (int(match.group(1)), int(match.group(2))) if match else None

@@ -102,7 +102,7 @@ def ordered_bands(
     ------
     InputError : wavelengths that do not increase and are not to be sorted, or of which two are the same.
     """
-    centre, order, told = centre_nm, np.arange(centre_nm.size), list(notes)
+    centre, order, remarks = centre_nm, np.arange(centre_nm.size), list(notes)
     steps = np.diff(centre)
     if np.any(steps <= 0):
         at = int(np.flatnonzero(steps <= 0)[0])
@@ -118,11 +118,11 @@ def ordered_bands(
                 "under collection.cube",
             )
         order = np.argsort(centre, kind="stable")
-        told.append(f"{int(np.sum(order != np.arange(order.size)))} bands were moved to sort the wavelengths")
+        remarks.append(f"{int(np.sum(order != np.arange(order.size)))} bands were moved to sort the wavelengths")
     if fwhm_nm is None:
         fwhm_nm = _spacing_by_detector(centre)
-        told.append("the file lists no fwhm: band widths are taken as the band spacing")
-    return BandTable(SpectralAxis(centre[order], fwhm_nm[order], good[order]), order, tuple(told))
+        remarks.append("the file lists no fwhm: band widths are taken as the band spacing")
+    return BandTable(SpectralAxis(centre[order], fwhm_nm[order], good[order]), order, tuple(remarks))
 
 
 def _check_widths(fwhm: Array, centre: Array, unit: str, where: str) -> None:

@@ -120,12 +120,12 @@ def header_beside(data: Path) -> Path | None:
     """The header of a data file: ``name.img.hdr`` or ``name.hdr``; None when there is none."""
     candidates = {data.with_name(data.name + end) for end in (".hdr", ".HDR")}
     candidates |= {data.with_suffix(end) for end in (".hdr", ".HDR")}
-    found = sorted(p for p in candidates if p.is_file())
+    headers = sorted(p for p in candidates if p.is_file())
     # One file under two names on a file system that ignores case is one header.
-    unique = {p.resolve().stat().st_ino: p for p in reversed(found)}
+    unique = {p.resolve().stat().st_ino: p for p in reversed(headers)}
     if len(unique) > 1:
         raise UsageError(
-            "two headers beside the data file: " + ", ".join(p.name for p in found),
+            "two headers beside the data file: " + ", ".join(p.name for p in headers),
             where=str(data),
             mend="state which one is meant (header:)",
         )

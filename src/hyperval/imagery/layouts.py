@@ -105,15 +105,15 @@ def layouts() -> Layouts:
 def tree_of(file: h5py.File) -> Tree | None:
     """The layout whose images and wavelengths the file holds, None when it is none of them."""
     for tree in layouts().trees:
-        if all(_held(file, array.path) and _held(file, array.wavelength) for array in tree.arrays):
+        if all(_present(file, array.path) and _present(file, array.wavelength) for array in tree.arrays):
             return tree
     return None
 
 
-def _held(file: h5py.File, reference: str) -> bool:
+def _present(file: h5py.File, reference: str) -> bool:
     """Whether a file has the array or the attribute of a reference."""
     name, at, attribute = reference.partition("@")
-    item = found(file, name) if name else file
+    item = member(file, name) if name else file
     return item is not None and attribute in item.attrs if at else isinstance(item, h5py.Dataset)
 
 
@@ -127,7 +127,7 @@ class Values:
     def raw(self, reference: str) -> Any:
         """The content of an array or attribute, None when the file has none."""
         name, at, attribute = reference.partition("@")
-        item = found(self.file, name) if name else self.file
+        item = member(self.file, name) if name else self.file
         if item is None:
             return None
         if at:
@@ -174,7 +174,7 @@ class Values:
         return out
 
 
-def found(file: h5py.File, name: str) -> Any:
+def member(file: h5py.File, name: str) -> Any:
     """The group or array of a name, in which "*" is the only group of its level; None when there is none."""
     at: Any = file
     for part in name.split("/"):

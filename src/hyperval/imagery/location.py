@@ -120,15 +120,15 @@ class LocationTable(LookupTable):
             fit = self._fit(line, sample)
             if fit is None:
                 break
-            found = np.array([sample + 0.5, line + 0.5]) + np.linalg.solve(fit[1], xy - fit[0])
+            place = np.array([sample + 0.5, line + 0.5]) + np.linalg.solve(fit[1], xy - fit[0])
             near = (
-                int(np.clip(math.floor(found[1]), 0, self.shape[0] - 1)),
-                int(np.clip(math.floor(found[0]), 0, self.shape[1] - 1)),
+                int(np.clip(math.floor(place[1]), 0, self.shape[0] - 1)),
+                int(np.clip(math.floor(place[0]), 0, self.shape[1] - 1)),
             )
             if near == (line, sample):
-                beyond = max(found[0] - self.shape[1], found[1] - self.shape[0], -found[0], -found[1])
+                beyond = max(place[0] - self.shape[1], place[1] - self.shape[0], -place[0], -place[1])
                 if beyond <= _FARTHEST:
-                    return np.asarray(found)
+                    return np.asarray(place)
                 break
             line, sample = near
         raise InputError(

@@ -74,8 +74,8 @@ class LookupTable:
             last = min(self.raster.lines, (int(block) + 1) * _BLOCK + RADIUS)
             sample, line = self._read(first, last - first) if last > first else (np.zeros((0, 0), int),) * 2
             for i in here:
-                found = _fitted(cells[i], sample, line, first)
-                if found is None:
+                fit = _fitted(cells[i], sample, line, first)
+                if fit is None:
                     t, (u, v) = self.transform, cells[i]
                     x, y = t.a * u + t.b * v + t.c, t.d * u + t.e * v + t.f
                     raise InputError(
@@ -84,7 +84,7 @@ class LookupTable:
                         expected="places that the flight line covers",
                         mend="check the coordinate system, and that table and cube belong to one line",
                     )
-                out[i] = found[0]
+                out[i] = fit[0]
         return out
 
     @cached_property
@@ -99,9 +99,9 @@ class LookupTable:
             sample, line = self._read(int(top), min(_BLOCK, self.raster.lines - int(top)))
             rows, cols = np.nonzero(sample)
             for k in rng.permutation(rows.size)[: _AREA_PLACES // 4]:
-                found = _fitted(np.array([cols[k] + 0.5, top + rows[k] + 0.5]), sample, line, int(top))
-                if found is not None and found[1] > 0:
-                    areas.append(cell / found[1])
+                fit = _fitted(np.array([cols[k] + 0.5, top + rows[k] + 0.5]), sample, line, int(top))
+                if fit is not None and fit[1] > 0:
+                    areas.append(cell / fit[1])
         return float(np.median(areas)) if areas else None
 
     @property
@@ -150,7 +150,7 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loo
     names = (raster.header.strings("band names") if raster.header is not None else None) or ()
     swapped = len(names) == 2 and "line" in names[0].lower() and "sample" in names[1].lower()
     opened = LookupTable(raster, raster.transform, raster.crs, shape, swapped)
-    filled = greatest_sample = greatest_line = 0
+    cells = greatest_sample = greatest_line = 0
     for first in range(0, raster.lines, _BLOCK):
         sample, line = opened._read(first, min(_BLOCK, raster.lines - first))
         if np.any((sample == 0) != (line == 0)) or np.any((sample < 0) != (line < 0)):
@@ -159,10 +159,10 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loo
                 where=where,
                 expected="both 0 outside the flight line, both negative where filled",
             )
-        filled += int(np.count_nonzero(sample))
+        cells += int(np.count_nonzero(sample))
         greatest_sample = max(greatest_sample, int(np.abs(sample).max()))
         greatest_line = max(greatest_line, int(np.abs(line).max()))
-    if not filled:
+    if not cells:
         raise InputError("the lookup table names no pixel", where=where)
     if greatest_sample > shape[1] or greatest_line > shape[0]:
         raise InputError(

@@ -58,8 +58,8 @@ def open_raster(
     if engine is not None:
         return _labelled(checked_file(data, root=root, what="file of arrays"), variable, engine)
     if data.suffix.lower() == ".xml" and header is None:
-        found = image_of(checked_file(data, root=root, what="metadata file"))
-        return open_tiff(checked_file(found, root=root, what="GeoTIFF"), None, root)
+        image = image_of(checked_file(data, root=root, what="metadata file"))
+        return open_tiff(checked_file(image, root=root, what="GeoTIFF"), None, root)
     if header is None and data.suffix.lower() == ".hdr":
         header = checked_file(data, root=root, what="ENVI header")
         data = _data_beside(data)
@@ -114,11 +114,11 @@ def container_of(path: Path) -> str | None:
 
 def _data_beside(header: Path) -> Path:
     stem = header.with_suffix("")
-    found = [stem.with_name(stem.name + end) for end in _DATA_SUFFIXES]
-    found = [p for p in found if p.is_file()]
-    if len(found) != 1:
-        names = ", ".join(p.name for p in found) or "none"
+    candidates = [stem.with_name(stem.name + end) for end in _DATA_SUFFIXES]
+    candidates = [p for p in candidates if p.is_file()]
+    if len(candidates) != 1:
+        names = ", ".join(p.name for p in candidates) or "none"
         raise InputError(
             f"data files beside the header: {names}", where=str(header), mend="name the data file instead"
         )
-    return found[0]
+    return candidates[0]

@@ -172,13 +172,13 @@ def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int]
 def overlaps(regions: Iterable[Region]) -> list[tuple[str, str, int]]:
     """Pairs of regions that share pixels, with the number of shared pixels."""
     listed = list(regions)
-    found = []
+    pairs = []
     for i, a in enumerate(listed):
         for b in listed[i + 1 :]:
             shared = int(np.count_nonzero(a.mask & b.mask))
             if shared:
-                found.append((a.name, b.name, shared))
-    return found
+                pairs.append((a.name, b.name, shared))
+    return pairs
 
 
 def holes(mask: Mask) -> tuple[int, int]:

@@ -226,27 +226,27 @@ def raster_masks(
     ignore = header.number("data ignore value") if header else None
     if ignore is None and isinstance(raster, TiffRaster):
         ignore = raster.nodata
-    held = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
+    valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
     if raster.bands > 1:
         names = (header.strings("band names") if header else None) or ()
         if len(names) != raster.bands or len(set(names)) != len(names):
             names = tuple(f"band-{i + 1}" for i in range(raster.bands))
-        return {name: (stored[:, :, i] != 0) & held[:, :, i] for i, name in enumerate(names)}
+        return {name: (stored[:, :, i] != 0) & valid[:, :, i] for i, name in enumerate(names)}
     classes = stored[:, :, 0]
-    values = np.unique(classes[held[:, :, 0]])
+    values = np.unique(classes[valid[:, :, 0]])
     if np.any(values != np.round(values)) or values.size > MAX_CLASSES:
         raise InputError(
             "values that are no class numbers", where=str(path), expected=f"up to {MAX_CLASSES} classes"
         )
-    found = [int(v) for v in values if v != 0]
+    numbers = [int(v) for v in values if v != 0]
     if by_value:
-        return {value: classes == value for value in found}
+        return {value: classes == value for value in numbers}
     listed = (header.strings("class names") if header else None) or ()
     out: dict[str | int, Mask] = {}
-    for value in found:
+    for value in numbers:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
         name = re.sub(r"\s*\[[^\]]*\]\s*[0-9]+ points$", "", listed[value]) if 0 < value < len(listed) else ""
-        name = name or (path.stem if len(found) == 1 else f"{path.stem}-{value}")
+        name = name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}")
         if name in out:
             raise InputError(
                 f"two classes are called {name!r}", where=str(path), mend="read them by value (names:)"

@@ -94,15 +94,15 @@ def _check_files(path: Path, root: Path | None) -> None:
     if is_kml(head_of(path)) and re.search(rb"<!\s*(DOCTYPE|ENTITY)", path.read_bytes()[:MAX_BYTES], re.IGNORECASE):
         raise InputError("a DOCTYPE or ENTITY is not allowed in a region file", where=str(path))
     if path.suffix.lower() == ".shp":
-        found = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
+        parts = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
         for end in (".dbf", ".shx"):
-            if end not in found:
+            if end not in parts:
                 raise InputError(
                     f"the {end} file of the Shapefile is missing",
                     where=str(path),
                     expected="the files .shp, .shx, .dbf (and .prj) side by side",
                 )
-        files += [checked_file(found[end], root=root, what="region file") for end in _SIDECARS if end in found]
+        files += [checked_file(parts[end], root=root, what="region file") for end in _SIDECARS if end in parts]
     size = sum(f.stat().st_size for f in files)
     if size > MAX_BYTES:
         raise InputError(f"larger than {MAX_BYTES >> 20} MiB", where=str(path))

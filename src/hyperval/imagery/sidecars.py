@@ -34,11 +34,11 @@ def described_beside(image: Path, bands: int, root: Path | None = None) -> tuple
         if at < 0:
             continue
         for name in (sidecar.metadata, sidecar.metadata.lower(), sidecar.metadata.upper()):
-            found = image.with_name(image.name[:at] + name)
-            if found.is_file():
-                made = _from_xml(sidecar, checked_file(found, root=root, what="metadata file"), image, bands)
+            candidate = image.with_name(image.name[:at] + name)
+            if candidate.is_file():
+                made = _from_xml(sidecar, checked_file(candidate, root=root, what="metadata file"), image, bands)
                 if made is not None:
-                    return made, found
+                    return made, candidate
     return _from_stac(image, bands, root)
 
 

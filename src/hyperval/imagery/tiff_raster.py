@@ -141,13 +141,13 @@ def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffR
             fwhm_um=widths,
             bad_bands=tuple(i - 1 for i in dataset.indexes if dataset.tags(i).get("GOOD_BAND") == "0"),
         )
-    found = Path(header) if header is not None else header_beside(path)
-    if found is None:
+    sidecar = Path(header) if header is not None else header_beside(path)
+    if sidecar is None:
         described = described_beside(path, raster.bands, root)
         if described is None:
             return raster
         return replace(raster, description=described[0], other_files=(described[1],))
-    parsed = read_header(checked_file(found, root=root, what="ENVI header"), sidecar=True)
+    parsed = read_header(checked_file(sidecar, root=root, what="ENVI header"), sidecar=True)
     shape, stated = (raster.lines, raster.samples, raster.bands), (parsed.lines, parsed.samples, parsed.bands)
     if shape != stated:
         raise InputError(

@@ -17,7 +17,7 @@ from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.description import Description
 from hyperval.imagery.georeference import crs_of, transform_of
-from hyperval.imagery.layouts import ImageArray, Tree, Values, found, tree_of
+from hyperval.imagery.layouts import ImageArray, Tree, Values, member, tree_of
 from hyperval.imagery.stores import Hdf5Store
 from hyperval.units import RADIANCE_UNIT, radiance_to_internal
 
@@ -92,7 +92,7 @@ def location_names(raster: ArrayRaster) -> tuple[str, str] | None:
 
 
 def _dataset(store: Hdf5Store, file: h5py.File, name: str) -> h5py.Dataset:
-    resolved = found(file, name).name.strip("/")
+    resolved = member(file, name).name.strip("/")
     dataset = store.dataset(file, resolved)
     if dataset is None or dataset.dtype.kind not in "iuf" or dataset.ndim != 3 or 0 in dataset.shape:
         raise InputError(f"{resolved!r} is no image of three axes", where=str(store.path))

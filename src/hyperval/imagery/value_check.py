@@ -28,10 +28,10 @@ def check_values_of(cube: Any) -> None:
     if limit is None:
         return
     lines = np.unique(np.linspace(0, cube.lines - 1, 16).astype(int))
-    found = np.concatenate([_some_values(cube, int(line)) for line in lines])
-    if found.size == 0:
+    sample = np.concatenate([_some_values(cube, int(line)) for line in lines])
+    if sample.size == 0:
         return
-    high = float(np.percentile(found, 95))
+    high = float(np.percentile(sample, 95))
     if high > limit:
         raise InputError(
             f"95 % of the {cube.quantity} values reach up to {high:.4g} {cube.unit}".removesuffix(" 1"),

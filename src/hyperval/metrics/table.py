@@ -47,17 +47,17 @@ def metric_of(name: str) -> Metric:
         return known["*_change"]
     if base in known:
         return known[base]
-    found = next((m for m in known.values() if m.fits(base)), None)
-    if found is None and set(base) & set("*?"):
-        found = next((m for m in known.values() if fnmatchcase(m.name, base)), None)
-    if found is None:
+    row = next((m for m in known.values() if m.fits(base)), None)
+    if row is None and set(base) & set("*?"):
+        row = next((m for m in known.values() if fnmatchcase(m.name, base)), None)
+    if row is None:
         near = difflib.get_close_matches(base, known, n=1)
         raise UsageError(
             f"{name!r} is not a metric",
             expected="one of those that hyperval metrics lists",
             mend=f"did you mean {near[0]!r}?" if near else "",
         )
-    return found
+    return row
 
 
 def explained(names: Iterable[str]) -> list[tuple[str, str]]:

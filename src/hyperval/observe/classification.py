@@ -78,8 +78,8 @@ def _halves(place: Place, name: str, task: Classification) -> tuple[_Half, _Half
     mask = place.pixels_of(name)
     lines, samples = np.nonzero(mask)
     block = lines // task.block_lines
-    held = np.unique(block)
-    if held.size < 2:
+    blocks = np.unique(block)
+    if blocks.size < 2:
         raise UsageError(
             f"classification: region {name!r} lies in one block of {task.block_lines} lines",
             mend="make classification.block_lines smaller: training and test take whole blocks",
@@ -87,7 +87,7 @@ def _halves(place: Place, name: str, task: Classification) -> tuple[_Half, _Half
     rng = np.random.default_rng([task.seed, place.cube.lines])
     # Half of the blocks that hold the class train.
     order = rng.permutation(int(-(-place.cube.lines // task.block_lines)))
-    dealt = order[np.isin(order, held)]
+    dealt = order[np.isin(order, blocks)]
     trains = np.isin(block, dealt[: dealt.size // 2])
     return (
         _half(place, lines[trains], samples[trains], block[trains], task.pixels, name),

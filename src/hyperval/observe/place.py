@@ -116,7 +116,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     if collection.cube is None:
         raise UsageError("the collection has no cube")
     cube = open_source(collection.cube, resolve, collection.bands)
-    table, found = _lookup_table(cube, collection.cube, resolve)
+    table, source_of = _lookup_table(cube, collection.cube, resolve)
     regions = _regions(cube, table, collection.regions, resolve, show_progress)
     targets, remarks = _targets(cube, table, collection.targets, resolve) if collection.targets else ([], [])
     near = all_pixels(targets, cube.shape)
@@ -127,7 +127,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         if name not in regions:
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
         left_out |= regions[name].mask
-    notes = [*cube.notes, *found, *header_notes(cube)]
+    notes = [*cube.notes, *source_of, *header_notes(cube)]
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
         notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
@@ -269,7 +269,7 @@ def normalized_difference(cube: Cube, rule: NormalizedDifference, *, show: bool 
 def _regions(
     cube: Cube, table: LookupTable | None, sources: Sequence[RegionSource], resolve: Resolve, show: bool | None
 ) -> dict[str, Region]:
-    found: dict[str, Region] = {}
+    regions: dict[str, Region] = {}
     for source in sources:
         new: dict[str, Region]
         if source.file is not None:
@@ -297,11 +297,11 @@ def _regions(
             rule = source.normalized_difference
             assert rule is not None  # noqa: S101 - one of the four is given
             new = {name: Region(name, normalized_difference(cube, rule, show=show), "normalised difference")}
-        twice = sorted(set(new) & set(found))
+        twice = sorted(set(new) & set(regions))
         if twice:
             raise UsageError(f"two regions are named {twice[0]!r}")
-        found.update(new)
-    return found
+        regions.update(new)
+    return regions
 
 
 def _read(
@@ -373,15 +373,15 @@ def _drawn_targets(
     remarks: list[str] = []
     for source in sources:
         path = resolve(source.file)
-        found = _read(cube, table, path, source, patterns=source.regions, touched=True)
+        drawn = _read(cube, table, path, source, patterns=source.regions, touched=True)
         for pattern in source.regions:
-            if not any(fnmatchcase(name, pattern) for name in found):
+            if not any(fnmatchcase(name, pattern) for name in drawn):
                 raise UsageError(
-                    f"no region {pattern!r}", where=str(path), expected="one of " + ", ".join(sorted(found))
+                    f"no region {pattern!r}", where=str(path), expected="one of " + ", ".join(sorted(drawn))
                 )
         chosen = [
             region
-            for name, region in found.items()
+            for name, region in drawn.items()
             if not source.regions or any(fnmatchcase(name, pattern) for pattern in source.regions)
         ]
         remarks += [f"{remark} (targets)" for region in chosen for remark in region.remarks]

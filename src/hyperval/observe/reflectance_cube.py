@@ -108,9 +108,9 @@ def _blocks(
         block = cube.read(first, min(step, cube.lines - first))
         with np.errstate(invalid="ignore", over="ignore"):
             block.values[~block.valid] = np.nan
-            found = quantised(elm.reflectance(block.values))
-        misfits = int(np.count_nonzero(found[block.valid][:, good] == NO_DATA))
-        yield range(first, first + found.shape[0]), (found, misfits)
+            stored = quantised(elm.reflectance(block.values))
+        misfits = int(np.count_nonzero(stored[block.valid][:, good] == NO_DATA))
+        yield range(first, first + stored.shape[0]), (stored, misfits)
 
 
 @contextmanager

@@ -126,10 +126,10 @@ def _independence(
             far = [f - f[inside].mean() if inside.any() else f for f in far]
             yield np.stack([*np.moveaxis(scores[..., :count], -1, 0), *far]), inside
 
-    found = lag_correlation(quantities(), REACH).significant()
+    correlation = lag_correlation(quantities(), REACH).significant()
     shares = neighbour_shares(region, REACH, rng)
-    independent = np.array([independent_for_variance(n, rho, shares) for rho in found[:count]])
-    parts = [independent_for_mean(n, rho, shares) / n for rho in found[count:]]
+    independent = np.array([independent_for_variance(n, rho, shares) for rho in correlation[:count]])
+    parts = [independent_for_mean(n, rho, shares) / n for rho in correlation[count:]]
     return independent, (parts[0], parts[1])
 
 

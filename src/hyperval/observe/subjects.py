@@ -51,4 +51,4 @@ def _subject(form: str, words: Mapping[str, str]) -> str:
             f"detection.group {form!r} does not fit the truth: no {unknown[0]!r}",
             expected="names in braces out of " + ", ".join(sorted(words)),
         )
-    return _BRACES.sub(lambda found: words[found[1]], form)
+    return _BRACES.sub(lambda match: words[match[1]], form)

@@ -93,11 +93,11 @@ def unmix(
     sources = Sources(place.cube.axis, {}, resolve)
     spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for _, t in chosen}
     rng = np.random.default_rng(task.seed)
-    held: dict[str, _Surroundings] = {}
+    surroundings_of: dict[str, _Surroundings] = {}
     areas: dict[tuple[str, str], Abundance] = {}
     subjects: list[UnmixedSubject] = []
     work = [
-        (item, target, *found) for item, target in chosen for found in _subjects(place, detection, item, target)
+        (item, target, *parts) for item, target in chosen for parts in _subjects(place, detection, item, target)
     ]
     for item, target, subject, population, members in track(work, "unmixing", show=show_progress):
         nominal = float(np.mean([o.area_m2 for o in members]))
@@ -108,9 +108,9 @@ def unmix(
                 mend="state side_m in collection.targets, or leave unmixing out",
             )
         for o in members:
-            if o.name not in held:
-                held[o.name] = _surroundings(place, o, region, task, elm, bands, rng)
-        around = [held[o.name] for o in members]
+            if o.name not in surroundings_of:
+                surroundings_of[o.name] = _surroundings(place, o, region, task, elm, bands, rng)
+        around = [surroundings_of[o.name] for o in members]
         spectrum = spectra[target.name][bands]
         for method, factor in noise.items():
             areas[subject, labelled(method, item.endmembers)] = _area(
@@ -180,14 +180,14 @@ def _surroundings(
         own = lines + line, samples + sample
         parts += [own, _ring(own, region, task.ring_pixels)]
     read = _reflectance(place, parts, elm, bands)
-    found = list(zip(read[::2], read[1::2], strict=True))
-    pixels, ring = found[0]
+    blocks = list(zip(read[::2], read[1::2], strict=True))
+    pixels, ring = blocks[0]
     if not ring.shape[0]:
         raise InputError(
             f"target {target.name!r} has no pixel of {task.background!r} within {task.ring_pixels} pixels",
             expected="background around every target",
         )
-    elsewhere = [(x, r.mean(axis=0)) for x, r in found[1:] if r.shape[0] and x.shape[0] == lines.size]
+    elsewhere = [(x, r.mean(axis=0)) for x, r in blocks[1:] if r.shape[0] and x.shape[0] == lines.size]
     return _Surroundings(pixels, ring.mean(axis=0), ring.shape[0], elsewhere)
 
 
@@ -208,10 +208,10 @@ def _reflectance(place: Place, parts: list[Pixels], elm: EmpiricalLine | None, b
     every, index = np.unique(np.concatenate(flat), return_inverse=True)
     at = np.divmod(every, place.cube.samples)
     values, usable = place.cube.marked_pixels(at)
-    found = (values if elm is None else elm.reflectance(values))[:, bands]
-    valid = usable & np.isfinite(found).all(axis=1)
+    reflectance = (values if elm is None else elm.reflectance(values))[:, bands]
+    valid = usable & np.isfinite(reflectance).all(axis=1)
     ends = np.cumsum([f.size for f in flat])[:-1]
-    return [found[i[valid[i]]] for i in np.split(index, ends)]
+    return [reflectance[i[valid[i]]] for i in np.split(index, ends)]
 
 
 def _free_places(
@@ -224,8 +224,8 @@ def _free_places(
     free = np.ones((region.shape[0] - height + 1, region.shape[1] - width + 1), bool)
     for line, sample in zip(lines.tolist(), samples.tolist(), strict=True):
         free &= region[line : line + free.shape[0], sample : sample + free.shape[1]]
-    found = np.argwhere(free)
-    if not len(found):
+    places = np.argwhere(free)
+    if not len(places):
         return []
-    chosen = rng.choice(len(found), min(PLACES, len(found)), replace=False)
-    return [(int(a), int(b)) for a, b in found[chosen]]
+    chosen = rng.choice(len(places), min(PLACES, len(places)), replace=False)
+    return [(int(a), int(b)) for a, b in places[chosen]]

@@ -18,13 +18,13 @@ def collection_shifts(
 
     The uncertainty is that of where the feature lies, which the spectra share: it is not divided by their number.
     """
-    found: dict[str, list[Shift]] = {}
+    shifts: dict[str, list[Shift]] = {}
     for spectrum in spectra:
         for shift in wavelength_shifts(spectrum, axis, reflectance=reflectance):
-            found.setdefault(shift.feature, []).append(shift)
+            shifts.setdefault(shift.feature, []).append(shift)
     return [
         (Shift(name, float(np.median([s.nm for s in each])), each[0].uncertainty_nm), len(each))
-        for name, each in found.items()
+        for name, each in shifts.items()
     ]
 
 

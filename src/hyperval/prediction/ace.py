@@ -142,8 +142,8 @@ def _base(batch: Batch, group: Group, u: int) -> FilterBase:
 def covariance_of(part: Population, group: Group, u: int) -> Array:
     """(F, F) covariance of pixels as the detector of setting ``u`` sees them (3.11-3.21)."""
     slope, surroundings = group.seen.slope[u], group.at.grounds[group.at.which[u]].covariance
-    found = part.covariance * np.outer(slope, slope) + surroundings * np.outer(part.around, part.around)
-    return np.asarray(found + np.diag(part.noise))
+    covariance = part.covariance * np.outer(slope, slope) + surroundings * np.outer(part.around, part.around)
+    return np.asarray(covariance + np.diag(part.noise))
 
 
 def _at_fill(batch: Batch, e: _Evaluation, fill: float) -> Exceedance:

@@ -199,14 +199,14 @@ class Batch:
         if self.scenario.processing.filter_statistics != "scene":
             return []
         point = int(np.flatnonzero(self.points.setting == group.numbers[u])[0])
-        found = []
+        own = []
         for t, target in enumerate(self.targets):
             for p, population in enumerate(target.populations):
                 if population.scene_fraction > 0:
                     fill = self.fill_of(point, t, p)
                     pixels = self.population_at(group, u, point, t, fill)
-                    found.append(replace(pixels, part=population.scene_fraction))
-        return found
+                    own.append(replace(pixels, part=population.scene_fraction))
+        return own
 
     def population_at(self, group: Group, u: int, point: int, target: int, fill: FillDistribution) -> Population:
         """Pixels of one target as the detector of setting ``u`` sees them, by the moments of their fill (3.12)."""

@@ -18,7 +18,7 @@ from hyperval.prediction.input import Input, Kind, number_input, spectral_input
 from hyperval.prediction.input_paths import Given, input_path
 from hyperval.prediction.inputs import Resolve, Sources
 from hyperval.prediction.setup import instrument, with_sensor_blur
-from hyperval.prediction.terms import remembered
+from hyperval.prediction.terms import terms_in_memory
 from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import SampledStatistics, SpectralForm
 from hyperval.scene.statistics import ClassStatistics
@@ -104,7 +104,7 @@ def given_of(
         if state.engine == "table":
             return atmospheric_terms(state, resolve=find).at_bands(used.true_axis)
         call = atmospheric_terms
-        return remembered(call, state, used.true_axis, cache_dir=cache_dir, show_progress=show_progress)
+        return terms_in_memory(call, state, used.true_axis, cache_dir=cache_dir, show_progress=show_progress)
 
     return Given(scenario, used.axis, used.sensor, surfaces, terms)
 
@@ -121,20 +121,20 @@ def field_spectrum_of(subject: str) -> str:
 
 def spectrum_inputs(given: Given) -> list[Input]:
     """Errors of field spectra, as stated or as replicate spectra say of their own mean."""
-    found: list[Input] = []
+    inputs: list[Input] = []
     number: dict[str, int] = {}
     for item in given.scenario.uncertainty.field_spectra:
         subject = item.subject
         number[subject] = number.get(subject, 0) + 1
         name = field_spectrum_of(subject) + ("" if number[subject] == 1 else f" ({number[subject]})")
         sd = spectrum_error_sd(item, given.surfaces[subject], given.axis)
-        found.append(spectral_input(given, name, "surface", f"surfaces.[{subject}].mean", sd, item))
+        inputs.append(spectral_input(given, name, "surface", f"surfaces.[{subject}].mean", sd, item))
     for subject, surface in given.surfaces.items():
         if subject not in number and surface.mean_error is not None:
             rows = covariance_directions(np.nan_to_num(surface.mean_error))
             words = "as between replicate spectra"
-            found.append(_mean_input(given, field_spectrum_of(subject), "surface", subject, rows, words))
-    return found
+            inputs.append(_mean_input(given, field_spectrum_of(subject), "surface", subject, rows, words))
+    return inputs
 
 
 def _mean_input(given: Given, name: str, kind: Kind, subject: str, rows: Array, words: str) -> Input:
@@ -148,53 +148,53 @@ def _of_light(given: Given, shapes: bool) -> list[Input]:
     u = given.scenario.uncertainty
     if given.scenario.atmosphere is None:
         return []
-    found = [
+    inputs = [
         number_input(given, name, kind, path, spread)
         for name, kind, path, field in _NUMBERS
         if (spread := getattr(u, field)) is not None
     ]
     if u.engine is None or not shapes:
-        return found
+        return inputs
     for name, part in ((ENGINE, u.engine), (ENGINE_LINES, u.engine.fine_structure)):
         if part is None or not (part.relative > 0 or part.per_optical_depth > 0):
             continue
         sd = np.full(len(given.axis), part.relative)
         if part.per_optical_depth > 0:  # greater where gases absorb
             sd = sd + part.per_optical_depth * gas_depth(given.terms().gas_transmittance)
-        found.append(spectral_input(given, name, "engine", "light.ground", sd, part))
+        inputs.append(spectral_input(given, name, "engine", "light.ground", sd, part))
     if u.engine.path_relative > 0:
-        found.append(spectral_input(given, ENGINE_PATH, "engine", "light.path", u.engine.path_relative, u.engine))
-    return found
+        inputs.append(spectral_input(given, ENGINE_PATH, "engine", "light.path", u.engine.path_relative, u.engine))
+    return inputs
 
 
 def _of_scene(given: Given, shapes: bool) -> list[Input]:
     """Surfaces, then fills and fractions, then what sampling leaves open."""
     u = given.scenario.uncertainty
-    found = spectrum_inputs(given) if shapes else []
+    inputs = spectrum_inputs(given) if shapes else []
     for item in u.fills:
-        found.append(
+        inputs.append(
             number_input(given, f"fill of {item.subject}", "scene", f"fill.[{item.subject}]", item.absolute)
         )
     for item in u.fractions:
         name = f"area fraction of {item.subject}"
-        found.append(number_input(given, name, "scene", f"fraction.[{item.subject}]", item.absolute))
+        inputs.append(number_input(given, name, "scene", f"fraction.[{item.subject}]", item.absolute))
     for sampled in u.sampled_statistics:
-        found += _sampled(sampled, given)
-    return found
+        inputs += _sampled(sampled, given)
+    return inputs
 
 
 def _of_sensor(given: Given) -> list[Input]:
     """Gain, offset, noise, electrons, places of the bands, panels of the line, blur; the image's compensation."""
     u, light = given.scenario.uncertainty, given.scenario.atmosphere is not None
-    found = []
+    inputs = []
     for name, path, field, needs_light in _SENSOR:
         form = getattr(u, field)
         if form is not None and (light or not needs_light):
             sd = form.relative if hasattr(form, "relative") else form.absolute
-            found.append(spectral_input(given, name, "sensor", path, sd, form))
+            inputs.append(spectral_input(given, name, "sensor", path, sd, form))
     widths = [p.fill.geometry for t in given.scenario.scene.targets for p in t.populations]
     if u.psf_fwhm_pixels is not None and any(g is not None for g in widths):
-        found.append(number_input(given, BLUR, "sensor", "blur", u.psf_fwhm_pixels))
+        inputs.append(number_input(given, BLUR, "sensor", "blur", u.psf_fwhm_pixels))
     stated = u.collected_reflectance
     if stated is not None and not light:  # what the image's reflectance is off by
         form = SpectralForm(correlation_nm=stated.correlation_nm)
@@ -203,8 +203,8 @@ def _of_sensor(given: Given) -> list[Input]:
             ("compensation (offset)", "sensor.offset", stated.absolute),
         ):
             if sd > 0:
-                found.append(spectral_input(given, name, "sensor", path, sd, form))
-    return found
+                inputs.append(spectral_input(given, name, "sensor", path, sd, form))
+    return inputs
 
 
 def _sampled(item: SampledStatistics, given: Given) -> list[Input]:
@@ -222,12 +222,12 @@ def _sampled(item: SampledStatistics, given: Given) -> list[Input]:
             f"uncertainty: sampled_statistics of {subject!r}: its source does not say how many samples",
             mend="give effective_n",
         )
-    found = []
+    inputs = []
     covariance, words = surface.covariance, f"sampling of {n:.4g} independent samples"
     if item.mean:
         rows = covariance_directions(covariance / n)
         if rows.shape[0]:
-            found.append(_mean_input(given, f"sampled mean of {subject}", "sampling", subject, rows, words))
+            inputs.append(_mean_input(given, f"sampled mean of {subject}", "sampling", subject, rows, words))
     # The variance of any one score: s^2 of n - 1 degrees of freedom, log-normal with half of it on its root.
     path = f"surfaces.[{subject}].spread"
     at = input_path(given, path)
@@ -236,7 +236,7 @@ def _sampled(item: SampledStatistics, given: Given) -> list[Input]:
         np.array([[np.sqrt(0.5 / (n - 1.0))]]), at.to, "log-normal", words,
         draws=lambda rng: Departure(statistics={subject: drawn_covariance(covariance, n, rng)}),
     )  # fmt: skip
-    return [*found, spread]
+    return [*inputs, spread]
 
 
 def drawn_covariance(covariance: Array, n: float, rng: np.random.Generator) -> StatisticsDeparture:

@@ -16,18 +16,18 @@ from hyperval.prediction.background import Ground, Settings, ground_of, with_cla
 from hyperval.prediction.batch import Batch, Points
 from hyperval.prediction.departure import (
     Departure,
-    departed_axis,
-    departed_noise,
-    departed_scenario,
-    departed_surfaces,
-    departed_terms,
     keeps_surfaces,
+    true_axis,
+    true_noise,
+    true_scenario,
+    true_surfaces,
+    true_terms,
 )
 from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills, stacked_fills
 from hyperval.prediction.inputs import Resolve, class_tail
 from hyperval.prediction.setup import Setup, instrument, setup_of, with_sensor_blur
 from hyperval.prediction.stacks import stacked, stacked_noise
-from hyperval.prediction.terms import remembered
+from hyperval.prediction.terms import terms_in_memory
 from hyperval.prediction.view import View
 from hyperval.scenario import Scenario
 from hyperval.scene.statistics import ClassStatistics
@@ -63,11 +63,11 @@ class Origins:
         UsageError, InputError : a scenario that contradicts itself, a file that is missing or corrupt.
         """
         find, measured = self.find(scenario), self.measured or {}
-        there = departed_scenario(scenario, truth)
+        there = true_scenario(scenario, truth)
         used = instrument(there, self.axis, next((s.axis for s in measured.values()), None), find, self.sensor)
-        used = replace(used, true_axis=departed_axis(used.true_axis, truth))
+        used = replace(used, true_axis=true_axis(used.true_axis, truth))
         setup = setup_of(with_sensor_blur(there, used.sensor), used, measured, find)
-        return replace(setup, surfaces=departed_surfaces(setup.scenario, setup.surfaces, truth))
+        return replace(setup, surfaces=true_surfaces(setup.scenario, setup.surfaces, truth))
 
     def terms(self, setup: Setup, state: AtmosphericState) -> AtmosphericTerms:
         """Terms of a state of the atmosphere on the true bands.
@@ -82,7 +82,7 @@ class Origins:
         if state.engine == "table":  # a file of the scenario, read again when it changes
             return atmospheric_terms(state, resolve=self.find(setup.scenario)).at_bands(true)
         call = atmospheric_terms
-        return remembered(call, state, true, cache_dir=self.cache_dir, show_progress=self.show_progress)
+        return terms_in_memory(call, state, true, cache_dir=self.cache_dir, show_progress=self.show_progress)
 
     def whole_terms(self, scenario: Scenario, state: AtmosphericState) -> AtmosphericTerms:
         """The same on the engine's own sampling."""
@@ -122,9 +122,9 @@ def case_of(scenario: Scenario, origins: Origins, truth: Departure, like: Case |
         state = setup.scenario.atmosphere
         terms = origins.terms(setup, state) if state is not None else None
     else:
-        there, before = with_sensor_blur(departed_scenario(scenario, truth), like.setup.used.sensor), like.setup
+        there, before = with_sensor_blur(true_scenario(scenario, truth), like.setup.used.sensor), like.setup
         alone = keeps_surfaces(truth) and like.terms is not None
-        surfaces = before.surfaces if alone else departed_surfaces(there, before.surfaces, truth)
+        surfaces = before.surfaces if alone else true_surfaces(there, before.surfaces, truth)
         setup = replace(before, scenario=there, surfaces=surfaces)
         state, terms = there.atmosphere, like.terms
         if state is not None and state != before.scenario.atmosphere:
@@ -136,9 +136,9 @@ def stepped(case: Case, origins: Origins, truth: Departure, d: Departure) -> Cas
     """A case whose light and sensor depart further, by ``d``; ``truth`` is how it departs already."""
     terms = case.terms
     if terms is not None and (d.settings or d.solar_zenith_deg or d.solar_azimuth_deg):
-        state = departed_scenario(case.setup.scenario, d).atmosphere
+        state = true_scenario(case.setup.scenario, d).atmosphere
         assert state is not None  # noqa: S101 - there is light
-        terms = departed_terms(origins.terms(case.setup, state), truth)
+        terms = true_terms(origins.terms(case.setup, state), truth)
     return moved(replace(case, terms=terms), d)
 
 
@@ -160,8 +160,8 @@ def moved(case: Case, d: Departure) -> Case:
         retrieval = g, o
     return replace(
         case,
-        terms=None if case.terms is None else departed_terms(case.terms, d),
-        noise=departed_noise(case.noise, d),
+        terms=None if case.terms is None else true_terms(case.terms, d),
+        noise=true_noise(case.noise, d),
         surroundings=np.asarray(case.surroundings) * d.surroundings,
         retrieval=retrieval,
     )

@@ -48,17 +48,17 @@ def predicted_classification(
     UsageError : a class without spread, which a Gaussian classifier cannot take.
     """
     axis = prediction.axis
-    held = getattr(prediction, quantity)
+    spectra = getattr(prediction, quantity)
     usable = in_window(axis.centre_nm) & axis.good
     out = {}
     for chosen in sets:
-        if not all(name in held for name in chosen):
+        if not all(name in spectra for name in chosen):
             continue
         for choice in features:
             bands = feature_bands(axis.centre_nm, usable, choice.bands_nm)
             laws = []
             for name in chosen:
-                estimate = held[name]
+                estimate = spectra[name]
                 if estimate.pixel_covariance is None or not np.all(np.diag(estimate.pixel_covariance)[bands] > 0):
                     raise UsageError(f"classification: the prediction of {name!r} has no spread in some band")
                 known = prediction.distribution.get(name)

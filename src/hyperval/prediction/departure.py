@@ -152,7 +152,7 @@ def _both(name: str, a: StatisticsDeparture, b: StatisticsDeparture) -> Statisti
     return StatisticsDeparture(a.mean + b.mean, a.factor * b.factor, covariance, tail)
 
 
-def departed_scenario(scenario: Scenario, departure: Departure) -> Scenario:
+def true_scenario(scenario: Scenario, departure: Departure) -> Scenario:
     """The scenario with the settings and fills of the truth.
 
     Raises
@@ -219,8 +219,8 @@ def _with_fills(scenario: Scenario, offsets: Mapping[str, float]) -> Scenario:
         for s in t.subjects:
             change = own + (offsets.get(s.name, 0.0) if s.name != t.name else 0.0)
             left.discard(s.name)
-            subjects.append(s.model_copy(update={"fill": departed_fill(s.fill, change)}))
-        fill = departed_fill(t.fill, own) if t.fill is not None else None
+            subjects.append(s.model_copy(update={"fill": true_fill(s.fill, change)}))
+        fill = true_fill(t.fill, own) if t.fill is not None else None
         targets.append(t.model_copy(update={"fill": fill, "subjects": subjects}))
     if left:
         known = [t.name for t in scenario.scene.targets]
@@ -230,7 +230,7 @@ def _with_fills(scenario: Scenario, offsets: Mapping[str, float]) -> Scenario:
     return scenario.model_copy(update={"scene": scene})
 
 
-def departed_fill(fill: Fill, offset: float) -> Fill:
+def true_fill(fill: Fill, offset: float) -> Fill:
     """The fill with another mean, at most 1 and at least 0.
 
     Where the geometry gives the fill, the sides of the target are scaled by the root of new over old mean: its
@@ -252,7 +252,7 @@ def departed_fill(fill: Fill, offset: float) -> Fill:
     return fill.model_copy(update={"geometry": Geometry.model_validate(g.model_dump() | sides)})
 
 
-def departed_axis(axis: SpectralAxis, departure: Departure) -> SpectralAxis:
+def true_axis(axis: SpectralAxis, departure: Departure) -> SpectralAxis:
     """Where the bands truly stand; the same object where nothing is shifted."""
     shift = np.asarray(departure.wavelength_shift_nm, dtype=float)
     if not np.any(shift):
@@ -260,7 +260,7 @@ def departed_axis(axis: SpectralAxis, departure: Departure) -> SpectralAxis:
     return SpectralAxis(axis.centre_nm + shift, axis.fwhm_nm, axis.good)
 
 
-def departed_surfaces(
+def true_surfaces(
     scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], departure: Departure
 ) -> dict[str, SurfaceStatistics]:
     """The surfaces as they truly are.
@@ -294,7 +294,7 @@ def departed_surfaces(
     return out
 
 
-def departed_terms(terms: AtmosphericTerms, departure: Departure) -> AtmosphericTerms:
+def true_terms(terms: AtmosphericTerms, departure: Departure) -> AtmosphericTerms:
     """Terms of (3.7) on the bands, such that they give the recorded radiance.
 
     L' = g [p e L_a + q e (A rho + B rho_ave) / (1 - S rho_ave)] + o with the factors p of the path, q of the
@@ -312,7 +312,7 @@ def departed_terms(terms: AtmosphericTerms, departure: Departure) -> Atmospheric
     )
 
 
-def departed_noise(noise: NoiseModel | None, departure: Departure) -> NoiseModel | None:
+def true_noise(noise: NoiseModel | None, departure: Departure) -> NoiseModel | None:
     """The noise of the recorded radiance (3.13)-(3.19)."""
     if noise is None:
         return None

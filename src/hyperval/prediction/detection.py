@@ -47,10 +47,10 @@ def detect(batch: Batch, *, object_curves: bool = True, points: Sequence[int] = 
     UsageError : no filter, as the background can not be inverted.
     """
     processing = batch.scenario.processing
-    found = [Detection() for _ in points]
+    by_point = [Detection() for _ in points]
     notes: list[list[str]] = [[] for _ in points]
     if not batch.targets or not processing.detectors:
-        return found
+        return by_point
     for error in batch.problems.values():
         raise error
     grid = processing.false_alarm_grid
@@ -60,11 +60,11 @@ def detect(batch: Batch, *, object_curves: bool = True, points: Sequence[int] = 
             populations = [p.name for p in target.populations]
             if name in LINEAR_DETECTORS:
                 for population in populations:
-                    _add_linear(batch, found, points, target.name, population, name, pfa, object_curves)
+                    _add_linear(batch, by_point, points, target.name, population, name, pfa, object_curves)
                 continue
             drawn = [ace_scores(batch, population, pfa, object_curves) for population in populations]
             for population, scores in zip(populations, drawn, strict=True):
-                _add_numerical(found, points, population, name, pfa, scores)
+                _add_numerical(by_point, points, population, name, pfa, scores)
             for note, point in zip(notes, points, strict=True):
                 worst = max(s.error[point] for s in drawn)
                 note.append(
@@ -72,12 +72,13 @@ def detect(batch: Batch, *, object_curves: bool = True, points: Sequence[int] = 
                     f"{worst:.2g}, of P_FA at {pfa[0]:.1g} {100 * drawn[0].alarm_error[point]:.2g} %"
                 )
     return [
-        Detection(d.scores, d.roc, d.exceedance, {}, tuple(n), d.curves) for d, n in zip(found, notes, strict=True)
+        Detection(d.scores, d.roc, d.exceedance, {}, tuple(n), d.curves)
+        for d, n in zip(by_point, notes, strict=True)
     ]
 
 
 def _add_linear(
-    batch: Batch, found: Sequence[Detection], points: Sequence[int], target: str, population: str, name: str,
+    batch: Batch, by_point: Sequence[Detection], points: Sequence[int], target: str, population: str, name: str,
     pfa: Array, object_curves: bool,
 ) -> None:  # fmt: skip
     scores = batch.scores(population, name)
@@ -88,7 +89,7 @@ def _add_linear(
         objects = batch.object_scores(population, name)
         alone = objects.objects is None and objects.means.shape == scores.means.shape
         by_unit["object"] = pd if alone else objects.detection_above(threshold)
-    for into, point in zip(found, points, strict=True):
+    for into, point in zip(by_point, points, strict=True):
         one = scores.rows(np.array([point]))
         preset = one.preset(threshold[point][None])[0]
         into.exceedance[target, name] = ExceedanceCurve(threshold[point][::-1], *(pfa[::-1],) * 3)
@@ -101,9 +102,14 @@ def _add_linear(
 
 
 def _add_numerical(
-    found: Sequence[Detection], points: Sequence[int], population: str, name: str, pfa: Array, scores: AceScores
+    by_point: Sequence[Detection],
+    points: Sequence[int],
+    population: str,
+    name: str,
+    pfa: Array,
+    scores: AceScores,
 ) -> None:
-    for into, point in zip(found, points, strict=True):
+    for into, point in zip(by_point, points, strict=True):
         into.scores[population, name] = scores.target[point]
         into.scores[background_of(population), name] = scores.background[point]
         for unit, curve in scores.detection.items():

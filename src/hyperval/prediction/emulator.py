@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.atmosphere.interpolation import InterpolatedTerms, interpolated_terms
-from hyperval.prediction.departure import departed_scenario
+from hyperval.prediction.departure import true_scenario
 from hyperval.prediction.input import Input
 from hyperval.prediction.input_paths import state_value
 from hyperval.scenario import Scenario
@@ -84,7 +84,7 @@ def emulator(scenario: Scenario, inputs: Sequence[Input], engine: Engine, axis: 
         assert scenario.atmosphere is not None  # noqa: S101 - inputs of the atmosphere
         values = [state_value(scenario.atmosphere, name)]
         for z in (-_NODE, _NODE):
-            there = departed_scenario(scenario, item.moved(z))
+            there = true_scenario(scenario, item.moved(z))
             assert there.atmosphere is not None  # noqa: S101
             value = _beside(name, values[0], state_value(there.atmosphere, name))
             # A node at the end of the range may be the stated value.
@@ -96,12 +96,12 @@ def emulator(scenario: Scenario, inputs: Sequence[Input], engine: Engine, axis: 
             moving.append(item)
     if not axes:
         return Emulator(None, stated, 1, (0.0, 0.0))
-    found = Emulator(interpolated_terms(axes, runs, star=True, bounded=False), stated, len(runs) + 1, (0.0, 0.0))
+    fast = Emulator(interpolated_terms(axes, runs, star=True, bounded=False), stated, len(runs) + 1, (0.0, 0.0))
     off = scenario
     for item in moving:
-        off = departed_scenario(off, item.moved(1.0))
+        off = true_scenario(off, item.moved(1.0))
     assert off.atmosphere is not None  # noqa: S101
-    return replace(found, error=_error(found(off.atmosphere), run(off)))
+    return replace(fast, error=_error(fast(off.atmosphere), run(off)))
 
 
 def _error(guess: AtmosphericTerms, truth: AtmosphericTerms) -> tuple[float, float]:

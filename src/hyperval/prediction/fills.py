@@ -35,10 +35,10 @@ def fill_distribution(fill: Fill) -> FillDistribution:
 @lru_cache(maxsize=256)
 def _of_geometry(geometry: TargetGeometry, n: int) -> FillDistribution:
     """For one geometry, however often it is asked for; not to be written to."""
-    found = ranked_pixel_fill(geometry, n).binned()
-    for part in (found.values, found.weights):
+    fill = ranked_pixel_fill(geometry, n).binned()
+    for part in (fill.values, fill.weights):
         part.setflags(write=False)
-    return found
+    return fill
 
 
 def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:

@@ -114,9 +114,9 @@ def _groups(form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None) -> li
         if not arms:
             raise UsageError("uncertainty: correlation: arms needs a sensor with arms", mend="use groups")
         ranges = [arm.range_nm for arm in arms]
-    found, taken = [], np.zeros(w.shape, bool)
+    groups, taken = [], np.zeros(w.shape, bool)
     for low, high in ranges:
         here = (w >= low) & (w <= high) & ~taken
         taken |= here
-        found.append(here)
-    return [*found, ~taken] if not taken.all() else found  # bands beside all groups share one error
+        groups.append(here)
+    return [*groups, ~taken] if not taken.all() else groups  # bands beside all groups share one error

@@ -94,7 +94,7 @@ class Evaluations:
     def _responses(self, target: str, detector: str, holds: str) -> list[Response]:
         batch, number = self.batch, self.number(holds)
         points = self.points if target == holds else self.points[:1]
-        found: dict[int, Response] = {}
+        responses: dict[int, Response] = {}
         for g in batch.groups:
             here = points[np.isin(batch.points.setting[points], g.numbers)]
             if not here.size:
@@ -103,10 +103,10 @@ class Evaluations:
             gain = batch.points.of(batch.points.gain, number)[here]
             variance = r.variances(gain, rows)
             for i, point in enumerate(here.tolist()):
-                found[point] = Response(
+                responses[point] = Response(
                     CubicSpline(FILL_NODES, r.means[rows[i]]), CubicSpline(FILL_NODES, variance[i])
                 )
-        return [found[p] for p in points.tolist()]
+        return [responses[p] for p in points.tolist()]
 
 
 @dataclass(frozen=True)
@@ -183,26 +183,26 @@ def predicted_object_scores(
     thesis, seed = batch.scenario.formulation == "thesis", batch.scenario.processing.seed
     linear = [d for d in batch.scenario.processing.detectors if d in LINEAR_DETECTORS]
     dof = np.broadcast_to(batch.points.dof, (len(batch), len(batch.class_names)))[points[0]]
-    found: dict[Key, ObjectScores] = {}
+    out: dict[Key, ObjectScores] = {}
     for target in batch.targets:
         tail = float(dof[batch.class_names.index(target.host)])
         for population in target.populations:
             beside = [] if thesis else neighbours_of(target, population, batch.targets)
-            asked = _Objects(
+            wanted = _Objects(
                 population, tuple(s for _, s in beside), uncertainty.psf_fwhm_pixels or 0.0, uncertainty.position_m,
                 COLUMNS if drawn.rows > 1 else draws or ROWS * COLUMNS, thesis, None if np.isinf(tail) else tail,
                 len(linear), seed,
             )  # fmt: skip
             again = draws is not None and drawn.rows == 1
-            numbers = _certain_numbers(asked) if again else _numbers(asked, drawn.blur)
+            numbers = _certain_numbers(wanted) if again else _numbers(wanted, drawn.blur)
             fills, others = numbers.fills, numbers.others
             for name, more in zip(linear, numbers.more, strict=True):
                 mean, sd = _pixel_scores(here, target.name, [t.name for t, _ in beside], name, drawn, fills, others)
                 host_sd = float(here.responses(target.name, name, target.name)[0].at(0.0)[1])
                 host = (1.0 - fills - others.sum(axis=-1)) * host_sd
                 scores = _with_tails(mean, sd, host, numbers.noise, numbers.tails, more)
-                found[population.name, name] = ObjectScores(scores.max(axis=2))
-    return found
+                out[population.name, name] = ObjectScores(scores.max(axis=2))
+    return out
 
 
 @dataclass(frozen=True)
@@ -235,21 +235,21 @@ class _Numbers:
     more: tuple[Array | None, ...]
 
 
-def _numbers(asked: _Objects, blur: Array) -> _Numbers:
-    rng = np.random.default_rng([asked.seed, 11, zlib.crc32(asked.population.name.encode())])
-    fills, others = _drawn_fills(asked, blur, rng)
+def _numbers(objects: _Objects, blur: Array) -> _Numbers:
+    rng = np.random.default_rng([objects.seed, 11, zlib.crc32(objects.population.name.encode())])
+    fills, others = _drawn_fills(objects, blur, rng)
     noise = rng.standard_normal(fills.shape)
     # What turns normal departures of the host into those of a t of the same variance.
-    dof = asked.dof
+    dof = objects.dof
     tails = None if dof is None else np.asarray(np.sqrt((dof - 2.0) / rng.chisquare(dof, fills.shape)))
-    more = [None if tails is None else rng.standard_normal(fills.shape) for _ in range(asked.detectors)]
+    more = [None if tails is None else rng.standard_normal(fills.shape) for _ in range(objects.detectors)]
     return _Numbers(fills, others, noise, tails, tuple(more))
 
 
 @lru_cache(maxsize=64)  # populations; those of few draws, some 0.1 to 1 MB each
-def _certain_numbers(asked: _Objects) -> _Numbers:
+def _certain_numbers(objects: _Objects) -> _Numbers:
     """The same numbers each time that a population is asked for with all inputs certain."""
-    return _numbers(asked, np.zeros(1))
+    return _numbers(objects, np.zeros(1))
 
 
 def neighbours_of(
@@ -271,10 +271,10 @@ def neighbours_of(
     return out
 
 
-def _drawn_fills(asked: _Objects, blur: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def _drawn_fills(objects: _Objects, blur: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """(S, R, n) fills of an object's pixels and (S, R, n, J) those by its neighbours."""
-    population, beside, thesis = asked.population, asked.beside, asked.thesis
-    shape = (blur.size, asked.columns)
+    population, beside, thesis = objects.population, objects.beside, objects.thesis
+    shape = (blur.size, objects.columns)
     geometry = population.fill.geometry
     if thesis or geometry is None:
         fill = moments(population, thesis) if thesis else fill_distribution(population.fill)
@@ -284,18 +284,18 @@ def _drawn_fills(asked: _Objects, blur: Array, rng: np.random.Generator) -> tupl
     own, others = np.empty((*shape, n)), np.zeros((*shape, n, len(beside)))
     for width in np.unique(blur):
         rows = np.flatnonzero(blur == width)
-        change = width * asked.psf_fwhm_pixels
+        change = width * objects.psf_fwhm_pixels
         if population.position_m is None:
             fills = fills_of_objects(population.fill, change)
             beside_fills = np.zeros((*fills.shape, 0))
         else:
             placed = [placed_beside(population, subject, change) for subject in beside]
             shifts = None
-            if asked.position_m is not None:
+            if objects.position_m is not None:
                 count = PHASES if geometry.phase == "random" else 1
-                shifts = rng.normal(0.0, asked.position_m / geometry.gsd_m, (count, len(placed), 2))
+                shifts = rng.normal(0.0, objects.position_m / geometry.gsd_m, (count, len(placed), 2))
             fills, beside_fills = shared_pixel_fills(geometry_of(population.fill, change), n, placed, shifts)
-        chosen = rng.integers(len(fills), size=(rows.size, asked.columns))
+        chosen = rng.integers(len(fills), size=(rows.size, objects.columns))
         own[rows], others[rows] = fills[chosen], beside_fills[chosen]
     return own, others
 

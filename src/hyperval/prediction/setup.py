@@ -104,14 +104,14 @@ def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
         return scenario
     blur = sensor.specification.psf.fwhm
 
-    def filled(fill: Fill | None) -> Fill | None:
+    def with_blur(fill: Fill | None) -> Fill | None:
         if fill is None or fill.geometry is None or fill.geometry.psf_fwhm_pixels is not None:
             return fill
         return fill.model_copy(update={"geometry": fill.geometry.model_copy(update={"psf_fwhm_pixels": blur})})
 
     def target(t: Target) -> Target:
-        subjects = [s.model_copy(update={"fill": filled(s.fill)}) for s in t.subjects]
-        return t.model_copy(update={"fill": filled(t.fill), "subjects": subjects})
+        subjects = [s.model_copy(update={"fill": with_blur(s.fill)}) for s in t.subjects]
+        return t.model_copy(update={"fill": with_blur(t.fill), "subjects": subjects})
 
     scene = scenario.scene.model_copy(update={"targets": [target(t) for t in scenario.scene.targets]})
     return scenario.model_copy(update={"scene": scene})

@@ -18,7 +18,7 @@ _ENVIRONMENT = (
 )  # fmt: skip
 
 
-def remembered(
+def terms_in_memory(
     engine: Callable[..., AtmosphericTerms],
     state: AtmosphericState,
     axis: SpectralAxis,
@@ -34,11 +34,11 @@ def remembered(
         engine, state.model_dump_json(), str(cache_dir), *(os.environ.get(name) for name in _ENVIRONMENT),
         axis.centre_nm.tobytes(), axis.fwhm_nm.tobytes(),
     )  # fmt: skip
-    found = _KEPT.get(key)
-    if found is None:
-        found = engine(state, cache_dir=cache_dir, show_progress=show_progress).at_bands(axis)
-        _KEPT[key] = found
+    terms = _KEPT.get(key)
+    if terms is None:
+        terms = engine(state, cache_dir=cache_dir, show_progress=show_progress).at_bands(axis)
+        _KEPT[key] = terms
         if len(_KEPT) > _MOST:
             _KEPT.popitem(last=False)
     _KEPT.move_to_end(key)
-    return found
+    return terms

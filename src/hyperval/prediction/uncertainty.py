@@ -100,8 +100,8 @@ def moved_predictions(
 ) -> list[Moved]:  # fmt: skip
     """Predictions for every input that changes surfaces, fills or bands; ``again`` predicts departed truths."""
     of = [(i, k) for i in inputs if not keeps_surfaces(i.moved(1.0)) for k in range(min(i.size, most))]
-    found = iter(again([item.direction(k, z) for item, k in of for z in (1.0, -1.0)]))
-    return [Moved(item.name, next(found), next(found)) for item, _ in of]
+    predictions = iter(again([item.direction(k, z) for item, k in of for z in (1.0, -1.0)]))
+    return [Moved(item.name, next(predictions), next(predictions)) for item, _ in of]
 
 
 def with_moves(estimates: dict[str, SpectralEstimate], product: str, moves: Sequence[Moved]) -> None:
@@ -229,9 +229,9 @@ def _with_limits(curve: RocCurve, changes: Sequence[Change]) -> RocCurve:
 @lru_cache(maxsize=8)
 def _normal_draws(directions: int) -> Array:
     """(N, directions) standard normal numbers, evenly spread (Sobol, scrambled), the same for all curves."""
-    found = np.asarray(ndtri(qmc.Sobol(directions, seed=12).random(_CURVES)))
-    found.setflags(write=False)
-    return found
+    draws = np.asarray(ndtri(qmc.Sobol(directions, seed=12).random(_CURVES)))
+    draws.setflags(write=False)
+    return draws
 
 
 def probit(p: Array) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.prediction.departure import Departure, departed_scenario
+from hyperval.prediction.departure import Departure, true_scenario
 from hyperval.prediction.fills import fills_of_objects
 from hyperval.prediction.inputs import Sources, correlation, cut
 from hyperval.processing.filters import PositiveDefinite
@@ -87,18 +87,18 @@ def predicted_areas(
     if scenario.atmosphere is not None:
         return {}
     truth = departure or Departure()
-    scenario = departed_scenario(scenario, truth)
+    scenario = true_scenario(scenario, truth)
     index = np.flatnonzero(bands)
     noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
     populations = {(t.name, p.name): (t, p) for t in scenario.scene.targets for p in t.populations}
     out = {}
     for number, item in enumerate(subjects):
-        found = populations.get((item.scenario_target, item.population))
-        if found is None:
+        population = populations.get((item.scenario_target, item.population))
+        if population is None:
             continue
         rng = np.random.default_rng([seed, number])
-        other = np.broadcast_to(truth.spectra.get(found[0].name, 0.0), item.spectrum.shape)
-        pixels, endmembers = _objects(*found, item, prediction, sources, index, draws, rng, other)
+        other = np.broadcast_to(truth.spectra.get(population[0].name, 0.0), item.spectrum.shape)
+        pixels, endmembers = _objects(*population, item, prediction, sources, index, draws, rng, other)
         for method, factor in noise.items():
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
             area = abundance.sum(axis=1) * pixel_area_m2

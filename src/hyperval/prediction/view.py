@@ -183,8 +183,8 @@ class View:
         level = self.level(c.means)
         variance = c.gains * c.variances * self.slope() ** 2 + self.noise_variance(level)
         variance = variance + c.gains * self.adjacency_weight() * c.around * self.adjacency_slope(c.means) ** 2
-        found = darkest_level(c.fractions[..., 0], level, np.sqrt(variance), self.elm.darkest_pixel)
-        return found[..., None, :] if self.average.ndim == 3 else found
+        dark = darkest_level(c.fractions[..., 0], level, np.sqrt(variance), self.elm.darkest_pixel)
+        return dark[..., None, :] if self.average.ndim == 3 else dark
 
     def line(self) -> TwoPanelLine:
         """The empirical line (before 3.21); gain 1 and offset 0 where detection runs on the signal itself.

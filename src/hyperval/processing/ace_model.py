@@ -126,9 +126,9 @@ def ace_exceedance(
 def ace_threshold(pfa: npt.ArrayLike, fractions: Sequence[float], classes: Sequence[Exceedance]) -> Array:
     """Scores at which the background gives ``pfa`` (inverse of 3.33): log P_FA is linear in atanh of the cosine."""
     total = np.asarray(sum(f * c.probability for f, c in zip(fractions, classes, strict=True)))
-    held = total > 0
-    position = np.arctanh(np.sqrt(classes[0].scores[held]))
-    log_p = np.minimum.accumulate(np.log(total[held]))
+    used = total > 0
+    position = np.arctanh(np.sqrt(classes[0].scores[used]))
+    log_p = np.minimum.accumulate(np.log(total[used]))
     at = np.interp(-np.log(np.asarray(pfa, dtype=float)), -log_p, position)
     return np.asarray(np.tanh(at) ** 2)
 

@@ -138,10 +138,10 @@ class AlarmBlocks:
         where no score bounds it from above, s is n + 1 where none does from below.
         """
         k, lower, upper = self._limits
-        held = (lower[:, None] <= pfa) & (pfa <= upper[:, None])
-        first = np.argmax(held, axis=0)
-        last = k.size - 1 - np.argmax(held[::-1], axis=0)
-        none = ~held.any(axis=0)
+        inside = (lower[:, None] <= pfa) & (pfa <= upper[:, None])
+        first = np.argmax(inside, axis=0)
+        last = k.size - 1 - np.argmax(inside[::-1], axis=0)
+        none = ~inside.any(axis=0)
         r = np.where(none, self.scores.size, np.where(first == 0, 0, k[first - 1] + 1))
         s = np.where(
             none, 0, np.where(last == k.size - 1, self.scores.size + 1, k[np.minimum(last + 1, k.size - 1)])

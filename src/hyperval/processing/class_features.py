@@ -23,19 +23,19 @@ def feature_bands(
     ------
     UsageError : no usable band, or two wavelengths that share the nearest one.
     """
-    held = np.flatnonzero(usable)
-    if held.size == 0:
+    indices = np.flatnonzero(usable)
+    if indices.size == 0:
         raise UsageError("no usable band for classification")
     if not wavelengths_nm:
-        return held
-    nearest = held[np.abs(centre_nm[held][None, :] - np.asarray(wavelengths_nm)[:, None]).argmin(axis=1)]
-    found, count = np.unique(nearest, return_counts=True)
+        return indices
+    nearest = indices[np.abs(centre_nm[indices][None, :] - np.asarray(wavelengths_nm)[:, None]).argmin(axis=1)]
+    bands, count = np.unique(nearest, return_counts=True)
     if np.any(count > 1):
         raise UsageError(
-            f"two wavelengths share the band at {centre_nm[found[count > 1][0]]:g} nm",
+            f"two wavelengths share the band at {centre_nm[bands[count > 1][0]]:g} nm",
             where="classification.features.bands_nm",
         )
-    return found
+    return bands
 
 
 def class_features(laws: Sequence[ClassLaw], components: int | None) -> Array:

@@ -180,17 +180,17 @@ def sampling_band(
     size = directions.values.size
     full = full_rank(independent, size)
     with single_blas_thread():
-        found = [
+        sampled = [
             statistics_of_covariance(
                 directions, drawn_covariance(size, independent, rng, kurtosis), count, spaces, full_rank=full
             )
             for _ in range(draws)
         ]
     return SamplingBand(
-        np.stack([f.eigenvalues for f in found]),
-        np.array([f.total for f in found]),
-        np.array([f.distance for f in found]),
-        np.stack([f.angles_deg for f in found]),
+        np.stack([f.eigenvalues for f in sampled]),
+        np.array([f.total for f in sampled]),
+        np.array([f.distance for f in sampled]),
+        np.stack([f.angles_deg for f in sampled]),
     )
 
 

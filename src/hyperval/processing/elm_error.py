@@ -85,7 +85,7 @@ def line_error(
     fit : the way from panels to the line
     panels, errors : in the same order
     """
-    found = line or fit(panels)
+    fit_line = line or fit(panels)
     by_reflectance, by_radiance, steps = [], [], []
     for i, p in enumerate(panels):
         h, g = _STEP * np.maximum(p.reflectance, 0.01), _STEP * np.maximum(np.abs(p.radiance), 1e-12)
@@ -103,7 +103,7 @@ def line_error(
             )
         )
     return LineError(
-        found, tuple(by_reflectance), tuple(by_radiance), np.array(steps), tuple(errors), fit, tuple(panels)
+        fit_line, tuple(by_reflectance), tuple(by_radiance), np.array(steps), tuple(errors), fit, tuple(panels)
     )
 
 

@@ -110,7 +110,7 @@ def measured_error(
     return with_distances(ClassificationError(error, float(lower), float(upper), n, effective), laws)
 
 
-def with_distances(found: ClassificationError, laws: Sequence[ClassLaw]) -> ClassificationError:
+def with_distances(error: ClassificationError, laws: Sequence[ClassLaw]) -> ClassificationError:
     """The same with the least distance of two classes, and estimate and bounds of the best error from distances.
 
     Of M equally likely classes a pair makes up 2/M: the estimate is the sum of (2/M) Phi(-sqrt(2 B)) over pairs
@@ -123,11 +123,11 @@ def with_distances(found: ClassificationError, laws: Sequence[ClassLaw]) -> Clas
     part = 2.0 / len(laws)
     each = [classification_error(distance) for distance in pairs]
     return ClassificationError(
-        found.error,
-        found.lower,
-        found.upper,
-        found.n,
-        found.effective_n,
+        error.error,
+        error.lower,
+        error.upper,
+        error.n,
+        error.effective_n,
         min(pairs),
         part * sum(estimate for estimate, _, _ in each),
         part * max(low for _, low, _ in each),

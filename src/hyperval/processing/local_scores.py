@@ -34,7 +34,7 @@ LOCAL_DETECTORS = ("cem", "matched-filter", "smf", "ace", "rx", "cem-correlation
 # Fewer pixels make no mean to speak of; the global one stands in.
 LEAST_PIXELS = 10
 # Values that are held for the lines of a window.
-_HELD_VALUES = 4_000_000
+_VALUES_AT_ONCE = 4_000_000
 _LINES_AT_ONCE = 8
 
 
@@ -109,7 +109,7 @@ def score_cube_locally(
     rows = whitener.matrix * slope
     constant = whitener.matrix @ (level - whitener.mean)
     around = window.outer // 2
-    width = max(16, _HELD_VALUES // (window.outer * (slope.size + 1)) - 2 * around)
+    width = max(16, _VALUES_AT_ONCE // (window.outer * (slope.size + 1)) - 2 * around)
     stretches, workspace = runs(used), Workspace()
     maps = {name: np.full((cube.lines, cube.samples), np.nan) for name in detectors}
     kinds = [name for name, _ in detectors.values()]
@@ -143,10 +143,10 @@ def score_cube_locally(
                 last = bottom - 1 if batch + k == bottom - 1 else batch + k - around
                 for line in range(max(first, batch + k - around), min(end, last + 1)):
                     middle, known, mean, number = means.at(line)
-                    found = _scores(kinds, middle[:, inner], mean[:, inner], targets, origin)
+                    scores = _scores(kinds, middle[:, inner], mean[:, inner], targets, origin)
                     known = known[inner]
                     lonely += int(np.count_nonzero((number[inner] < LEAST_PIXELS) & known))
-                    for name, score in zip(detectors, found, strict=True):
+                    for name, score in zip(detectors, scores, strict=True):
                         maps[name][line, start:stop] = np.where(known & np.isfinite(score), score, np.nan)
         return lonely
 
@@ -171,7 +171,7 @@ class _MovingMeans:
         self._known = np.zeros((window.outer, samples), bool)
         self._weight = np.zeros((window.outer, samples))
         self._sums = {side: np.zeros((rows, samples)) for side in (window.outer, window.inner)}
-        self._held = {side: range(0) for side in (window.outer, window.inner)}
+        self._lines = {side: range(0) for side in (window.outer, window.inner)}
         self._first = self._next = -1
 
     def add(self, line: int, y: Array, known: Mask, counted: Mask) -> None:
@@ -179,8 +179,8 @@ class _MovingMeans:
         if self._first < 0:
             self._first = line
         dropped = line - self._window.outer
-        if dropped in self._held[self._window.outer]:  # its place is needed
-            self._move(self._window.outer, range(dropped + 1, self._held[self._window.outer].stop))
+        if dropped in self._lines[self._window.outer]:  # its place is needed
+            self._move(self._window.outer, range(dropped + 1, self._lines[self._window.outer].stop))
         at = line % self._window.outer
         self._ring[at], self._known[at], self._weight[at] = y, known, counted
         self._next = line + 1
@@ -200,16 +200,16 @@ class _MovingMeans:
 
     def _move(self, side: int, lines: range) -> None:
         """Make the sum of a square that of ``lines``."""
-        held, total = self._held[side], self._sums[side]
-        for line in held:
+        window, total = self._lines[side], self._sums[side]
+        for line in window:
             if line not in lines:
                 total -= self._weighted(line)
         for line in lines:
-            if line not in held:
+            if line not in window:
                 total += self._weighted(line)
         if not lines:
             total[:] = 0.0
-        self._held[side] = lines
+        self._lines[side] = lines
 
     def _weighted(self, line: int) -> Array:
         at = line % self._window.outer

@@ -72,12 +72,12 @@ def independent_pixels(
     shares : (2R + 1, 2R + 1) share of the region's pixels whose neighbour at each lag belongs to it
     reach : R [pixels]
     """
-    found = lag_correlation(windows, reach)
+    correlation = lag_correlation(windows, reach)
     steps = np.arange(-reach, reach + 1)
     ring = np.rint(np.hypot(steps[:, None], steps[None, :])).astype(int).ravel()
-    pairs, share = found.pairs.ravel(), shares.ravel()
+    pairs, share = correlation.pairs.ravel(), shares.ravel()
     for_mean, for_variance = [], []
-    for rho in found.value.reshape(found.value.shape[0], -1):
+    for rho in correlation.value.reshape(correlation.value.shape[0], -1):
         total = squares = summed = 0.0
         for r in range(reach + 1):
             here = ring == r
@@ -108,13 +108,13 @@ def small_sample_factor(independent: npt.ArrayLike) -> Array:
     return np.asarray((stats.t.ppf(0.975, dof) / Z95) ** 2)
 
 
-def mean_error_covariance(covariance: Array, found: Components, independent: Array) -> Array:
+def mean_error_covariance(covariance: Array, components: Components, independent: Array) -> Array:
     """(B, B) error covariance of a mean: lambda_k / n_k along the leading components.
 
     The rest has the average 1/n of its mixtures; ``independent`` (K + M,) are those of :meth:`Components.scores`.
     """
-    k = found.values.size
-    v, values = found.vectors, found.values
+    k = components.values.size
+    v, values = components.vectors, components.values
     total = (v * (values / independent[:k])) @ v.T
     if independent.size > k:
         total += (covariance - (v * values) @ v.T) * float(np.mean(1.0 / independent[k:]))

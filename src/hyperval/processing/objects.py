@@ -58,7 +58,7 @@ def object_scores(
     :func:`footprint_maxima`, else noise alone looks like detection.
     """
     scores = np.asarray(score_map, dtype=float)
-    found: dict[str, float] = {}
+    greatest: dict[str, float] = {}
     for name, item in objects.items():
         if not isinstance(item, tuple) and np.shape(item) != scores.shape:
             raise UsageError(f"the mask of {name!r} has shape {np.shape(item)}, the score map {scores.shape}")
@@ -67,8 +67,8 @@ def object_scores(
             raise UsageError(f"the object {name!r} holds no pixel")
         pixels = values_on(scores, placed_with_halo(placed, halo, scores.shape))
         pixels = pixels[~np.isnan(pixels)]
-        found[name] = float(pixels.max()) if pixels.size else float("nan")
-    return found
+        greatest[name] = float(pixels.max()) if pixels.size else float("nan")
+    return greatest
 
 
 def footprint(mask: npt.NDArray[Any], halo: int = 0) -> Mask:

@@ -47,16 +47,16 @@ class OrderStatistics:
         self._bins = bins
         wanted = np.unique(np.clip(np.asarray(ranks, dtype=np.int64), 1, self.n))
         if bins == 1:
-            self._held = np.sort(scores)
-            self._before = self._held_before = np.zeros(bins + 3, np.int64)
+            self._sorted = np.sort(scores)
+            self._before = self._before_kept = np.zeros(bins + 3, np.int64)
             return
         which = bins_of(scores, self._low, self._width, bins)
         count = np.bincount(which, minlength=bins + 2)
         self._before = np.concatenate([[0], np.cumsum(count)])
         keep = np.zeros(bins + 2, bool)
         keep[self._bin_of_position(self.n - wanted)] = True
-        self._held_before = np.concatenate([[0], np.cumsum(np.where(keep, count, 0))])
-        self._held = np.sort(scores[keep.take(which)])
+        self._before_kept = np.concatenate([[0], np.cumsum(np.where(keep, count, 0))])
+        self._sorted = np.sort(scores[keep.take(which)])
 
     def _bin_of_position(self, position: Counts) -> npt.NDArray[np.intp]:
         """Bin of the score at a 0-based place in increasing order."""
@@ -68,14 +68,14 @@ class OrderStatistics:
         position = np.clip(self.n - r, 0, self.n - 1)
         if self._bins > 1:
             at = self._bin_of_position(position)
-            position = position - self._before[at] + self._held_before[at]
-        return np.where(r <= self.n, self._held[position], -np.inf)
+            position = position - self._before[at] + self._before_kept[at]
+        return np.where(r <= self.n, self._sorted[position], -np.inf)
 
     def above(self, threshold: npt.ArrayLike) -> Counts:
         """How many scores lie above a threshold that is one of the order statistics named."""
         x = np.asarray(threshold, dtype=float)
-        inside = np.searchsorted(self._held, x, side="right")
+        inside = np.searchsorted(self._sorted, x, side="right")
         if self._bins > 1:
             at = bins_of(x, self._low, self._width, self._bins)
-            inside = inside - self._held_before[at] + self._before[at]
+            inside = inside - self._before_kept[at] + self._before[at]
         return np.asarray(self.n - inside, dtype=np.int64)

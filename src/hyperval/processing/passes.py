@@ -75,11 +75,11 @@ class Workspace(local):
 
     def flat(self, name: str, size: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
         """A flat array of at least ``size``, cut to it."""
-        found = self._arrays.get(name)
-        if found is None or found.size < size or found.dtype != np.dtype(dtype):
+        array = self._arrays.get(name)
+        if array is None or array.size < size or array.dtype != np.dtype(dtype):
             least = HUGE_PAGES_FROM // np.dtype(dtype).itemsize
-            found = self._arrays[name] = np.empty(max(size, least), dtype)
-        return found[:size]
+            array = self._arrays[name] = np.empty(max(size, least), dtype)
+        return array[:size]
 
     def columns(self, name: str, like: npt.NDArray[Any], bands: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
         """An array (bands, lines, samples) with the order of memory of ``like``, an array of stored numbers."""

@@ -55,9 +55,9 @@ def rank_counts(target: Array, background: Array) -> RankCounts:
         low, width = finite[0], finite[-1] - finite[0]
         width = width if width > 1e-290 else 1.0  # any width is right, this one does not overflow
         which, bins = (bins_of(x, low, width, _BINS) for x in (background, value))
-        held = np.zeros(_BINS + 2, bool)
-        held[bins] = True
-        near = held.take(which)
+        occupied = np.zeros(_BINS + 2, bool)
+        occupied[bins] = True
+        near = occupied.take(which)
     close = background[near]
     left = np.searchsorted(value, close, side="left")
     tied = value[np.minimum(left, value.size - 1)] == close
@@ -65,8 +65,8 @@ def rank_counts(target: Array, background: Array) -> RankCounts:
     between = np.bincount(left[~tied], minlength=value.size + 1)
     # The others lie in bins without a target: all of a bin between the same two.
     count = np.bincount(which[~near], minlength=_BINS + 2)
-    filled = np.flatnonzero(count)
-    np.add.at(between, np.searchsorted(bins, filled, side="left"), count[filled])
+    cells = np.flatnonzero(count)
+    np.add.at(between, np.searchsorted(bins, cells, side="left"), count[cells])
     return RankCounts(value, targets.astype(np.int64), ties.astype(np.int64), between.astype(np.int64))
 
 

@@ -148,20 +148,20 @@ def empirical_roc(
         decades = int(np.ceil(np.log10(max(n, 10))))
         grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
         pfa = grid[grid * n * (1.0 + 1e-12) >= 1.0]
-    found = pd_at_pfa(
+    rates = pd_at_pfa(
         target_scores, background_scores, np.sort(np.asarray(pfa, dtype=float)), level=level, nan=nan, blocks=blocks
     )
     return RocCurve(
-        pfa=found.pfa,
-        pd=found.pd,
-        pd_lower=np.minimum.accumulate(found.lower[::-1])[::-1],
-        pd_upper=np.maximum.accumulate(found.upper),
-        threshold=found.threshold,
+        pfa=rates.pfa,
+        pd=rates.pd,
+        pd_lower=np.minimum.accumulate(rates.lower[::-1])[::-1],
+        pd_upper=np.maximum.accumulate(rates.upper),
+        threshold=rates.threshold,
         unit=unit,
-        n_target=found.n_target,
-        n_background=found.n_background,
+        n_target=rates.n_target,
+        n_background=rates.n_background,
         background_area_km2=background_area_km2,
-        alarms=found.alarms,
+        alarms=rates.alarms,
     )
 
 
@@ -183,8 +183,8 @@ def with_summary(
     """
     counts = counts_of(target_scores, background_scores)
     areas = areas_within(int(curve.n_background or 0))
-    found = area_estimates(counts, areas, curve.unit, draws, rng or np.random.default_rng(0), blocks)
-    return replace(curve, areas=found, at_detection=alarms_at_detection(counts))
+    estimates = area_estimates(counts, areas, curve.unit, draws, rng or np.random.default_rng(0), blocks)
+    return replace(curve, areas=estimates, at_detection=alarms_at_detection(counts))
 
 
 def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:

@@ -39,11 +39,11 @@ def detection_probability(threshold: Array, means: Array, sds: Array, weights: A
     -------
     (n, K)
     """
-    found = np.zeros(threshold.shape)
+    pd = np.zeros(threshold.shape)
     for k in range(means.shape[1]):
         z = (means[:, k, None] - threshold) / np.maximum(sds[:, k, None], SMALLEST_SD)
-        found += weights[:, k, None] * ndtr(z)  # (3.31)
-    return np.clip(found, 0.0, 1.0)
+        pd += weights[:, k, None] * ndtr(z)  # (3.31)
+    return np.clip(pd, 0.0, 1.0)
 
 
 def object_detection_probability(threshold: Array, means: Array, sds: Array) -> Array:
@@ -61,12 +61,12 @@ def object_detection_probability(threshold: Array, means: Array, sds: Array) -> 
     -------
     (n, K)
     """
-    found = np.empty(threshold.shape)
+    pd = np.empty(threshold.shape)
     spread = np.maximum(sds, SMALLEST_SD)
     for k in range(threshold.shape[1]):
         missed = log_ndtr((threshold[:, k, None, None] - means) / spread).sum(axis=2)
-        found[:, k] = -np.expm1(missed).mean(axis=1)
-    return found
+        pd[:, k] = -np.expm1(missed).mean(axis=1)
+    return pd
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,8 @@ class RocScores:
         """(n, K) thresholds at ``pfa`` (n, K) or (1, K)."""
         if pfa.shape[0] == 1:
             rows = self.classes.mean.shape[0]
-            found = _known(thresholds_at, np.broadcast_to(pfa, (rows, pfa.shape[1])), self.classes)
-            return found[self.which]
+            threshold = _known(thresholds_at, np.broadcast_to(pfa, (rows, pfa.shape[1])), self.classes)
+            return threshold[self.which]
         return _known(thresholds_at, pfa, self.classes.rows(self.which))
 
     def preset(self, thresholds: Array) -> Array:
@@ -166,7 +166,7 @@ class RocScores:
         return total
 
     def _over_class(self, mean: Array, sd: Array, dof: Array) -> Array:
-        found = np.empty(mean.shape)
+        probability = np.empty(mean.shape)
         gaussian = np.isinf(dof)
         for rows, nodes in ((np.flatnonzero(gaussian), False), (np.flatnonzero(~gaussian), True)):
             if not rows.size:
@@ -179,15 +179,15 @@ class RocScores:
                 factor, weight = np.ones((rows.size, 1)), np.ones(1)
             spread = self.sds[rows, :, None] ** 2 + (sd[rows] ** 2)[:, None, None] * factor[:, None, :]
             z = (self.means[rows] - mean[rows, None])[:, :, None] / np.sqrt(np.maximum(spread, SMALLEST_SD**2))
-            found[rows] = (self.weights[rows] * (ndtr(z) @ weight)).sum(axis=1)
-        return found
+            probability[rows] = (self.weights[rows] * (ndtr(z) @ weight)).sum(axis=1)
+        return probability
 
 
 def _known(solve: Any, pfa: Array, classes: ClassScores) -> Array:
     """Thresholds of the evaluations that have scores; NaN elsewhere."""
     good = np.isfinite(classes.mean).all(axis=1) & np.isfinite(classes.sd).all(axis=1)
     good &= np.all((pfa > 0) & (pfa <= 1), axis=1)
-    found = np.full(pfa.shape, np.nan)
+    out = np.full(pfa.shape, np.nan)
     if good.any():
-        found[good] = solve(pfa[good], classes.rows(np.flatnonzero(good)))
-    return found
+        out[good] = solve(pfa[good], classes.rows(np.flatnonzero(good)))
+    return out

@@ -41,11 +41,11 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
         share = _share(ndtri, at, grid[lower], grid[upper])
         bent = ndtr((1.0 - share) * ndtri(low) + share * ndtri(high))
     ends = np.stack([low, high, grid[lower], grid[upper]])
-    found = np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), bent, straight)
+    pd = np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), bent, straight)
     for index in (lower, upper):  # of equal points the last, which declares the most
-        found = np.where(np.abs(grid[index] - at) <= _SAME * at, known[index], found)
+        pd = np.where(np.abs(grid[index] - at) <= _SAME * at, known[index], pd)
     inside = (at >= grid[0] * (1.0 - _SAME)) & (at <= grid[-1] * (1.0 + _SAME))
-    return np.asarray(np.where(inside, found, np.nan))
+    return np.asarray(np.where(inside, pd, np.nan))
 
 
 def _share(scale: Callable[[Array], Array], at: Array, low: Array, high: Array) -> Array:

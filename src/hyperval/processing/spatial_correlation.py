@@ -48,8 +48,8 @@ def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> LagCor
     counted: Array | float = 0.0
     for values, mask in windows:
         inside = mask.astype(float)
-        held = np.where(mask, values, 0.0)
-        total = total + np.stack([_lagged(z, reach) for z in held])
+        masked = np.where(mask, values, 0.0)
+        total = total + np.stack([_lagged(z, reach) for z in masked])
         counted = counted + np.round(_lagged(inside, reach))
     total, counted = np.asarray(total), np.asarray(counted)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -72,8 +72,8 @@ def neighbour_shares(mask: Mask, reach: int, rng: np.random.Generator, most: int
         lines, samples = lines[chosen], samples[chosen]
     padded = np.pad(mask, reach)
     steps = np.arange(2 * reach + 1)
-    found = padded[lines[:, None, None] + steps[:, None], samples[:, None, None] + steps]
-    return np.asarray(found.mean(axis=0))
+    neighbours = padded[lines[:, None, None] + steps[:, None], samples[:, None, None] + steps]
+    return np.asarray(neighbours.mean(axis=0))
 
 
 def independent_for_mean(n: int, correlation: Array, shares: Array) -> float:

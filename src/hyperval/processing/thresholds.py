@@ -127,13 +127,13 @@ def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
     low, high = _bracket(log_pfa, scores)
     rows = np.repeat(np.arange(pfa.shape[0]), pfa.shape[1])
     lp, low, high = log_pfa.ravel(), low.ravel(), high.ravel()
-    x, found = low.copy(), low.copy()
+    x, root = low.copy(), low.copy()
     at = np.arange(lp.size)  # those not yet found
     for _ in range(_STEPS):
         value, slope = log_false_alarm(x, scores.rows(rows[at]))
         value -= lp[at]
         low, high = np.where(value > 0, x, low), np.where(value > 0, high, x)
-        found[at] = x
+        root[at] = x
         width = high - low
         open_ = (np.abs(value) > 1e-12) & (width > 1e-14 * np.maximum(1.0, np.abs(x)))
         if not open_.any():
@@ -143,16 +143,16 @@ def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
         inside = (step > low) & (step < high)  # False for NaN
         x = np.where(inside, step, 0.5 * (low + high))[open_]
         at, low, high = at[open_], low[open_], high[open_]
-    return found.reshape(pfa.shape)
+    return root.reshape(pfa.shape)
 
 
 def _bracket(log_pfa: Array, scores: ClassScores) -> tuple[Array, Array]:
-    held = scores.fraction > 0
+    used = scores.fraction > 0
     rows, points = log_pfa.shape
     low, high = np.full((rows, points), np.inf), np.full((rows, points), -np.inf)
     share_low = np.full((rows, points), -np.inf)
     for m in range(scores.mean.shape[1]):
-        here = held[:, m]
+        here = used[:, m]
         if not here.any():
             continue
         one = scores.rows(np.flatnonzero(here))

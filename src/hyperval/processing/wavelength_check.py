@@ -145,8 +145,8 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
             yield _shift(feature, centre, w)
 
 
-def _shift(feature: Feature, found_nm: float, wavelength_nm: Array) -> Shift:
-    at = int(np.argmin(np.abs(wavelength_nm - found_nm)))
+def _shift(feature: Feature, edge_nm: float, wavelength_nm: Array) -> Shift:
+    at = int(np.argmin(np.abs(wavelength_nm - edge_nm)))
     spacing = float(np.gradient(wavelength_nm)[at])
     u = float(np.hypot(feature.uncertainty_nm, _SAMPLING * spacing))
-    return Shift(feature.name, found_nm - feature.centre_nm, u)
+    return Shift(feature.name, edge_nm - feature.centre_nm, u)

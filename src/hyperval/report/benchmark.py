@@ -58,12 +58,12 @@ def draw_benchmark(report: BenchmarkReport) -> list[Drawing]:
 
 def alike(rows: Sequence[Result], measures: Mapping[str, str]) -> list[tuple[str, ...]]:
     """Detectors in groups that have the same value of every metric on all objects: they order the pixels alike."""
-    found: dict[tuple[float, ...], list[str]] = {}
+    groups: dict[tuple[float, ...], list[str]] = {}
     own = [r for r in rows if r.subject == EVERY_OBJECT and r.metric in measures and r.outcome is Outcome.NONE]
     for method in dict.fromkeys(r.method for r in own):
         key = tuple(r.value for r in own if r.method == method)
-        found.setdefault(key, []).append(method.removesuffix("/object"))
-    return [tuple(names) for names in found.values()]
+        groups.setdefault(key, []).append(method.removesuffix("/object"))
+    return [tuple(names) for names in groups.values()]
 
 
 def benchmark_page(report: BenchmarkReport, drawings: Sequence[Drawing]) -> str:
@@ -105,8 +105,8 @@ def leads(rows: Sequence[Result], groups: Sequence[tuple[str, ...]], measures: M
             for g in groups
             if (r := ranks.get(f"{g[0]}/object")) is not None and r.value > 1 and r.lower <= 1
         ]
-        told = f"; not told from it: {', '.join(near)}" if near else "; all others are told from it"
-        out.append(f"{title}: {' and '.join(first)}{told if len(groups) > len(first) else ''}")
+        words = f"; not told from it: {', '.join(near)}" if near else "; all others are told from it"
+        out.append(f"{title}: {' and '.join(first)}{words if len(groups) > len(first) else ''}")
     return out
 
 

@@ -173,14 +173,14 @@ def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
     title = "What-ifs: the gap before and after"
     figure = style.new_figure(10.0, 1.3 + 0.4 * len(rows), title, simulated)
     axes = figure.add_subplot()
-    told = []
+    words = []
     for y, r in enumerate(reversed(rows)):
         before = _leading_number(r.reason)
         better = r.value < before
         axes.plot([before, r.value], [y, y], color="#17643a" if better else "#9b1c1c", linewidth=2.0)
         axes.plot(before, y, "o", color="white", markeredgecolor="#333333")
         axes.plot(r.value, y, _CLOSER if better else _FARTHER, color="#17643a" if better else "#9b1c1c")
-        told.append(f"{r.method} from {before:.3g} to {r.value:.3g}")
+        words.append(f"{r.method} from {before:.3g} to {r.value:.3g}")
         axes.annotate(
             f"{r.value:.3g}", (r.value, y), xytext=(0, 6), textcoords="offset points", fontsize=7.5, ha="center"
         )
@@ -201,7 +201,7 @@ def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
             (Line2D([], [], marker=_FARTHER, color="#9b1c1c"), "after, farther"),
         ],
     )
-    alt = "Reduced chi-square of all residuals before and after each what-if: " + "; ".join(reversed(told)) + "."
+    alt = "Reduced chi-square of all residuals before and after each what-if: " + "; ".join(reversed(words)) + "."
     return Drawing("what-ifs", "what-if", title, alt, style.svg_bytes(figure), "svg")
 
 

@@ -42,19 +42,19 @@ def detector_figures(
         return []
     figure = style.new_figure(12.0, 1.5 + 0.34 * len(groups), f"{name}: detectors on all objects", simulated)
     panels = figure.subplots(1, len(shown), squeeze=False)[0]
-    told = []
+    captions = []
     for k, (axes, metric) in enumerate(zip(panels, shown, strict=True)):
         for i, names in enumerate(groups):
             row, rank = (here.get((f"{names[0]}/object", f"{p}{metric}")) for p in ("", "rank_"))
             if row is None or rank is None:
                 continue
-            _whisker(axes, row, i, 1.0, filled=rank.lower <= 1)
+            _whisker(axes, row, i, 1.0, solid=rank.lower <= 1)
             words = f"{rank.value:.0f} [{rank.lower:.0f}-{rank.upper:.0f}]"
             axes.annotate(
                 words, (1.0, i), xycoords=("axes fraction", "data"), xytext=(3, 0), textcoords="offset points",
                 va="center", fontsize=7.5, color="#444444",
             )  # fmt: skip
-            told.append(f"{'/'.join(names)} {metric} {row.value:.3g}, rank {words}")
+            captions.append(f"{'/'.join(names)} {metric} {row.value:.3g}, rank {words}")
         _rows_of(axes, [" = ".join(g) for g in groups] if k == 0 else [""] * len(groups))
         axes.set_xlabel(style.plain(measures[metric].replace(", ", "\n", 1)), fontsize=8.0)
         if metric.startswith("far"):
@@ -62,7 +62,7 @@ def detector_figures(
             axes.set_xlim(left=0.0)
         axes.tick_params(axis="x", labelsize=7.5)
     title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set], filled where it may be first"
-    alt = f"Metrics of each detector on all objects of {name}. {'; '.join(told)}."
+    alt = f"Metrics of each detector on all objects of {name}. {'; '.join(captions)}."
     return [Drawing(f"{name}-detectors", name, title, alt, style.svg_bytes(figure), "svg")]
 
 
@@ -89,7 +89,7 @@ def rank_figures(
         2.6 + 1.35 * len(groups), 1.3 + 0.27 * len(subjects), f"{name}: rank of each detector by subject", simulated
     )
     axes = figure.add_subplot()
-    told = []
+    captions = []
     for i, subject in enumerate(subjects):
         for j, names in enumerate(groups):
             row = here.get((subject, f"{names[0]}/object"))
@@ -106,7 +106,7 @@ def rank_figures(
                 fontsize=7.5,
                 color="white" if row.value <= worst / 3 else "black",
             )
-            told.append(f"{subject}, {'/'.join(names)}: {words}")
+            captions.append(f"{subject}, {'/'.join(names)}: {words}")
     shades = ListedColormap([(s, s + 0.04, s + 0.09) for s in np.linspace(0.2, 0.9, 16)])
     axes.imshow(grid, cmap=shades, vmin=1, vmax=worst, aspect="auto")
     axes.set_xticks(range(len(groups)), [style.plain("\n= ".join(g)) for g in groups], fontsize=7.5)
@@ -114,7 +114,7 @@ def rank_figures(
     axes.grid(visible=False)
     more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
     title = f"{name}: rank [95 % set] by {measures[metric]}, subjects of two objects and more{more}"
-    alt = f"Rank of each detector by subject. {'; '.join(told)}."
+    alt = f"Rank of each detector by subject. {'; '.join(captions)}."
     return [Drawing(f"{name}-ranks", name, title, alt, style.svg_bytes(figure), "svg")]
 
 
@@ -129,30 +129,30 @@ def agreement_figures(name: str, rows: Sequence[Result], *, simulated: bool) -> 
     figure = style.new_figure(
         3.4 + 2.2 * len(shown), 1.5 + 0.34 * len(labels), f"{name}: engines and formulations", simulated
     )
-    told = []
+    words = []
     for k, (axes, metric) in enumerate(zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True)):
         title, factor = _AGREEMENT[metric]
         for i, label in enumerate(labels):
             row = here.get((label, metric))
             if row is not None:
-                _whisker(axes, row, i, factor, filled=True, colour=PREDICTED.colour)
-                told.append(f"{label} {metric} {row.value:.3g}")
+                _whisker(axes, row, i, factor, solid=True, colour=PREDICTED.colour)
+                words.append(f"{label} {metric} {row.value:.3g}")
         _rows_of(axes, labels if k == 0 else [""] * len(labels))
         axes.set_xlabel(title, fontsize=8.0)
         axes.set_xlim(0.0, 1.05 * axes.get_xlim()[1])  # a dot on the border would be cut in half
     title = f"{name}: how well engines and formulations predict, with 95 % intervals"
     return [
-        Drawing(f"{name}-variants", name, title, f"{title}. {'; '.join(told)}.", style.svg_bytes(figure), "svg")
+        Drawing(f"{name}-variants", name, title, f"{title}. {'; '.join(words)}.", style.svg_bytes(figure), "svg")
     ]
 
 
 def _whisker(
-    axes: Axes, row: Result, at: int, factor: float, *, filled: bool, colour: str = COLLECTED.colour
+    axes: Axes, row: Result, at: int, factor: float, *, solid: bool, colour: str = COLLECTED.colour
 ) -> None:
     if math.isfinite(row.lower):
         axes.plot([factor * row.lower, factor * row.upper], [at, at], color=colour, linewidth=3.0, alpha=0.35)
     axes.plot(
-        factor * row.value, at, "o", color=colour, markersize=5, markerfacecolor=colour if filled else "white",
+        factor * row.value, at, "o", color=colour, markersize=5, markerfacecolor=colour if solid else "white",
         markeredgewidth=1.2,
     )  # fmt: skip
 
@@ -165,5 +165,5 @@ def _rows_of(axes: Axes, labels: Sequence[str]) -> None:
 
 
 def _least_positive(rows: Sequence[Result]) -> float:
-    found = [v for r in rows for v in (r.value, r.upper) if math.isfinite(v) and v > 0]
-    return min(found, default=1.0)
+    values = [v for r in rows for v in (r.value, r.upper) if math.isfinite(v) and v > 0]
+    return min(values, default=1.0)

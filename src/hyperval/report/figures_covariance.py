@@ -24,16 +24,16 @@ def sampled_eigenvalue_figures(
     """Eigenvalues of both sides; below each, predicted over measured with the band that chance alone gives."""
     drawings = []
     for quantity, unit in _UNITS.items():
-        held = {subject: s for (subject, q), s in spectra.items() if q == quantity}
-        if not held:
+        own = {subject: s for (subject, q), s in spectra.items() if q == quantity}
+        if not own:
             continue
-        columns = style.column_count(len(held))
-        rows = math.ceil(len(held) / columns)
+        columns = style.column_count(len(own))
+        rows = math.ceil(len(own) / columns)
         title = f"Eigenvalues of the {quantity} covariance"
         figure = style.new_figure(10.0, 0.9 + 3.4 * rows, title, simulated)
         grid = figure.add_gridspec(2 * rows, columns, height_ratios=[2, 1] * rows)
-        told = []
-        for at, (subject, s) in enumerate(held.items()):
+        words = []
+        for at, (subject, s) in enumerate(own.items()):
             row, column = divmod(at, columns)
             top = figure.add_subplot(grid[2 * row, column])
             low = figure.add_subplot(grid[2 * row + 1, column], sharex=top)
@@ -44,10 +44,10 @@ def sampled_eigenvalue_figures(
             if column == 0:
                 top.set_ylabel(f"eigenvalue\n[{unit}]")
                 low.set_ylabel("predicted /\nmeasured [1]")
-            if at + columns >= len(held):
+            if at + columns >= len(own):
                 low.set_xlabel("number of the eigenvalue [1]")
             inside = int(np.sum((s.measured >= s.lower) & (s.measured <= s.upper)))
-            told.append(
+            words.append(
                 f"{subject}: first eigenvalue predicted {s.expected[0]:.3g}, measured {s.measured[0]:.3g}; "
                 f"{inside} of {s.measured.size} inside"
             )
@@ -66,7 +66,7 @@ def sampled_eigenvalue_figures(
         alt = (
             f"Leading eigenvalues of the pixel-to-pixel covariance of the {quantity}, logarithmic, predicted "
             "(hollow circles, with the 95 % band of samples of as many pixels) and measured (squares); below, "
-            f"predicted over measured with that band. {'. '.join(told)}."
+            f"predicted over measured with that band. {'. '.join(words)}."
         )
         drawings.append(
             Drawing(
@@ -83,14 +83,14 @@ def sampled_eigenvalue_figures(
 
 def tail_figures(tails: Mapping[str, TailCurve], *, simulated: bool) -> list[Drawing]:
     """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best."""
-    held = dict(list(tails.items())[: style.MAX_PANELS])
-    if not held:
+    first = dict(list(tails.items())[: style.MAX_PANELS])
+    if not first:
         return []
-    columns = style.column_count(len(held))
-    rows = math.ceil(len(held) / columns)
+    columns = style.column_count(len(first))
+    rows = math.ceil(len(first) / columns)
     figure = style.new_figure(10.0, 0.9 + 2.8 * rows, "Tails of the pixels about their mean", simulated)
-    told = []
-    for at, (subject, t) in enumerate(held.items()):
+    words = []
+    for at, (subject, t) in enumerate(first.items()):
         axes = figure.add_subplot(rows, columns, at + 1)
         axes.set_title(
             f"{style.plain(style.shortened(subject, 28))}: {t.dimension} components, n = {_count(t.n)}", loc="left"
@@ -107,22 +107,22 @@ def tail_figures(tails: Mapping[str, TailCurve], *, simulated: bool) -> list[Dra
         style.log_ticks(axes.yaxis)
         if at % columns == 0:
             axes.set_ylabel("share of pixels\nfarther out [1]")
-        if at + columns >= len(held):
+        if at + columns >= len(first):
             axes.set_xlabel("Mahalanobis distance [1]")
         predicted = "" if t.predicted_dof is None else f", {_dof(t.predicted_dof)} predicted"
-        told.append(f"{subject}: {_dof(t.fitted_dof)} measured{predicted}")
+        words.append(f"{subject}: {_dof(t.fitted_dof)} measured{predicted}")
     entries: list[tuple[Any, str]] = [
         (line_handle(COLLECTED.colour, COLLECTED.line), "measured"),
         (style.interval_handle(COLLECTED.colour), "95 % interval"),
         (line_handle(_NORMAL, ":"), "normal law"),
         (line_handle(style.DIFFERENCE_COLOUR, "-."), "fitted t"),
     ]
-    if any(t.predicted is not None for t in held.values()):
+    if any(t.predicted is not None for t in first.values()):
         entries.insert(2, (line_handle(PREDICTED.colour, PREDICTED.line), "predicted law"))
     style.add_legend(figure, entries)
     alt = (
         "Share of a class's pixels beyond a Mahalanobis distance in the leading components, logarithmic: measured "
-        f"with its 95 % interval, under the predicted law, the normal law, and the fitted t. {'; '.join(told)}."
+        f"with its 95 % interval, under the predicted law, the normal law, and the fitted t. {'; '.join(words)}."
     )
     return [
         Drawing(

@@ -23,17 +23,17 @@ _LOWEST_PFA = 1e-9
 
 def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """P_D against P_FA on a logarithmic axis, a panel for each subject, detector and unit."""
-    predicted, measured = _held(sides[0], "roc"), _held(sides[1], "roc")
+    predicted, measured = _of_side(sides[0], "roc"), _of_side(sides[1], "roc")
     every = both_first(predicted, measured)
     # Where anything can be compared, what only one side holds is left to products.nc.
     pairs = [key for key in every if key in predicted and key in measured]
-    found = style.pages(_best_counted(pairs or every, measured))
+    pages = style.pages(_best_counted(pairs or every, measured))
     drawings = []
-    for number, keys in enumerate(found, start=1):
+    for number, keys in enumerate(pages, start=1):
         columns = style.column_count(len(keys))
         rows = math.ceil(len(keys) / columns)
         figure = style.new_figure(10.0, 1.0 + 2.7 * rows, "Detection against false alarms", simulated)
-        told = []
+        words = []
         low = _lowest_pfa([h[k] for h in (predicted, measured) for k in keys if k in h])
         for at, key in enumerate(keys):
             axes = figure.add_subplot(rows, columns, at + 1)
@@ -41,22 +41,22 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             axes.set_title(
                 style.plain(_roc_title(key)) + "\n" + _counted(measured.get(key)), loc="left", fontsize=8.5
             )
-            told.append(_roc_words(key, predicted.get(key), measured.get(key)))
+            words.append(_roc_words(key, predicted.get(key), measured.get(key)))
             if at % columns == 0:
                 axes.set_ylabel("$P_D$ [1]")
             if at + columns >= len(keys):
                 axes.set_xlabel("$P_{FA}$ per pixel [1]")
         style.add_legend(figure, _roc_legend(predicted, measured))
-        name = "roc" if len(found) == 1 else f"roc-{number}"
+        name = "roc" if len(pages) == 1 else f"roc-{number}"
         alt = (
             "Probability of detection against probability of false alarm (logarithmic), predicted (dashed) and "
-            f"measured (steps), with 95 % intervals. {' '.join(told)}"
+            f"measured (steps), with 95 % intervals. {' '.join(words)}"
         )
         drawings.append(
             Drawing(
                 name,
                 "roc",
-                f"ROC: predicted and measured{style.left_out(found, every)}",
+                f"ROC: predicted and measured{style.left_out(pages, every)}",
                 alt,
                 style.svg_bytes(figure),
                 "svg",
@@ -67,16 +67,18 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
 
 def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Mean and 95 % range of each population's score."""
-    predicted, measured = _held(sides[0], "scores"), _held(sides[1], "scores")
+    predicted, measured = _of_side(sides[0], "scores"), _of_side(sides[1], "scores")
     every = both_first(predicted, measured)
     keys = every[:_MOST_ROWS]
     if not keys:
         return []
     figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Detector scores", simulated)
     axes = figure.add_subplot()
-    for held, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
+    for scores, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
         rows = [
-            (at + shift, held[key].mean, _COVERAGE * held[key].sd) for at, key in enumerate(keys) if key in held
+            (at + shift, scores[key].mean, _COVERAGE * scores[key].sd)
+            for at, key in enumerate(keys)
+            if key in scores
         ]
         _dots(axes, rows, look)
     axes.axvline(0.0, color="#777777", linewidth=0.8)
@@ -84,13 +86,13 @@ def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     _row_labels(axes, keys, {k: measured[k].n for k in keys if k in measured})
     axes.set_xlabel("score [1] (dot: mean; bar: mean ± 1.96 standard deviations)")
     style.add_legend(figure, _dot_legend(predicted, measured))
-    told = "; ".join(
+    words = "; ".join(
         f"{s} {d}: " + ", ".join(f"{n} {h[s, d].mean:.3g} ± {h[s, d].sd:.2g}"
                                  for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
         for s, d in keys
     )  # fmt: skip
     title = f"Score distributions: predicted and measured{style.left_out([keys], every)}"
-    alt = f"Mean and standard deviation of the detector scores. {told}."
+    alt = f"Mean and standard deviation of the detector scores. {words}."
     return [Drawing("scores", "scores", title, alt, style.svg_bytes(figure), "svg")]
 
 
@@ -98,7 +100,7 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Area of each target from its abundance, predicted and measured."""
     # Areas that both sides estimate against a nominal one have a figure of their own.
     predicted, measured = (
-        {k: a for k, a in _held(side, "abundance").items() if a.nominal_m2 is None} for side in sides
+        {k: a for k, a in _of_side(side, "abundance").items() if a.nominal_m2 is None} for side in sides
     )
     every = both_first(predicted, measured)
     keys = every[:_MOST_ROWS]
@@ -106,11 +108,11 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         return []
     figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Target area from abundance", simulated)
     axes = figure.add_subplot()
-    for held, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
+    for estimates, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
         rows = [
-            (at + shift, held[key].area_m2, _COVERAGE * held[key].standard_uncertainty)
+            (at + shift, estimates[key].area_m2, _COVERAGE * estimates[key].standard_uncertainty)
             for at, key in enumerate(keys)
-            if key in held
+            if key in estimates
         ]
         _dots(axes, rows, look)
     areas = np.array([h[k].area_m2 for h in (predicted, measured) for k in keys if k in h])
@@ -124,13 +126,13 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     _row_labels(axes, keys, {})
     axes.set_xlabel("area [m²] (bar: 95 % interval)")
     style.add_legend(figure, _dot_legend(predicted, measured))
-    told = "; ".join(
+    words = "; ".join(
         f"{s} {d}: " + ", ".join(f"{n} {h[s, d].area_m2:.3g} m²"
                                  for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
         for s, d in keys
     )  # fmt: skip
     title = f"Target area from the sum of abundances: predicted and measured{style.left_out([keys], every)}"
-    return [Drawing("abundance", "abundance", title, f"Target areas. {told}.", style.svg_bytes(figure), "svg")]
+    return [Drawing("abundance", "abundance", title, f"Target areas. {words}.", style.svg_bytes(figure), "svg")]
 
 
 def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None, low: float) -> None:
@@ -209,8 +211,8 @@ def _roc_words(key: tuple[str, str, str], predicted: RocCurve | None, measured: 
 def _roc_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, RocCurve]) -> list[tuple[Any, str]]:
     entries: list[tuple[Any, str]] = []
     colours = []
-    for held, look, name in ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, "measured")):
-        if held:
+    for side, look, name in ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, "measured")):
+        if side:
             entries.append((Line2D([], [], color=look.colour, linestyle=look.line), name))
             colours.append(look.colour)
     entries.append((style.interval_handle(*colours), "95 % interval"))
@@ -242,12 +244,12 @@ def _row_labels(axes: Axes, keys: list[tuple[str, str]], counts: Mapping[Any, in
 
 def _dot_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[tuple[Any, str]]:
     entries: list[tuple[Any, str]] = []
-    for held, look, name in ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, "measured")):
-        if held:
+    for side, look, name in ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, "measured")):
+        if side:
             face = "white" if look is PREDICTED else look.colour
             entries.append((Line2D([], [], color=look.colour, marker=look.marker, markerfacecolor=face), name))
     return entries
 
 
-def _held(side: Products | None, product: str) -> Mapping[Any, Any]:
+def _of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
     return {} if side is None else getattr(side, product)

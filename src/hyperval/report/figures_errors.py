@@ -42,10 +42,10 @@ def class_error_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             axes.barh(at, model.bound_upper - low, left=low, height=0.62, color=_BOUNDS, linewidth=0, zorder=1)
             if model.approximation >= floor:
                 axes.plot([model.approximation] * 2, [at - 0.31, at + 0.31], color=_NORMAL, linewidth=1.4, zorder=2)
-    for held, look, shift in ((predicted, PREDICTED, -0.14), (measured, COLLECTED, 0.14)):
+    for errors, look, shift in ((predicted, PREDICTED, -0.14), (measured, COLLECTED, 0.14)):
         for at, key in enumerate(keys):
-            if key in held:
-                _error_dot(axes, held[key], at + shift, look, floor)
+            if key in errors:
+                _error_dot(axes, errors[key], at + shift, look, floor)
     axes.set_xscale("log")
     axes.set_xlim(floor / 1.4, 1.0)
     style.log_ticks(axes.xaxis)
@@ -61,7 +61,7 @@ def class_error_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         (Line2D([], [], color=_NORMAL, marker="|", linestyle="", markersize=9), "estimate from it"),
     ]
     style.add_legend(figure, entries)
-    told = "; ".join(
+    words = "; ".join(
         f"{', '.join(key)}: "
         + ", ".join(
             _error_words(n, h[key]) for n, h in (("predicted", predicted), ("measured", measured)) if key in h
@@ -69,7 +69,7 @@ def class_error_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         for key in keys
     )
     title = f"Error of a Gaussian maximum-likelihood classifier{style.left_out([keys], every)}"
-    return [Drawing("class-error", "classification", title, f"{title}: {told}.", style.svg_bytes(figure), "svg")]
+    return [Drawing("class-error", "classification", title, f"{title}: {words}.", style.svg_bytes(figure), "svg")]
 
 
 def unmixing_figures(sides: Sides, rows: Sequence[Result], *, simulated: bool) -> list[Drawing]:
@@ -81,14 +81,14 @@ def unmixing_figures(sides: Sides, rows: Sequence[Result], *, simulated: bool) -
     if not methods:
         return []
     figure = style.new_figure(10.0, 1.0 + 2.9 * len(methods), "Target areas by unmixing", simulated)
-    told = []
+    words = []
     for at, method in enumerate(methods):
         left = figure.add_subplot(len(methods), 2, 2 * at + 1)
         right = figure.add_subplot(len(methods), 2, 2 * at + 2)
         left.set_title(style.plain(f"{method}: area of each target"), loc="left")
         right.set_title(style.plain(f"{method}: error by size"), loc="left")
         sizes = _area_panel(left, predicted, measured, method)
-        told += _rmse_panel(right, rows, method, sizes)
+        words += _rmse_panel(right, rows, method, sizes)
         left.set_ylabel("estimated / nominal area [1]")
         right.set_ylabel("root mean square\nerror [m²]")
         if at == len(methods) - 1:
@@ -106,7 +106,7 @@ def unmixing_figures(sides: Sides, rows: Sequence[Result], *, simulated: bool) -
     alt = (
         "Left: area of each target by fully constrained unmixing over its nominal area, predicted and measured "
         "with 95 % intervals, against the nominal area. Right: root mean square error by nominal area. "
-        f"{'; '.join(told)}."
+        f"{'; '.join(words)}."
     )
     title = "Target areas by unmixing against nominal areas, and their error by size"
     return [Drawing("unmixing-areas", "abundance", title, alt, style.svg_bytes(figure), "svg")]
@@ -114,8 +114,8 @@ def unmixing_figures(sides: Sides, rows: Sequence[Result], *, simulated: bool) -
 
 def _error_floor(errors: Sequence[ClassificationError]) -> float:
     """Left end of the axis: below every error that was found, and not below a millionth."""
-    found = [x for e in errors for x in (e.error, e.lower) if x > 0]
-    return max(min([1e-2, *found]) / 2.0, 1e-6)
+    values = [x for e in errors for x in (e.error, e.lower) if x > 0]
+    return max(min([1e-2, *values]) / 2.0, 1e-6)
 
 
 def _error_words(name: str, e: ClassificationError) -> str:
@@ -150,11 +150,11 @@ def _area_panel(
         # Side by side within a quarter of a decade, in the order of the targets.
         steps = np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else np.zeros(1)
         for step, key in zip(steps, keys, strict=True):
-            for held, look, shift in ((predicted, PREDICTED, -0.012), (measured, COLLECTED, 0.012)):
-                if key not in held:
+            for areas, look, shift in ((predicted, PREDICTED, -0.012), (measured, COLLECTED, 0.012)):
+                if key not in areas:
                     continue
                 face = "white" if look is PREDICTED else look.colour
-                a = held[key]
+                a = areas[key]
                 axes.errorbar(
                     [nominal * 10 ** (step + shift)], [a.area_m2 / nominal],
                     yerr=[np.nan_to_num(_COVERAGE * a.standard_uncertainty / nominal)],
@@ -166,10 +166,10 @@ def _area_panel(
 
 
 def _rmse_panel(axes: Axes, rows: Sequence[Result], method: str, sizes: Sequence[float]) -> list[str]:
-    told = []
+    words = []
     for side, look in (("predicted", PREDICTED), ("observed", COLLECTED)):
-        found = [r for r in rows if r.method == method and r.metric == f"area_rmse_{side}"]
-        points = sorted((_size_of(r.subject), r.value, r.lower, r.upper) for r in found)
+        own = [r for r in rows if r.method == method and r.metric == f"area_rmse_{side}"]
+        points = sorted((_size_of(r.subject), r.value, r.lower, r.upper) for r in own)
         if not points:
             continue
         x, y, low, high = (np.array(c) for c in zip(*points, strict=True))
@@ -178,12 +178,12 @@ def _rmse_panel(axes: Axes, rows: Sequence[Result], method: str, sizes: Sequence
         face = "white" if look is PREDICTED else look.colour
         axes.plot(x, y, color=look.colour, linestyle=look.line, marker=look.marker, markerfacecolor=face)
         name = "predicted" if side == "predicted" else "measured"
-        told.append(f"{method}, {name}: " + ", ".join(f"{v:.2g} m² at {a:g} m²" for a, v, _, _ in points))
+        words.append(f"{method}, {name}: " + ", ".join(f"{v:.2g} m² at {a:g} m²" for a, v, _, _ in points))
     axes.plot(sorted(sizes), sorted(sizes), color=_NORMAL, linewidth=0.9)
     axes.set_yscale("log")
     style.log_ticks(axes.yaxis)
     _size_axis(axes, sizes)
-    return told
+    return words
 
 
 def _size_axis(axes: Axes, sizes: Sequence[float]) -> None:

@@ -111,12 +111,12 @@ def shown_window(shape: tuple[int, ...], regions: Mapping[str, Any]) -> Window:
     whole = Window(0, lines, 0, samples)
     if max(lines, samples) <= _LONGEST_STRIP * min(lines, samples):
         return whole
-    held = np.zeros((lines, samples), bool)
+    inside = np.zeros((lines, samples), bool)
     for mask in regions.values():
-        held |= np.asarray(mask, bool)
-    if not held.any():
+        inside |= np.asarray(mask, bool)
+    if not inside.any():
         return whole
-    line, sample = (np.flatnonzero(held.any(axis=axis)) for axis in (1, 0))
+    line, sample = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
     margin = max(10, min(lines, samples) // 10)
     if lines > samples:
         return Window(max(int(line[0]) - margin, 0), min(int(line[-1]) + 1 + margin, lines), 0, samples)

@@ -32,7 +32,7 @@ def object_score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         return []
     figure = style.new_figure(10.0, 1.4 + 0.24 * len(shown), "Score of each object", simulated)
     axes = figure.add_subplot()
-    told = []
+    words = []
     for at, ((subject, detector), draws, measured) in enumerate(shown):
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975])
         inside = low <= measured[0] <= high
@@ -43,7 +43,7 @@ def object_score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             markerfacecolor=COLLECTED.colour if inside else "white", markeredgewidth=1.4,
         )  # fmt: skip
         outside = "" if inside else ", outside"
-        told.append(f"{subject} {detector}: {measured[0]:.3g}, predicted {low:.3g} to {high:.3g}{outside}")
+        words.append(f"{subject} {detector}: {measured[0]:.3g}, predicted {low:.3g} to {high:.3g}{outside}")
     axes.axvline(0.0, color=_GREY, linewidth=0.8)
     axes.set_yticks(range(len(shown)), [style.plain(style.shortened(f"{s}, {d}")) for (s, d), _, _ in shown])
     axes.set_ylim(len(shown) - 0.4, -0.6)
@@ -64,7 +64,7 @@ def object_score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         ],
     )
     title = f"Score of each object: predicted interval and measured value{_part(len(shown), len(pairs))}"
-    alt = f"Measured score of each object beside its predicted 95 % interval. {'; '.join(told)}."
+    alt = f"Measured score of each object beside its predicted 95 % interval. {'; '.join(words)}."
     return [Drawing("object-scores", "scores", title, alt, style.svg_bytes(figure), "svg")]
 
 
@@ -76,11 +76,11 @@ def transform_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     if not by_detector:
         return []
     figure = style.new_figure(10.0, 0.9 + 2.6 * len(by_detector), "All objects together", simulated)
-    told = []
+    words = []
     for at, (detector, parts) in enumerate(by_detector.items()):
         u = np.sort(np.concatenate(parts))
         inside = float(np.mean((u >= 0.025) & (u <= 0.975)))
-        told.append(f"{detector}: {u.size} objects, {inside:.0%} in the central 95 %")
+        words.append(f"{detector}: {u.size} objects, {inside:.0%} in the central 95 %")
         _ordered(figure.add_subplot(len(by_detector), 2, 2 * at + 1), u, f"{detector}: in order")
         _histogram(figure.add_subplot(len(by_detector), 2, 2 * at + 2), u, f"{detector}: histogram")
     style.add_legend(
@@ -95,7 +95,7 @@ def transform_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     alt = (
         "Probability integral transforms of the objects' scores in order against the uniform distribution with its "
         "95 % band for independent objects, and their histogram with that of a uniform sample. Objects share "
-        f"errors of the inputs, which the band leaves out. {'; '.join(told)}."
+        f"errors of the inputs, which the band leaves out. {'; '.join(words)}."
     )
     return [Drawing("object-transforms", "scores", title, alt, style.svg_bytes(figure), "svg")]
 
@@ -104,16 +104,16 @@ def exceedance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Share of background pixels above a score, predicted and measured, on a logarithmic axis."""
     predicted, measured = (({} if s is None else s.exceedance) for s in sides)
     every = [key for key in both_first(predicted, measured) if key in predicted]
-    found = style.pages(every, 1)
+    pages = style.pages(every, 1)
     drawings = []
-    for keys in found:
+    for keys in pages:
         columns = style.column_count(len(keys))
         rows = math.ceil(len(keys) / columns)
         figure = style.new_figure(10.0, 1.0 + 2.5 * rows, "Background above a score", simulated)
-        told = []
+        words = []
         for at, key in enumerate(keys):
             axes = figure.add_subplot(rows, columns, at + 1)
-            told.append(_tail_panel(axes, key, predicted[key], measured.get(key)))
+            words.append(_tail_panel(axes, key, predicted[key], measured.get(key)))
             axes.set_title(style.plain(f"{key[0]}, {key[1]}"), loc="left", fontsize=8.5)
             if at % columns == 0:
                 axes.set_ylabel("part of the background\nabove the score [1]")
@@ -127,7 +127,7 @@ def exceedance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
                 (style.interval_handle(COLLECTED.colour), "95 % interval, by blocks of the image"),
             ],
         )
-        alt = f"Part of the background above each score, predicted (dashed) and measured. {' '.join(told)}"
+        alt = f"Part of the background above each score, predicted (dashed) and measured. {' '.join(words)}"
         title = f"False-alarm probability against the threshold{_part(len(keys), len(every))}"
         drawings.append(Drawing("exceedance", "scores", title, alt, style.svg_bytes(figure), "svg"))
     return drawings
@@ -141,16 +141,16 @@ def roc_difference_figures(sides: Sides, margin: float | None, *, simulated: boo
     every.sort(
         key=lambda key: (key[2] != "object" or (measured[key].n_target or 0) < 2, -(measured[key].n_target or 0))
     )
-    found = style.pages(every, 1)
+    pages = style.pages(every, 1)
     drawings = []
-    for keys in found:
+    for keys in pages:
         columns = style.column_count(len(keys))
         rows = math.ceil(len(keys) / columns)
         figure = style.new_figure(10.0, 1.0 + 2.3 * rows, "Difference of P_D", simulated)
-        told = []
+        words = []
         for at, key in enumerate(keys):
             axes = figure.add_subplot(rows, columns, at + 1)
-            told.append(f"{', '.join(key)}: {_difference_panel(axes, predicted[key], measured[key], margin)}.")
+            words.append(f"{', '.join(key)}: {_difference_panel(axes, predicted[key], measured[key], margin)}.")
             name = f"{style.shortened(key[0], 24)}, {style.shortened(key[1], 12)}, by {key[2]}"
             axes.set_title(style.plain(name), loc="left", fontsize=8.5)
             if at % columns == 0:
@@ -164,8 +164,8 @@ def roc_difference_figures(sides: Sides, margin: float | None, *, simulated: boo
         if margin is not None:
             entries.append((Line2D([], [], color=_GREY, linestyle="--"), f"equivalence margin {margin:g}"))
         style.add_legend(figure, entries)
-        alt = f"Predicted minus measured probability of detection. {' '.join(told)}"
-        title = f"ROC: predicted minus measured P_D{style.left_out(found, every)}"
+        alt = f"Predicted minus measured probability of detection. {' '.join(words)}"
+        title = f"ROC: predicted minus measured P_D{style.left_out(pages, every)}"
         drawings.append(Drawing("roc-difference", "roc", title, alt, style.svg_bytes(figure), "svg"))
     return drawings
 
@@ -174,11 +174,11 @@ def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:
     """(subject, detector), predicted draws and measured scores of what both sides hold."""
     predicted, measured = (({} if s is None else s.object_scores) for s in sides)
     out = []
-    for key, held in predicted.items():
+    for key, scores in predicted.items():
         if key in measured:
             values = measured[key].values[np.isfinite(measured[key].values)]
             if values.size:
-                out.append((key, held.values.ravel(), values))
+                out.append((key, scores.values.ravel(), values))
     return out
 
 

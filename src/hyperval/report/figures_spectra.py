@@ -32,7 +32,7 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
         "reflectance": ("reflectance [1]", "Reflectance", False),
         "snr": ("signal-to-noise\nratio [1]", "Signal-to-noise ratio", True),
     }[product]
-    predicted, collected = _held(sides[0], product), _held(sides[1], product)
+    predicted, collected = _of_side(sides[0], product), _of_side(sides[1], product)
     drawings = []
     every = both_first(predicted, collected)
     # Where anything can be compared, what only one side holds is left to products.nc.
@@ -91,7 +91,7 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
 def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Relative uncertainty of the radiance by source, stacked to the total."""
     panels: list[tuple[str, str, Products, SpectralEstimate]] = []
-    held = [_held(side, "radiance") for side in sides]
+    held = [_of_side(side, "radiance") for side in sides]
     every = both_first(*held)
     for subject in [s for s in every if all(s in side for side in held)] or every:
         for name, side in (("predicted", sides[0]), ("collected", sides[1])):
@@ -136,7 +136,7 @@ def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
 def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Eigenvalues of the pixel covariance of the radiance, predicted and collected."""
     predicted, collected = (
-        {k: e for k, e in _held(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
+        {k: e for k, e in _of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
     )
     every = both_first(predicted, collected)
     subjects = [s for s in every if s in predicted and s in collected]
@@ -324,7 +324,7 @@ def _legend(
     return entries
 
 
-def _held(side: Products | None, product: str) -> Mapping[str, SpectralEstimate]:
+def _of_side(side: Products | None, product: str) -> Mapping[str, SpectralEstimate]:
     return {} if side is None else getattr(side, product)
 
 

@@ -149,11 +149,11 @@ def _add_noise(data: xr.Dataset, prediction: Prediction) -> None:
             data[f"noise_variance_{_identifier(source)}"] = (
                 ("noise_subject", "band"), values, {"units": _SPECTRA[0][3], "long_name": text})  # fmt: skip
     if prediction.full_scale:
-        held_scale = prediction.full_scale
+        scale = prediction.full_scale
         data.coords["full_scale_subject"] = (
-            "full_scale_subject", _names(held_scale), {"long_name": "subjects of full_scale"})  # fmt: skip
+            "full_scale_subject", _names(scale), {"long_name": "subjects of full_scale"})  # fmt: skip
         data["full_scale"] = (
-            ("full_scale_subject", "band"), np.stack([np.asarray(v, dtype=float) for v in held_scale.values()]),
+            ("full_scale_subject", "band"), np.stack([np.asarray(v, dtype=float) for v in scale.values()]),
             {"units": "1", "long_name": "mean radiance as a part of full scale"},
         )  # fmt: skip
 

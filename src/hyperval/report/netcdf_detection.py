@@ -88,7 +88,7 @@ def add_detection(data: xr.Dataset, products: Products) -> None:
 def add_entries(
     data: xr.Dataset,
     name: str,
-    held: Mapping[Any, Any],
+    entries: Mapping[Any, Any],
     attributes: Sequence[tuple[str, str, str]],
     parts: Sequence[str] = ("subject", "detector"),
 ) -> None:
@@ -99,8 +99,8 @@ def add_entries(
     held : by keys that are tuples of ``parts``
     attributes : (name, unit, long name) of each number
     """
-    if held:
-        _add_each(data, name, _name_entries(data, name, list(held), parts), list(held.values()), attributes)
+    if entries:
+        _add_each(data, name, _name_entries(data, name, list(entries), parts), list(entries.values()), attributes)
 
 
 def ragged(rows: Sequence[Any], length: int = 0) -> Any:
@@ -127,21 +127,21 @@ def _add_roc(data: xr.Dataset, products: Products) -> None:
 
 def _add_scores(data: xr.Dataset, products: Products) -> None:
     add_entries(data, "score", products.scores, _SCORE)
-    held = list(products.scores.values())
-    if any(score.grid is not None for score in held):
+    scores = list(products.scores.values())
+    if any(score.grid is not None for score in scores):
         for name, text in (("grid", "detector score"), ("density", "probability density per unit of score")):
-            values = ragged([getattr(score, name) for score in held])
+            values = ragged([getattr(score, name) for score in scores])
             data[f"score_{name}"] = (("score_entry", "score_point"), values, {"units": "1", "long_name": text})
 
 
 def _add_object_scores(data: xr.Dataset, products: Products) -> None:
     """Measured: one score for each object; predicted: quantiles of the law of an object's score."""
-    measured = {key: held for key, held in products.object_scores.items() if np.ndim(held.values) == 1}
-    predicted = {key: held for key, held in products.object_scores.items() if np.ndim(held.values) == 2}
+    measured = {key: scores for key, scores in products.object_scores.items() if np.ndim(scores.values) == 1}
+    predicted = {key: scores for key, scores in products.object_scores.items() if np.ndim(scores.values) == 2}
     text = "greatest score over the pixels of an object"
     if measured:
-        each = [(key, held.names[i] if i < len(held.names) else "", float(value))
-                for key, held in measured.items() for i, value in enumerate(held.values)]  # fmt: skip
+        each = [(key, scores.names[i] if i < len(scores.names) else "", float(value))
+                for key, scores in measured.items() for i, value in enumerate(scores.values)]  # fmt: skip
         dim = _name_entries(data, "object_score", [key for key, _, _ in each], ("subject", "detector"))
         data.coords["object_score_name"] = (dim, _text([n for _, n, _ in each]), {"long_name": "object"})
         data["object_score"] = (dim, np.array([v for *_, v in each]), {"units": "1", "long_name": text})
@@ -150,7 +150,7 @@ def _add_object_scores(data: xr.Dataset, products: Products) -> None:
         lower = "object_score_probability"
         attributes = {"units": "1", "long_name": "probability of a lower score"}
         data.coords[lower] = (lower, np.array(OBJECT_QUANTILES), attributes)
-        values = np.stack([np.quantile(held.values, OBJECT_QUANTILES) for held in predicted.values()])
+        values = np.stack([np.quantile(scores.values, OBJECT_QUANTILES) for scores in predicted.values()])
         attributes = {"units": "1", "long_name": f"quantile of the {text}"}
         data["object_score_quantile"] = ((dim, lower), values, attributes)
 
@@ -181,10 +181,10 @@ def _name_entries(
 
 
 def _add_each(
-    data: xr.Dataset, name: str, dim: str, held: Sequence[Any], attributes: Sequence[tuple[str, str, str]]
+    data: xr.Dataset, name: str, dim: str, items: Sequence[Any], attributes: Sequence[tuple[str, str, str]]
 ) -> None:
     for attribute, unit, text in attributes:
-        values = [getattr(item, attribute) for item in held]
+        values = [getattr(item, attribute) for item in items]
         numbers = np.array([np.nan if value is None else value for value in values], dtype=float)
         data[f"{name}_{attribute}"] = (dim, numbers, {"units": unit, "long_name": text})
 

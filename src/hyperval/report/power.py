@@ -124,10 +124,10 @@ def accepted_table(name: str, folder: Path = ACCEPTED) -> PowerTable | None:
     path = folder / f"{name}.yaml"
     if not path.is_file():
         return None
-    found = load_model(PowerTable, path)
-    if found.campaign != name:
-        raise UsageError(f"is the power table of {found.campaign!r}", where=str(path), expected=name)
-    return found
+    table = load_model(PowerTable, path)
+    if table.campaign != name:
+        raise UsageError(f"is the power table of {table.campaign!r}", where=str(path), expected=name)
+    return table
 
 
 def write_power_table(path: Path, table: PowerTable) -> None:

@@ -109,8 +109,8 @@ def difference_table(pairs: Sequence[Pair]) -> ResultTable:
         r = p.either
         names = (r.campaign, r.product, r.subject, r.method, f"{r.metric}_change")
         if p.a and p.b:
-            told = f"A {v.value_text(p.a)} ({p.a.outcome}), B {v.value_text(p.b)} ({p.b.outcome})"
-            rows.append(Result(*names, value=p.difference, unit=r.unit, band_nm=r.band_nm, reason=told))
+            words = f"A {v.value_text(p.a)} ({p.a.outcome}), B {v.value_text(p.b)} ({p.b.outcome})"
+            rows.append(Result(*names, value=p.difference, unit=r.unit, band_nm=r.band_nm, reason=words))
         else:
             only = f"only in run {'A' if p.a else 'B'}"
             rows.append(

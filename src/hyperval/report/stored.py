@@ -93,13 +93,13 @@ def _json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"larger than {MAX_BYTES} bytes", where=str(path))
-        found = json.loads(path.read_bytes())
+        content = json.loads(path.read_bytes())
     except FileNotFoundError as error:
         raise InputError("no such file", where=str(path), mend="name a folder of results") from error
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"not JSON: {error}", where=str(path)) from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise InputError("not a JSON object", where=str(path))
-    return found
+    return content

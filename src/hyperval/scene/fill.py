@@ -59,8 +59,8 @@ class FillDistribution:
         index = np.minimum(((self.values - low) / (high - low) * bins).astype(int), bins - 1)
         weight = np.bincount(index, self.weights, bins).astype(float)
         total = np.bincount(index, self.weights * self.values, bins).astype(float)
-        held = weight > 0
-        return FillDistribution(total[held] / weight[held], weight[held])
+        used = weight > 0
+        return FillDistribution(total[used] / weight[used], weight[used])
 
 
 @dataclass(frozen=True)

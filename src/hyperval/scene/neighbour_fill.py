@@ -62,10 +62,10 @@ def shared_pixel_fills(
 @lru_cache(maxsize=128)
 def _kept(own: TargetGeometry, n: int, neighbours: tuple[Neighbour, ...]) -> tuple[Array, Array]:
     """For one arrangement, however often it is asked for; not to be written to."""
-    found = _shared_pixel_fills(own, n, neighbours, None)
-    for part in found:
+    fill = _shared_pixel_fills(own, n, neighbours, None)
+    for part in fill:
         part.setflags(write=False)
-    return found
+    return fill
 
 
 def _shared_pixel_fills(
@@ -98,11 +98,11 @@ def _fill_table(geometry: TargetGeometry) -> Array:
     step = (np.arange(_STEPS) + 0.5) / _STEPS - 0.5
     x, y = np.meshgrid(step, step)
     offset = np.stack([x.ravel(), y.ravel()], axis=1)
-    found = pixel_fills(geometry, offset, np.full(len(offset), geometry.heading_deg))
-    across = found.shape[1]
+    fills = pixel_fills(geometry, offset, np.full(len(offset), geometry.heading_deg))
+    across = fills.shape[1]
     # A centre at step i puts pixel p at p - step_i: rising with p, falling with i.
-    found = found.reshape(_STEPS, _STEPS, across, across)[::-1, ::-1]
-    table = found.transpose(2, 0, 3, 1).reshape(across * _STEPS, across * _STEPS)
+    fills = fills.reshape(_STEPS, _STEPS, across, across)[::-1, ::-1]
+    table = fills.transpose(2, 0, 3, 1).reshape(across * _STEPS, across * _STEPS)
     table.setflags(write=False)
     return table
 
@@ -110,5 +110,5 @@ def _fill_table(geometry: TargetGeometry) -> Array:
 def _looked_up(table: Array, away: Array) -> Array:
     """Fills at distances ``away`` (..., 2) from the target's centre (lines, samples) [pixels]; 0 beyond it."""
     index = away * _STEPS + 0.5 * (table.shape[0] - 1)
-    found = map_coordinates(table, np.moveaxis(index, -1, 0), order=3, mode="constant", cval=0.0)
-    return np.asarray(np.clip(found, 0.0, 1.0))
+    fill = map_coordinates(table, np.moveaxis(index, -1, 0), order=3, mode="constant", cval=0.0)
+    return np.asarray(np.clip(fill, 0.0, 1.0))

@@ -67,15 +67,15 @@ def agreement_of(rows: Sequence[Result]) -> Agreement:
             if row.product == quantity:
                 by_subject.setdefault(row.subject, []).append(row)
         for subject, own in by_subject.items():
-            found = _spectral(own)
-            if found is not None:
-                spectra.setdefault(quantity, {})[subject] = found
+            spectral = _spectral(own)
+            if spectral is not None:
+                spectra.setdefault(quantity, {})[subject] = spectral
     curves = [r for r in rows if r.product == "roc" and r.outcome is not Outcome.SKIPPED and math.isfinite(r.value)]
 
     def values(metric: str) -> dict[str, list[float]]:
         return {x: [r.value for r in curves if r.metric == f"{metric}@{x}"] for x in LEVELS}
 
-    gaps = {x: [abs(v) for v in found] for x, found in values("pd_difference").items()}
+    gaps = {x: [abs(v) for v in spectral] for x, spectral in values("pd_difference").items()}
     return Agreement(spectra, values("pd_inside_interval"), gaps)
 
 

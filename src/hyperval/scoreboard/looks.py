@@ -34,7 +34,7 @@ DRAWS = 1000
 
 
 @dataclass(frozen=True)
-class Asked:
+class Question:
     """A campaign that is asked for every detector it can take.
 
     Attributes
@@ -48,7 +48,7 @@ class Asked:
     notes: tuple[str, ...] = ()
 
 
-def with_every_detector(campaign: Campaign, regions: Sequence[str]) -> Asked:
+def with_every_detector(campaign: Campaign, regions: Sequence[str]) -> Question:
     """The campaign with all detectors that the code knows, and without what the benchmark does not look at.
 
     Parameters
@@ -59,7 +59,7 @@ def with_every_detector(campaign: Campaign, regions: Sequence[str]) -> Asked:
     bare = campaign.model_copy(update={"classification": None, "attribution": None})
     detection = campaign.detection
     if detection is None:
-        return Asked(bare, {})
+        return Question(bare, {})
     names, left_out, notes = list(detector_names()), {}, []
     if detection.local_window is not None:
         for name in [n for n in names if n not in LOCAL_DETECTORS]:
@@ -76,12 +76,12 @@ def with_every_detector(campaign: Campaign, regions: Sequence[str]) -> Asked:
         detection,
         {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None},
     )
-    return Asked(bare.model_copy(update={"detection": changed}), left_out, tuple(notes))
+    return Question(bare.model_copy(update={"detection": changed}), left_out, tuple(notes))
 
 
-def with_own_detectors(asked: Asked, own: Detection, why: str) -> Asked:
+def with_own_detectors(question: Question, own: Detection, why: str) -> Question:
     """Back to the detectors that the campaign names; the others are left out with the reason."""
-    detection = asked.campaign.detection
+    detection = question.campaign.detection
     assert detection is not None  # noqa: S101 - the caller has asked
     others = {
         d: f"not run, as one of the added detectors was refused: {why}"
@@ -89,7 +89,7 @@ def with_own_detectors(asked: Asked, own: Detection, why: str) -> Asked:
         if d not in own.detectors
     }
     back = detection.model_copy(update={"detectors": list(own.detectors), "undesired": list(own.undesired)})
-    return Asked(asked.campaign.model_copy(update={"detection": back}), {**asked.left_out, **others})
+    return Question(question.campaign.model_copy(update={"detection": back}), {**question.left_out, **others})
 
 
 def classes_with_regions(scenarios: Sequence[Scenario], regions: Iterable[str]) -> list[str]:
@@ -105,14 +105,14 @@ def block_counts(observed: Observed, detection: Detection) -> BlockCounts:
     A halo that the campaign gives its objects is left out: pixels of the object alone count, and of the background
     single pixels.
     """
-    place, found = observed.place, observed.detected
+    place, measured = observed.place, observed.detected
     assert place is not None  # noqa: S101 - detection has both
-    assert found is not None  # noqa: S101
+    assert measured is not None  # noqa: S101
     counted = place.background(detection.false_alarms)
     names = tuple(detection.detectors)
     keys = {(t.name, d): d if d in ANOMALY_DETECTORS else f"{t.name}-{d}" for t in detection.targets for d in names}
     for key in set(keys.values()):
-        counted = counted & np.isfinite(found.score_maps[key])
+        counted = counted & np.isfinite(measured.score_maps[key])
     block = blocks_of(counted)
     over, tie = [], []
     item: list[int] = []
@@ -121,7 +121,7 @@ def block_counts(observed: Observed, detection: Detection) -> BlockCounts:
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
         objects = {o.name: scored_pixels(o, place) for members in groups.values() for o in members}
-        maps = [found.score_maps[keys[target.name, d]] for d in names]
+        maps = [measured.score_maps[keys[target.name, d]] for d in names]
         scores = np.array([list(object_scores(m, objects).values()) for m in maps])
         valid = np.isfinite(scores).all(axis=0)
         kept = [name for name, ok in zip(objects, valid, strict=True) if ok]
@@ -146,10 +146,10 @@ def block_counts(observed: Observed, detection: Detection) -> BlockCounts:
 
 
 def detector_rows(
-    campaign: str, observed: Observed, asked: Asked, *, seed: int, show_progress: bool | None = None
+    campaign: str, observed: Observed, question: Question, *, seed: int, show_progress: bool | None = None
 ) -> list[Result]:
     """Rows of every detector: metrics by subject, the same of all objects, ranks, and what could not run."""
-    detection = asked.campaign.detection
+    detection = question.campaign.detection
     if detection is None or observed.detected is None:
         why = "the campaign looks for no targets"
         return [RowMaker(campaign, PRODUCT, EVERY_OBJECT, "detectors").skipped(Cause.NO_OBSERVATION, why, "rank")]
@@ -162,9 +162,9 @@ def detector_rows(
             continue  # one object orders detectors by chance alone
         for measure in MEASURES.values():
             if measure.known_from(counts.n):
-                found = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
-                rows += rank_rows(campaign, name, counts, measure, found)
-    for name, reason in asked.left_out.items():
+                ranks = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
+                rows += rank_rows(campaign, name, counts, measure, ranks)
+    for name, reason in question.left_out.items():
         rows.append(
             RowMaker(campaign, PRODUCT, EVERY_OBJECT, f"{name}/object").skipped(Cause.REFUSED, reason, "rank")
         )
@@ -186,29 +186,29 @@ def _measured_rows(campaign: str, observed: Observed) -> list[Result]:
     return rows
 
 
-def rank_rows(campaign: str, group: str, counts: BlockCounts, measure: Measure, found: Ranked) -> list[Result]:
+def rank_rows(campaign: str, group: str, counts: BlockCounts, measure: Measure, ranks: Ranked) -> list[Result]:
     """``METRIC`` (of all objects together), ``rank_METRIC`` and ``first_METRIC`` of each detector on one group."""
-    m, rows = found.objects, []
-    told = f"paired: {DRAWS} draws of {m} objects and of blocks of the background, the same for all detectors"
-    if not found.orders:
-        told += f"; {m} objects cannot order {found.distinct} detectors, {fewest_objects(found.distinct)} could"
+    m, rows = ranks.objects, []
+    words = f"paired: {DRAWS} draws of {m} objects and of blocks of the background, the same for all detectors"
+    if not ranks.orders:
+        words += f"; {m} objects cannot order {ranks.distinct} detectors, {fewest_objects(ranks.distinct)} could"
     first = "share of the draws in which it is the best, equals counted alike"
     for d, detector in enumerate(counts.detectors):
         make = RowMaker(campaign, PRODUCT, group, f"{detector}/object")
         if group == EVERY_OBJECT:
-            rows.append(_value_row(make, counts, measure, found, d))
-        ends = float(found.rank_lower[d]), float(found.rank_upper[d])
-        rows.append(make.row(f"rank_{measure.name}", float(found.rank[d]), interval=ends, n=m, reason=told))
-        rows.append(make.row(f"first_{measure.name}", float(found.first[d]), n=m, reason=first))
+            rows.append(_value_row(make, counts, measure, ranks, d))
+        ends = float(ranks.rank_lower[d]), float(ranks.rank_upper[d])
+        rows.append(make.row(f"rank_{measure.name}", float(ranks.rank[d]), interval=ends, n=m, reason=words))
+        rows.append(make.row(f"first_{measure.name}", float(ranks.first[d]), n=m, reason=first))
     return rows
 
 
-def _value_row(make: RowMaker, counts: BlockCounts, measure: Measure, found: Ranked, d: int) -> Result:
+def _value_row(make: RowMaker, counts: BlockCounts, measure: Measure, ranks: Ranked, d: int) -> Result:
     per_area = measure.of_look is None
     scale = counts.density_km2 if per_area else 1.0
     if math.isnan(scale):
         return make.skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", measure.name)
-    value, low, high = (float(x[d]) * scale for x in (found.value, found.lower, found.upper))
+    value, low, high = (float(x[d]) * scale for x in (ranks.value, ranks.lower, ranks.upper))
     why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
     unit = "km-2" if per_area else "1"
-    return make.row(measure.name, value, interval=(low, high), unit=unit, n=found.objects, reason=why)
+    return make.row(measure.name, value, interval=(low, high), unit=unit, n=ranks.objects, reason=why)

@@ -19,7 +19,7 @@ from hyperval.scoreboard.extend import load_extensions
 from hyperval.scoreboard.looks import (
     EVERY_OBJECT,
     PRODUCT,
-    Asked,
+    Question,
     classes_with_regions,
     detector_rows,
     with_every_detector,
@@ -88,7 +88,7 @@ def _run(entry: Entry, job: Job, show_progress: bool | None) -> Benchmarked:
 
 def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | None) -> Benchmarked:
     """The rows with every detector, or with the campaign's own where the others were ``refused``."""
-    name, chosen = job.campaign.name, Asked(job.campaign, {})
+    name, chosen = job.campaign.name, Question(job.campaign, {})
 
     def ask(scenarios: Sequence[Scenario], inputs: Inputs) -> Campaign:
         nonlocal chosen
@@ -101,23 +101,23 @@ def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | Non
             chosen = with_own_detectors(chosen, job.campaign.detection, refused)
         return chosen.campaign
 
-    with collected(job, asked=ask, show_progress=show_progress) as held:
-        rows = detector_rows(name, held.observed, chosen, seed=entry.seed, show_progress=show_progress)
-        rows += peer_rows(name, held.observed, chosen.campaign.detection, held.inputs.resolve)
-        found, predictions = variant_rows(name, held, seed=entry.seed, show_progress=show_progress)
+    with collected(job, asked=ask, show_progress=show_progress) as collection:
+        rows = detector_rows(name, collection.observed, chosen, seed=entry.seed, show_progress=show_progress)
+        rows += peer_rows(name, collection.observed, chosen.campaign.detection, collection.inputs.resolve)
+        variants, predictions = variant_rows(name, collection, seed=entry.seed, show_progress=show_progress)
         record = record_of(
-            held.inputs.log,
-            held.scenarios,
-            held.seed,
+            collection.inputs.log,
+            collection.scenarios,
+            collection.seed,
             {"campaign": chosen.campaign.model_dump(mode="json", by_alias=True)},
-            [held.observed.observation, *predictions],
+            [collection.observed.observation, *predictions],
         )
-        notes = list(dict.fromkeys([*chosen.notes, *_halo(chosen), *held.observed.observation.notes]))
-    return Benchmarked(name, job.campaign.title, job.campaign.simulated, rows + found, notes, record)
+        notes = list(dict.fromkeys([*chosen.notes, *_halo(chosen), *collection.observed.observation.notes]))
+    return Benchmarked(name, job.campaign.title, job.campaign.simulated, rows + variants, notes, record)
 
 
-def _halo(asked: Asked) -> list[str]:
-    if asked.campaign.detection is None or not asked.campaign.detection.halo_pixels:
+def _halo(question: Question) -> list[str]:
+    if question.campaign.detection is None or not question.campaign.detection.halo_pixels:
         return []
     return ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
 

@@ -103,7 +103,7 @@ def ranked(
     cells = np.ix_(np.array(looks), one_of)
     part = BlockCounts(
         tuple(counts.detectors[d] for d in one_of), counts.over[cells],
-        counts.tie[cells], counts.held, item, {}, counts.density_km2,
+        counts.tie[cells], counts.pixels, item, {}, counts.density_km2,
     )  # fmt: skip
     over, tie = part.shares()
     value = measured(measure, over[..., None], tie[..., None], np.ones((len(looks), 1)))[:, 0]
@@ -124,7 +124,7 @@ def _drawn(
     part: BlockCounts, measure: Measure, objects: int, draws: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """(D, R) the metric with objects and blocks drawn anew, and with blocks alone."""
-    blocks, looks = part.held.size, part.item.size
+    blocks, looks = part.pixels.size, part.item.size
     step = max(1, _CHUNK_VALUES // (looks * len(part.detectors)))
     both: list[Array] = []
     still: list[Array] = []

@@ -28,7 +28,7 @@ class BlockCounts:
     ----------
     detectors : names, in the order of the second dimension
     over, tie : (P, D, K) background pixels above the object's score, and equal to it
-    held : (K,) background pixels of each block
+    pixels : (K,) background pixels of each block
     item : (P,) number of the object on the ground that is looked at
     group : name -> looks of a subject or of a pool
     density_km2 : background pixels on a square kilometre; NaN when the ground area is not known
@@ -37,7 +37,7 @@ class BlockCounts:
     detectors: tuple[str, ...]
     over: Counts
     tie: Counts
-    held: Counts
+    pixels: Counts
     item: npt.NDArray[np.intp]
     group: Mapping[str, Sequence[int]]
     density_km2: float = float("nan")
@@ -45,7 +45,7 @@ class BlockCounts:
     @property
     def n(self) -> int:
         """Background pixels."""
-        return int(self.held.sum())
+        return int(self.pixels.sum())
 
     @property
     def orders(self) -> list[int]:
@@ -66,8 +66,8 @@ class BlockCounts:
         """
         if weights is None:
             return self.over.sum(axis=2) / self.n, self.tie.sum(axis=2) / self.n
-        total = self.held @ weights
-        flat = (-1, self.held.size)
+        total = self.pixels @ weights
+        flat = (-1, self.pixels.size)
         shape = (*self.over.shape[:2], weights.shape[1])
         return (
             (self.over.reshape(flat) @ weights / total).reshape(shape),

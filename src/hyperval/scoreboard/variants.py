@@ -53,9 +53,9 @@ class Variant:
         return f"{self.engine}, {self.formulation}"
 
 
-def variants_of(held: Collected) -> list[Variant]:
+def variants_of(collection: Collected) -> list[Variant]:
     """Every engine under the campaign's formulation, and every formulation with its engine."""
-    scenarios = held.scenarios
+    scenarios = collection.scenarios
     engine = "+".join(sorted({s.atmosphere.engine for s in scenarios if s.atmosphere})) or "no atmosphere"
     formulation = "+".join(sorted({s.formulation for s in scenarios}))
     out = [Variant(engine, formulation, tuple(Served(s) for s in scenarios), own=True)]
@@ -63,7 +63,7 @@ def variants_of(held: Collected) -> list[Variant]:
         if name == engine:
             continue
         try:
-            served = tuple(entry.serve(s, held.resolver(s)) for s in scenarios)
+            served = tuple(entry.serve(s, collection.resolver(s)) for s in scenarios)
             out.append(Variant(name, formulation, served))
         except NotApplicable as no:
             out.append(Variant(name, formulation, reason=str(no)))
@@ -75,44 +75,44 @@ def variants_of(held: Collected) -> list[Variant]:
 
 
 def variant_rows(
-    campaign: str, held: Collected, *, seed: int, show_progress: bool | None = None
+    campaign: str, collection: Collected, *, seed: int, show_progress: bool | None = None
 ) -> tuple[list[Result], list[Prediction]]:
     """Rows of every variant, and the predictions behind them for the provenance."""
-    found: list[tuple[Variant, a.Agreement | None]] = []
+    agreements: list[tuple[Variant, a.Agreement | None]] = []
     predictions: list[Prediction] = []
-    for variant in track(variants_of(held), f"{campaign}: variants", show=show_progress):
+    for variant in track(variants_of(collection), f"{campaign}: variants", show=show_progress):
         if variant.reason:
-            found.append((variant, None))
+            agreements.append((variant, None))
             continue
         try:
             sides = [
-                _predicted(one, scenario, held)
-                for one, scenario in zip(variant.served, held.scenarios, strict=True)
+                _predicted(one, scenario, collection)
+                for one, scenario in zip(variant.served, collection.scenarios, strict=True)
             ]
         except HypervalError as error:
             if variant.own:
                 raise
-            found.append((Variant(variant.engine, variant.formulation, reason=str(error)), None))
+            agreements.append((Variant(variant.engine, variant.formulation, reason=str(error)), None))
             continue
         predictions += sides
         whole = without_circles(merged(sides), [s.scenario for s in variant.served])
-        found.append(
-            (variant, a.agreement_of(_compared(whole, held.observed.observation, campaign, variant.label)))
+        agreements.append(
+            (variant, a.agreement_of(_compared(whole, collection.observed.observation, campaign, variant.label)))
         )
-    base = next(x for v, x in found if v.own)
+    base = next(x for v, x in agreements if v.own)
     assert base is not None  # noqa: S101 - what the campaign itself says was predicted or has raised
     rows: list[Result] = []
-    for variant, score in found:
+    for variant, score in agreements:
         rows += _rows(campaign, variant, score, base, seed)
     return rows, predictions
 
 
-def _predicted(one: Served, asked: Scenario, held: Collected) -> Prediction:
+def _predicted(one: Served, scenario: Scenario, collection: Collected) -> Prediction:
     return predict(
         one.scenario,
-        axis=held.observed.observation.axis,
-        measured=held.observed.statistics,
-        resolve=held.resolver(asked),
+        axis=collection.observed.observation.axis,
+        measured=collection.observed.statistics,
+        resolve=collection.resolver(scenario),
         show_progress=False,
         engine=one.terms_of,
     )
@@ -139,10 +139,10 @@ def _rows(campaign: str, variant: Variant, score: a.Agreement | None, base: a.Ag
     make = RowMaker(campaign, PRODUCT, EVERY_SUBJECT, variant.label)
     if score is None:
         return [make.skipped(Cause.REFUSED, variant.reason, "agreement")]
-    told = "; ".join(dict.fromkeys(s.note for s in variant.served if s.note))
+    words = "; ".join(dict.fromkeys(s.note for s in variant.served if s.note))
     rows: list[Result] = []
     for quantity, spectra in score.spectra.items():
-        rows += _spectral_rows(make, quantity, spectra, seed, told)
+        rows += _spectral_rows(make, quantity, spectra, seed, words)
         if not variant.own:
             rows += _change_rows(make, quantity, spectra, base.spectra.get(quantity, {}), seed)
     for level in a.LEVELS:
@@ -160,12 +160,12 @@ def _rows(campaign: str, variant: Variant, score: a.Agreement | None, base: a.Ag
 
 
 def _spectral_rows(
-    make: RowMaker, quantity: str, spectra: Mapping[str, a.Spectral], seed: int, told: str
+    make: RowMaker, quantity: str, spectra: Mapping[str, a.Spectral], seed: int, words: str
 ) -> list[Result]:
     """``radiance_median_abs_difference_ratio`` and the like: all subjects, each subject, and the chi-square."""
     metric = f"{quantity}_median_abs_difference_ratio"
     why = "windows; median over subjects of the median over bands; interval by drawing subjects and blocks of "
-    why += f"{a.BLOCK_NM:g} nm anew" + (f"; {told}" if told else "")
+    why += f"{a.BLOCK_NM:g} nm anew" + (f"; {words}" if words else "")
     value, span = _median(spectra, seed)
     rows = [make.row(metric, value, interval=span, n=len(spectra), reason=why)]
     for name, one in spectra.items():

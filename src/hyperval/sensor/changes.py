@@ -29,16 +29,16 @@ def changed_noise(noise: NoiseModel, changes: SensorChanges) -> NoiseModel:
     The light acts by :func:`with_signal`; b g of measured noise is the variance of its fixed part [electrons^2].
     A changed word length moves the step of quantisation at the same full scale.
     """
-    found = with_signal(noise, changes.signal_factor)
+    changed = with_signal(noise, changes.signal_factor)
     f = changes.fixed_noise_factor
-    found = replace(found, fixed_noise=found.fixed_noise * f)
-    if found.measured is not None:
-        a, b, c = found.measured
-        found = replace(found, measured=(a, b * f**2, c))
+    changed = replace(changed, fixed_noise=changed.fixed_noise * f)
+    if changed.measured is not None:
+        a, b, c = changed.measured
+        changed = replace(changed, measured=(a, b * f**2, c))
     if changes.calibration_error_percent is not None:
         c_r = np.full_like(noise.calibration_percent, changes.calibration_error_percent)
-        found = replace(found, calibration_percent=c_r)
+        changed = replace(changed, calibration_percent=c_r)
     if changes.bits is not None:
         step = noise.lsb_electrons * 2.0 ** (np.asarray(noise.bits, dtype=float) - changes.bits)
-        found = replace(found, lsb_electrons=step, bits=changes.bits)
-    return found
+        changed = replace(changed, lsb_electrons=step, bits=changes.bits)
+    return changed

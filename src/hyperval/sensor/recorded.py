@@ -74,12 +74,12 @@ def with_signal(noise: NoiseModel, factor: float | Array) -> NoiseModel:
     Measured noise |a sqrt(b + L) + c| follows from g = 1/a^2 electrons per radiance and b g electrons^2 of
     fixed noise.
     """
-    found = replace(
+    model = replace(
         noise,
         electrons_per_radiance=noise.electrons_per_radiance * factor,  # (3.13)
         full_scale=None if noise.full_scale is None else noise.full_scale / factor,
     )
     if noise.measured is not None:
         a, b, c = noise.measured
-        found = replace(found, measured=(a / np.sqrt(factor), b / factor, c / factor))
-    return found
+        model = replace(model, measured=(a / np.sqrt(factor), b / factor, c / factor))
+    return model

@@ -149,8 +149,8 @@ class Sensor:
         spec, on = self.specification, axis or self.axis
         w = on.centre_nm
         calibration = spec.calibration_error_percent.at(w)
-        found = self._measured_noise(w, calibration) if spec.measured_noise else self._noise(on, calibration)
-        return found if operation is None else averaged_noise(found, operation)
+        model = self._measured_noise(w, calibration) if spec.measured_noise else self._noise(on, calibration)
+        return model if operation is None else averaged_noise(model, operation)
 
     def _measured_noise(self, w: Array, calibration: Array) -> NoiseModel:
         given = self.specification.measured_noise
@@ -216,16 +216,16 @@ class Sensor:
         return np.asarray(gap.argmin(axis=0))
 
     def _assumptions(self) -> list[str]:
-        found = []
+        assumptions = []
         for arm in self.specification.arms:
             for name in type(arm).model_fields:
                 value = getattr(arm, name)
                 source = getattr(value, "source", "")
                 if source.lower().startswith("assumed"):
-                    found.append(f"{arm.name}: {name} ({source})")
+                    assumptions.append(f"{arm.name}: {name} ({source})")
         if self.specification.calibration_error_percent.assumed:
-            found.append(f"calibration_error_percent ({self.specification.calibration_error_percent.source})")
-        return found
+            assumptions.append(f"calibration_error_percent ({self.specification.calibration_error_percent.source})")
+        return assumptions
 
 
 def library_names() -> tuple[str, ...]:

@@ -38,7 +38,7 @@ def draw_datasheet(check: SensorCheck) -> list[Drawing]:
     if not check.usable:
         return []
     with style.house_style():
-        found = [
+        figures = [
             response_figure(check),
             snr_figure(check),
             published_figure(check.points) if check.points else None,
@@ -47,7 +47,7 @@ def draw_datasheet(check: SensorCheck) -> list[Drawing]:
             detection_figure(check.predictions),
             sensitivity_figure(check.swings, check.probe, check.vary),
         ]
-    return [drawing for drawing in found if drawing is not None]
+    return [drawing for drawing in figures if drawing is not None]
 
 
 def response_figure(check: SensorCheck) -> Drawing:
@@ -98,9 +98,9 @@ def snr_figure(check: SensorCheck) -> Drawing:
     highest = []
     for level, colour in zip(LEVELS, style.SOURCE_COLOURS, strict=False):
         radiance = sunlit_radiance(axis, level)
-        free, held = noise.snr(radiance, calibration=False), noise.snr(radiance)
+        free, calibrated = noise.snr(radiance, calibration=False), noise.snr(radiance)
         _curve(axes, axis, free, colour, "-")
-        _curve(axes, axis, held, colour, "--")
+        _curve(axes, axis, calibrated, colour, "--")
         highest.append(free[_shown(axis) if len(axis) >= 30 else axis.good])
         entries.append((Line2D([], [], color=colour, marker=_marker(axis)), f"reflectance {level:g}"))
     entries.append((Line2D([], [], color="#444444"), "without calibration error C_R"))

@@ -66,16 +66,16 @@ def published_figure(points: Sequence[SnrPoint]) -> Drawing:
 
 def detection_figure(predictions: Mapping[str, Prediction]) -> Drawing | None:
     """Receiver operating characteristic of every target of the standard scenes."""
-    scenes = {name: found for name, found in predictions.items() if found.roc}
+    scenes = {name: prediction for name, prediction in predictions.items() if prediction.roc}
     if not scenes:
         return None
     figure = style.new_figure(10.0, 3.6, "Detection in the standard scenes", False)
     panels = np.atleast_1d(figure.subplots(1, len(scenes), sharey=True))
-    detectors = sorted({key[1] for found in scenes.values() for key in found.roc})
+    detectors = sorted({key[1] for prediction in scenes.values() for key in prediction.roc})
     lines: dict[str, Any] = dict(zip(detectors, ("-", "--", ":", "-."), strict=False))
-    for axes, (name, found) in zip(panels, scenes.items(), strict=True):
-        subjects = list(dict.fromkeys(key[0] for key in found.roc))
-        for (subject, detector, unit), curve in found.roc.items():
+    for axes, (name, prediction) in zip(panels, scenes.items(), strict=True):
+        subjects = list(dict.fromkeys(key[0] for key in prediction.roc))
+        for (subject, detector, unit), curve in prediction.roc.items():
             if unit != "pixel" or detector not in lines:
                 continue
             colour = style.SOURCE_COLOURS[subjects.index(subject) % len(style.SOURCE_COLOURS)]

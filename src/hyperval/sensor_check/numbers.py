@@ -32,32 +32,32 @@ class Number:
 
 def numbers(spec: SensorSpecification) -> list[Number]:
     """Every number of the file in the order of the file; ``varies`` is False for those that cannot be scaled."""
-    found = [Number("bands.fwhm", _bands_text(spec.bands), spec.bands.source)]
+    out = [Number("bands.fwhm", _bands_text(spec.bands), spec.bands.source)]
     for arm in spec.arms:
-        found.append(Number(f"{arm.name}.throughput", _throughput_text(arm.throughput), arm.throughput.source))
+        out.append(Number(f"{arm.name}.throughput", _throughput_text(arm.throughput), arm.throughput.source))
         for name in ARM_QUANTITIES:
             quantity: Quantity | None = getattr(arm, name)
             if quantity is not None:
                 text, source = _quantity_text(quantity), quantity.source
-                found.append(Number(f"{arm.name}.{name}", text, source, varies=quantity.value != 0.0))
+                out.append(Number(f"{arm.name}.{name}", text, source, varies=quantity.value != 0.0))
         bits = arm.bits_source or "not stated"
-        found.append(Number(f"{arm.name}.bits", str(arm.bits), bits, varies=False))
+        out.append(Number(f"{arm.name}.bits", str(arm.bits), bits, varies=False))
     if spec.measured_noise is not None:
         rows = f"{len(spec.measured_noise.table)} rows of a, b, c"
-        found.append(Number("measured_noise", rows, spec.measured_noise.source, varies=False))
+        out.append(Number("measured_noise", rows, spec.measured_noise.source, varies=False))
         if spec.measured_noise.saturation_radiance is not None:
             full = spec.measured_noise.saturation_radiance
-            found.append(
+            out.append(
                 Number("measured_noise.saturation_radiance", _quantity_text(full), full.source, varies=False)
             )
     if spec.psf is not None:
         along, across = spec.psf.fwhm
-        found.append(Number("psf", f"{along:.3g}, {across:.3g} pixels", spec.psf.source, varies=False))
+        out.append(Number("psf", f"{along:.3g}, {across:.3g} pixels", spec.psf.source, varies=False))
     quantity = spec.calibration_error_percent
-    found.append(
+    out.append(
         Number("calibration_error_percent", _quantity_text(quantity), quantity.source, varies=quantity.value != 0.0)
     )
-    return found
+    return out
 
 
 def scaled(spec: SensorSpecification, factors: Mapping[str, float]) -> SensorSpecification:

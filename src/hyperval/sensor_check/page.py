@@ -93,7 +93,7 @@ def _facts(sensor: Sensor) -> list[tuple[str, str]]:
 
 
 def _sections(rows: Sequence[Result], drawings: Sequence[Drawing]) -> list[dict[str, Any]]:
-    found = []
+    sections = []
     for name, title in SECTIONS.items():
         own = [r for r in rows if r.product == name]
         figures = [
@@ -102,5 +102,5 @@ def _sections(rows: Sequence[Result], drawings: Sequence[Drawing]) -> list[dict[
             if d.section == name
         ]
         if own or figures:
-            found.append({"title": title, "rows": own, "figures": figures})
-    return found
+            sections.append({"title": title, "rows": own, "figures": figures})
+    return sections

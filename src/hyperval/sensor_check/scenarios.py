@@ -46,30 +46,30 @@ def run_scenarios(sensor: Sensor, ledger: Ledger, engine: Engine | None = None) 
     return done
 
 
-def _check(scenario: Scenario, found: Prediction, sensor: Sensor, ledger: Ledger) -> None:
-    good = found.axis.good & in_window(found.axis.centre_nm)
+def _check(scenario: Scenario, prediction: Prediction, sensor: Sensor, ledger: Ledger) -> None:
+    good = prediction.axis.good & in_window(prediction.axis.centre_nm)
     name = scenario.name
     wrong = sum(
         int(np.count_nonzero(~(np.isfinite(e.mean[good]) & (e.mean[good] > 0))))
-        for group in (found.radiance, found.snr)
+        for group in (prediction.radiance, prediction.snr)
         for e in group.values()
     )
     ledger.gate(PRODUCT, "values_not_positive", wrong, wrong == 0, at_most=0.0, subject=name,
                 reason="radiances or ratios that are not positive in the windows")  # fmt: skip
-    c_r = sensor.noise(found.axis).calibration_percent / 100.0
-    highest = max(float(np.max(e.mean * c_r)) for s, e in found.snr.items() if s in found.radiance)
+    c_r = sensor.noise(prediction.axis).calibration_percent / 100.0
+    highest = max(float(np.max(e.mean * c_r)) for s, e in prediction.snr.items() if s in prediction.radiance)
     ledger.gate(PRODUCT, "highest_snr_over_cap_of_c_r", highest, highest <= 1.0 + 1e-9, at_most=1.0, subject=name,
                 reason="the SNR passes 100 / C_R")  # fmt: skip
-    error = _panel_error(scenario, found, good)
+    error = _panel_error(scenario, prediction, good)
     ledger.gate(PRODUCT, "panel_reflectance_error", error, error <= REFLECTANCE_TOLERANCE,
                 at_most=REFLECTANCE_TOLERANCE, subject=name,
                 reason="the empirical line does not give back the panels")  # fmt: skip
-    parts = [float(np.max(np.where(found.axis.good, p, 0.0))) for p in found.full_scale.values()]
+    parts = [float(np.max(np.where(prediction.axis.good, p, 0.0))) for p in prediction.full_scale.values()]
     if parts and np.all(np.isfinite(parts)):
         most = max(parts)
         ledger.gate(PRODUCT, "highest_part_of_full_scale", most, most < 1.0, at_most=1.0, subject=name,
                     reason="a surface of the scene saturates")  # fmt: skip
-    for (subject, detector, unit), curve in found.roc.items():
+    for (subject, detector, unit), curve in prediction.roc.items():
         if unit != "pixel":
             continue
         step = float(np.min(np.diff(curve.pd)))
@@ -80,10 +80,12 @@ def _check(scenario: Scenario, found: Prediction, sensor: Sensor, ledger: Ledger
         ledger.info(PRODUCT, f"pd_at_pfa_{FALSE_ALARM:g}", float(detection_at(curve, FALSE_ALARM)), subject=what)
 
 
-def _panel_error(scenario: Scenario, found: Prediction, good: npt.NDArray[np.bool_]) -> float:
+def _panel_error(scenario: Scenario, products: Prediction, good: npt.NDArray[np.bool_]) -> float:
     worst = 0.0
     for panel in scenario.scene.panels:
-        if panel.spectrum.builtin is not None and panel.name in found.reflectance:
-            truth = builtin_class(panel.spectrum.builtin, found.axis).mean
-            worst = max(worst, float(np.max(np.abs(found.reflectance[panel.name].mean - truth)[good], initial=0.0)))
+        if panel.spectrum.builtin is not None and panel.name in products.reflectance:
+            truth = builtin_class(panel.spectrum.builtin, products.axis).mean
+            worst = max(
+                worst, float(np.max(np.abs(products.reflectance[panel.name].mean - truth)[good], initial=0.0))
+            )
     return worst

@@ -51,8 +51,8 @@ def telling_probe(predictions: Mapping[str, Prediction]) -> Probe | None:
     """The subject and detector whose P_D lies nearest 0.5; None where nothing is detected."""
     probes = [
         Probe(name, key, float(detection_at(curve, FALSE_ALARM)))
-        for name, found in predictions.items()
-        for key, curve in found.roc.items()
+        for name, prediction in predictions.items()
+        for key, curve in prediction.roc.items()
         if key[2] == "pixel"
     ]
     return min(probes, key=lambda p: abs(p.value - 0.5), default=None)
@@ -105,5 +105,5 @@ def _detection_change(
 ) -> float:
     if probe is None or scenario is None:
         return 0.0
-    found = predict(scenario, sensor=other, engine=engine, show_progress=False)
-    return float(detection_at(found.roc[probe.key], FALSE_ALARM)) - probe.value
+    prediction = predict(scenario, sensor=other, engine=engine, show_progress=False)
+    return float(detection_at(prediction.roc[probe.key], FALSE_ALARM)) - probe.value

@@ -67,19 +67,19 @@ def check_sensor(
     UsageError : no such sensor, or a file that is not valid or still has values to be filled in.
     InputError : no such file.
     """
-    found = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
-    ledger = Ledger(found.name, found.specification.known_discrepancies)
-    axis = check_bands(found, ledger)
-    usable = axis is not None and check_throughput(found, axis, ledger)
+    spec = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
+    ledger = Ledger(spec.name, spec.specification.known_discrepancies)
+    axis = check_bands(spec, ledger)
+    usable = axis is not None and check_throughput(spec, axis, ledger)
     if axis is None or not usable:
         if axis is None:
             ledger.skipped("throughput", "sensor_check", "the bands are in no order")
         for product in ("noise", "saturation", "monotone", "published_snr", "scenario", "sensitivity"):
             ledger.skipped(product, "sensor_check", "bands or throughput fail: nothing can be computed from them")
-        return SensorCheck(found, ledger.table, vary=vary, usable=False)
-    check_noise(found, axis, ledger)
-    points = check_published(found, axis, ledger, engine)
-    predictions = run_scenarios(found, ledger, engine)
-    swings, probe = sensitivities(found, predictions, ledger, vary=vary, engine=engine, show_progress=show_progress)
+        return SensorCheck(spec, ledger.table, vary=vary, usable=False)
+    check_noise(spec, axis, ledger)
+    points = check_published(spec, axis, ledger, engine)
+    predictions = run_scenarios(spec, ledger, engine)
+    swings, probe = sensitivities(spec, predictions, ledger, vary=vary, engine=engine, show_progress=show_progress)
     ledger.close()
-    return SensorCheck(found, ledger.table, points, predictions, swings, probe, vary)
+    return SensorCheck(spec, ledger.table, points, predictions, swings, probe, vary)

@@ -68,5 +68,5 @@ def _provenance(check: SensorCheck, name_or_file: str) -> dict[str, Any]:
             "sensor": check.sensor.specification.model_dump(mode="json", by_alias=True),
             "vary": check.vary,
         },
-        engines={name: dict(found.provenance) for name, found in check.predictions.items()},
+        engines={name: dict(prediction.provenance) for name, prediction in check.predictions.items()},
     )

@@ -157,17 +157,17 @@ def regions(scene: SceneFile, ground: Ground) -> dict[str, Mask]:
     ------
     UsageError : a region that holds no pixel.
     """
-    found: dict[str, Mask] = {}
+    masks: dict[str, Mask] = {}
     for panel in scene.panels:
         mask = np.zeros(ground.class_map.shape, bool)
         b = panel.border_pixels
         mask[panel.lines[0] + b : panel.lines[1] - b, panel.samples[0] + b : panel.samples[1] - b] = True
-        found[panel.name] = mask
+        masks[panel.name] = mask
     for region in scene.regions:
-        found[region.name] = class_region(ground, region.surface, region.border_pixels, scene.target_guard_pixels)
-    for name, mask in found.items():
+        masks[region.name] = class_region(ground, region.surface, region.border_pixels, scene.target_guard_pixels)
+    for name, mask in masks.items():
         if not mask.any():
             raise UsageError(
                 f"the region {name!r} holds no pixel", where=scene.name, mend="lower its border_pixels"
             )
-    return found
+    return masks

@@ -102,12 +102,12 @@ class SurfaceRenderer:
 
     def _index_planks(self) -> dict[int, tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Array]]:
         """Per line: samples, plank numbers and fills of everything a plank touches."""
-        found: dict[int, list[tuple[int, int, float]]] = {}
+        planks: dict[int, list[tuple[int, int, float]]] = {}
         for number, plank in enumerate(self.ground.planks):
             for line, sample, fill in zip(*touched(plank), strict=True):
-                found.setdefault(int(line), []).append((int(sample), number, float(fill)))
+                planks.setdefault(int(line), []).append((int(sample), number, float(fill)))
         out = {}
-        for line, entries in found.items():
+        for line, entries in planks.items():
             samples, numbers, fills = zip(*entries, strict=True)
             out[line] = (np.array(samples), np.array(numbers), np.array(fills, np.float32))
         return out

@@ -35,7 +35,7 @@ def write_regions(path: Path, scene: SceneFile, masks: Mapping[str, Mask]) -> No
     (0, 0) is the upper left corner of the first pixel.  GeoJSON proper is in degrees;
     ``coordinates: pixel`` among the members says that this file is not.
     """
-    found = []
+    records = []
     for name, mask in masks.items():
         shapes = [shape for shape, value in features.shapes(mask.astype(np.uint8), mask=mask) if value == 1]
         polygons = [shape["coordinates"] for shape in shapes]
@@ -47,8 +47,8 @@ def write_regions(path: Path, scene: SceneFile, masks: Mapping[str, Mask]) -> No
         surface = next((p.surface for p in scene.panels if p.name == name), None)
         surface = surface or next(r.surface for r in scene.regions if r.name == name)
         properties = {"name": name, "surface": surface, "pixels": int(mask.sum())}
-        found.append({"type": "Feature", "properties": properties, "geometry": geometry})
-    content = {"type": "FeatureCollection", "name": scene.name, "coordinates": "pixel", "features": found}
+        records.append({"type": "Feature", "properties": properties, "geometry": geometry})
+    content = {"type": "FeatureCollection", "name": scene.name, "coordinates": "pixel", "features": records}
     write_text(path, json.dumps(content) + "\n")
 
 

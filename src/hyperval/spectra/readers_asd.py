@@ -72,13 +72,13 @@ def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> Record:
             "irradiance",
         ):  # refused by what it holds, whether it can be calibrated or not
             return Record(path.stem, wavelength, spectrum, where, wavelength_unit="nm", quantity=_TYPES[kind])
-        values, held, notes = calibrated(
+        values, calibrations, notes = calibrated(
             raw, _end_of_reference(raw, channels, dtype), spectrum, wavelength, dtype, where
         )
         return Record(
             path.stem, wavelength, values, where,
-            wavelength_unit="nm", quantity=held, notes=notes,
-            unit=RADIANCE_UNIT if held == "radiance" else IRRADIANCE_UNIT,
+            wavelength_unit="nm", quantity=calibrations, notes=notes,
+            unit=RADIANCE_UNIT if calibrations == "radiance" else IRRADIANCE_UNIT,
         )  # fmt: skip
     note: tuple[str, ...] = ()
     if raw[:3] == b"ASD":  # version 1 stores the reflectance itself and no reference

@@ -64,19 +64,19 @@ def calibrated(
             where=where, expected=f"at most {GREATEST:g} {RADIANCE_UNIT}", mend=_MEND,
         )  # fmt: skip
     try:
-        held = _calibrations(raw, end_of_reference, stored.size, dtype)
+        powers = _calibrations(raw, end_of_reference, stored.size, dtype)
     except (struct.error, IndexError, ValueError) as error:
         raise InputError(
             f"the calibration in the file is not understood ({error})", where=where, mend=_MEND
         ) from None
     (field_of_view,) = struct.unpack_from("<h", raw, 394)
     needed = (LAMP, RESPONSE) if field_of_view >= _NO_ANGLE else (BASE, LAMP, RESPONSE)
-    if any(k not in held for k in needed):
+    if any(k not in powers for k in needed):
         raise InputError(f"a file of {kind} that holds counts, and no calibration", where=where, mend=_MEND)
     (integration,) = struct.unpack_from("<L", raw, 390)
     gains = struct.unpack_from("<2H", raw, 436)
     joins = struct.unpack_from("<2f", raw, 444)
-    response = held[RESPONSE]
+    response = powers[RESPONSE]
     if not (integration and response.integration_ms > 0 and all(gains) and all(response.gains)):
         raise InputError("settings of the calibration that are 0", where=where, mend=_MEND)
     factor = np.where(
@@ -85,9 +85,9 @@ def calibrated(
         np.where(wavelength_nm <= joins[1], gains[0] / response.gains[0], gains[1] / response.gains[1]),
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        values = np.where(response.values > 0, held[LAMP].values * stored / response.values * factor, np.nan)
+        values = np.where(response.values > 0, powers[LAMP].values * stored / response.values * factor, np.nan)
     if field_of_view < _NO_ANGLE:
-        values = values * held[BASE].values / np.pi
+        values = values * powers[BASE].values / np.pi
         kind = "radiance"
     else:
         kind = "irradiance"
@@ -112,14 +112,14 @@ def _calibrations(raw: bytes, at: int, channels: int, dtype: np.dtype) -> dict[i
     at += 1
     entries = [_ENTRY.unpack_from(raw, at + i * _ENTRY.size) for i in range(count)]
     at += count * _ENTRY.size
-    found = {}
+    calibrations = {}
     for kind, _, integration, first, second in entries:
         if at + channels * dtype.itemsize > len(raw):
             raise ValueError("cut short")
         values = np.frombuffer(raw, dtype, channels, at).astype(float)
-        found[kind] = Calibration(values, integration, (first, second))
+        calibrations[kind] = Calibration(values, integration, (first, second))
         at += channels * dtype.itemsize
-    return found
+    return calibrations
 
 
 def _check_joins(values: Array, wavelength_nm: Array, joins: tuple[float, ...], where: str) -> None:

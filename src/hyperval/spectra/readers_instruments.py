@@ -57,18 +57,18 @@ def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
         )
     check_last_line(text, str(path))
     name = entries.get("name", "").removesuffix(".sig") or path.stem
-    held = entries.get("units", "").split(",")[-1].strip().lower()
+    units = entries.get("units", "").split(",")[-1].strip().lower()
     if quantity in SVC_UNITS:
-        if held not in SVC_UNITS:
-            raise InputError(f"the target is in {held or 'an unknown unit'}, not in {quantity}", where=str(path))
+        if units not in SVC_UNITS:
+            raise InputError(f"the target is in {units or 'an unknown unit'}, not in {quantity}", where=str(path))
         return Record(
             name, table[:, 0], SVC_SCALE * table[:, 2], str(path),
-            wavelength_unit="nm", quantity=held, unit=SVC_UNITS[held],
-            notes=(f"{held} taken as {SVC_SCALE:g} {SVC_UNITS[held]}, the maker's unit",),
+            wavelength_unit="nm", quantity=units, unit=SVC_UNITS[units],
+            notes=(f"{units} taken as {SVC_SCALE:g} {SVC_UNITS[units]}, the maker's unit",),
         )  # fmt: skip
     if not table[:, 3].any():
         raise InputError(
-            f"no reflectance: a single scan of {held or 'an unknown quantity'}",
+            f"no reflectance: a single scan of {units or 'an unknown quantity'}",
             where=str(path),
             expected="target over white reference in the fourth column",
         )
@@ -96,21 +96,21 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     titles = [t.strip() for t in lines[begin + 1].split("\t")]
     if quantity in ("radiance", "irradiance"):
         return _sed_power(text, lines, begin, titles, path, quantity)
-    found = [i for i, title in enumerate(titles) if re.match(r"reflect|tgt\.?\s*/\s*ref", title, re.IGNORECASE)]
-    if len(found) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE):
+    columns = [i for i, title in enumerate(titles) if re.match(r"reflect|tgt\.?\s*/\s*ref", title, re.IGNORECASE)]
+    if len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE):
         raise InputError(
             "no reflectance column: " + ", ".join(titles),
             where=f"{path}:{begin + 2}",
             expected="Wvl and one column 'Reflect. %', 'Reflect. [1.0]' or 'Tgt./Ref. %'",
         )
-    unit = reflectance_unit_in(titles[found[0]])
+    unit = reflectance_unit_in(titles[columns[0]])
     if unit is None:
-        raise InputError(f"the unit of {titles[found[0]]!r} is not known", where=f"{path}:{begin + 2}")
+        raise InputError(f"the unit of {titles[columns[0]]!r} is not known", where=f"{path}:{begin + 2}")
     table = _sed_table(text, lines, begin, len(titles), path)
     return Record(
         name=path.stem,
         wavelength=table[:, 0],
-        values=table[:, found[0]],
+        values=table[:, columns[0]],
         where=str(path),
         wavelength_unit="nm",
         reflectance_unit=unit,
@@ -137,8 +137,8 @@ def _sed_table(text: str, lines: list[str], begin: int, columns: int, path: Path
 
 def _sed_power(text: str, lines: list[str], begin: int, titles: list[str], path: Path, quantity: str) -> Record:
     pattern = r"irr\w*\.?\s*\(target" if quantity == "irradiance" else r"rad\w*\.?\s*\(target"
-    found = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
-    if len(found) != 1:
+    columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
+    if len(columns) != 1:
         raise InputError(
             f"no {quantity} of the target: " + ", ".join(titles),
             where=f"{path}:{begin + 2}",
@@ -147,6 +147,6 @@ def _sed_power(text: str, lines: list[str], begin: int, titles: list[str], path:
     stated = next((x.partition(":")[2] for x in lines[:begin] if x.lower().startswith("units:")), "")
     table = _sed_table(text, lines, begin, len(titles), path)
     return Record(
-        path.stem, table[:, 0], table[:, found[0]], str(path),
+        path.stem, table[:, 0], table[:, columns[0]], str(path),
         wavelength_unit="nm", quantity=quantity, unit=power_unit_in(stated),
     )  # fmt: skip

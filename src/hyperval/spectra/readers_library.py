@@ -62,10 +62,10 @@ def library_records(path: Path, header: EnviHeader | None, root: Path | None = N
     """
     if header is None:
         header = read_header(path)
-        found = [path.with_suffix(end) for end in _SUFFIXES if path.with_suffix(end).is_file()]
-        if len(found) != 1:
-            raise InputError(f"{len(found)} data files beside the header", where=str(path))
-        path = found[0]
+        files = [path.with_suffix(end) for end in _SUFFIXES if path.with_suffix(end).is_file()]
+        if len(files) != 1:
+            raise InputError(f"{len(files)} data files beside the header", where=str(path))
+        path = files[0]
     path = checked_file(path, root=root, what="spectral library")
     checked_file(header.path, root=root, what="ENVI header")
     if header.file_type.lower() != "envi spectral library" or header.bands != 1:

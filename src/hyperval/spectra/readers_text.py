@@ -120,9 +120,9 @@ def plot_records(text: str, path: Path) -> list[Record]:
     header, table, _ = number_table(text, path)
     titles = {}
     for line in header:
-        found = re.match(r"^Column ([0-9]+):\s*(.*?)(~~[0-9]+)?\s*$", line)
-        if found:
-            titles[int(found.group(1)) - 1] = found.group(2)
+        match = re.match(r"^Column ([0-9]+):\s*(.*?)(~~[0-9]+)?\s*$", line)
+        if match:
+            titles[int(match.group(1)) - 1] = match.group(2)
     if sorted(titles) != list(range(table.shape[1])) or table.shape[1] < 2:
         raise InputError(f"{len(titles)} titles for {table.shape[1]} columns", where=str(path))
     return [
@@ -235,8 +235,8 @@ def quantity_in(title: str) -> str | None:
     if re.search("reflect", title, re.IGNORECASE):
         return None
     other = r"transmittance|transmission|absorbance|absorption|emissivity|emittance"
-    found = re.search(rf"(?<![a-z])((ir)?radiance|{other})", title, re.IGNORECASE)
-    return None if found is None else found.group().lower()
+    match = re.search(rf"(?<![a-z])((ir)?radiance|{other})", title, re.IGNORECASE)
+    return None if match is None else match.group().lower()
 
 
 def power_unit_in(text: str) -> str | None:
@@ -244,16 +244,16 @@ def power_unit_in(text: str) -> str | None:
 
     None where the text holds none that is known.
     """
-    found = re.search(r"(?<![a-z])(m|u|µ|μ)?W(?![a-z])[^()\[\]]*", text, re.IGNORECASE)
-    if found is None:
+    match = re.search(r"(?<![a-z])(m|u|µ|μ)?W(?![a-z])[^()\[\]]*", text, re.IGNORECASE)
+    if match is None:
         return None
-    words = found.group()
+    words = match.group()
     # Below the fraction bar stand an area, perhaps a solid angle, and a wavelength.
     area = re.search(r"(?<![a-z])(c?)m(?:\^|\*\*)?-?[2²]", words, re.IGNORECASE)
     per = re.search(r"(?<![a-z])([nuµμ])m(?!\w*[2²])", words[1:], re.IGNORECASE)
     if area is None or per is None:
         return None
-    watt = {"": "W", "m": "mW"}.get((found.group(1) or "").lower(), "uW")
+    watt = {"": "W", "m": "mW"}.get((match.group(1) or "").lower(), "uW")
     angle = "sr-1 " if re.search(r"(?<![a-z])sr(?![a-z])", words, re.IGNORECASE) else ""
     return f"{watt} {'cm' if area.group(1) else 'm'}-2 {angle}{'nm' if per.group(1).lower() == 'n' else 'um'}-1"
 

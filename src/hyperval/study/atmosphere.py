@@ -94,12 +94,12 @@ def few_states(
             f"{len(rows)} states of the atmosphere", expected=f"at most {MOST_RUNS} runs of its engine"
         )
     values = tuple(tuple(sorted({r[i] for r in rows}, key=repr)) for i in range(len(names)))
-    found = [
+    states = [
         terms_of(changed_state(base, {k: v for k, v in zip(names, row, strict=True) if v is not None}))
         for row in track(rows, "atmosphere", len(rows), show=show_progress)
     ]
     keys = [tuple(v.index(x) for x, v in zip(row, values, strict=True)) for row in rows]
-    return FewStates(names, values, {key: i for i, key in enumerate(keys)}, _stacked(found))
+    return FewStates(names, values, {key: i for i, key in enumerate(keys)}, _stacked(states))
 
 
 def table(
@@ -123,11 +123,11 @@ def table(
     rows = list(product(*(values.tolist() for values in grid)))
     if len(rows) > MOST_RUNS:
         raise UsageError(f"{len(rows)} nodes of the atmosphere", expected=f"at most {MOST_RUNS} runs of its engine")
-    found = [
+    states = [
         terms_of(changed_state(base, dict(zip(names, row, strict=True))))
         for row in track(rows, "atmosphere table", len(rows), show=show_progress)
     ]
-    return Table(interpolated_terms(dict(zip(names, grid, strict=True)), found))
+    return Table(interpolated_terms(dict(zip(names, grid, strict=True)), states))
 
 
 def _stacked(runs: Sequence[AtmosphericTerms]) -> AtmosphericTerms:
@@ -136,9 +136,9 @@ def _stacked(runs: Sequence[AtmosphericTerms]) -> AtmosphericTerms:
 
 
 def _each(terms: AtmosphericTerms, change: Callable[[Array], Array]) -> AtmosphericTerms:
-    found: dict[str, Any] = {}
+    out: dict[str, Any] = {}
     for f in fields(terms):
         value = getattr(terms, f.name)
         if isinstance(value, np.ndarray) and value.ndim == 3:
-            found[f.name] = change(value)
-    return replace(terms, **found)
+            out[f.name] = change(value)
+    return replace(terms, **out)

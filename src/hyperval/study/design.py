@@ -32,9 +32,9 @@ def listed(item: Input) -> Column | None:
         return None
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in item.values):
         return np.array(item.values, dtype=float)
-    found = np.empty(len(item.values), dtype=object)
-    found[:] = item.values
-    return found
+    items = np.empty(len(item.values), dtype=object)
+    items[:] = item.values
+    return items
 
 
 def drawn(distribution: Random, u: Array) -> Array:
@@ -75,23 +75,23 @@ class Points:
 
     def _crossed(self, start: int, stop: int) -> dict[str, Column]:
         number = np.arange(start, stop)
-        found: dict[str, Column] = {}
+        columns: dict[str, Column] = {}
         if self.random:
             listed_points = int(np.prod(self._sizes, dtype=np.int64))
             draw, number = number // listed_points, number % listed_points
             u = _sobol(len(self.random), self.study.design.seed, int(draw[0]), int(draw[-1]) + 1)[draw - draw[0]]
             for k, item in enumerate(self.random):
                 assert item.random is not None  # noqa: S101 - so they were chosen
-                found[item.name] = drawn(item.random, u[:, k])
+                columns[item.name] = drawn(item.random, u[:, k])
         for item in reversed(self.study.inputs):
             values = self.values[item.name]
             if values is not None:
-                found[item.name] = values[number % len(values)]
+                columns[item.name] = values[number % len(values)]
                 number = number // len(values)
-        return {i.name: found[i.name] for i in self.study.inputs}
+        return {i.name: columns[i.name] for i in self.study.inputs}
 
     def _one_at_a_time(self, start: int, stop: int) -> dict[str, Column]:
-        found: dict[str, Column] = {}
+        columns: dict[str, Column] = {}
         first = 1
         for item in self.study.inputs:
             column = np.full(stop - start, None, dtype=object)
@@ -101,8 +101,8 @@ class Points:
                 if start <= first + k < stop:
                     column[first + k - start] = value
             first += len(values)
-            found[item.name] = column
-        return found
+            columns[item.name] = column
+        return columns
 
 
 def _sobol(dimensions: int, seed: int, start: int, stop: int) -> Array:
@@ -117,17 +117,17 @@ def _sobol(dimensions: int, seed: int, start: int, stop: int) -> Array:
 
 def moved(inputs: Mapping[str, Input], columns: Mapping[str, Column]) -> dict[str, Column]:
     """Dotted path -> (n,) values at the points of ``columns``; None where an entry is left as it is."""
-    found: dict[str, Column] = {}
+    out: dict[str, Column] = {}
     for name, column in columns.items():
         item = inputs[name]
         for k, move in enumerate(item.targets):
             if column.dtype != object:
-                found[move.path] = move.offset + move.factor * column
+                out[move.path] = move.offset + move.factor * column
                 continue
             values = np.empty(column.size, dtype=object)
             values[:] = [_one(v, move.factor, move.offset, k, len(item.moves)) for v in column]
-            found[move.path] = values
-    return found
+            out[move.path] = values
+    return out
 
 
 def _one(value: Any, factor: float, offset: float, k: int, count: int) -> Any:

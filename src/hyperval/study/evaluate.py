@@ -14,7 +14,7 @@ from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_
 from hyperval.datasets import resolve
 from hyperval.errors import UsageError
 from hyperval.prediction.batch import Batch
-from hyperval.prediction.terms import remembered
+from hyperval.prediction.terms import terms_in_memory
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
@@ -60,7 +60,7 @@ def engine_on(scenario: Scenario, axis: SpectralAxis) -> Callable[[AtmosphericSt
     def terms(state: AtmosphericState) -> AtmosphericTerms:
         if state.engine == "table":
             return atmospheric_terms(state, resolve=lambda r: resolve(r, scenario.folder)).at_bands(axis)
-        return remembered(atmospheric_terms, state, axis, cache_dir=None, show_progress=False)
+        return terms_in_memory(atmospheric_terms, state, axis, cache_dir=None, show_progress=False)
 
     return terms
 
@@ -112,11 +112,11 @@ class Evaluator:
         ``columns``: dotted path -> (n,) values, None where an entry is left as it is.
         """
         n = len(next(iter(columns.values())))
-        found = np.full((n, len(outputs)), np.nan)
+        values = np.full((n, len(outputs)), np.nan)
         problems: dict[int, str] = {}
         for rows, changes, moved in self._groups(columns, n):
-            self._fill(found, problems, rows, changes, {p: _tidy(columns[p][rows]) for p in moved}, outputs)
-        return found, problems
+            self._fill(values, problems, rows, changes, {p: _tidy(columns[p][rows]) for p in moved}, outputs)
+        return values, problems
 
     def variant(self, changes: Mapping[str, Any]) -> Ready:
         """The scenario with some entries changed, read anew; the latest 16 are kept."""
@@ -142,13 +142,13 @@ class Evaluator:
         return [(np.array(rows), changes, moved) for rows, changes, moved in groups.values()]
 
     def _fill(
-        self, found: Array, problems: dict[int, str], rows: Column, changes: Mapping[str, Any], columns: Columns,
+        self, values: Array, problems: dict[int, str], rows: Column, changes: Mapping[str, Any], columns: Columns,
         outputs: Sequence[Output],
     ) -> None:  # fmt: skip
         """Evaluate some points; where they can not be evaluated together, those that can not at all are found."""
         try:
             ready = self.variant(changes)
-            found[rows], lacking = self._together(ready, columns, rows.size, outputs)
+            values[rows], lacking = self._together(ready, columns, rows.size, outputs)
             problems |= {int(rows[i]): why for i, why in lacking.items()}
         except UsageError as error:
             if rows.size == 1:
@@ -156,7 +156,7 @@ class Evaluator:
                 return
             for half in np.array_split(np.arange(rows.size), 2):
                 part = {p: c[half] for p, c in columns.items()}
-                self._fill(found, problems, rows[half], changes, part, outputs)
+                self._fill(values, problems, rows[half], changes, part, outputs)
 
     def _together(
         self, ready: Ready, columns: Columns, n: int, outputs: Sequence[Output]
@@ -180,9 +180,9 @@ def _tidy(column: Column) -> Column:
         return column
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in column):
         return column.astype(float)
-    found = np.empty(column.size, dtype=object)
-    found[:] = [tuple(v) if isinstance(v, list) else v for v in column]
-    return found
+    items = np.empty(column.size, dtype=object)
+    items[:] = [tuple(v) if isinstance(v, list) else v for v in column]
+    return items
 
 
 def _plain(value: Any) -> Any:

@@ -46,8 +46,8 @@ def knee(
     bend : "concave" looks at v'' < 0 alone (a rising curve levels off), "convex" at v'' > 0
     """
     at, value = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    held = np.isfinite(value)
-    at, value = at[held], value[held]
+    finite = np.isfinite(value)
+    at, value = at[finite], value[finite]
     nothing = np.nan, np.nan, np.nan
     if at.size < LEAST_POINTS:
         return KneePoint(*nothing, f"{at.size} points; a knee needs {LEAST_POINTS}")

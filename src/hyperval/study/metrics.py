@@ -68,10 +68,10 @@ def bands_of(output: Output, axis: SpectralAxis) -> npt.NDArray[np.intp]:
         return np.array([at])
     assert output.range_nm is not None  # noqa: S101 - the model's own check
     low, high = output.range_nm
-    found = np.flatnonzero((w >= low) & (w <= high) & axis.good & in_window(w))
-    if not found.size:
+    bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & in_window(w))
+    if not bands.size:
         raise UsageError(f"output {output.name!r}: no usable band from {low:g} to {high:g} nm")
-    return found
+    return bands
 
 
 def log_range(output: Output) -> Array:
@@ -110,21 +110,21 @@ def of_batch(batch: Batch, output: Output, pfa: Array | None) -> Array:
 
 def _of_curves(batch: Batch, detector: str, output: Output, pfa: Array | None) -> Array:
     """An output of a detector whose curves are drawn: between their points they are read as all curves are."""
-    found = np.empty(len(batch))
+    values = np.empty(len(batch))
     for i, detection in enumerate(detect(batch, points=range(len(batch)))):
         curve = detection.roc[output.subject, detector, output.by]
         if output.kind == "pd":
             at = output.pfa if pfa is None else float(pfa[i])
             assert at is not None  # noqa: S101 - the schema asks for it
-            found[i] = detection_at(curve, at)
+            values[i] = detection_at(curve, at)
         elif output.kind == "log10-pfa":
-            found[i] = log10_false_alarm_at(curve, output.pd)
+            values[i] = log10_false_alarm_at(curve, output.pd)
         elif output.kind == "auc":
-            found[i] = _area(curve)
+            values[i] = _area(curve)
         else:
             x = log_range(output)
-            found[i] = np.trapezoid(detection_at(curve, x), np.log(x)) / np.log(x[-1] / x[0])
-    return found
+            values[i] = np.trapezoid(detection_at(curve, x), np.log(x)) / np.log(x[-1] / x[0])
+    return values
 
 
 def _area(curve: RocCurve) -> float:

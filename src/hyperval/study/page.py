@@ -15,7 +15,7 @@ from hyperval.report.style import Drawing
 from hyperval.report.verdict import number_text
 from hyperval.study.plan import Plan
 from hyperval.study.schema import Input, Output
-from hyperval.study.summary import FoundKnee, words_of
+from hyperval.study.summary import CurveKnee, words_of
 from hyperval.study.tables import StudyTable
 
 _MOST_REASONS = 12
@@ -29,7 +29,7 @@ def study_page(
     drawings: Sequence[Drawing],
     record: Mapping[str, Any],
     names: Sequence[str],
-    knees: Sequence[FoundKnee],
+    knees: Sequence[CurveKnee],
 ) -> str:
     """The page: figures first, then answers, knees, what moved, what was asked, and how it was evaluated."""
     study = plan.study
@@ -65,31 +65,31 @@ def _embedded(drawing: Drawing) -> str:
 
 def _answer(table: StudyTable, name: str, question: Any) -> dict[str, Any]:
     values = np.asarray(table.column(name), float)
-    held = values[np.isfinite(values)]
-    told = [t.split(f"{name}: ", 1)[1].split("; ")[0] for t in table.reasons.values() if f"{name}: " in t]
-    common = Counter(told).most_common(1)
-    kinds = {k: number_text(float(f(held))) if held.size else "–" for k, f in _THREE.items()}
+    finite = values[np.isfinite(values)]
+    words = [t.split(f"{name}: ", 1)[1].split("; ")[0] for t in table.reasons.values() if f"{name}: " in t]
+    common = Counter(words).most_common(1)
+    kinds = {k: number_text(float(f(finite))) if finite.size else "–" for k, f in _THREE.items()}
     return {
         "words": f"{question.words} for {question.output} = {number_text(question.equals)}, "
         f"looked for from {number_text(question.between[0])} to {number_text(question.between[1])}",
-        "solved": held.size, "n": values.size,
-        "why": f"{len(told)} points, such as: {common[0][0]}" if common else "", **kinds,
+        "solved": finite.size, "n": values.size,
+        "why": f"{len(words)} points, such as: {common[0][0]}" if common else "", **kinds,
     }  # fmt: skip
 
 
 _THREE: dict[str, Any] = {"least": np.min, "median": np.median, "greatest": np.max}
 
 
-def _knee(item: FoundKnee) -> dict[str, str]:
-    found = item.found
+def _knee(item: CurveKnee) -> dict[str, str]:
+    point = item.point
     return {
-        "output": item.asked.output,
-        "along": item.asked.along + (", in its logarithm" if item.asked.scale == "log" else ""),
+        "output": item.question.output,
+        "along": item.question.along + (", in its logarithm" if item.question.scale == "log" else ""),
         "others": words_of({k: v.item() if hasattr(v, "item") else v for k, v in item.others.items()}),
-        "x": number_text(found.x),
-        "y": number_text(found.y),
-        "curvature": number_text(found.curvature),
-        "reason": found.reason,
+        "x": number_text(point.x),
+        "y": number_text(point.y),
+        "curvature": number_text(point.curvature),
+        "reason": point.reason,
     }
 
 
@@ -117,14 +117,14 @@ def _input(item: Input) -> dict[str, str]:
 
 def _output(plan: Plan, table: StudyTable, output: Output) -> dict[str, str]:
     values = np.asarray(table.column(output.name), float)
-    held = values[np.isfinite(values)]
+    finite = values[np.isfinite(values)]
     error = plan.sky_error.get(f"output {output.name}")
     return {
         "name": output.name,
         "words": _meaning(plan, output),
-        "n": f"{held.size} of {values.size}",
+        "n": f"{finite.size} of {values.size}",
         "error": "" if error is None else f"{error:.1e}",
-        **{k: number_text(float(f(held))) if held.size else "–" for k, f in _THREE.items()},
+        **{k: number_text(float(f(finite))) if finite.size else "–" for k, f in _THREE.items()},
     }
 
 

@@ -72,9 +72,9 @@ def plan_study(study: Study, *, show_progress: bool | None = None) -> Plan:
     for reference in _references(scenario):
         log.resolve(reference)
     evaluator = Evaluator(base, sky, anew)
-    found = Plan(study, scenario, points, evaluator, (), {}, log)
-    found = replace(found, notes=tuple(_notes(found)))
-    return replace(found, sky_error=_sky_error(found) if sky.nodes else {})
+    plan = Plan(study, scenario, points, evaluator, (), {}, log)
+    plan = replace(plan, notes=tuple(_notes(plan)))
+    return replace(plan, sky_error=_sky_error(plan) if sky.nodes else {})
 
 
 def _scenario(study: Study) -> Scenario:
@@ -118,16 +118,16 @@ def _values_to_try(item: Input | Required) -> list[Any]:
         return list(item.random.ends)
     values = listed(item)
     assert values is not None  # noqa: S101 - the model's own check
-    found = values.tolist()
-    return found if len(found) <= _MOST_TRIED or values.dtype == object else [min(found), max(found)]
+    tries = values.tolist()
+    return tries if len(tries) <= _MOST_TRIED or values.dtype == object else [min(tries), max(tries)]
 
 
 def _column(values: list[Any]) -> Column:
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
         return np.array(values, dtype=float)
-    found = np.empty(len(values), dtype=object)
-    found[:] = values
-    return found
+    items = np.empty(len(values), dtype=object)
+    items[:] = values
+    return items
 
 
 def _sky(study: Study, scenario: Scenario) -> tuple[Sky, frozenset[str]]:
@@ -146,8 +146,8 @@ def _sky(study: Study, scenario: Scenario) -> tuple[Sky, frozenset[str]]:
     alone = study.design.kind == "one-at-a-time"
     values = {}
     for item, _, _ in moving:
-        found = listed(item) if isinstance(item, Input) else None
-        values[item.name] = None if found is None else [*([None] if alone else []), *found.tolist()]
+        states = listed(item) if isinstance(item, Input) else None
+        values[item.name] = None if states is None else [*([None] if alone else []), *states.tolist()]
     if all(v is not None for v in values.values()):
         count = int(np.prod([len(v or ()) for v in values.values()]))
         if alone or count <= study.atmosphere.above:
@@ -190,9 +190,9 @@ def _one_state(
     item: Input | Required, key: str, moving: list[tuple[Input | Required, Move, str]], value: Any
 ) -> Any:
     as_input = _as_input(item)
-    found = moved({item.name: as_input}, {item.name: _column([value])})
+    columns = moved({item.name: as_input}, {item.name: _column([value])})
     path = next(m.path for i, m, k in moving if i is item and k == key)
-    return _python(found[path][0])
+    return _python(columns[path][0])
 
 
 def _python(value: Any) -> Any:
@@ -253,7 +253,7 @@ def _sky_error(plan: Plan) -> dict[str, float]:
 
     seen = theirs.gas_transmittance > _LEAST_GAS
     error = radiance(ours)[seen] / radiance(theirs)[seen] - 1.0
-    found = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
+    errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
     columns = plan.columns(0, min(count, len(plan.points)))
     short = len(next(iter(columns.values())))
     columns = {p: c[np.arange(count) % short] for p, c in columns.items()}
@@ -266,8 +266,8 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     a, _ = evaluator.values(columns, study.outputs)
     b, _ = replace(evaluator, base=replace(base, terms=exact)).values(columns, study.outputs)
     for k, output in enumerate(study.outputs):
-        found[f"output {output.name}"] = float(np.max(np.abs(a[:, k] - b[:, k])))
-    return found
+        errors[f"output {output.name}"] = float(np.max(np.abs(a[:, k] - b[:, k])))
+    return errors
 
 
 def _between(nodes: Array, u: Array) -> Array:

@@ -14,7 +14,7 @@ from hyperval.report import style
 from hyperval.report.style import Drawing
 from hyperval.report.verdict import number_text
 from hyperval.study.schema import Input, Output, Plot, Required, Study
-from hyperval.study.summary import FoundKnee, words_of
+from hyperval.study.summary import CurveKnee, words_of
 from hyperval.study.tables import StudyTable
 
 Array = npt.NDArray[np.float64]
@@ -24,19 +24,19 @@ _SPREAD = (10.0, 90.0)
 _MARKERS = "osD^vP*Xh"
 
 
-def draw(study: Study, table: StudyTable, knees: list[FoundKnee]) -> list[Drawing]:
+def draw(study: Study, table: StudyTable, knees: list[CurveKnee]) -> list[Drawing]:
     """All figures that a study asks for."""
-    found = []
+    figures = []
     for number, plot in enumerate(study.plots, 1):
         name = f"{number:02d}-{plot.kind}-{plot.output}"
         with style.house_style():
             if plot.kind == "tornado":
-                found.append(_tornado(study, table, plot, name))
+                figures.append(_tornado(study, table, plot, name))
             elif plot.kind == "heat":
-                found.append(_heat(study, table, plot, name))
+                figures.append(_heat(study, table, plot, name))
             else:
-                found.append(_lines(study, table, plot, name, knees))
-    return found
+                figures.append(_lines(study, table, plot, name, knees))
+    return figures
 
 
 def _input(study: Study, name: str | None) -> Input:
@@ -44,13 +44,13 @@ def _input(study: Study, name: str | None) -> Input:
 
 
 def _output_words(study: Study, name: str) -> str:
-    asked: list[Output | Required] = [*study.outputs, *study.required]
-    return next(x.words for x in asked if x.name == name)
+    outputs: list[Output | Required] = [*study.outputs, *study.required]
+    return next(x.words for x in outputs if x.name == name)
 
 
 def _label(study: Study, name: str) -> str:
-    asked: list[Output | Required] = [*study.outputs, *study.required]
-    return next(x.label or x.name for x in asked if x.name == name)
+    outputs: list[Output | Required] = [*study.outputs, *study.required]
+    return next(x.label or x.name for x in outputs if x.name == name)
 
 
 def _folded(text: str, width: int = 22) -> str:
@@ -70,7 +70,7 @@ def _kept(study: Study, table: StudyTable, drawn: list[str]) -> tuple[npt.NDArra
     return keep, {k: v.item() if hasattr(v, "item") else v for k, v in fixed.items()}
 
 
-def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[FoundKnee]) -> Drawing:
+def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[CurveKnee]) -> Drawing:
     item = _input(study, plot.x)
     keep, fixed = _kept(study, table, [n for n in (plot.x, plot.family) if n])
     x, y = table.column(item.name)[keep], np.asarray(table.column(plot.output), float)[keep]
@@ -92,9 +92,9 @@ def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[F
         )[0]
         if low is not None and high is not None:
             axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0)
-        for found in knees:
-            if _is_knee_of(found, plot, member, fixed) and np.isfinite(found.found.x):
-                axes.plot(found.found.x, found.found.y, marker="o", markersize=10, markerfacecolor="none",
+        for knee in knees:
+            if _is_knee_of(knee, plot, member, fixed) and np.isfinite(knee.point.x):
+                axes.plot(knee.point.x, knee.point.y, marker="o", markersize=10, markerfacecolor="none",
                           markeredgecolor="#222222", markeredgewidth=1.4, zorder=5)  # fmt: skip
         entries.append((line, label))
         if len(at):
@@ -117,7 +117,7 @@ def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[F
     notes = _notes(fixed, len(members), len(shown))
     if any(item.random for item in study.inputs):
         notes += "; line: median, band: 10 to 90 % of the points"
-    if any(_is_knee_of(f, plot, m, fixed) and np.isfinite(f.found.x) for f in knees for m in shown):
+    if any(_is_knee_of(f, plot, m, fixed) and np.isfinite(f.point.x) for f in knees for m in shown):
         notes += "; circle: knee"
     title = (plot.title or f"{_output_words(study, plot.output)} against {item.words}") + notes
     return Drawing(name, "study", title, f"Lines. {'; '.join(words)}.", style.svg_bytes(figure), "svg")
@@ -152,13 +152,13 @@ def _heat(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
     axes.set_xlabel(style.plain(across.words))
     axes.set_ylabel(style.plain(up.words))
     finite = cells[np.isfinite(cells)]
-    told = (
+    words = (
         f"from {number_text(float(finite.min()))} to {number_text(float(finite.max()))}" if finite.size else "empty"
     )
     title = (plot.title or f"{_output_words(study, plot.output)} over {across.words} and {up.words}") + _notes(
         fixed, 0, 0
     )
-    return Drawing(name, "study", title, f"Heat map, {told}.", style.svg_bytes(figure), "svg")
+    return Drawing(name, "study", title, f"Heat map, {words}.", style.svg_bytes(figure), "svg")
 
 
 def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
@@ -243,8 +243,8 @@ def _edges(table: StudyTable, item: Input, seen: Array) -> Array:
 
 def _different(column: npt.NDArray[Any]) -> list[Any]:
     """The values of a column, once each: numbers rising, words in the order of the file."""
-    found = list(dict.fromkeys(column.tolist()))
-    return sorted(found) if all(isinstance(v, int | float) for v in found) else found
+    distinct = list(dict.fromkeys(column.tolist()))
+    return sorted(distinct) if all(isinstance(v, int | float) for v in distinct) else distinct
 
 
 def _spread_out(count: int) -> list[int]:
@@ -261,11 +261,11 @@ def _is_probability(study: Study, name: str) -> bool:
     return any(o.name == name and o.kind in ("pd", "auc", "log-auc") for o in study.outputs)
 
 
-def _is_knee_of(found: FoundKnee, plot: Plot, member: Any, fixed: dict[str, Any]) -> bool:
-    if found.asked.output != plot.output or found.asked.along != plot.x:
+def _is_knee_of(knee: CurveKnee, plot: Plot, member: Any, fixed: dict[str, Any]) -> bool:
+    if knee.question.output != plot.output or knee.question.along != plot.x:
         return False
     others = {**fixed, **({plot.family: member} if plot.family else {})}
-    return all(others.get(k) == v for k, v in found.others.items() if k in others)
+    return all(others.get(k) == v for k, v in knee.others.items() if k in others)
 
 
 def _notes(fixed: dict[str, Any], members: int, shown: int) -> str:

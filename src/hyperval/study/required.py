@@ -50,10 +50,10 @@ def answers(evaluator: Evaluator, columns: Columns, question: Required, outputs:
     Brent's), for all points together.  Without a bracket there is no solution, and the reason says how far the
     output reaches.  With several the lowest is told, and that there are more.
     """
-    asked = next(o for o in outputs if o.name == question.output)
+    output = next(o for o in outputs if o.name == question.output)
     n = len(next(iter(columns.values())))
     x = scan_values(question)
-    seen = _at(evaluator, columns, question, np.repeat(np.arange(n), x.size), np.tile(x, n), [asked])
+    seen = _at(evaluator, columns, question, np.repeat(np.arange(n), x.size), np.tile(x, n), [output])
     gap = seen.reshape(n, x.size) - question.equals
     reasons: dict[int, str] = {}
     bracket = np.full(n, -1)
@@ -67,17 +67,17 @@ def answers(evaluator: Evaluator, columns: Columns, question: Required, outputs:
         low, high = x[bracket[solved]], x[bracket[solved] + 1]
 
         def miss(at: Array, row: Array) -> Array:
-            found = _at(evaluator, columns, question, row.astype(int).ravel(), np.asarray(at).ravel(), [asked])
-            return found.reshape(np.shape(at)) - question.equals
+            output_at = _at(evaluator, columns, question, row.astype(int).ravel(), np.asarray(at).ravel(), [output])
+            return output_at.reshape(np.shape(at)) - question.equals
 
         root = find_root(miss, (low, high), args=(solved.astype(float),), tolerances={"xrtol": 1e-10}, maxiter=100)
         values[solved] = np.where(root.success, root.x, np.nan)
         reasons |= {int(i): "the root was not found" for i in solved[~root.success]}
-    told = [next(o for o in outputs if o.name == name) for name in question.report]
-    reports = np.full((n, len(told)), np.nan)
+    reported = [next(o for o in outputs if o.name == name) for name in question.report]
+    reports = np.full((n, len(reported)), np.nan)
     good = np.flatnonzero(np.isfinite(values))
-    if told and good.size:
-        reports[good] = _at(evaluator, columns, question, good, values[good], told).reshape(good.size, -1)
+    if reported and good.size:
+        reports[good] = _at(evaluator, columns, question, good, values[good], reported).reshape(good.size, -1)
     return Answers(values, reports, reasons)
 
 
@@ -91,8 +91,8 @@ def _at(
         some = slice(start, start + _MOST_AT_ONCE)
         moved = {m.path: m.offset + m.factor * x[some] for m in question.targets}
         parts.append(evaluator.values({**{p: c[rows[some]] for p, c in columns.items()}, **moved}, outputs)[0])
-    found = np.concatenate(parts) if parts else np.empty((0, len(outputs)))
-    return found[:, 0] if len(outputs) == 1 else found
+    values = np.concatenate(parts) if parts else np.empty((0, len(outputs)))
+    return values[:, 0] if len(outputs) == 1 else values
 
 
 def _bracket(x: Array, gap: Array, question: Required) -> tuple[int, str]:

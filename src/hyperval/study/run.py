@@ -144,9 +144,9 @@ def run_chunk(piece: tuple[bytes, str, int, int]) -> tuple[Array, dict[int, str]
         from hyperval.study.design import moved
 
         columns = moved({i.name: i for i in study.inputs}, points.stretch(low, min(low + _BATCH, stop)))
-        found, problems = evaluator.values(columns, study.outputs)
+        values, problems = evaluator.values(columns, study.outputs)
         said = {i: [text] for i, text in problems.items()}
-        row = [found]
+        row = [values]
         for question in study.required:
             answer = answers(evaluator, columns, question, study.outputs)
             row += [answer.values[:, None], answer.reports]

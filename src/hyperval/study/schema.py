@@ -60,9 +60,9 @@ class Random(Model):
     @property
     def ends(self) -> tuple[float, float]:
         """Least and greatest value that can be drawn."""
-        found = self.uniform or self.log_uniform or self.within
-        assert found is not None  # noqa: S101 - the model's own check
-        return found
+        ends = self.uniform or self.log_uniform or self.within
+        assert ends is not None  # noqa: S101 - the model's own check
+        return ends
 
 
 class Move(Model):
@@ -277,7 +277,7 @@ class Study(Model):
         if twice:
             raise ValueError(f"names stand twice: {', '.join(twice)}")
         inputs, outputs = {i.name: i for i in self.inputs}, {o.name for o in self.outputs}
-        asked = outputs | {q.name for q in self.required}
+        results = outputs | {q.name for q in self.required}
 
         def known(name: str | None, among: set[str], what: str) -> None:
             if name is not None and name not in among:
@@ -285,15 +285,15 @@ class Study(Model):
 
         for q in self.required:
             known(q.output, outputs, f"required {q.name!r}")
-            for told in q.report:
-                known(told, outputs, f"required {q.name!r}: report")
+            for report in q.report:
+                known(report, outputs, f"required {q.name!r}: report")
         for k in self.knees:
-            known(k.output, asked, "knees")
+            known(k.output, results, "knees")
             known(k.along, set(inputs), "knees")
             if inputs[k.along].random is not None:
                 raise ValueError(f"knees: {k.along!r} is random; a knee needs values or a grid")
         for p in self.plots:
-            known(p.output, asked, "plots")
+            known(p.output, results, "plots")
             for name in (p.x, p.y, p.family):
                 known(name, set(inputs), "plots")
             if (p.kind == "tornado") != (self.design.kind == "one-at-a-time"):

@@ -35,15 +35,15 @@ class Store:
 
     def __init__(self, folder: Path, identity: str, columns: int, chunk: int):
         self.folder, self.columns, self.chunk = Path(folder), columns, chunk
-        held = self.folder / _IDENTITY
-        if self.folder.exists() and any(self.folder.iterdir()) and not held.is_file():
+        identity_file = self.folder / _IDENTITY
+        if self.folder.exists() and any(self.folder.iterdir()) and not identity_file.is_file():
             raise UsageError("holds files that are not of a study's run", where=str(self.folder), mend="remove it")
-        if not held.is_file() or held.read_text("utf-8") != identity:
+        if not identity_file.is_file() or identity_file.read_text("utf-8") != identity:
             shutil.rmtree(self.folder, ignore_errors=True)
             self.folder.mkdir(parents=True)
             (self.folder / _VALUES).touch()
             (self.folder / _REASONS).touch()
-            write_text(held, identity)
+            write_text(identity_file, identity)
         self.finished = self._whole_chunks()
 
     @property

@@ -24,41 +24,41 @@ _PRODUCT = {"snr": "snr", "radiance": "radiance"}
 
 
 @dataclass(frozen=True)
-class FoundKnee:
-    """A knee of one curve: what was asked, the other inputs, the answer."""
+class CurveKnee:
+    """A knee of one curve: the question, the other inputs, the answer."""
 
-    asked: Knee
+    question: Knee
     others: dict[str, Any]
-    found: KneePoint
+    point: KneePoint
 
 
-def knees_of(study: Study, table: StudyTable) -> list[FoundKnee]:
+def knees_of(study: Study, table: StudyTable) -> list[CurveKnee]:
     """The knees that a study asks for, one for each combination of its other inputs."""
-    return [item for asked in study.knees for item in _knees(study, table, asked)]
+    return [item for wanted in study.knees for item in _knees(study, table, wanted)]
 
 
-def _knees(study: Study, table: StudyTable, asked: Knee) -> Iterator[FoundKnee]:
-    values = np.asarray(table.column(asked.output), float)
+def _knees(study: Study, table: StudyTable, wanted: Knee) -> Iterator[CurveKnee]:
+    values = np.asarray(table.column(wanted.output), float)
     if study.design.kind == "one-at-a-time":
-        column = table.column(asked.along)
+        column = table.column(wanted.along)
         rows = np.array([i for i, v in enumerate(column) if v is not None])
-        yield FoundKnee(asked, {}, _knee(asked, column[rows].astype(float), values[rows]))
+        yield CurveKnee(wanted, {}, _knee(wanted, column[rows].astype(float), values[rows]))
         return
     shape = tuple(len(listed(i)) for i in study.inputs)  # type: ignore[arg-type]
     names = [i.name for i in study.inputs]
-    along = names.index(asked.along)
+    along = names.index(wanted.along)
     each = {i.name: listed(i) for i in study.inputs}
     curves = np.moveaxis(values.reshape(shape), along, -1)
-    x = np.asarray(each[asked.along], float)
-    others = [n for n in names if n != asked.along]
+    x = np.asarray(each[wanted.along], float)
+    others = [n for n in names if n != wanted.along]
     for index in product(*(range(len(each[n])) for n in others)):  # type: ignore[arg-type]
         fixed = {n: each[n][k] for n, k in zip(others, index, strict=True)}  # type: ignore[index]
-        yield FoundKnee(asked, fixed, _knee(asked, x, curves[index]))
+        yield CurveKnee(wanted, fixed, _knee(wanted, x, curves[index]))
 
 
-def _knee(asked: Knee, x: Array, y: Array) -> KneePoint:
+def _knee(wanted: Knee, x: Array, y: Array) -> KneePoint:
     order = np.argsort(x, kind="stable")
-    return knee(x[order], y[order], logarithmic=asked.scale == "log", bend=asked.bend)
+    return knee(x[order], y[order], logarithmic=wanted.scale == "log", bend=wanted.bend)
 
 
 def words_of(values: dict[str, Any]) -> str:
@@ -66,7 +66,7 @@ def words_of(values: dict[str, Any]) -> str:
     return ", ".join(f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in values.items())
 
 
-def result_rows(plan: Plan, table: StudyTable, knees: list[FoundKnee]) -> ResultTable:
+def result_rows(plan: Plan, table: StudyTable, knees: list[CurveKnee]) -> ResultTable:
     """Least, median and greatest value of every output, answers, knees, and what the evaluation cost in exactness.
 
     A study of few points has a row for every point and output too.  An output without a single value is SKIPPED
@@ -82,11 +82,11 @@ def result_rows(plan: Plan, table: StudyTable, knees: list[FoundKnee]) -> Result
 
     for f in table.outputs:
         column = np.asarray(table.column(f.name), float)
-        held = column[np.isfinite(column)]
+        finite = column[np.isfinite(column)]
         output = kinds.get(f.name)
         where = _PRODUCT.get(output.kind, "roc") if output else "study"
         subject = output.subject if output else f.name
-        if not held.size:
+        if not finite.size:
             first = next(iter(table.reasons.values()), "no point has a value")
             add(
                 where,
@@ -101,16 +101,16 @@ def result_rows(plan: Plan, table: StudyTable, knees: list[FoundKnee]) -> Result
                 n=0,
             )
             continue
-        lacking = column.size - held.size
+        lacking = column.size - finite.size
         said = f"{lacking} of {column.size} points have no value; reasons stand in table.csv" if lacking else ""
-        for metric, value in (("least", held.min()), ("median", np.median(held)), ("greatest", held.max())):
-            add(where, subject, f.name, metric, value, f.unit, n=int(held.size), reason=said)
+        for metric, value in (("least", finite.min()), ("median", np.median(finite)), ("greatest", finite.max())):
+            add(where, subject, f.name, metric, value, f.unit, n=int(finite.size), reason=said)
     units = {i.name: i.unit for i in study.inputs}
     for item in knees:
-        asked, found = item.asked, item.found
-        reason = "; ".join(x for x in (words_of(item.others), found.reason) if x)
-        lacking_knee = _NO_VALUE if found.reason else {}
-        add("study", asked.output, f"knee along {asked.along}", "knee", found.x, units[asked.along],
+        wanted, point = item.question, item.point
+        reason = "; ".join(x for x in (words_of(item.others), point.reason) if x)
+        lacking_knee = _NO_VALUE if point.reason else {}
+        add("study", wanted.output, f"knee along {wanted.along}", "knee", point.x, units[wanted.along],
             reason=reason, **lacking_knee)  # fmt: skip
     for name, value in plan.sky_error.items():
         unit = "1"

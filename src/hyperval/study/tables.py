@@ -65,12 +65,12 @@ class StudyTable:
 
 def input_fields(points: Points) -> list[Field]:
     """The columns of the inputs; words and lists are text."""
-    found = []
+    fields = []
     for item in points.study.inputs:
         values = points.values[item.name]
         text = values is not None and values.dtype == object
-        found.append(Field(item.name, item.label or item.name, item.unit, text))
-    return found
+        fields.append(Field(item.name, item.label or item.name, item.unit, text))
+    return fields
 
 
 def write_tables(table: StudyTable, folder: Path, *, show_progress: bool | None = None) -> list[str]:
@@ -110,18 +110,18 @@ def _write_netcdf(table: StudyTable, path: Path) -> None:
         file.attrs["title"] = table.points.study.title or table.points.study.name
         file.attrs["source"] = f"hyperval {hyperval.__version__}"
         file.dimensions = {"point": count}
-        held = {}
+        variables = {}
         for f in (*table.inputs, *table.outputs):
             dtype: Any = h5netcdf.core.h5py.string_dtype() if f.text else "f8"
             packed = {} if f.text else {"chunks": (min(count, STRETCH),), "compression": "gzip", "shuffle": True}
-            held[f.name] = file.create_variable(f.name, ("point",), dtype, **packed)
-            held[f.name].attrs["long_name"] = f.words
-            held[f.name].attrs["units"] = f.unit
+            variables[f.name] = file.create_variable(f.name, ("point",), dtype, **packed)
+            variables[f.name].attrs["long_name"] = f.words
+            variables[f.name].attrs["units"] = f.unit
         for start, columns in table.stretches():
             for f in (*table.inputs, *table.outputs):
                 column = columns[f.name]
                 values: Any = _texts(column) if f.text else _numbers(column)
-                held[f.name][start : start + len(column)] = values
+                variables[f.name][start : start + len(column)] = values
 
 
 def _texts(column: npt.NDArray[Any]) -> list[str]:

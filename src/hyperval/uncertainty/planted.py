@@ -16,7 +16,7 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.predict import predict
 from hyperval.prediction.budget import given_of
-from hyperval.prediction.departure import Departure, combined, departed_scenario
+from hyperval.prediction.departure import Departure, combined, true_scenario
 from hyperval.prediction.input_paths import Given, input_path
 from hyperval.products import Prediction, SpectralEstimate
 from hyperval.scenario import Scenario
@@ -101,17 +101,17 @@ def planted_prediction(scenario: Scenario, error: PlantedError, **options: Any) 
     names = ("axis", "measured", "resolve", "cache_dir", "show_progress", "engine", "sensor")
     truth = error.departure(given_of(scenario, **{name: options[name] for name in names if name in options}))
     # Entries of the file differ in the scenario itself: the budget may move the same ones from there.
-    planted = departed_scenario(scenario, Departure(truth.settings))
-    found = predict(planted, departure=replace(truth, settings={}), **options)
-    return _seen(found, scenario, error), truth
+    planted = true_scenario(scenario, Departure(truth.settings))
+    prediction = predict(planted, departure=replace(truth, settings={}), **options)
+    return _seen(prediction, scenario, error), truth
 
 
-def _seen(found: Prediction, scenario: Scenario, error: PlantedError) -> Prediction:
+def _seen(prediction: Prediction, scenario: Scenario, error: PlantedError) -> Prediction:
     if error.line is None or scenario.atmosphere is None:
-        return found
+        return prediction
     # The collected reflectance is that of its own line: an error of the model's shows in the predicted one.
-    seen = {name: _through_line(estimate, *error.line) for name, estimate in found.reflectance.items()}
-    return replace(found, reflectance=seen)
+    seen = {name: _through_line(estimate, *error.line) for name, estimate in prediction.reflectance.items()}
+    return replace(prediction, reflectance=seen)
 
 
 def _times(path: str, factor: float) -> Callable[[Given], Values]:
@@ -128,13 +128,13 @@ def _shifted(*, bands: float = 0.0, nm: float = 0.0) -> Callable[[Given], Values
     """True band centres off by a part of each band's width, or by so much; spectra may end before such a band."""
 
     def values(given: Given) -> Values:
-        found: dict[str, Any] = {"sensor.wavelength_shift_nm": bands * given.axis.fwhm_nm + nm}
+        moves: dict[str, Any] = {"sensor.wavelength_shift_nm": bands * given.axis.fwhm_nm + nm}
         scene = given.scenario.scene
         for key in ("classes", "panels", "sites", "targets"):
             for s in getattr(scene, key):
                 if s.spectrum.measured is None:
-                    found[f"scene.{key}.[{s.name}].spectrum.gaps"] = "allowed"
-        return found
+                    moves[f"scene.{key}.[{s.name}].spectrum.gaps"] = "allowed"
+        return moves
 
     return values
 
@@ -175,30 +175,30 @@ def _target_spectra_exchanged(given: Given) -> Values:
 
 def _other_material(given: Given) -> Values:
     """Of the built-in materials the one that is least like the target."""
-    found = {}
+    moves = {}
     others = [builtin_class(n, given.axis).mean for n in BUILTIN_NAMES if not n.endswith("NN")]
     for name, path in _target_means(given).items():
         own = given.surfaces[name].mean
         gaps = [float(np.nanmean((mean - own) ** 2)) for mean in others]
-        found[path] = others[int(np.argmax(gaps))]
-    return found
+        moves[path] = others[int(np.argmax(gaps))]
+    return moves
 
 
 def _target_means(given: Given) -> dict[str, str]:
     """Target -> path of its mean spectrum."""
-    found = {t.name: f"surfaces.[{t.name}].mean" for t in given.scenario.scene.targets}
-    if not found:
+    paths = {t.name: f"surfaces.[{t.name}].mean" for t in given.scenario.scene.targets}
+    if not paths:
         raise NotPlantable("there is no target")
-    return found
+    return paths
 
 
 def _means(given: Given, taken: Mapping[str, str]) -> Values:
     """Path of a mean -> that of another surface, where that is known."""
-    found = {}
+    moves = {}
     for name, other in taken.items():
         own, there = given.surfaces[name].mean, given.surfaces[other].mean
-        found[f"surfaces.[{name}].mean"] = np.nan_to_num(np.where(np.isfinite(there), there, own))
-    return found
+        moves[f"surfaces.[{name}].mean"] = np.nan_to_num(np.where(np.isfinite(there), there, own))
+    return moves
 
 
 def _off_line(given: Given, gain: float, offset: float) -> Values:

@@ -38,24 +38,24 @@ def assumed_inputs(given: Given) -> list[Input]:
 
 def _usual(given: Given) -> list[Input]:
     unmoved = _unmoved(given)
-    found = [_part(given, *row) for row in _PARTS if row[2] not in unmoved]
+    inputs = [_part(given, *row) for row in _PARTS if row[2] not in unmoved]
     if given.scenario.atmosphere is not None:
         path, words = "sensor.wavelength_shift_nm", f"{SHIFT_NM:g} nm"
-        found.append(
+        inputs.append(
             number_input(
                 given, "wavelength shift", "sensor", path, np.array([SHIFT_NM]), source="usual", words=words
             )
         )
     classes = given.scenario.scene.classes
     for c in classes:
-        found.append(_part(given, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD))
-    found += _spectra(given)
+        inputs.append(_part(given, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD))
+    inputs += _spectra(given)
     for c in classes if len(classes) > 1 else ():
         if 0 < c.fraction < 1:
-            found.append(_part(given, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION))
+            inputs.append(_part(given, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION))
             if len(classes) == 2:
                 break  # the other one's is the same input
-    return found
+    return inputs
 
 
 def _part(given: Given, name: str, kind: Kind, path: str, part: float) -> Input:
@@ -66,19 +66,19 @@ def _part(given: Given, name: str, kind: Kind, path: str, part: float) -> Input:
 def _unmoved(given: Given) -> set[str]:
     """Paths of usual inputs that this scenario does not have."""
     scenario, state = given.scenario, given.scenario.atmosphere
-    found = set()
+    paths = set()
     if state is None:
-        found |= {"light.surroundings", "sensor.noise"}
+        paths |= {"light.surroundings", "sensor.noise"}
     if state is None or state.engine == "table" or not state.aerosol_optical_depth:
-        found.add("atmosphere.aot550")
+        paths.add("atmosphere.aot550")
     if state is None or state.engine == "table" or not state.water_vapour_g_cm2:
-        found.add("atmosphere.water_vapour_g_cm2")
+        paths.add("atmosphere.water_vapour_g_cm2")
     fills = [p.fill for t in scenario.scene.targets for p in t.populations]
     if not fills:
-        found.add("fill")
+        paths.add("fill")
     if not any(np.any(f.geometry.psf_fwhm_pixels or 0.0) for f in fills if f.geometry is not None):
-        found.add("blur")
-    return found
+        paths.add("blur")
+    return paths
 
 
 def _spectra(given: Given) -> list[Input]:
@@ -87,11 +87,11 @@ def _spectra(given: Given) -> list[Input]:
     Those of targets are left out: mixed with their hosts they look like their fill, which is there already.
     """
     scene, form = given.scenario.scene, SpectralForm(correlation_nm=SURFACE_NM)
-    found = []
+    inputs = []
     for s in (*scene.classes, *scene.panels, *scene.sites):
         if s.spectrum.measured is None:
             sd = SURFACE * np.nan_to_num(given.surfaces[s.name].mean)
             one = spectral_input(given, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
             words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
-            found.append(replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words))
-    return found
+            inputs.append(replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words))
+    return inputs

@@ -45,15 +45,15 @@ class AlarmRatio:
 
 def alarm_ratios(predicted: Products, observed: Products) -> dict[tuple[str, str, str], AlarmRatio]:
     """By (background, detector, metric), at P_FA 1e-2 and 1e-3 where ten alarms are expected."""
-    found = {}
+    ratios = {}
     for (name, detector), measured in observed.exceedance.items():
         model = predicted.exceedance.get((name, detector))
         for level in LEVELS if model is not None and (measured.n or 0) > 0 else ():
             if level * (measured.n or 0) >= LEAST_EXPECTED_ALARMS and model is not None:
                 key = (background_of(name), detector, f"pfa_ratio@{scientific(level)}")
                 ratio = false_alarm_ratio(model, measured, level)
-                found[key] = AlarmRatio(*key, ratio.value, ratio.lower, ratio.upper)
-    return found
+                ratios[key] = AlarmRatio(*key, ratio.value, ratio.lower, ratio.upper)
+    return ratios
 
 
 def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> str:

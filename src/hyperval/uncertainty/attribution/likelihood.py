@@ -142,8 +142,8 @@ def _best_tau_squared(s: Array, q: Array, most: float) -> float:
     low, high = np.log(grid[max(best - 1, 0)]), np.log(grid[min(best + 1, grid.size - 1)])
     if not high > low:
         return float(grid[best])
-    found = optimize.minimize_scalar(lambda t: -_gain(np.exp(t), s, q), bounds=(low, high), method="bounded")
-    return float(np.exp(found.x))
+    optimum = optimize.minimize_scalar(lambda t: -_gain(np.exp(t), s, q), bounds=(low, high), method="bounded")
+    return float(np.exp(optimum.x))
 
 
 def closing_change(gap: float, change_per_unit: float) -> float:

@@ -29,7 +29,7 @@ class Model:
     predict: Callable[[Sequence[Scenario], Sequence[Truth]], Iterator[Products]]
     observe: Observe | None = None
 
-    def departed(self, truths: Sequence[Truth]) -> Iterator[Products]:
+    def products_of(self, truths: Sequence[Truth]) -> Iterator[Products]:
         """Products of the scenarios as they stand when the truth is another one."""
         return self.predict(self.scenarios, truths)
 

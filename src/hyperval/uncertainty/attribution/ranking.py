@@ -92,7 +92,7 @@ class Ranking:
             return f"no input explains anything: {before} (p = {self.p_value:.2g})"
         best, last = self.together[0], self.together[-1]
         alike = [r.candidate.name for r in self.ranked[1:] if r.gain > best.gain - ALIKE]
-        first = f"{best.candidate.name} ({told(best)}) explains most"
+        first = f"{best.candidate.name} ({in_words(best)}) explains most"
         if alike:
             first += f" (not told apart from {' and '.join(alike[:3])})"
         if best.p_value >= ENOUGH:
@@ -103,7 +103,7 @@ class Ranking:
         return f"{first}, but none is enough: {before}, {last.chi_square / self.dof:.3g} after {names}"
 
 
-def told(item: Ranked) -> str:
+def in_words(item: Ranked) -> str:
     """How far an input would have to move, in words."""
     what = "stated uncertainty" if item.candidate.budgeted else f"step of {item.candidate.step}"
     end = ", as far as it can" if item.limited else ""
@@ -144,7 +144,7 @@ def ranking(
     return Ranking(group, data.chi_square, data.dof, data.p_value, tuple(ranked), tuple(together))
 
 
-def told_apart(
+def common_and_own(
     residual: Array, covariance: Array, common: Array, columns: Mapping[Candidate, Array]
 ) -> dict[str, tuple[Array, Array, dict[Candidate, Array]]]:
     """What is common to all subjects, and what differs between them: two independent parts of the residuals.
@@ -167,18 +167,18 @@ def told_apart(
     spread = linalg.inv(common.T @ weighted)
     spread = 0.5 * (spread + spread.T)
     estimate = spread @ weighted.T
-    found = {}
+    rankings = {}
     for name, m, c in ((COMMON, estimate, spread), (DIFFERENT, rest.T, rest.T @ covariance @ rest)):
         moved = {candidate: m @ g for candidate, g in columns.items()}
         least = {k: 1e-9 * float(np.max(np.abs(columns[k]), initial=0.0)) for k in moved}
         kept = {k: g for k, g in moved.items() if np.max(np.abs(g), initial=0.0) > least[k]}
-        found[name] = (m @ residual, c, kept)
-    return found
+        rankings[name] = (m @ residual, c, kept)
+    return rankings
 
 
 def _all(data: Whitened, columns: Mapping[Candidate, Array]) -> list[Ranked]:
-    found = [_ranked(c, explanation(data, g, budgeted=c.budgeted, most=MOST_UNITS)) for c, g in columns.items()]
-    return sorted(found, key=lambda r: (-r.gain, r.candidate.name))
+    ranked = [_ranked(c, explanation(data, g, budgeted=c.budgeted, most=MOST_UNITS)) for c, g in columns.items()]
+    return sorted(ranked, key=lambda r: (-r.gain, r.candidate.name))
 
 
 def _ranked(candidate: Candidate, e: Explanation) -> Ranked:

@@ -9,14 +9,14 @@ from dataclasses import replace
 from hyperval.results import Outcome, Result
 from hyperval.uncertainty.attribution.false_alarms import AlarmRatio, reason_for
 from hyperval.uncertainty.attribution.likelihood import closing_change
-from hyperval.uncertainty.attribution.ranking import ENOUGH, Ranking, told
+from hyperval.uncertainty.attribution.ranking import ENOUGH, Ranking, in_words
 from hyperval.uncertainty.attribution.run import Attribution
 from hyperval.uncertainty.attribution.what_ifs import Outcome as Experiment
 
 _EVERYTHING = "every input"
 
 
-def attribution_rows(found: Attribution, campaign: str) -> list[Result]:
+def attribution_rows(attribution: Attribution, campaign: str) -> list[Result]:
     """Rows of the products ``attribution``, ``sensitivity`` and ``what-if``.
 
     attribution: for each group of residuals ``reduced_chi_square`` and ``p_value`` under the stated uncertainties,
@@ -26,10 +26,10 @@ def attribution_rows(found: Attribution, campaign: str) -> list[Result]:
     what-if: ``reduced_chi_square`` after the experiment, each summary gap after it, and ``pfa_ratio`` of every
     background.  attribution of a background: its ``pfa_ratio``, and which experiment explains it if any.
     """
-    rows = [row for r in found.rankings for row in _ranking_rows(r, campaign)]
-    rows += _sensitivity_rows(found, campaign)
-    rows += [row for o in found.what_ifs for row in _outcome_rows(o, campaign)]
-    return rows + _alarm_rows(found.what_ifs, campaign)
+    rows = [row for r in attribution.rankings for row in _ranking_rows(r, campaign)]
+    rows += _sensitivity_rows(attribution, campaign)
+    rows += [row for o in attribution.what_ifs for row in _outcome_rows(o, campaign)]
+    return rows + _alarm_rows(attribution.what_ifs, campaign)
 
 
 def _alarm_rows(outcomes: Sequence[Experiment], campaign: str) -> list[Result]:
@@ -50,8 +50,8 @@ def _alarm_rows(outcomes: Sequence[Experiment], campaign: str) -> list[Result]:
     rows = [row("attribution", r.detector, r, reason_for(r, tried[key])) for key, r in before.items()]
     for key, first in before.items():
         for name, after in tried[key]:
-            told = f"{first.value:.3g} before ({first.lower:.2g} to {first.upper:.2g})"
-            rows.append(row("what-if", f"{name} / {first.detector}", after, told))
+            words = f"{first.value:.3g} before ({first.lower:.2g} to {first.upper:.2g})"
+            rows.append(row("what-if", f"{name} / {first.detector}", after, words))
     return rows
 
 
@@ -71,27 +71,27 @@ def _ranking_rows(r: Ranking, campaign: str) -> list[Result]:
                 "with " + " and ".join(x.candidate.name for x in r.together) + " freed", r.dof)
         )  # fmt: skip
     for place, item in enumerate(r.ranked, start=1):
-        reason = f"rank {place}: {told(item)}; leaves reduced chi-square {item.chi_square / r.dof:.3g}"
+        reason = f"rank {place}: {in_words(item)}; leaves reduced chi-square {item.chi_square / r.dof:.3g}"
         rows.append(row(item.candidate.name, "likelihood_gain", item.gain, reason, r.dof))
         unit = "stated uncertainty" if item.candidate.budgeted else f"step of {item.candidate.step}, none is stated"
         rows.append(row(item.candidate.name, "needed_uncertainty", item.needed, f"in units of its {unit}"))
     return rows
 
 
-def _sensitivity_rows(found: Attribution, campaign: str) -> list[Result]:
+def _sensitivity_rows(attribution: Attribution, campaign: str) -> list[Result]:
     rows = []
-    place = {c: i for i, c in enumerate(found.stated)}
-    for q, quantity in enumerate(found.quantities):
-        gap = quantity.observed - found.predicted[q]
-        for c, candidate in enumerate(found.candidates):
-            change = float(found.changes[q, c])
+    place = {c: i for i, c in enumerate(attribution.stated)}
+    for q, quantity in enumerate(attribution.quantities):
+        gap = quantity.observed - attribution.predicted[q]
+        for c, candidate in enumerate(attribution.candidates):
+            change = float(attribution.changes[q, c])
             closes = closing_change(gap, change)
             reason = f"gap {gap:.4g}" + (
                 f" closed by {closes:+.3g} units" if math.isfinite(closes) else ", not closed by this input"
             )
-            if found.indices is not None and candidate in place:
-                total = float(found.indices.total[q, place[candidate]])
-                first = float(found.indices.first[q, place[candidate]])
+            if attribution.indices is not None and candidate in place:
+                total = float(attribution.indices.total[q, place[candidate]])
+                first = float(attribution.indices.first[q, place[candidate]])
                 reason += f"; share of the variance {first:.3g} alone, {total:.3g} in all"
             unit = "stated uncertainty" if candidate.budgeted else candidate.step
             method = f"{candidate.name} / {quantity.method}" if quantity.method else candidate.name

@@ -20,9 +20,9 @@ from hyperval.uncertainty.attribution.ranking import (
     Candidate,
     Ranking,
     budget_covariance,
+    common_and_own,
     groups_of,
     ranking,
-    told_apart,
 )
 from hyperval.uncertainty.attribution.residuals import Stack, stacked
 from hyperval.uncertainty.attribution.schema import AttributionOptions
@@ -111,11 +111,11 @@ def attribute(
     stack = stacked(base, observed)
     if not stack.blocks:
         raise UsageError("attribution: prediction and collection hold nothing in common")
-    asked = quantities(base, observed)
+    numbers = quantities(base, observed)
     reasons = _reasons(stated, assumed if options.unbudgeted else [() for _ in stated])
-    evaluate = _Evaluation(model, stack, asked)
+    evaluate = _Evaluation(model, stack, numbers)
     columns: dict[Candidate, Array] = {}
-    changes = np.zeros((len(asked), len(reasons)))
+    changes = np.zeros((len(numbers), len(reasons)))
     single: dict[tuple[Candidate, int], Array] = {}
     steps = [(i, d) for i, reason in enumerate(reasons) for d in range(reason.size)]
     ends = evaluate([reasons[i].at(d, z) for i, d in steps for z in (1.0, -1.0)], "reasons: inputs", show_progress)
@@ -127,30 +127,30 @@ def attribute(
         single[reason.candidate, 1], single[reason.candidate, -1] = up_q, down_q
     if options.unbudgeted and (bands := SINGLE_BANDS * stack.single_bands()).size:
         columns[Candidate("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", False)] = bands
-    predicted, values = stack.predicted(base), np.array([q.read(base) for q in asked])
+    predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
     budget = budget_covariance(columns, predicted.size)
     covariance = stack.covariance + budget
     if budgeted is not None:
         covariance += np.diag(np.clip(stack.predicted_variance(budgeted) - np.diag(budget), 0.0, None))
     residual = stack.observed - predicted
     indices, counted = None, [r for r in reasons if r.candidate.budgeted]
-    if options.totals and counted and asked:
+    if options.totals and counted and numbers:
         indices = _indices(counted, evaluate, values, single, show_progress)
     rankings = [ranking(ALL, residual, covariance, columns)]
     spectra, common = stack.common_bands()
     if common.size and len(spectra) > common.shape[1]:
         part = {c: g[spectra] for c, g in columns.items() if np.any(g[spectra])}
-        apart = told_apart(residual[spectra], covariance[np.ix_(spectra, spectra)], common, part)
+        apart = common_and_own(residual[spectra], covariance[np.ix_(spectra, spectra)], common, part)
         rankings += [ranking(group, *parts) for group, parts in apart.items()]
     for group in groups_of([b.subject for b in stack.blocks], options.each):
         here = _indices_of(stack, group)
         part = {c: g[here] for c, g in columns.items() if np.any(g[here])}
         rankings.append(ranking(group, residual[here], covariance[np.ix_(here, here)], part))
-    outcomes = run_what_ifs(model, stack, asked, covariance, observed, options.what_ifs, base, show_progress)
+    outcomes = run_what_ifs(model, stack, numbers, covariance, observed, options.what_ifs, base, show_progress)
     return Attribution(
         tuple(r.candidate for r in reasons),
         tuple(rankings),
-        tuple(asked),
+        tuple(numbers),
         values,
         changes,
         indices,
@@ -162,12 +162,12 @@ def attribute(
 class _Evaluation:
     """All residual quantities and all single numbers of predictions of other truths."""
 
-    def __init__(self, model: Model, stack: Stack, asked: Sequence[Quantity]):
-        self._model, self._stack, self._asked = model, stack, asked
+    def __init__(self, model: Model, stack: Stack, numbers: Sequence[Quantity]):
+        self._model, self._stack, self._numbers = model, stack, numbers
 
     def __call__(self, truths: Sequence[Truth], title: str, show: bool | None) -> list[tuple[Array, Array]]:
-        found = track(self._model.departed(truths), title, len(truths), show=show)
-        return [(self._stack.predicted(p), np.array([q.read(p) for q in self._asked])) for p in found]
+        predictions = track(self._model.products_of(truths), title, len(truths), show=show)
+        return [(self._stack.predicted(p), np.array([q.read(p) for q in self._numbers])) for p in predictions]
 
 
 def _reasons(stated: Sequence[Sequence[Input]], assumed: Sequence[Sequence[Input]]) -> list[_Reason]:
@@ -220,10 +220,10 @@ def _indices(
         if together is not None:
             points.append(z)
             checks.append(together)
-    found = [q for _, q in evaluate([*joint.values(), *checks], "reasons: pairs of inputs", show_progress)]
-    for place, value in zip(joint, found, strict=False):
+    values_of = [q for _, q in evaluate([*joint.values(), *checks], "reasons: pairs of inputs", show_progress)]
+    for place, value in zip(joint, values_of, strict=False):
         values[place] = value
-    there = found[len(joint) :]
+    there = values_of[len(joint) :]
     return sensitivity_indices(design, np.array(values), (np.array(points), np.array(there)) if points else None)
 
 

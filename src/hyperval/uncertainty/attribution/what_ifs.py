@@ -56,7 +56,7 @@ class Outcome:
 def run_what_ifs(
     model: Model,
     stack: Stack,
-    asked: Sequence[Quantity],
+    numbers: Sequence[Quantity],
     covariance: Array,
     observed: Products,
     what_ifs: Sequence[WhatIf],
@@ -80,7 +80,7 @@ def run_what_ifs(
                 raise UsageError(f"what-if {item.name!r}: this collection cannot be measured again")
             seen = model.observe(item.observe)
         predicted = model.assuming(scenarios)
-        after, cov_after, asked_after = stack, covariance, list(asked)
+        after, cov_after, numbers_after = stack, covariance, list(numbers)
         if item.observe:
             again = stacked(predicted, seen)
             if [b.observed.shape for b in again.blocks] != [b.observed.shape for b in stack.blocks]:
@@ -89,11 +89,11 @@ def run_what_ifs(
                     mend="change what is measured, not which subjects there are",
                 )
             after, cov_after = again, covariance - stack.covariance + again.covariance
-            asked_after = _renewed(asked, seen)
+            numbers_after = _renewed(numbers, seen)
         first = Whitened(stack.observed - stack.predicted(base), covariance)
         second = Whitened(after.observed - after.predicted(predicted), cov_after)
         gaps = {
-            name: (value, gaps_of(asked_after, predicted)[name]) for name, value in gaps_of(asked, base).items()
+            name: (value, gaps_of(numbers_after, predicted)[name]) for name, value in gaps_of(numbers, base).items()
         }
         ratios, there = alarm_ratios(base, observed), alarm_ratios(predicted, seen)
         out.append(
@@ -130,10 +130,10 @@ def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scena
     return out
 
 
-def gaps_of(asked: Sequence[Quantity], predicted: Products) -> dict[str, float]:
+def gaps_of(numbers: Sequence[Quantity], predicted: Products) -> dict[str, float]:
     """Summary gaps: median relative difference of spectra, mean difference of P_D."""
     parts: dict[str, list[float]] = {}
-    for q in asked:
+    for q in numbers:
         value = q.read(predicted)
         if not (np.isfinite(value) and np.isfinite(q.observed)):
             continue
@@ -147,10 +147,10 @@ def gaps_of(asked: Sequence[Quantity], predicted: Products) -> dict[str, float]:
     }
 
 
-def _renewed(asked: Sequence[Quantity], observed: Products) -> list[Quantity]:
+def _renewed(numbers: Sequence[Quantity], observed: Products) -> list[Quantity]:
     return [
         Quantity(q.product, q.subject, q.method, q.metric, q.read(observed), q.read)
-        for q in asked
+        for q in numbers
         if _there(q, observed)
     ]
 
