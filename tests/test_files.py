@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from hyperval.errors import InputError
-from hyperval.files import scratch_folder, sha256_of, whole_file, write_text
+from hyperval.files import scratch_folder, sha256_of, size_of, whole_file, write_text
 
 
 class Broken(Exception):
@@ -22,6 +22,17 @@ class Broken(Exception):
 
 def left_over(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir())
+
+
+def test_a_folder_is_known_by_the_names_and_contents_of_its_files(tmp_path: Path):
+    for folder, content in (("a", b"1"), ("b", b"1"), ("c", b"2")):
+        (tmp_path / folder / "inner").mkdir(parents=True)
+        (tmp_path / folder / "inner" / "0.0").write_bytes(content)
+    digests = [sha256_of(tmp_path / name) for name in "abc"]
+    assert digests[0] == digests[1] != digests[2]
+    (tmp_path / "b" / "inner" / "0.0").rename(tmp_path / "b" / "inner" / "0.1")
+    assert sha256_of(tmp_path / "b") != digests[0]
+    assert size_of(tmp_path / "a") == 1
 
 
 def test_new_file_appears_with_its_content(tmp_path: Path):

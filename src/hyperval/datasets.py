@@ -29,8 +29,8 @@ from hyperval.config import Model, parse_yaml, validate
 from hyperval.download import download
 from hyperval.errors import InputError, MissingDataError, UsageError
 from hyperval.file_names import is_pattern, matching, nearest
-from hyperval.files import sha256_of
-from hyperval.paths import checked_file
+from hyperval.files import sha256_of, size_of
+from hyperval.paths import checked_store
 from hyperval.progress import track
 
 PREFIX = "data:"
@@ -186,9 +186,9 @@ def resolve(reference: str, base: Path | None = None) -> Path:
         return _resolve_data(_data_path(reference))
     # An address is refused before it is joined to the folder and becomes a path that only does not exist.
     if "://" in reference or reference.startswith("/vsi"):
-        return checked_file(reference)
+        return checked_store(reference)
     path = (Path(base) if base is not None else Path()) / reference
-    return path if is_pattern(reference) and matching(path) else checked_file(path)
+    return path if is_pattern(reference) and matching(path) else checked_store(path)
 
 
 def describe(reference: str) -> dict[str, str | None]:
@@ -311,7 +311,7 @@ class InputLog:
             self._entries[reference] = {
                 "reference": reference,
                 "sha256": sha256_of(path),
-                "bytes": path.stat().st_size,
+                "bytes": size_of(path),
                 "dataset": known["dataset"],
                 "licence": known["licence"],
                 "citation": known["citation"],

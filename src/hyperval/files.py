@@ -72,12 +72,25 @@ def scratch_folder(purpose: str, beside: Path | None = None) -> Iterator[Path]:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's content, in hexadecimal."""
+    """SHA-256 of a file's content, in hexadecimal; of a folder that of the names and digests of its files."""
+    if path.is_dir():
+        listed = [f"{p.relative_to(path).as_posix()}\0{sha256_of(p)}\n" for p in files_within(path)]
+        return hashlib.sha256("".join(listed).encode()).hexdigest()
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file, or of all files of a folder."""
+    return sum(p.stat().st_size for p in files_within(path)) if path.is_dir() else path.stat().st_size
+
+
+def files_within(folder: Path) -> list[Path]:
+    """The files below a folder, in the order of their names."""
+    return sorted(p for p in folder.rglob("*") if p.is_file())
 
 
 def umask() -> int:

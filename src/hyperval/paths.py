@@ -36,6 +36,14 @@ def checked_folder(path: Path | str, *, root: Path | None = None, what: str = "f
     return given
 
 
+def checked_store(path: Path | str) -> Path:
+    """A file by the rules of :func:`checked_file`, or a Zarr store, which is a folder."""
+    store = Path(path)
+    if store.suffix == ".zarr" and store.is_dir():
+        return checked_folder(store, what="Zarr store")
+    return checked_file(path)
+
+
 def _checked(given: Path, root: Path | None, what: str, *, folder: bool) -> Path:
     text = os.fspath(given)
     try:

@@ -13,7 +13,9 @@ from rasterio.crs import CRS
 
 from hyperval.campaign.header_check import centre_of, distance_km, scenario_notes
 from hyperval.campaign.one import jobs_of, run_campaign
+from hyperval.imagery.companions import table_of
 from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.lookup_table import LookupTable
 from hyperval.imagery.rasters import open_raster
 from hyperval.observe.place import Place
 
@@ -66,7 +68,7 @@ def test_another_sun_in_the_observation_file_is_a_warning(tmp_path: Path):
 
 
 def test_the_lookup_table_places_a_raw_cube():
-    table = SimpleNamespace(raster=place().cube.raster)
+    table = LookupTable(place().cube.raster, GRID, UTM18, (90, 210))
     assert centre_of(place(None)) is None
     assert scenario_notes(place(None), [scenario(latitude_deg=0.0)]) == []
     found = centre_of(place(None, table=table))
@@ -92,3 +94,17 @@ def test_the_report_of_a_campaign_holds_the_warning(small):
     notes = run_campaign(job).notes
     assert any("2011-01-01T03:00:00Z' is not the day of scenario 'small', 2012-07-18" in n for n in notes)
     assert not any("the cube lies" in n for n in notes)
+
+
+def test_places_of_every_pixel_say_where_a_cube_lies(tmp_path: Path):
+    line, sample = np.mgrid[0:9, 0:7]
+    degrees = np.stack([-77.75 + 1e-5 * sample, 42.9 - 1e-5 * line], axis=-1)
+    degrees[:, :5] = -9999.0  # pixels without a place, the middle among them
+    cube = open_raster(write_cube(tmp_path / "f01_rdn_img", np.ones((9, 7, 2)), data_type=4))
+    write_cube(tmp_path / "f01_rdn_igm", degrees, data_type=5)
+    raw = place(None)
+    raw.cube.raster = cube  # type: ignore[misc]
+    known = cast(Place, SimpleNamespace(cube=raw.cube, table=table_of(cube)[0]))
+    found = centre_of(known)
+    assert found == pytest.approx((42.9 - 4e-5, -77.75 + 5e-5), abs=2e-5)
+    assert len(scenario_notes(known, [scenario(latitude_deg=43.9)])) == 1

@@ -113,6 +113,26 @@ def emit(path: Path, kind: str = "radiance") -> np.ndarray:
     return values
 
 
+def observation(path: Path, product: str, zenith: np.ndarray) -> None:
+    """Angles of every pixel beside an image of AVIRIS-3 (arrays of a group) or EMIT (bands with names)."""
+    with netcdf.Dataset(path, "w") as file:
+        if product == "aviris":
+            group = file.createGroup("observation_parameters")
+            for name, size in zip(("lines", "samples"), zenith.shape, strict=True):
+                group.createDimension(name, size)
+            for name, values in (("path_length", zenith + 4000), ("to_sun_zenith", zenith)):
+                group.createVariable(name, "f8", ("lines", "samples"))[:] = values
+            return
+        for name, size in (("downtrack", zenith.shape[0]), ("crosstrack", zenith.shape[1]), ("bands", 2)):
+            file.createDimension(name, size)
+        image = file.createVariable(
+            "obs", "f4", ("downtrack", "crosstrack", "bands"), fill_value=np.float32(-9999.0)
+        )
+        image[:] = np.stack([zenith + 4000, zenith], axis=-1)
+        names = file.createGroup("sensor_band_parameters").createVariable("observation_bands", str, ("bands",))
+        names[:] = np.array(["Path length (in meters)", "To-sun zenith (0 to 90 degrees from zenith)"])
+
+
 def neon_reflectance(path: Path) -> np.ndarray:
     """NEON AOP reflectance: SITE/Reflectance, integers over Scale_Factor."""
     stored = np.random.default_rng(2).integers(100, 6000, (LINES, SAMPLES, 4)).astype(np.int16)
@@ -126,6 +146,7 @@ def neon_reflectance(path: Path) -> np.ndarray:
         image.attrs["Data_Ignore_Value"] = -9999.0
         image.attrs["Units"] = "Unitless. Valid range 0-1."
         neon_metadata(group, [450.0, 650.0, 1400.0, 2100.0])
+        group.create_dataset("Metadata/Logs/Solar_Zenith_Angle", data=27.5)
     return stored
 
 
@@ -170,6 +191,7 @@ def prisma(path: Path, level: str = "L1", *, edges: bool = False) -> tuple[np.nd
     with h5py.File(path, "w") as file:
         fields = file.create_group(f"HDFEOS/SWATHS/PRS_{level}_HCO/Data Fields")
         fields["VNIR_Cube"], fields["SWIR_Cube"] = vnir, swir
+        file.attrs["Sun_zenith_angle"] = np.float32(31.25)
         file.attrs["Product_StartTime"] = np.bytes_("2023-06-02T10:09:31.102")
         file.attrs["List_Cw_Vnir"] = np.array([972.7, 650.8, 402.5, 0.0], np.float32)
         file.attrs["List_Fwhm_Vnir"] = np.array([12.0, 10.0, 11.0, 0.0], np.float32)

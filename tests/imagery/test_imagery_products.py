@@ -17,6 +17,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError
+from hyperval.imagery.companions import sun_zenith_deg
 from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.layouts import layouts
 from hyperval.imagery.lookup_table import open_lookup_table
@@ -223,11 +224,14 @@ def labelled(path: Path, **more) -> Path:
         },
     ).assign(**more)
     data["Lt"].attrs["grid_mapping"] = "spatial_ref"
-    data.to_netcdf(path, engine="scipy" if path.suffix == ".nc3" else "h5netcdf")
+    if path.suffix == ".zarr":
+        data.to_zarr(path, zarr_format=2, consolidated=True)
+    else:
+        data.to_netcdf(path, engine="scipy" if path.suffix == ".nc3" else "h5netcdf")
     return path
 
 
-@pytest.mark.parametrize("name", ["a.nc", "a.nc3"])
+@pytest.mark.parametrize("name", ["a.nc", "a.nc3", "a.zarr"])
 def test_any_array_with_a_wavelength_coordinate_is_a_cube(tmp_path: Path, name: str):
     cube = open_cube(labelled(tmp_path / name), quantity="radiance")
     want = shells.radiances(4)
@@ -415,3 +419,35 @@ def test_an_hdf5_tree_without_dimensions_is_a_cube_where_wavelengths_lie_beside(
         file["scene/dark"] = np.zeros((3, 4))
     cube = open_cube(tmp_path / "a.h5", quantity="radiance", unit="uW cm-2 sr-1 nm-1")
     assert np.allclose(values_of(cube), values, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("product", "image", "angles"),
+    [
+        ("aviris", "AV320250814t180211_005_L1B_RDN_RDN.nc", "AV320250814t180211_005_L1B_RDN_OBS.nc"),
+        (
+            "emit",
+            "EMIT_L1B_RAD_001_20240501T191103.nc",
+            "EMIT_L1B_OBS_001_20240501T191103.nc",
+        ),
+    ],
+)
+def test_the_sun_of_an_observation_file_beside_a_product(tmp_path: Path, product: str, image: str, angles: str):
+    getattr(shells, product)(tmp_path / image)
+    raster = open_raster(tmp_path / image)
+    assert sun_zenith_deg(raster) is None
+    zenith = np.full((LINES, SAMPLES), 41.5)
+    zenith[0] = -9999.0
+    shells.observation(tmp_path / angles, product, zenith)
+    assert sun_zenith_deg(raster) == (41.5, angles)
+    shells.observation(tmp_path / angles, product, zenith[1:])
+    assert sun_zenith_deg(raster) is None  # of another image
+    (tmp_path / angles).write_bytes(b"no HDF5")
+    assert sun_zenith_deg(raster) is None
+
+
+def test_products_that_state_the_sun_themselves(tmp_path: Path):
+    shells.neon_reflectance(tmp_path / "n.h5")
+    shells.prisma(tmp_path / "p.he5")
+    assert sun_zenith_deg(open_raster(tmp_path / "n.h5")) == (27.5, "n.h5")
+    assert sun_zenith_deg(open_raster(tmp_path / "p.he5")) == (31.25, "p.he5")

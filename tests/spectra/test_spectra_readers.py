@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -435,6 +436,92 @@ def test_values_and_wavelengths_in_files_of_their_own(tmp_path: Path):
     grid.write_text(rows(WAVE[:3]))
     with pytest.raises(InputError, match="one column of 3 rows"):
         spectrum(tmp_path, text, wavelengths=grid)
+
+
+def test_the_wavelengths_of_a_usgs_spectrum_are_those_beside_it(tmp_path: Path):
+    """As splib07 is distributed: folders of spectra, and above them the wavelengths of each spectrometer."""
+    inner = tmp_path / "ChapterM_Minerals"
+    inner.mkdir()
+    path = inner / "s07_AV14_Actinolite.txt"
+    path.write_text(" s07_AV14 Record=77: Actinolite HS116.1B ASDFRb AREF\n" + rows(RHO))
+    head = " s07_AV14 Record=1: Wavelengths AVIRIS 2014 in micrometers\n"
+    (tmp_path / "s07_AV14_Wavelengths.txt").write_text(head + rows(WAVE / 1000))
+    (tmp_path / "s07_other_Wavelengths.txt").write_text(head + rows(WAVE[:3] / 1000))
+    found = read_spectrum(path)
+    assert found.name == "Actinolite HS116.1B ASDFRb AREF"
+    assert np.allclose(found.wavelength_nm, WAVE)
+    assert np.allclose(found.values, RHO)
+    assert "wavelengths from s07_AV14_Wavelengths.txt, which lies beside it" in found.notes
+    (inner / "second_wavelengths.txt").write_text(head + rows(WAVE / 1000))  # two would fit: none is taken
+    with pytest.raises(InputError, match="single column"):
+        read_spectrum(path)
+
+
+def specpr_record(flags: int, title: str, values: np.ndarray, **words: int) -> bytes:
+    """The first record of a SPECPR spectrum and its continuations, as the format's description has them."""
+    raw = bytearray(1536)
+    raw[:4] = struct.pack(">i", flags)
+    raw[4:44] = title.encode().ljust(40)
+    places = {"itchan": 80, "irwav": 100, "irespt": 104}
+    for name, word in (("itchan", values.size), *words.items()):
+        struct.pack_into(">i", raw, places[name], word)
+    data = values.astype(">f4").tobytes()
+    raw[512:1536] = data[:1024].ljust(1024, b"\0")
+    out = bytes(raw)
+    for at in range(1024, len(data), 1532):
+        out += struct.pack(">i", flags | 1) + data[at : at + 1532].ljust(1532, b"\0")
+    return out
+
+
+def specpr(harm: Callable[[bytearray], None] = lambda raw: None) -> bytes:
+    """Wavelengths (3 records), widths, a text, a spectrum with errors, one without: records 1, 4, 7, 8, 11, 14."""
+    grid = np.linspace(0.35, 2.5, 700)
+    text = struct.pack(">i", 2) + b"A description".ljust(1532)
+    rho = np.linspace(0.1, 0.6, 700)
+    rho[5] = -1.23e34
+    parts = [b"SPECPR_MAGIC".ljust(1536, b"\0"), specpr_record(0, "Wavelengths in microns", grid)]
+    parts += [specpr_record(0, "Bandpass (FWHM)", np.full(700, 0.01)), text]
+    parts += [specpr_record(8, "Actinolite HS22.3B", rho, irwav=1, irespt=4)]
+    parts += [specpr_record(0, "errors to previous data", np.full(700, 0.02), irwav=1)]
+    parts += [specpr_record(0, "Alunite GDS84", rho + 0.1, irwav=1, irespt=4)]
+    raw = bytearray(b"".join(parts))
+    harm(raw)
+    return bytes(raw)
+
+
+def test_specpr(tmp_path: Path):
+    (tmp_path / "splib").write_bytes(specpr())
+    first, second = read_records(tmp_path / "splib")
+    assert (first.name, second.name) == ("Actinolite HS22.3B", "Alunite GDS84")
+    keep = np.arange(700) != 5
+    assert np.allclose(first.wavelength_nm, np.linspace(350, 2500, 700)[keep], rtol=1e-6)
+    assert np.allclose(first.values, np.linspace(0.1, 0.6, 700)[keep], rtol=1e-6)
+    assert first.standard_deviation is not None
+    assert np.allclose(first.standard_deviation, 0.02)
+    assert second.standard_deviation is None
+    assert read_spectrum(tmp_path / "splib", record="Alunite").values[0] == pytest.approx(0.2)
+    with pytest.raises(UsageError, match="holds 2 spectra"):
+        read_spectrum(tmp_path / "splib")
+
+
+def set_word(record: int, at: int, value: int) -> Callable[[bytearray], None]:
+    return lambda raw: struct.pack_into(">i", raw, record * 1536 + at, value)
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (lambda raw: raw.pop(), "records of 1536 bytes"),
+        (set_word(8, 100, 999), "has its wavelengths in record 999"),
+        (set_word(1, 80, 699), "has its wavelengths in record 1, which holds none for 700"),
+        (set_word(9, 0, 0), "expected: 2 continuations"),
+        (lambda raw: raw.__delitem__(slice(1536, None)), "holds no spectrum"),
+    ],
+)
+def test_specpr_files_that_are_damaged(tmp_path: Path, harm, message: str):
+    (tmp_path / "splib").write_bytes(specpr(harm))
+    with pytest.raises(InputError, match=f"(?s){message}"):
+        read_records(tmp_path / "splib")
 
 
 # Bad files --------------------------------------------------------------------------------------

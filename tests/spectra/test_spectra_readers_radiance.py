@@ -186,3 +186,30 @@ def test_real_files(data_dir):
     assert 0.1 < np.max(radiance.values) < 10.0
     reflectance = read_spectrum(path)
     assert np.array_equal(radiance.wavelength_nm, reflectance.wavelength_nm)
+
+
+@pytest.mark.data
+def test_counts_calibrated_as_another_reader_calibrates_them(data_dir, monkeypatch):
+    """Radiance of a version 7 file by pyASDReader 1.2.3 [W m-2 sr-1 nm-1]; it steps at 1800 nm there too."""
+    monkeypatch.setattr("hyperval.spectra.readers_asd_radiance.MAX_STEP", np.inf)
+    found = read_spectrum(data_dir("spectra/asd/v7sample00000.asd"), quantity="radiance")
+    at = np.searchsorted(found.wavelength_nm, [450, 1050, 1799, 1801, 1850])
+    want = [0.008198067382416185, 0.2938367126044839, 0.09511210086517422, 0.24821675621412348, 0.1777754349768502]
+    assert np.allclose(found.values[at], 100.0 * np.array(want), rtol=1e-12)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "want"),
+    [
+        ("ribb00001", [0.979131, 0.963540, -0.512200]),
+        ("soil", [0.147966, 0.478984, 0.502737]),
+        ("v6sample00000", [0.818046, 0.889339, 0.793535]),
+        ("v8sample00001", [0.871210, 0.892763, 0.774959]),
+    ],
+)
+def test_white_reference_as_another_reader_finds_it(data_dir, name, want):
+    """Stored spectrum over stored white reference, both by pyASDReader 1.2.3, at 450, 1050 and 1850 nm."""
+    found = read_spectrum(data_dir(f"spectra/asd/{name}.asd"))
+    at = np.searchsorted(found.wavelength_nm, [450, 1050, 1850])
+    assert np.allclose(found.values[at], want, rtol=0, atol=5e-7)

@@ -50,13 +50,18 @@ def scenario_notes(place: Place | None, scenarios: Sequence[Scenario]) -> list[s
 
 
 def centre_of(place: Place) -> tuple[float, float] | None:
-    """Latitude and longitude of the middle of the cube, or of its lookup table [degrees]; None without a map."""
-    raster = place.table.raster if place.table is not None else place.cube.raster
-    t, crs = raster.transform, raster.crs
-    if t is None or crs is None:
+    """Latitude and longitude of the middle of the cube [degrees], by its map or its table; None without."""
+    raster, table = place.cube.raster, place.table
+    crs = table.crs if table is not None else raster.crs
+    if crs is None:
         return None
-    u, v = raster.samples / 2.0, raster.lines / 2.0
-    x, y = t.a * u + t.b * v + t.c, t.d * u + t.e * v + t.f
+    if table is not None:
+        x, y = table.middle
+    elif raster.transform is None:
+        return None
+    else:
+        t, u, v = raster.transform, raster.samples / 2.0, raster.lines / 2.0
+        x, y = t.a * u + t.b * v + t.c, t.d * u + t.e * v + t.f
     longitude, latitude = reproject(crs, CRS.from_epsg(4326), [x], [y])[:2]
     return (latitude[0], longitude[0]) if math.isfinite(latitude[0]) and math.isfinite(longitude[0]) else None
 

@@ -6,17 +6,24 @@ import re
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperval.errors import HypervalError
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.envi_raster import EnviRaster
 from hyperval.imagery.location import location_table
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
+from hyperval.imagery.observation_geometry import SAMPLED_LINES, SUN_ZENITH, sun_of_observation, sun_of_product
 from hyperval.imagery.rasters import Raster, open_raster
 from hyperval.imagery.trees import location_names, lookup_raster
 
+Array = npt.NDArray[np.float64]
+_TREES = (".nc", ".nc4", ".h5", ".hdf5", ".he5")
+
 # Parts of names that tell the files of one line apart, such as ang20160217t083024_rdn_v1n2_img and ..._rdn_glt.
-_KINDS = re.compile(r"^(img|rdn|rad|rfl|refl|radiance|reflectance|ort|raw|data|corr|glt|igm|loc|obs|v[0-9]\w*)$")
+_KINDS = re.compile(
+    r"^(img|rdn|rad|rfl|refl|radiance|reflectance|ort|raw|data|corr|glt|igm|loc|obs|l[0-4][a-d]?|v[0-9]\w*)$"
+)
 
 
 def companion(image: Path, kind: str) -> Path | None:
@@ -26,6 +33,10 @@ def companion(image: Path, kind: str) -> Path | None:
     """
     own, _ = _name(image)
     fits = []
+    if image.suffix.lower() in _TREES:
+        others = [p for p in sorted(image.parent.glob("*" + image.suffix)) if p != image]
+        fits = [p for p in others if _name(p)[0] == own and kind in _name(p)[1]]
+        return fits[0] if len(fits) == 1 else None
     for header in sorted(image.parent.glob("*.[hH][dD][rR]")):
         data = header.with_suffix("")
         if not data.is_file():
@@ -65,25 +76,36 @@ def table_of(raster: Raster) -> tuple[LookupTable | None, tuple[str, ...]]:
 
 
 def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:
-    """Median zenith angle of the sun [degrees] in the observation file (OBS) beside an ENVI cube, and its name.
+    """Median zenith angle of the sun [degrees] as a product states it, or the observation file (OBS) beside a cube.
 
-    None where there is none of the cube's size, or none of its bands is called so.
+    Also the name of the file.  None where there is none of the cube's size, or none of its bands is called so.
     """
-    path = companion(raster.path, "obs") if isinstance(raster, EnviRaster) else None
+    own = sun_of_product(raster) if isinstance(raster, ArrayRaster) else None
+    if own is not None:
+        return own, raster.path.name
+    path = companion(raster.path, "obs") if isinstance(raster, EnviRaster | ArrayRaster) else None
     if path is None:
         return None
+    shape = (raster.lines, raster.samples)
     try:
-        angles = open_raster(path)
+        angles = _zenith_lines(path, shape) if isinstance(raster, EnviRaster) else sun_of_observation(path, shape)
     except HypervalError:
         return None
-    names = (angles.header.strings("band names") if angles.header is not None else None) or ()
-    bands = [i for i, name in enumerate(names) if re.search(r"(sun|solar)\W+zenith", name, re.IGNORECASE)]
-    if len(bands) != 1 or (angles.lines, angles.samples) != (raster.lines, raster.samples):
+    if angles is None:
         return None
-    lines = np.unique(np.linspace(0, angles.lines - 1, 16).astype(int))
-    zenith = np.concatenate([angles.read_bands(int(line), 1)[bands[0]].ravel() for line in lines]).astype(float)
-    zenith = zenith[np.isfinite(zenith) & (zenith >= 0.0) & (zenith <= 180.0)]
+    zenith = angles[np.isfinite(angles) & (angles >= 0.0) & (angles <= 180.0)]
     return (float(np.median(zenith)), path.name) if zenith.size else None
+
+
+def _zenith_lines(path: Path, shape: tuple[int, int]) -> Array | None:
+    """Zenith angles of the sun in some lines of an ENVI file of observation geometry."""
+    angles = open_raster(path)
+    names = (angles.header.strings("band names") if angles.header is not None else None) or ()
+    bands = [i for i, name in enumerate(names) if SUN_ZENITH.search(name)]
+    if len(bands) != 1 or (angles.lines, angles.samples) != shape:
+        return None
+    lines = np.unique(np.linspace(0, angles.lines - 1, SAMPLED_LINES).astype(int))
+    return np.concatenate([angles.read_bands(int(line), 1)[bands[0]].ravel() for line in lines]).astype(float)
 
 
 def _name(path: Path) -> tuple[tuple[str, ...], set[str]]:

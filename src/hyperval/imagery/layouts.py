@@ -67,7 +67,18 @@ class Tree(Model):
     corner_pixels: tuple[str, str, str, str] | None = None
     pixel_size: float | None = None
     struct_metadata: str | None = None
+    sun_zenith: str | None = None
     entries: dict[str, str] = Field(default_factory=dict)
+
+
+class Observation(Model):
+    """A file of the angles of every pixel beside an image: one array for each, or one whose bands have names."""
+
+    product: str
+    sun_zenith: str | None = None
+    image: str | None = None
+    names: str | None = None
+    source: str
 
 
 class Sidecar(Model):
@@ -93,6 +104,7 @@ class Layouts(Model):
     """All layouts."""
 
     trees: list[Tree]
+    observations: list[Observation]
     sidecars: list[Sidecar]
 
 

@@ -69,6 +69,14 @@ class LocationTable(LookupTable):
         return float(np.median(areas)) if areas else None
 
     @property
+    def middle(self) -> tuple[float, float]:
+        """Map coordinates (x, y) of the pixel with a place that is nearest to the middle of the image."""
+        _, nodes, _ = self._coarse
+        line, sample = nodes[np.argmin(np.hypot(*(nodes - np.array(self.shape) / 2.0).T))]
+        x, y = self._xy(int(line), 1)
+        return float(x[0, sample]), float(y[0, sample])
+
+    @property
     def metres_per_unit(self) -> float:
         """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
         if self.crs is None or not self.crs.is_projected:

@@ -105,6 +105,12 @@ class LookupTable:
         return float(np.median(areas)) if areas else None
 
     @property
+    def middle(self) -> tuple[float, float]:
+        """Map coordinates (x, y) of the middle of the map grid."""
+        t, u, v = self.transform, self.raster.samples / 2.0, self.raster.lines / 2.0
+        return t.a * u + t.b * v + t.c, t.d * u + t.e * v + t.f
+
+    @property
     def metres_per_unit(self) -> float:
         """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
         cell = self._cell_area_m2

@@ -59,7 +59,8 @@ def image_of(metadata: Path) -> Path:
                 raise InputError(
                     f"{len(fits)} images beside it: {', '.join(p.name for p in fits) or 'none'}",
                     where=str(metadata),
-                    mend="name the GeoTIFF that is meant",
+                    mend="name the GeoTIFF that is meant; the detectors of level 1B see a place some lines apart, "
+                    "level 1C has them on one grid",
                 )
             return fits[0]
     raise InputError("no metadata of a product that is known", where=str(metadata), expected="...-METADATA.XML")

@@ -7,16 +7,26 @@ and never guessed; where detectors overlap, each join is cut in its middle.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.paths import checked_file
-from hyperval.spectra import readers_asd, readers_instruments, readers_library, readers_rows, readers_text
+from hyperval.spectra import (
+    readers_asd,
+    readers_instruments,
+    readers_library,
+    readers_rows,
+    readers_specpr,
+    readers_text,
+)
 from hyperval.spectra.readers_record import MAX_BYTES, FieldSpectrum, Record, finished, mean_of
 
 # Printable characters of any 8-bit code, tabulators, ends of lines and pages.
 _TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])
+
+MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 __all__ = ["FieldSpectrum", "read_records", "read_spectrum"]
 
@@ -40,7 +50,7 @@ def read_spectrum(
     Parameters
     ----------
     path : text or CSV (a spectrum a column, or a row), ENVI ASCII plot, ECOSTRESS text, ENVI spectral library (data
-        or header), SVC .sig, Spectral Evolution .sed, ASD binary
+        or header), SVC .sig, Spectral Evolution .sed, ASD binary, SPECPR
     record : which spectrum of a file with several: its name, a part that only one name has, its number
         from 0, or "mean" for mean, standard deviation and number of all
     quantity : "reflectance" (values are handed out as fractions), "radiance" (uW cm-2 sr-1 nm-1), "irradiance"
@@ -51,7 +61,8 @@ def read_spectrum(
     unit_if_unstated : taken where neither the file nor ``unit`` states one
     columns : (wavelength, value) or (wavelength, value, standard deviation) of a text file, by name or
         by number from 0
-    wavelengths : the file of wavelengths of a library that keeps one column per file (USGS)
+    wavelengths : the file of wavelengths of a library that keeps one column per file (USGS); None: one of as many
+        rows whose name says wavelength, in the same folder or the one above
     root : folder that the files must lie in
 
     Raises
@@ -60,11 +71,14 @@ def read_spectrum(
     UsageError : a unit that nobody states, an unknown record, or one of several not chosen.
     """
     path = checked_file(path, root=root, what="spectrum file")
-    if wavelengths is None:
+    beside = _wavelengths_beside(path) if wavelengths is None and columns is None else None
+    if wavelengths is None and beside is None:
         chosen = _chosen(_records(path, columns, root, quantity), record, str(path))
     else:
-        grid = checked_file(wavelengths, root=root, what="wavelength file")
+        grid = checked_file(beside or str(wavelengths), root=root, what="wavelength file")
         chosen = readers_text.column_record(decoded(_read(path)), path, decoded(_read(grid)), grid)
+        if beside is not None:
+            chosen = replace(chosen, notes=(*chosen.notes, f"wavelengths from {beside.name}, which lies beside it"))
     return finished(
         chosen,
         quantity=quantity,
@@ -113,6 +127,24 @@ def read_records(
     ]
 
 
+def _wavelengths_beside(path: Path) -> Path | None:
+    """The file of wavelengths of a USGS spectrum of one column, in its folder or the one above."""
+    if path.suffix.lower() != ".txt" or path.stat().st_size > MAX_BYTES:
+        return None
+    rows = readers_text.usgs_rows(decoded(path.read_bytes()))
+    if rows is None:
+        return None
+    fits = []
+    for folder in (path.parent, path.parent.parent):
+        named = [p for p in sorted(folder.glob("*.txt")) if "wavelength" in p.name.lower() and p != path]
+        fits += [
+            p
+            for p in named[:MAX_WAVELENGTH_FILES]
+            if p.stat().st_size <= MAX_BYTES and readers_text.usgs_rows(decoded(p.read_bytes())) == rows
+        ]
+    return fits[0] if len(fits) == 1 else None
+
+
 def _wanted(held: list[Record], wanted: Sequence[str | int] | None, where: str) -> list[Record]:
     if wanted is None:
         return held
@@ -123,6 +155,9 @@ def _wanted(held: list[Record], wanted: Sequence[str | int] | None, where: str) 
 
 
 def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str) -> list[Record]:
+    with open(path, "rb") as stream:
+        if readers_specpr.is_specpr(stream.read(len(readers_specpr.MARK))):
+            return readers_specpr.specpr_records(path)
     raw = _read(path)
     head = raw[:4096].lstrip(b"\xef\xbb\xbf")
     if readers_asd.is_asd(raw):

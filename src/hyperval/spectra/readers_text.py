@@ -115,6 +115,15 @@ def column_record(text: str, path: Path, grid_text: str, grid: Path) -> Record:
     )
 
 
+def usgs_rows(text: str) -> int | None:
+    """How many numbers a USGS file of one column holds below "Record=NUMBER: TITLE"; None for another file."""
+    lines = text.split("\n")
+    if not re.search(r"\bRecord\s*=\s*[0-9]+\s*:", lines[0]):
+        return None
+    rows = [line for line in lines[1:] if line.strip()]
+    return len(rows) if rows and all(_only_number(line) for line in rows) else None
+
+
 def plot_records(text: str, path: Path) -> list[Record]:
     """Spectra of an ENVI ASCII plot file; it states no unit of the wavelengths unless the title does."""
     header, table, _ = number_table(text, path)
