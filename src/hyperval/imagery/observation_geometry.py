@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.imagery.array_raster import ArrayRaster
-from hyperval.imagery.layouts import Values, found, layouts, tree_of
+from hyperval.imagery.layouts import Values, layouts, member, tree_of
 from hyperval.imagery.stores import Hdf5Store, check_own_values
 
 Array = npt.NDArray[np.float64]
@@ -47,11 +47,11 @@ def sun_of_observation(path: Path, shape: tuple[int, int]) -> Array | None:
     with Hdf5Store(path).kept_open() as file:
         for layout in layouts().observations:
             if layout.sun_zenith is not None:
-                array = found(file, layout.sun_zenith)
+                array = member(file, layout.sun_zenith)
                 if isinstance(array, h5py.Dataset) and array.shape == shape:
                     return _some_lines(array, None)
             if layout.image is not None and layout.names is not None:
-                array, names = found(file, layout.image), found(file, layout.names)
+                array, names = member(file, layout.image), member(file, layout.names)
                 if isinstance(array, h5py.Dataset) and isinstance(names, h5py.Dataset):
                     words = [_text(name) for name in names[()].ravel()]
                     bands = [i for i, word in enumerate(words) if SUN_ZENITH.search(word)]
