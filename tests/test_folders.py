@@ -14,7 +14,18 @@ import pytest
 
 from hyperval import folders
 from hyperval.errors import UsageError
-from hyperval.folders import COLLECTION, LIST, LOCK, Unplaced, partial_folder, refuse_foreign, whole_folder
+from hyperval.folders import (
+    COLLECTION,
+    LIST,
+    LOCK,
+    POWER,
+    RESULTS,
+    Kind,
+    Unplaced,
+    partial_folder,
+    refuse_foreign,
+    whole_folder,
+)
 
 HEAD = '{\n "schema_version": 1,\n "hyperval_version": "0.1.0",\n "rows": []\n}\n'
 SRC = Path(folders.__file__).parents[1]
@@ -64,6 +75,15 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path: Path, way: str):
     assert files(path) == {"results.json": HEAD, "figures/a.svg": "<new>"}
     assert [p.name for p in tmp_path.iterdir()] == ["report"]
     assert not (path / "figures" / "deep").exists()
+
+
+@pytest.mark.parametrize("kind", [RESULTS, COLLECTION, POWER], ids=lambda k: k.marker)
+def test_every_kind_takes_its_place_twice(kind: Kind, tmp_path: Path, way: str):
+    for content in "12":
+        with whole_folder(tmp_path / "out", kind) as new:
+            (new / kind.marker).write_text(content)
+            (new / f"old{content}.yaml").write_text("")
+    assert files(tmp_path / "out") == {kind.marker: "2", "old2.yaml": ""}
 
 
 def test_failure_in_the_middle_keeps_the_old_folder(tmp_path: Path, way: str):

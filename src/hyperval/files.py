@@ -60,15 +60,20 @@ def scratch_folder(purpose: str, beside: Path | None = None) -> Iterator[Path]:
     place = Path(tempfile.gettempdir()) if beside is None else beside
     place.mkdir(parents=True, exist_ok=True)
     start = f".hyperval-{purpose}-" if beside is not None else f"hyperval-{purpose}-"
+    remove_left(place, start)
+    with tempfile.TemporaryDirectory(
+        prefix=f"{start}{os.getpid()}-", dir=place, ignore_cleanup_errors=True
+    ) as folder:
+        yield Path(folder)
+
+
+def remove_left(place: Path, start: str) -> None:
+    """Remove the folders in ``place`` that killed processes left: ``start``, their number, eight letters."""
     exact = re.compile(re.escape(start) + r"(\d+)-[a-z0-9_]{8}")
     for name in os.listdir(place):
         match = exact.fullmatch(name)
         if match and is_left(place / name, int(match[1])):
             shutil.rmtree(place / name, ignore_errors=True)
-    with tempfile.TemporaryDirectory(
-        prefix=f"{start}{os.getpid()}-", dir=place, ignore_cleanup_errors=True
-    ) as folder:
-        yield Path(folder)
 
 
 def sha256_of(path: Path) -> str:

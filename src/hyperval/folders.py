@@ -80,6 +80,9 @@ POWER = Kind(
 )
 
 
+_KINDS = (RESULTS, COLLECTION, POWER)
+
+
 @contextmanager
 def whole_folder(path: Path, kind: Kind = RESULTS) -> Iterator[Path]:
     """Give an empty folder whose content takes the place of ``path`` when the block ends well.
@@ -233,7 +236,7 @@ def _left_beside(place: Path) -> list[Path]:
 def _swap_content(place: Path, kind: str, new: set[str]) -> None:
     """Put the files of the swap folder in the place of the old ones; called again, it goes on where it ended."""
     swap = place / _SWAP
-    marker = next(k.marker for k in (RESULTS, COLLECTION) if k.name == kind)
+    marker = next(k.marker for k in _KINDS if k.name == kind)
     ours = _ours(place)
     if (swap / marker).is_file():
         (place / marker).unlink(missing_ok=True)
@@ -345,7 +348,7 @@ def _ours(place: Path) -> set[str]:
             out |= {(inner / name).as_posix() for name in listing[1]}
     if _list(place) is not None:
         return out
-    for kind in (RESULTS, COLLECTION):
+    for kind in _KINDS:
         if _begins(place / kind.marker, kind.head):
             out |= {name for name in _names(place) if kind.files.fullmatch(name)}
     return out

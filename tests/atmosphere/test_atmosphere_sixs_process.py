@@ -77,6 +77,22 @@ def test_links_left_by_a_removed_environment_are_replaced(tmp_path):
     assert [p.name for p in folder.parent.iterdir()] == [folder.name]  # nothing temporary stays behind
 
 
+def test_links_that_a_killed_process_left_half_made_go_at_the_next_start(tmp_path):
+    (library, *_) = sixs_process.fortran_libraries()
+    sixs_process._linked(library, tmp_path)
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    left = tmp_path / "libraries" / f".hyperval-links-{ended.pid}-abcd_123"
+    left.mkdir()
+    os.utime(left, (0, 0))
+    ours = left.with_name(f".hyperval-links-{os.getpid()}-abcd_123")
+    ours.mkdir()
+    os.utime(ours, (0, 0))
+    sixs_process._linked(library, tmp_path)
+    assert not left.exists()
+    assert ours.exists()  # of a process that lives
+
+
 def test_parallel_processes_share_one_folder(tmp_path):
     code = (
         "import sys; from pathlib import Path;"

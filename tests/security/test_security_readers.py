@@ -160,6 +160,22 @@ def test_plain_text_as_a_campaign_is_a_mistake_of_the_user(content: bytes, tmp_p
     assert "holds no keys" in capsys.readouterr().err
 
 
+LONG = 1_000_000
+SLOW = {
+    "digits": b"nm,rho\n400,0.1\n500,0." + b"9" * LONG + b"x\n",
+    "digits without a point": b"nm,rho\n400," + b"9" * LONG + b"x\n",
+    "blanks in a title": b"a cm" + b" " * LONG + b",rho\n400,0.1\n500,0.2\n",
+    "blanks in a plot": b"ENVI ASCII Plot File\nColumn 1: a" + b" " * LONG + b"b\nColumn 2: c\n400 1\n500 2\n",
+    "signs before a key": (b";" * 1000 + b"\n") * 900 + b"nm,rho\n400,0.1\n500,0.2\n",
+}
+
+
+@pytest.mark.parametrize("content", SLOW.values(), ids=SLOW)
+def test_long_lines_take_no_longer_than_their_length(content: bytes, tmp_path: Path, soon: None):
+    (tmp_path / "a.txt").write_bytes(content)
+    assert exit_code(READERS["hyperval.spectra.readers.read_spectrum"], tmp_path / "a.txt") in (0, 2, 3)
+
+
 MISNAMED = b'{"crs": {"properties": {"name": "EPSG:1,5"}}, ' + (FEATURE % b"[[[0, 0], [1, 1], [2, 2]]]")[1:]
 UNPACKABLE = gzip.compress(bytes(range(256)) * 9)[:40] + b"x" * 90
 

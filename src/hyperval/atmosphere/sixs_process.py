@@ -8,7 +8,6 @@ import importlib.util
 import os
 import shutil
 import subprocess
-import tempfile
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -17,7 +16,7 @@ import numpy
 import scipy
 
 from hyperval.errors import EngineError
-from hyperval.files import sha256_of
+from hyperval.files import remove_left, scratch_folder, sha256_of
 
 SIXS_VERSION: Final = "2.1"
 _TIMEOUT_S = 300.0
@@ -108,10 +107,9 @@ def _linked(library: Path, cache_folder: Path) -> Path:
     name = hashlib.sha256(str(library.resolve()).encode()).hexdigest()[:16]
     final = cache_folder / "libraries" / name
     if (final / _LIBRARY).resolve() == library.resolve():
+        remove_left(final.parent, ".hyperval-links-")
         return final
-    final.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=".links.", dir=final.parent))
-    try:
+    with scratch_folder("links", final.parent) as temporary:
         for other in library.parent.glob("*.so*"):
             (temporary / other.name).symlink_to(other)
         (temporary / _LIBRARY).symlink_to(library)
@@ -119,8 +117,6 @@ def _linked(library: Path, cache_folder: Path) -> Path:
             shutil.rmtree(final, ignore_errors=True)
         with contextlib.suppress(OSError):  # another process was first: its folder is the same
             os.rename(temporary, final)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     return final
 
 

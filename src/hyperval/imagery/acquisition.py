@@ -16,7 +16,7 @@ from hyperval.spectra.axis import SpectralAxis
 _CO2_NM = 2010.0  # the carbon dioxide bands that a shift is fitted to lie at about 2000-2070 nm
 MINUTES_APART = 10.0  # the sun moves 2.5 degrees in ten minutes
 _TIMES = r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$"
-_NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+_NUMBER = re.compile(r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
 def acquisition_notes(

@@ -245,7 +245,8 @@ def raster_masks(
     out: dict[str | int, Mask] = {}
     for value in numbers:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
-        name = re.sub(r"\s*\[[^\]]*\]\s*[0-9]+ points$", "", listed[value]) if 0 < value < len(listed) else ""
+        name = listed[value] if 0 < value < len(listed) else ""
+        name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
         name = name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}")
         if name in out:
             raise InputError(

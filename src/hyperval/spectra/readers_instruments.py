@@ -126,7 +126,7 @@ def _sed_table(text: str, lines: list[str], begin: int, columns: int, path: Path
     if header or table.shape[1] != columns or named != columns:
         what = f"{table.shape[1]} columns under {columns} titles"
         raise InputError(what, where=f"{path}:{start}", expected=f"{named} of both, as it states")
-    ends = re.fullmatch(r"([0-9.]+)\s*,\s*([0-9.]+)", stated.get("wavelength range", ""))
+    ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
     check_stated(
         table[:, 0], str(path), count=stated.get("channels"),
         ends=(float(ends[1]), float(ends[2])) if ends else None,

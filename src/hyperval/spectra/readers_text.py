@@ -14,14 +14,17 @@ from hyperval.spectra.readers_record import MAX_ROWS, Record
 Array = npt.NDArray[np.float64]
 MAX_HEADER_LINES = 1000
 MAX_COLUMNS = 2000
+MAX_TITLE = 1000
 _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 
 _QUOTED = re.compile(r'("[^",;\t]*")([,;\t]"[^",;\t]*")+')
-_NUMBER = re.compile(r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
+# No part of a pattern may begin in more than one place of what the part before it takes: a line of a million digits
+# or blanks would take hours.
+_NUMBER = re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
 _SPREAD = re.compile(r"stand\w*[ _.]*dev|std|(?<![a-z])sd(?![a-z])|sigma|uncertainty", re.IGNORECASE)
 _WAVE = re.compile(r"wave|wvl|lambda", re.IGNORECASE)
-_WAVENUMBER = re.compile(r"wave\s*number|cm\s*\^?\s*-1", re.IGNORECASE)
+_WAVENUMBER = re.compile(r"wave\s*number|cm\s*(\^\s*)?-1", re.IGNORECASE)
 _NM = re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE)
 _UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
 
@@ -129,7 +132,7 @@ def plot_records(text: str, path: Path) -> list[Record]:
     header, table, _ = number_table(text, path)
     titles = {}
     for line in header:
-        match = re.match(r"^Column ([0-9]+):\s*(.*?)(~~[0-9]+)?\s*$", line)
+        match = re.match(r"^Column ([0-9]{1,6}):\s*(.*?)(~~[0-9]+)?$", line[:MAX_TITLE])
         if match:
             titles[int(match.group(1)) - 1] = match.group(2)
     if sorted(titles) != list(range(table.shape[1])) or table.shape[1] < 2:
@@ -269,7 +272,7 @@ def power_unit_in(text: str) -> str | None:
 
 def _entry(header: str, key: str) -> str | None:
     """What a header line says behind ``key:``; None where it says nothing."""
-    line = re.search(rf"^\W*{key}\s*:[ \t]*(\S.*)$", header, re.IGNORECASE | re.MULTILINE)
+    line = re.search(rf"^[^\w\n]*{key}[ \t]*:[ \t]*(\S.*)$", header, re.IGNORECASE | re.MULTILINE)
     return line[1].strip() if line else None
 
 
