@@ -342,8 +342,8 @@ def test_no_bands_at_all():
 def test_the_background_is_factorised_once_for_all_targets(monkeypatch):
     """What makes a prediction fast; benchmarks/predict_speed.py measures it."""
     built = []
-    plain = filters.dpotrf
-    monkeypatch.setattr(filters, "dpotrf", lambda *a, **k: built.append(1) or plain(*a, **k))
+    plain = filters.factor
+    monkeypatch.setattr(filters, "factor", lambda *a, **k: built.append(1) or plain(*a, **k))
     more = "    - {name: green, spectrum: {builtin: green-paint-plank}, host: grass, fill: {fixed: 0.3}}\n"
     s = scenario(**{"processing:": more + "processing:", "[cem, cem-correlation]": "[cem, smf]"})
     p = predict(s, axis=AXIS, engine=engine)

@@ -138,6 +138,24 @@ def test_3_27_and_3_29_scores_of_the_classes():
             assert sds[u, m] ** 2 == pytest.approx(w @ covariance @ w, rel=1e-9)  # (3.29)
 
 
+@pytest.mark.parametrize("count", [3, 40])
+def test_3_11_surroundings_by_their_matrix_and_by_the_classes(count):
+    """Grounds of a small batch have a Sigma_ave each, those of a large one go through the classes together."""
+    rng = np.random.default_rng(311)
+    fractions = rng.dirichlet([1.0, 2.0], count)
+    grounds = tuple(ground_of(SURFACES, ["soil", "grass"], f) for f in fractions)
+    view = View(None, np.array([g.average for g in grounds])[:, None, :], None, 0.1, "corrected", None)
+    v = rng.normal(size=(count, 3, B))
+    found = Settings(view, fractions, np.ones((count, 2)), grounds, np.arange(count)).surroundings(v)
+    means = np.array([SURFACES[n].mean for n in ("soil", "grass")])
+    for u, f in enumerate(fractions):
+        sigma = sum(
+            p * (SURFACES[n].covariance + np.outer(m - f @ means, m - f @ means))
+            for p, n, m in zip(f, ("soil", "grass"), means, strict=True)
+        )
+        assert found[u] == pytest.approx(np.diag(v[u] @ sigma @ v[u].T), rel=1e-11)
+
+
 def test_3_26_and_3_28_scores_of_target_pixels_in_their_own_light():
     at = both()
     seen, filters = designed(at)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +13,13 @@ import numpy.typing as npt
 from hyperval.prediction.inputs import SurfaceStatistics, cut, filled
 from hyperval.prediction.view import ClassLevels, View
 from hyperval.processing.elm_model import retrieved_reflectance
+from hyperval.processing.packed import packed
 from hyperval.scenario import DarkestPixel
 from hyperval.scene.mixture import average_reflectance, mixture_covariance
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+_MATRICES = 16  # more grounds than that do not get a Sigma_ave each
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,17 +30,17 @@ class Ground:
     ----------
     surfaces : name -> statistics of every class, panel, site and target
     classes : names of the M classes
-    average, covariance : (B,) rho_ave of (3.8), (B, B) Sigma_ave of (3.11)
-    stack : (M, B, B) covariances of the classes in one piece, where many fractions are to come; None: apart
+    fractions, average : (M,) f_m, (B,) rho_ave of (3.8)
+    origin : a ground of the same classes and fractions, and those of its bands that these are; None: the first
     room : what grounds of the same surfaces share
     """
 
     surfaces: Mapping[str, SurfaceStatistics]
     classes: tuple[str, ...]
+    fractions: Array
     average: Array
-    covariance: Array
-    stack: Array | None = None
-    room: dict[bytes, tuple[dict[str, SurfaceStatistics], Array | None]] = field(default_factory=dict)
+    origin: tuple[Ground, Index] | None = None
+    room: dict[bytes, Any] = field(default_factory=dict)
 
     @cached_property
     def means(self) -> Array:
@@ -49,6 +52,32 @@ class Ground:
         """M times (B, B)."""
         return tuple(self.surfaces[n].covariance for n in self.classes)
 
+    @property
+    def stack(self) -> Array:
+        """(M, P) the same, packed."""
+        if self.origin is not None and self.origin[1].size == self.origin[0].average.size:
+            return self.origin[0].stack
+        if b"" not in self.room:
+            self.room[b""] = np.array([packed(c) for c in self.covariances])
+        stack: Array = self.room[b""]
+        return stack
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(B, B) Sigma_ave of (3.11)."""
+        if self.origin is not None:
+            return cut(self.origin[0].covariance, self.origin[1])
+        return mixture_covariance(self.fractions, [filled(m) for m in self.means], self.covariances)
+
+    @cached_property
+    def between(self) -> Array:
+        """(M, B) how far the classes are from their average."""
+        return np.array([filled(m) for m in self.means]) - self.average
+
+    def variances(self) -> Array:
+        """(B,) the diagonal of Sigma_ave."""
+        return self.fractions @ (np.array([np.diag(c) for c in self.covariances]) + self.between**2)
+
     def at(self, bands: Index, needed: Sequence[str]) -> Ground:
         """The surfaces ``needed`` on some bands alone; for the latest set of bands they are kept in ``room``."""
         key = bands.tobytes()
@@ -59,26 +88,17 @@ class Ground:
                 for n, s in self.surfaces.items()
                 if n in needed
             }
-            self.room[key] = of, None if self.stack is None else _stack(of, self.classes)
-        of, stack = self.room[key]
-        return Ground(of, self.classes, self.average[bands], cut(self.covariance, bands), stack)
-
-
-def _stack(surfaces: Mapping[str, SurfaceStatistics], classes: Sequence[str]) -> Array:
-    return np.array([surfaces[n].covariance for n in classes])
+            self.room[key] = of, {}
+        of, room = self.room[key]
+        return Ground(of, self.classes, self.fractions, self.average[bands], (self, bands), room)
 
 
 def ground_of(
-    surfaces: Mapping[str, SurfaceStatistics],
-    classes: Sequence[str],
-    fractions: Array,
-    like: Sequence[Ground] = (),
-    stack: Array | None = None,
+    surfaces: Mapping[str, SurfaceStatistics], classes: Sequence[str], fractions: Array, like: Sequence[Ground] = ()
 ) -> Ground:
     """Averages over the classes for area fractions (M,) (3.8, 3.11).
 
-    ``like`` : grounds of the same fractions, whose averages are taken over where the classes are the same too;
-    ``stack`` : their covariances in one piece
+    ``like`` : grounds of the same fractions, whose averages are taken over where the classes are the same too
 
     Raises
     ------
@@ -89,11 +109,9 @@ def ground_of(
         if all(other.surfaces[n].mean is surfaces[n].mean for n in names) and all(
             other.surfaces[n].covariance is surfaces[n].covariance for n in names
         ):
-            return Ground(surfaces, names, other.average, other.covariance)
+            return Ground(surfaces, names, fractions, other.average, (other, np.arange(other.average.size)))
     means = np.array([filled(surfaces[n].mean) for n in names])
-    spreads = [surfaces[n].covariance for n in names] if stack is None else stack
-    covariance = mixture_covariance(fractions, means, spreads)
-    return Ground(surfaces, names, average_reflectance(fractions, means), covariance, stack)
+    return Ground(surfaces, names, fractions, average_reflectance(fractions, means))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +166,9 @@ class Settings:
 
     def spread(self, vectors: Array, covariance: Callable[[Ground], Array]) -> Array:
         """v C v^T (U, K) of vectors (U, K, B), each setting with the covariance C of its own ground."""
-        found = np.zeros(vectors.shape[:2])
+        parts = np.zeros(vectors.shape[:2])
         if not vectors.any():
-            return found
+            return parts
         matrices = [covariance(g) for g in self.grounds]
         first: dict[int, int] = {}
         codes = np.array([first.setdefault(id(c), i) for i, c in enumerate(matrices)])[self.which]
@@ -158,8 +176,24 @@ class Settings:
         for rows in np.split(order, np.flatnonzero(np.diff(codes[order])) + 1):
             v = vectors[rows]
             product = (v.reshape(-1, v.shape[2]) @ matrices[codes[rows[0]]]).reshape(v.shape)
-            found[rows] = np.einsum("ukf,ukf->uk", product, v)
-        return found
+            parts[rows] = np.einsum("ukf,ukf->uk", product, v)
+        return parts
+
+    def surroundings(self, vectors: Array) -> Array:
+        """v Sigma_ave v^T (U, K) of vectors (U, K, B), by the classes where no ground has a matrix of its own."""
+        if len(self.grounds) <= _MATRICES:
+            return self.spread(vectors, lambda g: g.covariance)
+        parts = np.zeros(vectors.shape[:2])
+        fractions = np.array([g.fractions for g in self.grounds])[self.which]
+        for m in range(fractions.shape[1]):
+
+            def covariance(ground: Ground, number: int = m) -> Array:
+                return ground.covariances[number]
+
+            away = np.array([g.between[m] for g in self.grounds])[self.which]
+            within = self.spread(vectors, covariance)
+            parts += fractions[:, m, None] * (within + np.einsum("ukf,uf->uk", vectors, away) ** 2)  # (3.11)
+        return parts
 
 
 def with_class_levels(settings: Settings) -> Settings:
@@ -168,7 +202,7 @@ def with_class_levels(settings: Settings) -> Settings:
     if not isinstance(view.elm, DarkestPixel):
         return settings
     variances = np.array([[np.diag(c) for c in g.covariances] for g in settings.grounds])[settings.which]
-    around = np.array([np.diag(g.covariance) for g in settings.grounds])[settings.which][:, None, :]
+    around = np.array([g.variances() for g in settings.grounds])[settings.which][:, None, :]
     fractions, gains = settings.fractions[:, :, None], settings.gains[:, :, None]
     means = np.broadcast_to(settings.class_means(), variances.shape)
     return replace(settings, view=replace(view, classes=ClassLevels(fractions, gains, means, variances, around)))

@@ -1,7 +1,7 @@
 """Filters of many settings (3.21-3.25) and the scores of the classes (3.27, 3.29).
 
-For each setting the background's covariance is put together in the form that one factorisation needs, in memory
-that is used again; everything that goes through matrices that settings share goes through them together.
+For each setting the background's covariance is put together packed, in memory that is used again, and factorised
+once; everything that goes through matrices that settings share goes through them together.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from hyperval.errors import UsageError
 from hyperval.prediction.background import Ground, Seen, Settings
@@ -22,14 +21,20 @@ from hyperval.processing.features import (
     principal_components,
 )
 from hyperval.processing.filters import MAX_CONDITION, LinearFilter, PositiveDefinite, design_filter, solved_filter
+from hyperval.processing.packed import (
+    add_products,
+    condition_number,
+    diagonal_places,
+    factor,
+    near_singular,
+    packed,
+    solved,
+    unpacked,
+)
 from hyperval.scenario import Processing
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-# Below this ratio of the factor's diagonal, squared, a matrix can not be near the limit of the condition number in
-# practice; above it the condition number is estimated.
-_SUSPECT = 1e8
-_BLOCK = 90  # columns
 
 
 @dataclass(frozen=True)
@@ -68,21 +73,22 @@ class Population:
 PopulationsOf = Callable[[int], Sequence[Population]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mixture:
     """The background of one setting, as its filter's covariance is put together.
 
     Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
-    divided by the gains of the empirical line (3.11, 3.16-3.21): the first part is one matrix under (a a^T), the
-    second Sigma_ave under the sum of (e_k e_k^T), element by element, the last the sum of (d_k d_k^T).
+    divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
+    matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
+    the sensor changes is the diagonal alone.
 
     Attributes
     ----------
     mean : (F,) mu
-    reflectance : (F, F) sum w_k g_k Sigma_k
-    surroundings : (F, F) Sigma_ave
-    slope : (F,) a;  around, between : (K, F) e, d
-    noise : (F,) sum w_k N_k
+    reflectance : (P,) sum w_k g_k Sigma_k, packed
+    surroundings : (P,) Sigma_ave, packed
+    slope : (F,) D_A over the gain;  around, between : (K, F) e, d
+    noise : (F,) sum w_k N_k over the square of the slope
     """
 
     mean: Array
@@ -93,37 +99,26 @@ class Mixture:
     between: Array
     noise: Array
 
-    def diagonal(self) -> Array:
-        """(F,) variances."""
-        found = (
-            self.slope**2 * self.reflectance.diagonal()
-            + (self.around**2).sum(axis=0) * self.surroundings.diagonal()
+    def without_noise(self, memory: Array) -> Array:
+        """(P,) the covariance over the slopes but for the noise, packed, in ``memory``."""
+        total = add_products(memory, self.around, fresh=True)
+        total *= self.surroundings
+        total += self.reflectance
+        return add_products(total, self.between)
+
+    def shares_light(self, other: Mixture) -> bool:
+        """Whether the covariance differs from that of another by the noise alone."""
+        return (
+            self.reflectance is other.reflectance
+            and self.surroundings is other.surroundings
+            and np.array_equal(self.around, other.around)
+            and np.array_equal(self.between, other.between)
         )
-        return np.asarray(found + (self.between**2).sum(axis=0) + self.noise)
-
-    def lower(self, scale: Array, matrix: Array) -> Array:
-        """Lower triangle of the covariance under (scale scale^T), without its diagonal, which is 1, in ``matrix``.
-
-        In blocks that stay in the processor's cache; above the blocks' diagonal the memory holds anything.
-        """
-        a, e, d, size = self.slope * scale, self.around * scale, self.between * scale, scale.size
-        for start in range(0, size, _BLOCK):
-            rows, columns = slice(start, size), slice(start, min(start + _BLOCK, size))
-            # Symmetric matrices in C order: the block of columns is taken as rows, so that memory runs along.
-            part = np.multiply(a[columns, None], a[rows])
-            part *= self.reflectance[columns, rows]
-            around = e[:, columns].T @ e[:, rows]
-            around *= self.surroundings[columns, rows]
-            part += around
-            part += d[:, columns].T @ d[:, rows]
-            matrix.T[columns, rows] = part
-        matrix.T.flat[:: size + 1] = 1.0
-        return matrix
 
     def covariance(self) -> Array:
         """(F, F) whole."""
-        lower = np.tril(self.lower(np.ones(self.mean.size), np.zeros((self.mean.size,) * 2, order="F")), -1)
-        return np.asarray(lower + lower.T + np.diag(self.diagonal()))
+        inner = unpacked(self.without_noise(np.empty_like(self.reflectance)), self.mean.size)
+        return (inner + np.diag(self.noise)) * np.outer(self.slope, self.slope)
 
 
 @dataclass(frozen=True)
@@ -151,8 +146,10 @@ class FilterBase:
 
     def filter(self, detector: str, target: Array) -> LinearFilter:
         """The filter, as weights of the bands: w Psi of the filter in the features (3.21-3.25)."""
-        found = design_filter(detector, self.of(target), self.of(self.mean), self.factor)
-        return found if self.psi is None else replace(found, weights=found.weights @ self.psi)
+        of_features = design_filter(detector, self.of(target), self.of(self.mean), self.factor)
+        if self.psi is None:
+            return of_features
+        return replace(of_features, weights=of_features.weights @ self.psi)
 
 
 class Designer:
@@ -169,33 +166,38 @@ class Designer:
         self.processing = processing
         names = processing.filter_classes
         self._chosen = np.array([not names or n in names for n in classes])
-        self._matrix = np.zeros((size, size), order="F")
-        self._mixed: tuple[tuple[object, ...], Array, tuple[Array, ...]] | None = None
+        self._size = size
+        # Memory of two matrices: the covariance of the latest light without its noise, and one to factorise.
+        self._still, self._matrix = np.empty((2, size * (size + 1) // 2))
+        self._latest: Mixture | None = None
+        self._mixed: tuple[Array, bytes, Array] | None = None
+        self._around: tuple[Ground, Array] | None = None
 
     def mixture(self, at: Settings, seen: Seen, u: int, populations: Sequence[Population] = ()) -> Mixture:
         """The background that the filter of setting ``u`` is built on (3.8, 3.11 of what is seen)."""
         ground = at.grounds[at.which[u]]
-        chosen = self._chosen & (at.fractions[u] > 0.0)
-        fraction = at.fractions[u][chosen]
+        fractions = np.where(self._chosen, at.fractions[u], 0.0)
+        chosen = fractions > 0.0
         parts = np.array([p.part for p in populations])
-        fraction = (1.0 - parts.sum()) * fraction / (1.0 if chosen.all() else at.fractions[u][self._chosen].sum())
-        weights = np.concatenate([fraction, parts])
-        reflectance = self._reflectance(fraction * at.gains[u][chosen], np.flatnonzero(chosen), ground)
+        fractions = fractions[chosen] * ((1.0 - parts.sum()) / (1.0 if self._chosen.all() else fractions.sum()))
+        weights = np.concatenate([fractions, parts])
+        reflectance = self._reflectance(ground, fractions * at.gains[u][chosen], chosen)
         around, means, noise = seen.around[u][chosen], seen.means[u][chosen], seen.noise[u][chosen]
         if populations:
-            reflectance = reflectance + sum(p.part * p.covariance for p in populations)
+            reflectance = reflectance + sum(p.part * packed(p.covariance) for p in populations)
             around = np.vstack([around, *(p.around for p in populations)])
             means = np.vstack([means, *(p.mean for p in populations)])
             noise = np.vstack([noise, *(p.noise for p in populations)])
-        mean, root = weights @ means, np.sqrt(weights)[:, None]
+        mean, slope = weights @ means, seen.slope[u]
+        under = np.sqrt(weights)[:, None] / slope
         return Mixture(
             mean,
             reflectance,
-            ground.covariance,
-            seen.slope[u],
-            root * around,
-            root * (means - mean),
-            weights @ noise,
+            self._surroundings(ground),
+            slope,
+            under * around,
+            under * (means - mean),
+            weights @ noise / slope**2,
         )
 
     def base(self, mixture: Mixture, noise_at: Callable[[Array], Array]) -> FilterBase:
@@ -222,8 +224,7 @@ class Designer:
         populations: PopulationsOf | None = None,
     ) -> tuple[list[Filters], dict[int, UsageError]]:
         """Filters for pairs of detector and spectrum as seen (U, F); setting -> what is wrong with it."""
-        size = self._matrix.shape[0]
-        found = [Filters(np.full((len(at), size), np.nan), np.full(len(at), np.nan)) for _ in wanted]
+        each = [Filters(np.full((len(at), self._size), np.nan), np.full(len(at), np.nan)) for _ in wanted]
         problems: dict[int, UsageError] = {}
         for u in range(len(at)):
             mixture = self.mixture(at, seen, u, populations(u) if populations else ())
@@ -237,9 +238,9 @@ class Designer:
             except UsageError as error:
                 problems[u] = error
                 continue
-            for into, one in zip(found, filters, strict=True):
+            for into, one in zip(each, filters, strict=True):
                 into.weights[u], into.offset[u] = one.weights, one.offset
-        return found, problems
+        return each, problems
 
     def _solved(self, mixture: Mixture, spectra: Sequence[tuple[str, Array]]) -> list[LinearFilter]:
         """Filters on the bands themselves, one factorisation for all that invert the same matrix."""
@@ -252,53 +253,55 @@ class Designer:
             matrix = mixture
             if correlation:
                 matrix = replace(mixture, between=np.vstack([mixture.between, mixture.mean]))
-            factor, scale = self._factor(matrix)
             centre = np.zeros_like(mixture.mean) if correlation else mixture.mean
-            for i in members:
-                d = spectra[i][1] - centre  # (3.22)
-                solved, _ = dpotrs(factor, d * scale, lower=1)
-                out[i] = solved_filter(spectra[i][0], d, solved * scale, mixture.mean)
+            differences = np.array([spectra[i][1] - centre for i in members])  # (3.22)
+            for i, d, x in zip(members, differences, self._solutions(matrix, differences), strict=True):
+                out[i] = solved_filter(spectra[i][0], d, x, mixture.mean)
         return [out[i] for i in range(len(spectra))]
 
-    def _reflectance(self, weights: Array, chosen: Index, ground: Ground) -> Array:
-        """Sum over classes of w_m Sigma_m; kept while weights and covariances stay."""
-        covariances = ground.covariances
-        key = (weights.tobytes(), chosen.tobytes(), *(id(c) for c in covariances))
-        if self._mixed is None or self._mixed[0] != key:
-            if ground.stack is not None:
-                whole = np.zeros(len(covariances))
-                whole[chosen] = weights
-                total = (whole @ ground.stack.reshape(whole.size, -1)).reshape(self._matrix.shape)
-            else:
-                total = np.zeros(self._matrix.shape)
-                for w, m in zip(weights, chosen, strict=True):
-                    total += w * covariances[m]
-            self._mixed = key, total, covariances  # those whose numbers the key holds stay in memory
-        return self._mixed[1]
+    def _reflectance(self, ground: Ground, weights: Array, chosen: npt.NDArray[np.bool_]) -> Array:
+        """(P,) sum over classes of w_m Sigma_m, packed; kept while weights and covariances stay."""
+        stack = ground.stack
+        whole = np.zeros(chosen.size)
+        whole[chosen] = weights
+        key = whole.tobytes()
+        if self._mixed is None or self._mixed[0] is not stack or self._mixed[1] != key:
+            self._mixed = stack, key, whole @ stack
+        return self._mixed[2]
 
-    def _factor(self, mixture: Mixture) -> tuple[Array, Array]:
-        """Cholesky factor of the background matrix at unit diagonal, and its scale.
+    def _surroundings(self, ground: Ground) -> Array:
+        """(P,) Sigma_ave of (3.11), packed; kept while the ground stays."""
+        if self._around is None or self._around[0] is not ground:
+            within = self._reflectance(ground, ground.fractions, np.ones(ground.fractions.size, bool)).copy()
+            self._around = ground, add_products(within, np.sqrt(ground.fractions)[:, None] * ground.between)
+        return self._around[1]
+
+    def _solutions(self, mixture: Mixture, right: Array) -> Array:
+        """(K, F) solutions x of covariance x = right (K, F).
 
         Raises
         ------
         UsageError : as :class:`PositiveDefinite`.
         """
-        diagonal = mixture.diagonal()
+        if self._latest is None or not self._latest.shares_light(mixture):
+            self._latest = None  # should anything go wrong below, the memory holds no covariance
+            self._still = mixture.without_noise(self._still)
+            self._latest = mixture
+        matrix, places = self._matrix, diagonal_places(self._size)
+        matrix[:] = self._still
+        matrix[places] += mixture.noise
+        diagonal = matrix[places]
         if not np.all(diagonal > 0) or not np.all(np.isfinite(diagonal)):
             raise _refusal(mixture)
-        scale = 1.0 / np.sqrt(diagonal)
-        factor, info = dpotrf(mixture.lower(scale, self._matrix), lower=1, overwrite_a=1, clean=0)
-        if info:
+        cholesky = factor(matrix, self._size)
+        if cholesky is None:
             raise _refusal(mixture)
-        pivots = factor.diagonal()
-        if (pivots.max() / pivots.min()) ** 2 > _SUSPECT:
-            factor = factor.copy(order="F")
-            lower = np.tril(mixture.lower(scale, self._matrix))
-            norm = np.abs(lower + lower.T - np.eye(lower.shape[0])).sum(axis=0).max()
-            reciprocal, _ = dpocon(factor, norm, uplo="L")
-            if not reciprocal * MAX_CONDITION >= 1.0:
+        if near_singular(diagonal, cholesky):
+            values = self._still.copy()
+            values[places] = diagonal
+            if not condition_number(values, cholesky, self._size) <= MAX_CONDITION:
                 raise _refusal(mixture)
-        return factor, scale
+        return solved(cholesky, (right / mixture.slope).T).T / mixture.slope
 
 
 def _refusal(mixture: Mixture) -> UsageError:
@@ -328,5 +331,5 @@ def class_scores(at: Settings, seen: Seen, filters: Filters) -> tuple[Array, Arr
             return ground.covariances[number]
 
         variances[:, m] += at.gains[:, m] * at.spread(through, covariance)[:, 0]
-    variances += at.spread(w[:, None, :] * seen.around, lambda g: g.covariance)
+    variances += at.surroundings(w[:, None, :] * seen.around)
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)

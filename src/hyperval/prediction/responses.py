@@ -109,7 +109,7 @@ def responses(at: Settings, seen: Seen, filters: Filters, material: Material) ->
     ends = np.concatenate([np.broadcast_to(host, shape), np.broadcast_to(under_sky, shape)], axis=1)
     v = w[:, None, :] * view.adjacency_slope(ends) / seen.gain
     v = v * np.sqrt(at.gains[:, number, None, None] * view.adjacency_weight())
-    parts = at.spread(np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1), lambda g: g.covariance)
+    parts = at.surroundings(np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
     zero, one, both = parts[:, :1], parts[:, 1:2], parts[:, 2:]
     g = FILL_NODES
     rest = rest + (1.0 - g) ** 2 * zero + g**2 * one + g * (1.0 - g) * (both - zero - one)

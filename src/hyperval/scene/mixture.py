@@ -29,7 +29,7 @@ def average_reflectance(fractions: npt.ArrayLike, means: npt.ArrayLike) -> Array
 
 
 def mixture_covariance(
-    fractions: npt.ArrayLike, means: npt.ArrayLike, covariances: npt.ArrayLike | Sequence[Array]
+    fractions: npt.ArrayLike, means: npt.ArrayLike, covariances: Sequence[npt.ArrayLike] | Array
 ) -> Array:
     """Covariance of a pixel drawn from the whole scene, Sigma_ave of (3.11).
 
@@ -39,17 +39,14 @@ def mixture_covariance(
     ----------
     fractions : (M,) area fractions, sum 1
     means : (M, B)
-    covariances : (M, B, B), or M arrays (B, B)
+    covariances : M arrays (B, B)
     """
     f = _fractions(fractions)
     mu = np.asarray(means, dtype=float)
     d = mu - average_reflectance(f, mu)
     result = (d * f[:, None]).T @ d
-    if isinstance(covariances, np.ndarray):  # in one piece: one pass over the memory
-        result += (f @ covariances.reshape(f.size, -1)).reshape(result.shape)
-    else:
-        for part, covariance in zip(f, covariances, strict=True):  # type: ignore[arg-type]
-            result += part * np.asarray(covariance, dtype=float)
+    for part, covariance in zip(f, covariances, strict=True):
+        result += part * np.asarray(covariance, dtype=float)
     return np.asarray(result)  # Sigma_ave of (3.11)
 
 

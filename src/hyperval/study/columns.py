@@ -69,13 +69,9 @@ class Stage:
         key = fractions.tobytes()
         if key not in self._grounds:
             self._grounds.clear()  # those of one batch at most: each holds a matrix
-            ground = ground_of(self.setup.surfaces, self.setup.classes, fractions, stack=self._stack)
+            ground = ground_of(self.setup.surfaces, self.setup.classes, fractions)
             self._grounds[key] = replace(ground, room=self._room)
         return self._grounds[key]
-
-    @cached_property
-    def _stack(self) -> Array:
-        return np.array([self.setup.surfaces[n].covariance for n in self.setup.classes])
 
     @cached_property
     def _room(self) -> dict[bytes, Any]:
