@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -52,9 +53,10 @@ def test_registry_is_complete_and_pinned():
         assert entry.citation
         assert entry.files, name
         for file in entry.files:
-            assert re.fullmatch(r"[0-9a-f]{64}", file.sha256)
+            assert re.fullmatch(r"sha256:[0-9a-f]{64}|git-blob:[0-9a-f]{40}", file.digest)
             assert file.size > 0
-            assert f"/{entry.repository}/{entry.commit}/" in file.address
+            assert re.search(r"/[\w.-]+/[\w.-]+/[0-9a-f]{10,40}/", file.address)
+            assert f"/{entry.repository}/{entry.commit}/" in file.address or "/chip/" in file.path
             assert file.address.startswith("https://")
             assert datasets._data_path("data:" + file.path) == file.path
     paths = [f.path for entry in datasets.registry().values() for f in entry.files]
@@ -297,6 +299,32 @@ def test_fetch_fills_the_cache_and_a_second_fetch_asks_for_nothing(server, place
     server.asked.clear()
     assert datasets.fetch("toy") == []
     assert server.asked == []
+
+
+def test_a_file_whose_git_blob_id_alone_is_published(server, places, monkeypatch):
+    """The id of b"what is up, doc?" is the one in the book on git (10.2, Git objects)."""
+    content = b"what is up, doc?"
+    server.content["/c.img"] = content
+    a = datasets.dataset("toy").files[0]
+    blob = DataFile(
+        "toy/c.img",
+        a.address.replace("/a.txt", "/c.img"),
+        len(content),
+        "",
+        "bd9dbf5aae1a3862dd1526723246b20206e5fc37",
+    )
+    entry = replace(datasets.dataset("toy"), files=(blob,))
+    monkeypatch.setattr(datasets, "registry", lambda: {"toy": entry})
+    for wrong in (b"what is up, cat?", content[:-1]):
+        server.content["/c.img"] = wrong
+        with pytest.raises(InputError, match=r"(?s)not the registered file.*16 bytes, git-blob:bd9dbf5a"):
+            datasets.fetch("toy")
+        assert files_below(places[1]) == []
+    server.content["/c.img"] = content
+    assert len(datasets.fetch("toy")) == 1
+    assert {c.state for c in datasets.verify("toy")} == {"ok"}
+    (places[1] / "toy/c.img").write_bytes(b"what is up, cat?")
+    assert {c.state for c in datasets.verify("toy")} == {"differs"}
 
 
 def test_packed_files_have_the_same_bytes_every_time(server, places):

@@ -29,7 +29,7 @@ from hyperval.config import Model, parse_yaml, validate
 from hyperval.download import download
 from hyperval.errors import InputError, MissingDataError, UsageError
 from hyperval.file_names import is_pattern, matching, nearest
-from hyperval.files import sha256_of, size_of
+from hyperval.files import has_digest, sha256_of, size_of
 from hyperval.paths import checked_store
 from hyperval.progress import track
 
@@ -44,14 +44,20 @@ class DataFile:
     ----------
     path : where it stands below the data directory, with forward slashes
     address : public address of the pinned version
-    size, sha256 : of the published content.  A path in ``.gz`` whose address is not is stored packed
-        here, and both then describe the content before packing.
+    size, sha256 or git_blob : of the published content.  A path in ``.gz`` whose address is not is stored packed
+        here, and they then describe the content before packing.
     """
 
     path: str
     address: str
     size: int
     sha256: str
+    git_blob: str = ""
+
+    @property
+    def digest(self) -> str:
+        """The published digest with its kind."""
+        return f"sha256:{self.sha256}" if self.sha256 else f"git-blob:{self.git_blob}"
 
     @property
     def packed(self) -> bool:
@@ -61,7 +67,7 @@ class DataFile:
     def matches(self, path: Path) -> bool:
         """Whether the file at ``path`` has the registered content."""
         if not self.packed:
-            return path.stat().st_size == self.size and sha256_of(path) == self.sha256
+            return path.stat().st_size == self.size and has_digest(path, self.digest)
         try:
             with gzip.open(path) as stream:
                 content = stream.read(self.size + 1)
@@ -133,10 +139,10 @@ def registry() -> Mapping[str, DataSet]:
     files: dict[str, list[DataFile]] = {name: [] for name in entries}
     for row in csv.DictReader((folder / "files.csv").read_text("utf-8").splitlines()):
         entry = entries[row["set"]]
-        inside = f"{entry.upstream}/{row['upstream']}".lstrip("/")
-        where = quote(f"{entry.repository}/{entry.commit}/{inside}")
+        inside = f"{entry.repository}/{entry.commit}/{entry.upstream}/{row['upstream']}".replace("//", "/")
+        where = quote(row["upstream"][1:] if row["upstream"].startswith("@") else inside)
         address = f"https://raw.githubusercontent.com/{where}"
-        files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), row["sha256"]))
+        files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), row["sha256"], row["git_blob"]))
     return {
         name: DataSet(
             name, e.title, e.repository, e.commit, e.licence, e.citation, tuple(files[name]), e.holder, e.obtain
@@ -203,13 +209,8 @@ def describe(reference: str) -> dict[str, str | None]:
             return nothing
         return nothing | {"dataset": holder.name, "licence": holder.licence, "citation": holder.citation}
     owner, file = entry
-    return {
-        "dataset": owner.name,
-        "licence": owner.licence,
-        "citation": owner.citation,
-        "address": file.address,
-        "sha256": file.sha256,
-    }
+    known = {"dataset": owner.name, "licence": owner.licence, "citation": owner.citation}
+    return known | {"address": file.address, "sha256": file.sha256 or None}
 
 
 def set_on_request(reference: str) -> DataSet | None:
@@ -267,13 +268,13 @@ def fetch(name: str, *, show_progress: bool | None = None) -> list[Path]:
             raise InputError(
                 "the local copy is not the registered file, and a local copy wins",
                 where=str(path),
-                expected=f"SHA-256 {file.sha256}",
+                expected=file.digest,
                 mend="remove that file, or leave HYPERVAL_DATA unset",
             )
         needed.append(file)
     again = f"check the connection and repeat: hyperval data fetch {name}; or name a copy with HYPERVAL_DATA"
     return [
-        download(f.address, cache_dir() / f.path, size=f.size, sha256=f.sha256, pack=f.packed, mend=again)
+        download(f.address, cache_dir() / f.path, size=f.size, digest=f.digest, pack=f.packed, mend=again)
         for f in track(needed, f"fetching {name}", show=show_progress)
     ]
 
@@ -312,9 +313,7 @@ class InputLog:
                 "reference": reference,
                 "sha256": sha256_of(path),
                 "bytes": size_of(path),
-                "dataset": known["dataset"],
-                "licence": known["licence"],
-                "citation": known["citation"],
+                **{key: known[key] for key in ("dataset", "licence", "citation")},
                 "as_registered": entry[1].matches(path) if entry else None,
             }
         return path

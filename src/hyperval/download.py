@@ -8,7 +8,7 @@ from time import monotonic
 from typing import Any
 
 from hyperval.errors import InputError
-from hyperval.files import scratch_folder, whole_file
+from hyperval.files import has_digest, scratch_folder, whole_file
 
 ATTEMPTS = 3
 TIMEOUT_S = 60
@@ -18,12 +18,13 @@ PATIENCE_S = 60.0
 LEAST_BYTES_PER_S = 200.0
 
 
-def download(address: str, target: Path, *, size: int, sha256: str, pack: bool = False, mend: str = "") -> Path:
+def download(address: str, target: Path, *, size: int, digest: str, pack: bool = False, mend: str = "") -> Path:
     """Bring the file at ``address`` to ``target`` and return ``target``.
 
     Parameters
     ----------
-    size, sha256 : of the published content; an answer that grows past ``size`` is cut off
+    size, digest : of the published content, as ``sha256:HEX`` or ``git-blob:HEX``; an answer that grows past
+        ``size`` is cut off
     pack : keep the content gzip-compressed at ``target``, whose name then ends in ``.gz``
     mend : what the user can do when it fails
 
@@ -39,6 +40,8 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
 
     def attempt(url: str, output: str, _: Any) -> None:
         _stream(url, output, size)
+        if not has_digest(Path(output), digest):
+            raise ValueError("another content")
 
     try:
         with scratch_folder("fetch", target.parent) as folder:
@@ -46,7 +49,7 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
             store = pooch.create(
                 folder,
                 base_url="",
-                registry={"published": f"sha256:{sha256}"},
+                registry={"published": None},  # checked above: git's digest is none of pooch's
                 urls={"published": address},
                 retry_if_failed=ATTEMPTS - 1,
             )
@@ -63,7 +66,7 @@ def download(address: str, target: Path, *, size: int, sha256: str, pack: bool =
         raise InputError(
             "what was downloaded is not the registered file",
             where=address,
-            expected=f"{size} bytes, SHA-256 {sha256}",
+            expected=f"{size} bytes, {digest}",
             mend=mend,
         ) from error
     except OSError as error:

@@ -88,6 +88,21 @@ def sha256_of(path: Path) -> str:
         raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
 
 
+def git_blob_of(path: Path) -> str:
+    """The id that git gives a file's content, in hexadecimal: SHA-1 of ``blob SIZE`` and a zero byte before it."""
+    digest = hashlib.sha1(b"blob %d\0" % path.stat().st_size, usedforsecurity=False)
+    with open(path, "rb") as stream:
+        while part := stream.read(1 << 20):
+            digest.update(part)
+    return digest.hexdigest()
+
+
+def has_digest(path: Path, digest: str) -> bool:
+    """Whether a file has the digest ``sha256:HEX`` or ``git-blob:HEX``."""
+    kind, _, value = digest.partition(":")
+    return (sha256_of(path) if kind == "sha256" else git_blob_of(path)) == value
+
+
 def size_of(path: Path) -> int:
     """Bytes of a file, or of all files of a folder."""
     return sum(p.stat().st_size for p in files_within(path)) if path.is_dir() else path.stat().st_size

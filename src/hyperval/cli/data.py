@@ -34,7 +34,7 @@ def data_list() -> int:
 
 @data_app.command("fetch")
 def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data sets.")]) -> int:
-    """Bring data sets into the user's cache; every file is checked against its SHA-256."""
+    """Bring data sets into the user's cache; every file is checked against its digest."""
     from hyperval.datasets import cache_dir, dataset, fetch
 
     for entry in [dataset(name) for name in names]:
@@ -48,7 +48,7 @@ def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data se
 def data_verify(
     names: Annotated[list[str] | None, typer.Argument(help="Names of data sets; all when none is named.")] = None,
 ) -> int:
-    """Compare the files at hand with their SHA-256; exit code 3 when one is missing or differs."""
+    """Compare the files at hand with their digests; exit code 3 when one is missing or differs."""
     from hyperval.datasets import dataset, registry, verify
     from hyperval.errors import InputError
 
