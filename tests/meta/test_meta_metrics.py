@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import importlib
 import math
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hyperval.cli import app
 from hyperval.compare import compare_products
 from hyperval.metrics import Evidence, Kind, Metric, metric_of, table
 from hyperval.products import (
@@ -47,12 +49,40 @@ def test_every_function_is_there(metric):
     assert metric.low < metric.high
 
 
-@pytest.mark.parametrize("metric", [m for m in METRICS if m.example], ids=lambda m: m.name)
+# Rows that say that something could not be made, and sensitivities: no number of theirs is accepted.
+MARKS = {"*_change", "comparison", "benchmark", "agreement", "baseline", "runs", "known_discrepancy", "sensor_check"}
+
+
+@pytest.mark.parametrize("metric", [m for m in METRICS if not math.isnan(m.gives)], ids=lambda m: m.name)
 def test_every_example_gives_what_it_says(metric):
-    function = function_of(metric)
-    names = {"np": np, metric.function.rpartition(".")[2]: function}
-    found = float(eval(metric.example, names))  # noqa: S307 - of our own table
-    assert found == pytest.approx(metric.gives, rel=1e-6)
+    names = {"np": np, metric.function.rpartition(".")[2]: function_of(metric)}
+    value = float(eval(metric.example, names))  # noqa: S307 - of our own table
+    assert value == pytest.approx(metric.gives, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", sorted({m.function for m in METRICS if not m.example}))
+def test_every_other_function_has_an_example_that_runs(name):
+    metric = next(m for m in METRICS if m.function == name)
+    module = importlib.import_module(f"hyperval.{name.rpartition('.')[0]}")
+    cases = doctest.DocTestFinder(recurse=False).find(function_of(metric), name, module=module)
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
+    for case in cases:
+        runner.run(case)
+    assert runner.failures == 0
+    assert runner.tries > 0
+
+
+def test_every_command_given_as_an_example_is_one_and_has_such_rows():
+    accepted = "\n".join(p.read_text("utf-8") for p in (ROOT / "validation" / "baselines").rglob("*.yaml"))
+    commands = {m.example: m for m in METRICS if m.example and math.isnan(m.gives)}
+    for example in commands:
+        name, verb, *rest = example.split()
+        assert name == "hyperval"
+        assert verb in {command.callback.__name__ for command in app.registered_commands} | {"sensor"}
+        assert rest[-1] == "hyperion" or (ROOT / rest[-1]).is_file(), example
+    for metric in METRICS:
+        if metric.example.startswith(("hyperval validate", "hyperval check")) and metric.name not in MARKS:
+            assert metric.name.strip("*").strip("_") in accepted, metric.name
 
 
 def test_what_gates_can_be_judged():

@@ -14,7 +14,21 @@ from hyperval.results import Outcome, Result
 
 
 def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
-    """Rows of one side alone: spectra by band, score moments, P_D at decades of P_FA, areas."""
+    """Rows of one side alone: spectra by band, score moments, P_D at decades of P_FA, areas.
+
+    Examples
+    --------
+    >>> from hyperval.products import Abundance, RocCurve, ScoreDistribution
+    >>> from hyperval.spectra.axis import SpectralAxis
+    >>> scores = {("panel", "cem"): ScoreDistribution(0.9, 0.25, 50)}
+    >>> areas = {("panel", "cem"): Abundance(3.8, 0.3)}
+    >>> pfa = np.array([1e-2, 1e-1])
+    >>> roc = {("panel", "cem", "pixel"): RocCurve(pfa, pfa**0.2, pfa**0.3, pfa**0.1, -pfa)}
+    >>> products = Products(SpectralAxis(np.array([550.0]), 10.0), scores=scores, abundance=areas, roc=roc)
+    >>> [(r.metric, round(r.value, 3)) for r in product_rows("c", products, "predicted") if np.isfinite(r.value)]
+    [('mean', 0.9), ('sd', 0.25), ('pd@1e-2', 0.398), ('pd@1e-1', 0.631), ('auc_predicted', 0.836), ('area',
+    3.8)]
+    """
     rows: list[Result] = []
     for product, unit in (("radiance", "uW cm-2 sr-1 nm-1"), ("snr", "1"), ("reflectance", "1")):
         for subject, estimate in getattr(products, product).items():

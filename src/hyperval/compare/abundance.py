@@ -31,6 +31,15 @@ def compare_abundance(
     Where both sides estimate a nominal area: ``area_error_predicted`` and ``area_error_observed`` [m2], estimate
     less nominal area, ``area_nominal_ratio`` measured over nominal, and ``area_in_predicted_95``, 1 where the
     measured area lies in the predicted interval.
+
+    Examples
+    --------
+    >>> predicted, observed = Abundance(4.1, 0.2), Abundance(3.8, 0.3, 20, 4.0)
+    >>> rows = compare_abundance(predicted, observed, campaign="c", subject="panel", method="fcls")
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('area_predicted', 4.1), ('area_observed', 3.8), ('area_ratio', 0.927), ('area_difference_ratio', 0.079),
+    ('area_error_predicted', 0.1), ('area_error_observed', -0.2), ('area_nominal_ratio', 0.95),
+    ('area_in_predicted_95', 1.0), ('area_z', 0.832), ('area_inside_95', 1.0)]
     """
     make = RowMaker(campaign, "abundance", subject, method)
 
@@ -100,6 +109,15 @@ def compare_area_errors(
     The bias has Student's interval, the root mean square error that of chi-square with as many degrees of freedom
     as targets, as if errors were normal of mean 0.  The predicted mean square is that of predicted biases and
     spreads.
+
+    Examples
+    --------
+    >>> predicted = {("a", "fcls"): Abundance(1.1, 0.1), ("b", "fcls"): Abundance(1.1, 0.1)}
+    >>> observed = {("a", "fcls"): Abundance(1.2, 0.1, 4, 1.0), ("b", "fcls"): Abundance(1.0, 0.1, 4, 1.0)}
+    >>> rows = compare_area_errors(predicted, observed, campaign="c")
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('area_bias_observed', 0.1), ('area_bias_predicted', 0.1), ('area_rmse_observed', 0.141),
+    ('area_rmse_predicted', 0.141)]
     """
     groups: dict[tuple[str, float], list[tuple[str, str]]] = {}
     for key, area in observed.items():

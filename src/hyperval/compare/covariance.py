@@ -75,6 +75,18 @@ def compare_covariance(
     - ``subspace_angle@k`` [deg] largest principal angle of the first k eigenvectors, ``subspace_inside_95@k``;
     - ``bhattacharyya_distance`` of the two normal laws, and ``bhattacharyya_covariance_excess``: the covariance's
       part less what sampling alone gives, with its band.  SKIPPED with fewer than 3 pixels for each band.
+
+    Examples
+    --------
+    >>> axis = SpectralAxis(np.arange(500.0, 900.0, 50.0), 10.0)
+    >>> own = np.exp(-np.abs(np.subtract.outer(np.arange(8.0), np.arange(8.0))) / 4.0)
+    >>> predicted = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.012 * own)
+    >>> observed = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.010 * own, n=400)
+    >>> rows = compare_covariance(predicted, observed, campaign="c", subject="grass", method="radiance", axis=axis)
+    >>> [(r.metric, round(r.value, 2)) for r in rows if not r.metric.endswith(("@2", "@3", "@4", "@5"))]
+    [('eigenvalue_ratio@1', 1.19), ('eigenvalues_inside_95', 0.0), ('total_variance_ratio', 1.2),
+    ('subspace_angle@1', 0.0), ('subspace_inside_95@1', 1.0), ('bhattacharyya_distance', 0.02),
+    ('bhattacharyya_covariance_excess', 0.0)]
     """
     make = RowMaker(campaign, "covariance", subject, method)
     if predicted is None or observed is None:
@@ -216,6 +228,14 @@ def compare_distribution(
     1/predicted - 1/measured in the leading components, which stays finite (left out where no law is predicted,
     or it was fitted to these very pixels); ``normality_p_value``;
     ``effective_pixels``: independent pixels behind the variance of the first component.
+
+    Examples
+    --------
+    >>> measured = PixelDistribution(30.0, 20.0, 60.0, 0.3, 6, 25.0, 18.0, 50.0, 3, 400, np.array([300.0, 320.0]))
+    >>> rows = compare_distribution(PixelDistribution(20.0), measured, campaign="c", subject="grass")
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('background_tail_dof', 30.0), ('background_tail_dof_leading', 25.0), ('tail_inverse_dof_difference',
+    0.01), ('normality_p_value', 0.3), ('effective_pixels', 300.0)]
     """
     make = RowMaker(campaign, "covariance", subject, method)
     if observed is None:

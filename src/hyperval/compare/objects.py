@@ -104,6 +104,15 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
     Parameters
     ----------
     predicted, measured : by subject; (n,) scores of its objects
+
+    Examples
+    --------
+    >>> draws = np.random.default_rng(0).normal(size=(50, 80))
+    >>> predicted = {name: ObjectScores(draws + i) for i, name in enumerate("abc")}
+    >>> measured = {name: np.array([i + 0.5]) for i, name in enumerate("abc")}
+    >>> t = judged_together(predicted, measured)
+    >>> t.inside, round(t.trend, 2), [round(x.p_value, 2) for x in (t.count, t.uniformity, t.joint, t.drift)]
+    (1.0, 0.0, [1.0, 0.06, 0.86, 1.0])
     """
     rng = np.random.default_rng(_SEED)
     rows = {predicted[s].values.shape[0] for s in measured}
@@ -214,6 +223,15 @@ def compare_object_scores(
     ``joint_distance_p_value``, ``pit_trend`` and ``pit_trend_p_value``.  Subjects that
     were measured and not predicted are left out; one that was predicted and has no valid score gives SKIPPED rows
     and is named in the reason of the summary.
+
+    Examples
+    --------
+    >>> draws = np.random.default_rng(0).normal(size=(50, 80))
+    >>> predicted, measured = {"panel": ObjectScores(draws)}, {"panel": ObjectScores(np.array([1.0]), ("p1",))}
+    >>> rows = compare_object_scores(predicted, measured, campaign="c", method="cem")
+    >>> [(r.metric, round(r.value, 2)) for r in rows if r.metric.startswith("object_")]
+    [('object_score_measured', 1.0), ('object_score_predicted', -0.03), ('object_score_pit', 0.84),
+    ('object_score_inside_95', 1.0)]
     """
     out: list[Result] = []
     common: dict[str, Array] = {}

@@ -95,6 +95,17 @@ def compare_roc(
     With what a measured curve knows beyond its points come the areas (:mod:`hyperval.compare.roc_areas`), false
     alarms per km2 and joint regions (:mod:`hyperval.compare.roc_alarms`); ``auc_difference`` of bare curves is over
     their common range of P_FA and has no interval.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-3, 1e-2, 1e-1, 1.0])
+    >>> predicted = RocCurve(pfa, pfa**0.2, pfa**0.25, pfa**0.15, -pfa, preset_pfa=pfa / 2.0)
+    >>> observed = RocCurve(pfa, pfa**0.3, pfa**0.4, pfa**0.25, -pfa, "pixel", 40, 10_000)
+    >>> rows = compare_roc(predicted, observed, campaign="c", subject="panel", method="cem/pixel", pfa=[1e-2])
+    >>> [(r.metric, round(r.value, 3)) for r in rows if r.metric.startswith("pd")]
+    [('pd_predicted@1e-2', 0.398), ('pd_measured@1e-2', 0.251), ('pd_difference@1e-2', 0.147),
+    ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
+    0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
     make = RowMaker(campaign, "roc", subject, method)
 

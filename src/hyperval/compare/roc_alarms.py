@@ -36,6 +36,14 @@ def far_row(make: RowMaker, observed: RocCurve, pfa: float) -> list[Result]:
     The interval is that of Clopper & Pearson on the alarms, times the samples per km2; for rare alarms it is the
     exact Poisson interval.  The share of the background above its own (k + 1)-th greatest score follows a beta
     distribution whose quantiles lie inside it, so it holds although the threshold was set by the same background.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-3, 1e-2, 1e-1])
+    >>> alarms = np.array([10, 100, 1000])
+    >>> curve = RocCurve(pfa, pfa**0.2, pfa**0.3, pfa**0.1, -pfa, "pixel", 40, 10_000, 0.04, alarms)
+    >>> [(r.metric, r.value) for r in far_row(RowMaker("c", "roc", "panel", "cem/pixel"), curve, 1e-2)]
+    [('far_measured@1e-2', 2500.0)]
     """
     name, alarms = f"far_measured@{scientific(pfa)}", alarms_on_grid(observed, pfa)
     density = samples_per_km2(observed)
@@ -55,6 +63,20 @@ def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: 
     Alarms per km2 at the highest threshold that reaches the stated P_D.  The measured interval holds the sampling
     of targets and background (:func:`~hyperval.processing.alarms.alarms_at_detection`), the predicted one is where
     the band of the curve reaches that P_D.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from hyperval.products import AlarmsAtDetection
+    >>> pfa = np.array([1e-3, 1e-2, 1e-1])
+    >>> pd = np.array([0.3, 0.6, 0.9])
+    >>> predicted = RocCurve(pfa, pd, pd - 0.1, pd + 0.1, -pfa)
+    >>> point = AlarmsAtDetection(0.5, 0.7, 40, 4e-3, 1e-3, 1e-2, 3e-3, 5e-3)
+    >>> counts = {"n_target": 40, "n_background": 10_000, "background_area_km2": 0.04}
+    >>> observed = replace(predicted, **counts, at_detection=(point,))
+    >>> rows = far_at_detection_rows(RowMaker("c", "roc", "panel", "cem/pixel"), predicted, observed)
+    >>> [(r.metric, round(r.value)) for r in rows]
+    [('far_predicted@pd0.5', 1160), ('far_measured@pd0.5', 1000), ('far_difference@pd0.5', 160)]
     """
     density = samples_per_km2(observed)
     rows: list[Result] = []
@@ -102,6 +124,15 @@ def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, p
     probability: two independent statements at level sqrt(0.95) each.  That the background set the threshold does no
     harm, since its own share above it has a beta distribution that the exact interval holds, and the targets had no
     part in it.  The last row is 1 where the predicted curve (without its band) passes through the rectangle.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-3, 1e-2, 1e-1])
+    >>> pd, alarms = np.array([0.3, 0.6, 0.9]), np.array([10, 100, 1000])
+    >>> curve = RocCurve(pfa, pd, pfa, pfa, -pfa, "pixel", 40, 10_000, None, alarms)
+    >>> rows = joint_rows(RowMaker("c", "roc", "panel", "cem/pixel"), curve, curve, 1e-2)
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('joint_pfa@1e-2', 0.01), ('joint_pd@1e-2', 0.6), ('pd_inside_joint_region@1e-2', 1.0)]
     """
     alarms, at = alarms_on_grid(observed, pfa), np.flatnonzero(np.abs(observed.pfa - pfa) <= 1e-9 * pfa)
     if alarms is None or not observed.n_target or not observed.n_background:

@@ -65,6 +65,20 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
     The names of partial areas end in their range of P_FA.  The predicted interval is that of the curve's band, as
     if its errors went together over the whole curve; the measured one is explained in its reason.  The difference
     (predicted - measured) has the interval of :func:`~hyperval.compare.difference.difference_interval`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from hyperval.processing.roc import empirical_roc, with_summary
+    >>> rng = np.random.default_rng(0)
+    >>> target, background = rng.normal(2.0, 1.0, 40), rng.normal(size=20_000)
+    >>> measured = with_summary(empirical_roc(target, background), target, background, rng=rng)
+    >>> rows = area_rows(RowMaker("c", "roc", "panel", "cem/pixel"), measured, measured)
+    >>> [(r.metric, round(r.value, 2)) for r in rows]
+    [('auc_predicted', 0.94), ('auc_measured', 0.94), ('auc_difference', 0.0), ('partial_auc_predicted@0..1e-1',
+    0.59), ('partial_auc_measured@0..1e-1', 0.59), ('partial_auc_difference@0..1e-1', -0.0),
+    ('log_auc_predicted@1e-3..1e-1', 0.36), ('log_auc_measured@1e-3..1e-1', 0.36),
+    ('log_auc_difference@1e-3..1e-1', 0.0)]
     """
     rows: list[Result] = []
     measured: Mapping[str, AreaEstimate] = observed.areas if observed is not None else {}

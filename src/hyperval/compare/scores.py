@@ -33,6 +33,14 @@ def compare_scores(
     The difference (predicted - observed) has the interval of the observed mean, s/sqrt(n) with Student's t;
     the ratio is predicted over observed.  Scores of one object's pixels are correlated, and then both
     intervals are too narrow: give n as the number of independent pixels.
+
+    Examples
+    --------
+    >>> predicted, observed = ScoreDistribution(1.0, 0.2), ScoreDistribution(0.9, 0.25, 50)
+    >>> rows = compare_scores(predicted, observed, campaign="c", subject="panel", method="cem")
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
+    [('score_mean_predicted', 1.0), ('score_mean_observed', 0.9), ('score_mean_difference', 0.1),
+    ('score_sd_ratio', 0.8)]
     """
     make = RowMaker(campaign, "scores", subject, method)
 

@@ -59,7 +59,8 @@ class Metric:
         the row has no interval
     evidence : what moves it
     reference : source of the formula
-    example, gives : an expression with the function, and its value
+    example, gives : an expression with the function, and its value; or a command whose rows have it, without a
+        value; empty where the example stands in the docstring of the function
     usual : range (of a test: level) by which a row is judged that no campaign plans; it informs
     alternative, departure : of a test, the departure against which it needs 80 % power before it agrees, in words
     two_sided : a p-value near 1 says that the uncertainty is too wide, and counts as one near 0 does

@@ -5,15 +5,22 @@ from __future__ import annotations
 from hyperval.metrics.metric import Evidence, Kind, Metric, of_unit
 
 _ATTRIBUTION = "uncertainty.attribution.rows.attribution_rows"
+_TEST = "uncertainty.attribution.likelihood.Whitened"
+_FREED = "uncertainty.attribution.likelihood.explanation"
 _WHAT_IF = "uncertainty.attribution.what_ifs.Outcome"
 _VARIANTS = "scoreboard.variants.variant_rows"
-_RANKS = "scoreboard.looks.detector_rows"
+_RANKS = "scoreboard.ranks.ranked"
 _STUDY = "study.summary.result_rows"
+_EXTREMES = "study.summary.extremes"
+_CAMPAIGN = "hyperval validate campaigns/share2012-twin/campaign.yaml"
+_BENCHMARK = "hyperval benchmark campaigns/hysu-2018/campaign.yaml"
+_OF_STUDY = "hyperval study studies/planks.yaml"
 _RATIO = of_unit(0.002)
 _PIPELINE = Evidence.PIPELINE
 
 METRICS = (
-    Metric("comparison", "a whole comparison that could not be made", "compare.products.compare_products", unit=""),
+    Metric("comparison", "a whole comparison that could not be made", "compare.products.compare_products", unit="",
+           example=_CAMPAIGN),
     Metric("*_fraction", "share of the rows of a pooled gate that meet its limit",
            "processing.intervals.clopper_pearson", "k / n", low=0.0, high=1.0, agreement=1.0,
            interval="exact binomial", tolerance=of_unit(0.02),
@@ -22,24 +29,26 @@ METRICS = (
     # Attribution and what-ifs.
     Metric("reduced_chi_square", "squared difference in units of its uncertainty over all products that the "
            "attribution joins, with the model's numerical error added: not the number of a single spectrum",
-           _ATTRIBUTION, low=0.0, agreement=1.0, kind=Kind.STATISTIC),
-    Metric("p_value", "its p-value", _ATTRIBUTION, low=0.0, high=1.0, kind=Kind.TEST, tolerance=of_unit(0.05)),
-    Metric("p_value_explained", "its p-value with the leading inputs freed", _ATTRIBUTION, low=0.0, high=1.0,
+           _TEST, "r^T C^-1 r / n", low=0.0, agreement=1.0, kind=Kind.STATISTIC),
+    Metric("p_value", "its p-value", _TEST, "P(chi2_n >= r^T C^-1 r)", low=0.0, high=1.0,
+           kind=Kind.TEST, tolerance=of_unit(0.05)),
+    Metric("p_value_explained", "its p-value with the leading inputs freed", _FREED, low=0.0, high=1.0,
            kind=Kind.TEST, tolerance=of_unit(0.05)),
     Metric("likelihood_gain", "twice the log-likelihood gained by letting one input be less well known",
-           _ATTRIBUTION, low=0.0),
+           _FREED, "sum x/(1 + x) q^2 - ln(1 + x), x = tau^2 s^2", low=0.0),
     Metric("needed_uncertainty",
-           "uncertainty that one input would need, in units of its stated one or of a usual step", _ATTRIBUTION,
-           low=0.0),
+           "uncertainty that one input would need, in units of its stated one or of a usual step", _FREED,
+           "sqrt(1 + tau^2) where stated, else tau", low=0.0),
     Metric("*_change", "change of a number by one input, one variant or one run", _ATTRIBUTION, unit="",
-           agreement=0.0),
+           agreement=0.0, example=_CAMPAIGN),
     Metric("median_*_difference_ratio", "median difference ratio after a what-if", _WHAT_IF, agreement=0.0,
-           tolerance=_RATIO),
+           tolerance=_RATIO, example=_CAMPAIGN),
     Metric("mean_pd_at_*", "mean difference of detection probability after a what-if", _WHAT_IF, low=-1.0, high=1.0,
-           agreement=0.0),
+           agreement=0.0, example=_CAMPAIGN),
     # Benchmark.
-    Metric("benchmark", "a campaign of a benchmark that did not run", "scoreboard.one.benchmark_campaign"),
-    Metric("agreement", "a variant that could not be compared", _VARIANTS),
+    Metric("benchmark", "a campaign of a benchmark that did not run", "scoreboard.one.benchmark_campaign",
+           example=_BENCHMARK),
+    Metric("agreement", "a variant that could not be compared", _VARIANTS, example=_BENCHMARK),
     Metric("rank", "detectors that could not be ranked", _RANKS, evidence=_PIPELINE),
     Metric("rank_*",
            "rank of a detector by one metric; the interval is the set that the data do not refute at 95 %", _RANKS,
@@ -47,7 +56,7 @@ METRICS = (
     Metric("first_*", "share of draws in which a detector is first by one metric", _RANKS, low=0.0, high=1.0,
            better="high", evidence=_PIPELINE),
     Metric("score_rank_correlation", "Spearman's correlation of a peer's score map with ours",
-           "scoreboard.peers.peer_rows", low=-1.0, high=1.0, better="high", evidence=_PIPELINE),
+           "scoreboard.peers.peer_rows", low=-1.0, high=1.0, better="high", evidence=_PIPELINE, example=_BENCHMARK),
     Metric("*_median_abs_difference_ratio", "median over bands and subjects of |predicted − collected| / collected",
            "scoreboard.agreement.median_abs", low=0.0, agreement=0.0, better="low", tolerance=_RATIO,
            interval="bootstrap of subjects and blocks of bands"),
@@ -58,14 +67,15 @@ METRICS = (
            "scoreboard.agreement.median_chi2", low=0.0, agreement=1.0, better="low",
            interval="bootstrap of subjects"),
     # Studies.
-    Metric("least", "least value over the points of a study", _STUDY, unit=""),
-    Metric("median", "median value over the points of a study", _STUDY, unit=""),
-    Metric("greatest", "greatest value over the points of a study", _STUDY, unit=""),
-    Metric("output", "value of an output of a study, the subject, at one point, the method", _STUDY, unit=""),
+    Metric("least", "least value over the points of a study", _EXTREMES, unit=""),
+    Metric("median", "median value over the points of a study", _EXTREMES, unit=""),
+    Metric("greatest", "greatest value over the points of a study", _EXTREMES, unit=""),
+    Metric("output", "value of an output of a study, the subject, at one point, the method", _STUDY, unit="",
+           example=_OF_STUDY),
     Metric("knee", "where a curve of a study bends most", "study.knees.knee", unit=""),
     Metric("error_at_held_out_states", "relative error of interpolated atmospheric terms at states left out",
-           _STUDY, low=0.0),
+           _STUDY, low=0.0, example=_OF_STUDY),
     # Accepted numbers.
     Metric("baseline", "the accepted numbers of a campaign or sensor as a whole", "baseline.check.check",
-           kind=Kind.EXACT),
+           kind=Kind.EXACT, example="hyperval check hyperion"),
 )  # fmt: skip

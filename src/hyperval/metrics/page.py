@@ -67,7 +67,7 @@ def entry(m: Metric) -> list[str]:
         ("moves with", "the prediction" if m.evidence == "model" else "the pipeline alone"),
         ("accepted numbers may move by", tolerance_text(m)),
         ("reference", m.reference),
-        ("example", f"`{m.example}` is {m.gives:.6g}" if m.example else ""),
+        ("example", _example(m)),
     ]
     return [*lines, *(f"- {name}: {text}" for name, text in facts if text), ""]
 
@@ -77,3 +77,10 @@ def _usual(m: Metric) -> str:
         return ""
     low, high = m.usual
     return f"at least {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
+
+
+def _example(m: Metric) -> str:
+    """What gives the row: an expression, a command, or the example in the function's docstring."""
+    if not m.example:
+        return f"in the docstring of `hyperval.{m.function}`"
+    return f"`{m.example}`" if math.isnan(m.gives) else f"`{m.example}` is {m.gives:.6g}"

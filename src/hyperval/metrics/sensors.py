@@ -9,12 +9,23 @@ _THROUGHPUT = "sensor_check.throughput.check_throughput"
 _NOISE = "sensor_check.noise.check_noise"
 _SCENARIO = "sensor_check.scenarios.run_scenarios"
 _NUMBERS = "baseline.sensors.sensor_metrics"
+_SENSITIVITY = "sensor_check.sensitivity.sensitivities"
+# Rows of whole runs; the other functions have an example of their own.
+_OF_RUNS = {
+    _NUMBERS: "hyperval check hyperion",
+    **dict.fromkeys(
+        (_SCENARIO, _SENSITIVITY, "sensor_check.ledger.Ledger", "sensor_check.suite.check_sensor"),
+        "hyperval sensor check hyperion",
+    ),
+}
 _USUAL: tuple[Move, Move] = ((0.1, "interval"), (0.01, "value"))
 
 
 def _exact(name: str, words: str, function: str, unit: str = "1", tolerance: tuple[Move, Move] = _USUAL) -> Metric:
     """A number without sampling error."""
-    return Metric(name, words, function, unit=unit, kind=Kind.EXACT, tolerance=tolerance)
+    return Metric(
+        name, words, function, unit=unit, kind=Kind.EXACT, tolerance=tolerance, example=_OF_RUNS.get(function, "")
+    )
 
 
 METRICS = (
@@ -30,7 +41,7 @@ METRICS = (
            of_value(0.001)),
     _exact("white_panel_radiance", "radiance of a white panel in the oxygen band", _NUMBERS, "uW cm-2 sr-1 nm-1",
            of_value(0.001)),
-    _exact("pd_at_pfa_*", "detection probability in a standard scenario", "sensor_check.scenarios.detection_at",
+    _exact("pd_at_pfa_*", "detection probability in a standard scenario", "processing.roc_reading.detection_at",
            tolerance=of_unit(0.005)),
     _exact("runs", "a standard scenario that does not run with this sensor", _NUMBERS),
     _exact("bands", "number of bands", _BANDS),
@@ -67,9 +78,9 @@ METRICS = (
     _exact("panel_reflectance_error", "departure of the panels' reflectance after the empirical line", _SCENARIO),
     _exact("lowest_step_of_roc", "least step of a predicted curve", _SCENARIO),
     _exact("relative_change_of_snr", "change of the ratio as one assumed number is varied",
-           "sensor_check.sensitivity.sensitivities"),
+           _SENSITIVITY),
     _exact("change_of_pd", "change of a detection probability as one assumed number is varied",
-           "sensor_check.sensitivity.sensitivities"),
+           _SENSITIVITY),
     _exact("known_discrepancy", "a stated discrepancy that no check shows", "sensor_check.ledger.Ledger"),
     _exact("sensor_check", "a check that could not be made", "sensor_check.suite.check_sensor"),
 )  # fmt: skip

@@ -75,7 +75,16 @@ def exceedance_at(curve: ExceedanceCurve, threshold: float) -> float:
 
 
 def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, level: float) -> FalseAlarmRatio:
-    """The ratio at the point of the measured curve whose P_FA is nearest to ``level`` in its logarithm."""
+    """The ratio at the point of the measured curve whose P_FA is nearest to ``level`` in its logarithm.
+
+    Examples
+    --------
+    >>> x = np.linspace(0.0, 8.0, 81)
+    >>> predicted = ExceedanceCurve(x, np.exp(-x), np.exp(-x), np.exp(-x))
+    >>> measured = ExceedanceCurve(x, np.exp(-1.1 * x), np.exp(-1.2 * x), np.exp(-x), 100_000)
+    >>> round(false_alarm_ratio(predicted, measured, 1e-2).value, 2)
+    1.52
+    """
     at = int(np.argmin(np.abs(np.log(measured.probability.clip(1e-300)) - math.log(level))))
     p = exceedance_at(predicted, float(measured.threshold[at]))
     low, high = p / float(measured.upper[at]), p / float(measured.lower[at])

@@ -94,7 +94,14 @@ def placements(counts: RankCounts, area: RocArea = WHOLE) -> Array:
 
 
 def roc_area(counts: RankCounts, area: RocArea = WHOLE) -> float:
-    """The area of the empirical curve, exact with ties."""
+    """The area of the empirical curve, exact with ties.
+
+    Examples
+    --------
+    >>> from hyperval.processing.rank_counts import counts_of
+    >>> roc_area(counts_of([2.0, 3.0], [0.0, 1.0, 2.5, -1.0]))
+    0.875
+    """
     return float(counts.targets @ placements(counts, area) / counts.targets.sum())
 
 

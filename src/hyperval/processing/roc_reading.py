@@ -24,6 +24,12 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
     ----------
     curve : with ``pfa`` in rising order
     values : (K,) what is read in place of P_D, such as a limit of it [1]
+
+    Examples
+    --------
+    >>> curve = RocCurve(ndtr([-3.0, -1.0]), ndtr([-1.0, 1.0]), np.zeros(2), np.ones(2), np.zeros(2))
+    >>> round(float(detection_at(curve, float(ndtr(-2.0)))), 9)
+    0.5
     """
     grid, known = (
         np.asarray(curve.pfa, dtype=float),

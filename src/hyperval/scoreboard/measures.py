@@ -70,6 +70,12 @@ def pfa_at_detection(over: Array, tie: Array, weight: Array, pd: float = PD_OF_F
     ----------
     over, tie : (P, D, R) shares of the background
     weight : (P, R) how often each look is drawn
+
+    Examples
+    --------
+    >>> over = np.array([[[0.1]], [[0.01]], [[0.2]]])  # share of the background above each of three objects
+    >>> pfa_at_detection(over, np.zeros((3, 1, 1)), np.ones((3, 1))).item()
+    0.1
     """
     s = over + tie
     order = np.argsort(s, axis=0, kind="stable")

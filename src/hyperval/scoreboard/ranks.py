@@ -67,6 +67,12 @@ def rank_sets(values: Array, draws: Array, objects: int) -> tuple[npt.NDArray[np
     ----------
     values : (D,) goodness, more is better
     draws : (D, R) the same in paired resamples
+
+    Examples
+    --------
+    >>> first, last = rank_sets(np.array([0.9, 0.5]), np.array([[0.9, 0.8, 0.95], [0.5, 0.4, 0.6]]), 20)
+    >>> first, last
+    (array([1, 2]), array([1, 2]))
     """
     count = values.size
     low, high = np.ones(count, np.int64), np.full(count, count, np.int64)
@@ -95,6 +101,15 @@ def ranked(
     """Detectors on the objects of some looks: objects and blocks of the background drawn anew, for all at once.
 
     Detectors that order all pixels alike count as one, and share rank and set.
+
+    Examples
+    --------
+    >>> from hyperval.scoreboard.measures import MEASURES
+    >>> over = np.tile(np.array([[[0], [30]]]), (9, 1, 1))  # 9 objects, 2 detectors, 1 block of background
+    >>> counts = BlockCounts(("a", "b"), over, 0 * over, np.array([100]), np.arange(9), {})
+    >>> r = ranked(counts, list(range(9)), MEASURES["auc"], draws=50, rng=np.random.default_rng(0))
+    >>> r.rank, r.first
+    (array([1, 2]), array([1., 0.]))
     """
     order = np.array(counts.orders)
     one_of = np.array([int(np.argmax(order == k)) for k in range(int(order.max()) + 1)])

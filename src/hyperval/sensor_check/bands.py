@@ -23,7 +23,18 @@ WIDTH_TOLERANCE = 0.01
 
 
 def check_bands(sensor: Sensor, ledger: Ledger) -> SpectralAxis | None:
-    """All checks of the bands; None where they are in no order that anything else could be checked in."""
+    """All checks of the bands; None where they are in no order that anything else could be checked in.
+
+    Examples
+    --------
+    >>> from hyperval.sensor.specification import load_sensor
+    >>> ledger = Ledger("enmap")
+    >>> axis = check_bands(load_sensor("enmap"), ledger)
+    >>> [(r.metric, round(r.value, 2)) for r in ledger.table if np.isfinite(r.value)]
+    [('bands_out_of_order', 0.0), ('bands', 235.0), ('first_band', 420.0), ('last_band', 2448.5),
+    ('fwhm_over_spacing_median', 1.25), ('widest_gap_fwhm', -0.03), ('integral_error', 0.0),
+    ('centroid_error_fwhm', 0.0), ('width_error', 0.0)]
+    """
     bands = sensor.specification.bands
     if bands.table is not None:
         rows = np.array(bands.table, dtype=float)
@@ -58,6 +69,12 @@ def applied_moments(axis: SpectralAxis) -> tuple[Array, Array, Array]:
     """Integral [1], centroid - centre [nm] and FWHM [nm] of each response as the resampling applies it, (B,) each.
 
     The second moment of a Gaussian cut at k sigma is sigma^2 (1 - 2 k phi(k) / (2 Phi(k) - 1)).
+
+    Examples
+    --------
+    >>> axis = SpectralAxis(np.array([500.0, 510.0]), 10.0)
+    >>> [[round(float(x), 2) for x in part] for part in applied_moments(axis)]
+    [[1.0, 1.0], [0.0, 0.0], [10.0, 10.0]]
     """
     from scipy.stats import norm
 

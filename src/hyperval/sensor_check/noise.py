@@ -23,7 +23,16 @@ STEP = 1.25  # by which time, aperture and C_R are raised
 
 
 def check_noise(sensor: Sensor, axis: SpectralAxis, ledger: Ledger) -> None:
-    """Sum of the terms, SNR at the reference radiances, quantisation, saturation, monotone behaviour."""
+    """Sum of the terms, SNR at the reference radiances, quantisation, saturation, monotone behaviour.
+
+    Examples
+    --------
+    >>> from hyperval.sensor.specification import load_sensor
+    >>> ledger, sensor = Ledger("enmap"), load_sensor("enmap")
+    >>> check_noise(sensor, sensor.axis, ledger)
+    >>> sorted({r.metric for r in ledger.table if not r.metric.startswith(("lowest_", "highest_"))})
+    ['median_snr', 'quantisation_over_other_noise', 'sum_of_terms_error']
+    """
     noise = sensor.noise()
     middle = sunlit_radiance(axis, MIDDLE)
     parts = noise.breakdown(middle)

@@ -28,7 +28,17 @@ _LIMITS = {
 
 
 def check_throughput(sensor: Sensor, axis: SpectralAxis, ledger: Ledger) -> bool:
-    """All checks of the throughput; False where the noise cannot be evaluated."""
+    """All checks of the throughput; False where the noise cannot be evaluated.
+
+    Examples
+    --------
+    >>> from hyperval.sensor.specification import load_sensor
+    >>> ledger, sensor = Ledger("enmap"), load_sensor("enmap")
+    >>> sound = check_throughput(sensor, sensor.axis, ledger)
+    >>> sorted({r.metric for r in ledger.table if not r.metric.startswith(("lowest_", "highest_"))})
+    ['bands_beyond_table_of_quantum_efficiency', 'bands_of_arm', 'bands_outside_arms',
+    'gain_error_by_photon_energy', 'gain_error_by_photon_transfer']
+    """
     spec = sensor.specification
     sound = True
     if spec.arms:

@@ -44,6 +44,12 @@ def knee(
     ----------
     x, y : (n,), n of 5 or more, x rising
     bend : "concave" looks at v'' < 0 alone (a rising curve levels off), "convex" at v'' > 0
+
+    Examples
+    --------
+    >>> x = np.linspace(0.1, 10.0, 50)
+    >>> round(knee(x, 1.0 - np.exp(-x), bend="concave").x, 1)
+    2.8
     """
     at, value = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     finite = np.isfinite(value)

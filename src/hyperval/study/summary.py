@@ -66,6 +66,17 @@ def words_of(values: dict[str, Any]) -> str:
     return ", ".join(f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in values.items())
 
 
+def extremes(values: npt.NDArray[np.float64]) -> dict[str, float]:
+    """Least, median and greatest of finite values (n,).
+
+    Examples
+    --------
+    >>> extremes(np.array([3.0, 1.0, 2.0]))
+    {'least': 1.0, 'median': 2.0, 'greatest': 3.0}
+    """
+    return {"least": float(values.min()), "median": float(np.median(values)), "greatest": float(values.max())}
+
+
 def result_rows(plan: Plan, table: StudyTable, knees: list[CurveKnee]) -> ResultTable:
     """Least, median and greatest value of every output, answers, knees, and what the evaluation cost in exactness.
 
@@ -103,7 +114,7 @@ def result_rows(plan: Plan, table: StudyTable, knees: list[CurveKnee]) -> Result
             continue
         lacking = column.size - finite.size
         said = f"{lacking} of {column.size} points have no value; reasons stand in table.csv" if lacking else ""
-        for metric, value in (("least", finite.min()), ("median", np.median(finite)), ("greatest", finite.max())):
+        for metric, value in extremes(finite).items():
             add(where, subject, f.name, metric, value, f.unit, n=int(finite.size), reason=said)
     units = {i.name: i.unit for i in study.inputs}
     for item in knees:

@@ -56,6 +56,12 @@ class Whitened:
     Raises
     ------
     UsageError : values that are not finite, or a covariance that is not positive definite.
+
+    Examples
+    --------
+    >>> data = Whitened([2.0, 1.0], np.eye(2))
+    >>> data.chi_square / data.dof, round(data.p_value, 3)
+    (2.5, 0.082)
     """
 
     def __init__(self, residual: npt.ArrayLike, covariance: npt.ArrayLike):
@@ -101,6 +107,12 @@ def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool, most:
     budgeted : whether C holds these columns already; then tau comes on top of 1
     most : greatest tau, and greatest amplitude of any direction; an input that would have to move farther than it
         can is no reason
+
+    Examples
+    --------
+    >>> why = explanation(Whitened([3.0, 0.1], np.eye(2)), [1.0, 0.0], budgeted=False)
+    >>> round(why.gain, 2), round(why.tau, 2), round(why.chi_square, 2), round(why.p_value, 2)
+    (5.8, 2.83, 1.01, 0.6)
     """
     w = data.whiten(columns)
     w = w[:, None] if w.ndim == 1 else w
