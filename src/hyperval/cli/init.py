@@ -36,7 +36,8 @@ def init(
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
     import re
 
-    from hyperval.campaign.starter import Sources, starter_campaign
+    from hyperval.campaign.starter import starter_campaign
+    from hyperval.campaign.starter_draft import Sources
     from hyperval.files import write_text
 
     path = output / "campaign.yaml"
