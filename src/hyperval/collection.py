@@ -6,7 +6,14 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from hyperval.collection_files import BandTable, CubeSource, RegionSource, SpectrumCollection, TargetTruth
+from hyperval.collection_files import (
+    BandTable,
+    CubeSource,
+    RadCalNetSource,
+    RegionSource,
+    SpectrumCollection,
+    TargetTruth,
+)
 from hyperval.config import Model
 from hyperval.processing.detectors import detector_names
 from hyperval.processing.local_scores import LOCAL_DETECTORS
@@ -80,6 +87,7 @@ class Collection(Model):
     )
     cube: CubeSource | None = None
     spectra: list[SpectrumCollection] = Field(default_factory=list)
+    radcalnet: RadCalNetSource | None = Field(None, description="top-of-atmosphere reflectance of a network's site")
     bands: BandTable | None = Field(
         None, description="needed with spectra; for a cube, takes the place of its wavelengths and bad-band list"
     )
@@ -99,8 +107,8 @@ class Collection(Model):
 
     @model_validator(mode="after")
     def _one_source(self) -> Collection:
-        if bool(self.cube) == bool(self.spectra):
-            raise ValueError("give exactly one of cube, spectra")
+        if bool(self.cube) + bool(self.spectra) + bool(self.radcalnet) != 1:
+            raise ValueError("give exactly one of cube, spectra, radcalnet")
         if self.simulate and self.cube is None:
             raise ValueError("a simulated collection is a cube: give cube.path as simulated:NAME_rad.img")
         cube = self.cube

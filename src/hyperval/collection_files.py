@@ -47,6 +47,24 @@ class SpectrumCollection(Model):
     pixels: int | None = Field(None, ge=1, description="pixels averaged, when known")
 
 
+class RadCalNetSource(Model):
+    """Top-of-atmosphere reflectance that RadCalNet computed for a day of a site."""
+
+    path: str = Field(description="daily file that ends in .output")
+    subject: str = Field("{site} {time}", description="name of a half hour; {site}, {time} are those of the file")
+    times: list[str] = Field(default_factory=list, description="half hours, such as 04:00; empty: all with values")
+    fwhm_nm: float = Field(10.0, gt=0, le=100, description="width of the bands, which the file does not state")
+    correlation_nm: float | None = Field(
+        None, gt=0, description="correlation length of the stated uncertainty; None: fully correlated"
+    )
+    shared_inputs: bool = Field(
+        False,
+        description="true: the prediction starts from the same surface and state as the network's computation, "
+        "whose stated uncertainty is then mostly common to both sides; rounding alone is an error of their "
+        "difference, and the share of bands inside the stated uncertainty is told apart",
+    )
+
+
 class BandTable(Model):
     """A text table with the band centres and widths of collected spectra."""
 

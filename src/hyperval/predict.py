@@ -252,6 +252,7 @@ def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Dete
         provenance=_provenance(case),
         noise=spectra.noise,
         full_scale=spectra.full_scale,
+        toa_reflectance=spectra.toa_reflectance,
     )
 
 
@@ -268,7 +269,9 @@ def _with_moves(
     found: Prediction, changes: Mapping[RocKey, list[Change]], moves: Sequence[Moved], of_classes: Sequence[Moved]
 ) -> Prediction:
     """The prediction with the errors by inputs that change surfaces, fills or bands, and limits of its curves."""
-    spectra: dict[str, Any] = {p: dict(getattr(found, p)) for p in ("radiance", "snr", "reflectance")}
+    spectra: dict[str, Any] = {
+        p: dict(getattr(found, p)) for p in ("radiance", "snr", "reflectance", "toa_reflectance")
+    }
     for product, estimates in spectra.items():
         with_moves(estimates, product, moves)
     pairs = [*moves, *of_classes]

@@ -35,6 +35,8 @@ class SpectralEstimate:
     estimated : parts (B, B) of ``error_covariance`` that were estimated from samples, each with its degrees of
         freedom; the rest counts as known
     circular : why the estimate is no evidence, such as a panel that its own empirical line goes through; else empty
+    stated : (B,) standard uncertainty that its source states, where ``error_covariance`` leaves out what the other
+        side shares with it; None where that holds all
     """
 
     mean: Array
@@ -44,6 +46,7 @@ class SpectralEstimate:
     budget: Mapping[str, Array] = field(default_factory=dict)
     estimated: tuple[tuple[Array, float], ...] = field(default=(), compare=False, repr=False)
     circular: str = ""
+    stated: Array | None = field(default=None, compare=False, repr=False)
 
     @property
     def standard_uncertainty(self) -> Array:
@@ -269,13 +272,13 @@ def background_of(subject: str) -> str:
 class Products:
     """Everything one side says of one scenario or collection.
 
-    The keys of ``radiance``, ``snr``, ``reflectance`` are subjects (a class, panel or site); those of
-    ``scores`` are (subject, detector), with the background seen through a target's filter under
-    (:func:`background_of` (subject), detector); those of ``roc`` and ``abundance`` are (subject, detector) with
-    the unit kept in the curve, so that (subject, detector, "pixel"|"object") names a curve; those of
-    ``object_scores`` are (subject, detector), those of ``exceedance`` (what is looked
-    for, detector).  ``distribution`` goes
-    by subject, ``classification`` by (classes, features), such as ("grass / asphalt", "2 bands").
+    The keys of ``radiance``, ``snr``, ``reflectance`` and ``toa_reflectance`` (at the top of the atmosphere)
+    are subjects (a class, panel or site); those of ``scores`` are (subject, detector), with the background seen
+    through a target's filter under (:func:`background_of` (subject), detector); those of ``roc`` and
+    ``abundance`` are (subject, detector) with the unit kept in the curve, so that (subject, detector,
+    "pixel"|"object") names a curve; those of ``object_scores`` are (subject, detector), those of ``exceedance``
+    (what is looked for, detector). ``distribution`` goes by subject, ``classification`` by (classes, features),
+    such as ("grass / asphalt", "2 bands").
     """
 
     axis: SpectralAxis
@@ -289,6 +292,7 @@ class Products:
     exceedance: Mapping[tuple[str, str], ExceedanceCurve] = field(default_factory=dict)
     distribution: Mapping[str, PixelDistribution] = field(default_factory=dict)
     classification: Mapping[tuple[str, str], ClassificationError] = field(default_factory=dict)
+    toa_reflectance: Mapping[str, SpectralEstimate] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 

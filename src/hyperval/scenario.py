@@ -285,8 +285,8 @@ class Scenario(Model):
 
     @model_validator(mode="after")
     def _check(self) -> Scenario:
-        if self.atmosphere is not None and self.sensor is None:
-            raise ValueError("a scenario with an atmosphere needs a sensor")
+        if self.atmosphere is not None and self.sensor is None and (self.scene.targets or not self.is_of_space):
+            raise ValueError("a scenario with an atmosphere needs a sensor, save for mean spectra above it")
         if self.sensor_operation is not None and self.sensor is None:
             raise ValueError("sensor_operation needs a sensor")
         if self.sensor_changes is not None and self.sensor is None:
@@ -308,6 +308,11 @@ class Scenario(Model):
             targets = {name for t in scene.targets for name in (t.name, *(p.name for p in t.populations))}
             value.check_subjects(surfaces, targets, {c.name for c in scene.classes})
         return value
+
+    @property
+    def is_of_space(self) -> bool:
+        """Whether it is looked at from above the atmosphere."""
+        return self.atmosphere is not None and self.atmosphere.in_space
 
     @property
     def folder(self) -> Path | None:

@@ -237,7 +237,7 @@ def test_a_missing_campaign_file():
 
 def test_data_commands_know_the_set_that_is_not_public(places, tmp_path, capsys):
     assert cli.run(["data", "list"]) == 0
-    (row,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("share2012")]
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("share2012\t")]
     assert row.split("\t")[3].startswith("held by Rochester Institute of Technology")
     assert cli.run(["data", "fetch", "share2012"]) == 3
     assert "ask the laboratory" in capsys.readouterr().err

@@ -141,6 +141,7 @@ def sides() -> tuple[Prediction, Observation]:
     predicted = Prediction(
         AXIS,
         radiance={"g": spectrum()}, snr={"g": spectrum()}, reflectance={"g": spectrum()},
+        toa_reflectance={"g": spectrum()},
         roc={("t", "cem", "pixel"): curve(0.9, False)}, scores={("t", "cem"): ScoreDistribution(1.0, 0.2)},
         abundance={
             ("t", "cem"): Abundance(4.0, 0.2),
@@ -154,6 +155,7 @@ def sides() -> tuple[Prediction, Observation]:
     observed = Observation(
         AXIS,
         radiance={"g": spectrum(0.02)}, snr={"g": spectrum(0.02)}, reflectance={"g": spectrum(0.02)},
+        toa_reflectance={"g": replace(spectrum(0.02), stated=np.full(BANDS, 0.01))},
         roc={("t", "cem", "pixel"): curve(0.8, True)}, scores={("t", "cem"): ScoreDistribution(0.9, 0.25, 50)},
         abundance={
             ("t", "cem"): Abundance(3.8, 0.3, 20),
@@ -187,6 +189,7 @@ def moved(p: Prediction) -> Prediction:
         radiance={k: brighter(v) for k, v in p.radiance.items()},
         snr={k: brighter(v) for k, v in p.snr.items()},
         reflectance={k: brighter(v) for k, v in p.reflectance.items()},
+        toa_reflectance={k: brighter(v) for k, v in p.toa_reflectance.items()},
         roc={k: raised(v) for k, v in p.roc.items()},
         scores={k: replace(v, mean=v.mean + 1.0, sd=1.5 * v.sd) for k, v in p.scores.items()},
         abundance={

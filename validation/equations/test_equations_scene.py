@@ -29,6 +29,7 @@ from hyperval.scene.radiance import (
     radiance_covariance,
     target_pixel_covariance,
     target_pixel_reflectance,
+    toa_reflectance,
 )
 from hyperval.spectra.axis import SpectralAxis
 
@@ -255,3 +256,10 @@ def test_builtin_covariance_is_the_sum_of_its_modes():
     modes = [mode(axis.centre_nm) for mode in surface.modes.values()]
     expected = sum(np.outer(m, m) for m in modes) + surface.band_spread**2 * np.eye(50)
     assert builtin_class("grass", axis).covariance == pytest.approx(expected, rel=1e-12)
+
+
+def test_toa_reflectance_of_a_worked_sun():
+    # mu0 = cos 60 deg, E0 = 180 uW cm-2 nm-1 at 1 au, the Earth at 1.01 au, L = 7 uW cm-2 sr-1 nm-1.
+    white = 0.5 * 180.0 / (np.pi * 1.01**2)
+    assert toa_reflectance(7.0, white) == pytest.approx(7.0 * np.pi * 1.0201 / 90.0)
+    assert toa_reflectance(white, white) == pytest.approx(1.0)

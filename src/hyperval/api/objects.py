@@ -48,7 +48,16 @@ class _Side:
         nm = self.axis.centre_nm
         facts: dict[str, Iterable[object]] = {
             name: sorted({key if isinstance(key, str) else "/".join(key) for key in getattr(self, name)})
-            for name in ("radiance", "snr", "reflectance", "scores", "roc", "abundance", "classification")
+            for name in (
+                "radiance",
+                "snr",
+                "reflectance",
+                "toa_reflectance",
+                "scores",
+                "roc",
+                "abundance",
+                "classification",
+            )
         }
         return _card(f"{type(self).__name__} of {nm.size} bands, {nm[0]:.0f}-{nm[-1]:.0f} nm", facts)
 

@@ -132,6 +132,7 @@ def _assemble(state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arr
         ground_irradiance=mu0 * solar_irradiance * value["down"] * gas["ground"],
         gas_transmittance=gas["full"],
         diffuse_fraction=np.clip(1.0 - beam / value["down"], 0.0, 1.0),
+        diffuser_radiance=unit_radiance,
         provenance={
             "engine": sixs_fingerprint(),
             "scheme": SCHEME,
@@ -180,10 +181,14 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
         "depth_550": round(depth, 6),
         "depth_550_below": round(depth * fraction, 6),
     }
+    as_typed = np.full(NODES_NM.size, depth)  # 6S follows the aerosol type from 550 nm
+    if state.angstrom_exponent is not None and depth > 0.0:
+        inputs["angstrom_exponent"] = state.angstrom_exponent
+        as_typed = depth * angstrom_law(NODES_NM, state.angstrom_exponent) / _extinction(state, folder, show)
 
     def compute() -> Arrays:
         card = _aerosol_card(state)
-        stand_ins = [_stand_in(depth, fraction, height, nm) for nm in NODES_NM]
+        stand_ins = [_stand_in(d, fraction, height, nm) for d, nm in zip(as_typed, NODES_NM, strict=True)]
         aerosols: list[list[Aerosol | None]] = [[None] * NODES_NM.size]
         if depth > 0.0:
             aerosols.append([Aerosol(card, d, d * f) for d, f in stand_ins])
@@ -206,8 +211,8 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
             return nodes
         hazy = with_aerosol[0]
         used, share = np.array(stand_ins).T
-        total = depth / used  # 1 where 6S was run with the depth itself
-        below = depth * fraction / (used * share)
+        total = as_typed / used  # 1 where 6S was run with the depth itself
+        below = as_typed * fraction / (used * share)
         aerosol_part = hazy["reflectance"] - clear["reflectance"]
         if height is not None:
             # With aerosol 6S spreads the molecules differently over the air below an aircraft (some 2 % more of
@@ -230,6 +235,34 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
         }
 
     return cached(folder, "scattering", inputs, compute)
+
+
+def angstrom_law(wavelength_nm: Array, exponent: float) -> Array:
+    """(n,) aerosol optical depth over that at 550 nm: (wavelength / 550 nm)^-exponent (Angstrom 1929) [1]."""
+    return np.asarray((np.asarray(wavelength_nm, dtype=float) / 550.0) ** -exponent)
+
+
+def _extinction(state: AtmosphericState, folder: Path, show: bool | None) -> Array:
+    """(nodes,) optical depth of the aerosol type over that at 550 nm, from space [1]."""
+    card, depth = _aerosol_card(state), 1.0  # printed to five decimals
+    inputs = {"binary": sixs_fingerprint(), "nodes_nm": NODES_NM.tolist(), "aerosol": card}
+
+    def compute() -> Arrays:
+        decks = [
+            deck(
+                Geometry(0.0, 0.0, 0.0),
+                gas_free_atmosphere(),
+                0.0,
+                None,
+                f"-1\n{nm / 1e3:.4f}",
+                Aerosol(card, depth, depth),
+            )
+            for nm in NODES_NM
+        ]
+        runs = [parse_monochromatic(t) for t in _run_all(decks, folder, "6S aerosol", show)]
+        return {"depth": np.array([run.depth_aerosol for run in runs]) / depth}
+
+    return cached(folder, "extinction", inputs, compute)["depth"]
 
 
 def _columns(runs: list[Monochromatic]) -> Arrays:

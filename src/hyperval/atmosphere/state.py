@@ -75,6 +75,13 @@ class AtmosphericState(Model):
     aot550: float | None = Field(
         None, ge=0.0, le=5.0, description="vertical aerosol optical depth at 550 nm above the ground [1], 0-5"
     )
+    angstrom_exponent: float | None = Field(
+        None,
+        ge=-1.0,
+        le=3.0,
+        description="optical depth goes from aot550 as wavelength to the power of minus this; null: as the type of "
+        "aerosol has it, whose absorption and phase function stay (engine sixs)",
+    )
     meteorological_range_km: float | None = Field(
         None,
         ge=visibility.SHORTEST_KM,
@@ -137,6 +144,12 @@ class AtmosphericState(Model):
         elif len(given) != 1:
             state = "both are" if given else "neither is"
             raise ValueError(f"give exactly one of aot550 and meteorological_range_km: {state} given")
+
+        if self.angstrom_exponent is not None:
+            if self.aot550 is None:
+                raise ValueError("angstrom_exponent needs aot550, the depth that it starts from")
+            if self.engine != "sixs":
+                raise ValueError("angstrom_exponent: the engine sixs alone takes it")
 
     def _check_sun(self) -> None:
         angles = ("solar_zenith_deg", "solar_azimuth_deg")

@@ -39,6 +39,8 @@ class AtmosphericTerms:
         tell it from the sun's beam
     path_uncertainty : standard uncertainty of ``path_radiance`` by interpolation between the nodes of a table,
         common to neighbouring wavelengths [uW cm-2 sr-1 nm-1]; None where nothing was interpolated
+    diffuser_radiance : mu0 E0 / pi, radiance of a white level diffuser outside the atmosphere, over which radiance
+        is top-of-atmosphere reflectance [uW cm-2 sr-1 nm-1]; None where the engine does not give it
     """
 
     wavelength_nm: Array
@@ -52,6 +54,7 @@ class AtmosphericTerms:
     fwhm_nm: Array | None = None
     diffuse_fraction: Array | None = None
     path_uncertainty: Array | None = None
+    diffuser_radiance: Array | None = None
 
     def at_bands(self, axis: SpectralAxis) -> AtmosphericTerms:
         """The terms averaged over the band responses of ``axis``.

@@ -13,6 +13,7 @@ from hyperval.results import Outcome, Result
 # A planned row is often an absolute value or a verdict; these say which way and how far the two sides moved.
 BEHIND: Mapping[str, tuple[str, ...]] = {
     "radiance": ("median_difference_ratio_*", "spectral_angle"),
+    "toa_reflectance": ("median_difference_ratio_*", "spectral_angle", "fraction_inside_stated*"),
     "snr": ("median_difference_ratio_*",),
     "reflectance": ("median_difference_ratio_*", "spectral_angle"),
     "scores": ("score_mean_predicted", "score_mean_observed", "score_sd_ratio"),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from hyperval.campaign.day_scenarios import DayScenarios, day_scenarios
 from hyperval.campaign.draft import Text, read_texts
 from hyperval.campaign.names import (
     Lookup,
@@ -133,6 +134,13 @@ def _scenarios(text: Text) -> list[tuple[Scenario, str, Mapping[Location, int], 
         if isinstance(source, Scenario):
             source._folder = text.path.resolve().parent
             out.append((source, str(text.path), text.lines, ("scenarios", i)))
+        elif isinstance(source, DayScenarios):
+            base = text.path.resolve().parent
+            paths = [Reference("scenarios", name, base).path for name in (source.scenario, source.radcalnet)]
+            if paths[0] is not None and paths[1] is not None:
+                own = load_yaml(paths[0])[1]
+                found = day_scenarios(source, paths[0], paths[1], text.words)
+                out += [(scenario, str(paths[0]), own, ()) for scenario in found]
         elif source in builtin_scenarios():
             out.append((load_scenario(source), str(text.path), text.lines, ("scenarios", i)))
         else:

@@ -16,6 +16,7 @@ from hyperval.config import Location
 from hyperval.datasets import resolve
 from hyperval.errors import HypervalError
 from hyperval.observe.place import IMAGE, SCENE, Place, open_place
+from hyperval.observe.radcalnet import observe_radcalnet
 from hyperval.observe.subjects import target_groups
 from hyperval.prediction.inputs import Sources
 from hyperval.scenario import Scenario, SpectrumSource
@@ -90,6 +91,11 @@ def campaign_mistakes(campaign: Campaign, lookup: Lookup, base: Path) -> Collect
     def find(reference: str) -> Path:
         return resolve(reference, base)
 
+    if collection.radcalnet is not None:
+        with lookup.at("collection", "radcalnet"):
+            seen = observe_radcalnet(collection.radcalnet, find)
+            return Collected(seen.axis, tuple(seen.toa_reflectance), (), True)
+        return Collected(None, (), (), True)
     if collection.spectra:
         subjects = tuple(s.subject for s in collection.spectra)
         return Collected(None, subjects, (), True)
@@ -156,7 +162,10 @@ def comparison_mistakes(campaign: Campaign, lookup: Lookup, offered: Collected, 
     detection = campaign.detection
     pools = [pool.name for pool in detection.pools] if detection else []
     both = {
-        **{key: [*offered.regions, *offered.subjects] for key in ("radiance", "reflectance", "snr")},
+        **{
+            key: [*offered.regions, *offered.subjects]
+            for key in ("radiance", "reflectance", "snr", "toa_reflectance")
+        },
         "roc": [*offered.subjects, *pools],
     }
     for i, gate in enumerate(campaign.comparisons):

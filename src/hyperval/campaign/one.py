@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperval.campaign.curves import eigenvalue_spectra, tail_curves
+from hyperval.campaign.day_scenarios import scenarios_of
 from hyperval.campaign.derived import predicted_unmixing, with_errors_of_classes
 from hyperval.campaign.draft import Waiting, read_texts
 from hyperval.campaign.header_check import scenario_notes
@@ -19,10 +20,8 @@ from hyperval.campaign.provenance import command_without_output, provenance
 from hyperval.campaign.reasons import reasons
 from hyperval.campaign.references import check_names, missing_sets
 from hyperval.campaign.schema import Campaign
-from hyperval.campaign.template import filled
 from hyperval.campaign.truth_check import truth_notes
 from hyperval.compare import compare_products, judged
-from hyperval.config import load_yaml, validate
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError, UsageError
 from hyperval.files import scratch_folder
@@ -34,7 +33,7 @@ from hyperval.products import Abundance, Observation, Prediction, Products
 from hyperval.report import RunReport
 from hyperval.report.power import accepted_table
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
-from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.scenario import Scenario
 
 SIMULATED = "simulated:"
 
@@ -185,7 +184,11 @@ def collected(
     campaign, inputs = job.campaign, Inputs(job.folder)
     inputs.log.add(job.path.resolve(), job.path.name)
     with ExitStack() as stack:
-        scenarios = [_scenario(s, inputs, campaign.run) for s in campaign.scenarios]
+        scenarios = [
+            one
+            for s in campaign.scenarios
+            for one in scenarios_of(s, inputs.resolve, inputs.log.base, campaign.run)
+        ]
         seed = None
         if campaign.collection.simulate:
             scratch = stack.enter_context(scratch_folder("simulated"))
@@ -341,21 +344,6 @@ def unfinished(job: Job | Waiting, outcome: Outcome, reason: str) -> RunReport:
         notes=[reason, *campaign.assumptions],
         references=campaign.references,
     )
-
-
-def _scenario(source: Scenario | str, inputs: Inputs, words: Mapping[str, str]) -> Scenario:
-    if isinstance(source, Scenario):
-        source._folder = inputs.log.base
-        return source
-    if source in builtin_scenarios():
-        return load_scenario(source)
-    path = inputs.resolve(source)
-    if not words:
-        return load_scenario(path)
-    data, lines = load_yaml(path)
-    scenario = validate(Scenario, filled(data, words), lines, str(path))
-    scenario._folder = path.resolve().parent
-    return scenario
 
 
 def _resolver(scenario: Scenario, inputs: Inputs) -> Callable[[str], Path]:

@@ -15,7 +15,19 @@ from hyperval.errors import HypervalError, UsageError
 from hyperval.scenario import builtin_scenarios
 
 FILE_KEYS = frozenset(
-    {"path", "header", "file", "csv", "simulate", "size_classes", "library", "table", "glt", "replicates"}
+    {
+        "path",
+        "header",
+        "file",
+        "csv",
+        "simulate",
+        "size_classes",
+        "library",
+        "table",
+        "glt",
+        "replicates",
+        "radcalnet",
+    }
 )
 SIMULATED = "simulated:"
 
@@ -82,7 +94,9 @@ def named_in(path: Path, content: Any, lines: dict[Any, int], words: Mapping[str
     files = _files(content, base)
     marks = placeholders(content, lines, str(path))
     scenarios = content.get("scenarios") if isinstance(content, dict) else None
-    for item in scenarios if isinstance(scenarios, list) else []:
+    for entry in scenarios if isinstance(scenarios, list) else []:
+        day = isinstance(entry, dict) and "radcalnet" in entry
+        item = entry.get("scenario") if day else entry
         if not isinstance(item, str) or item in builtin_scenarios() or item.startswith(FILL_IN):
             continue
         reference = Reference("scenarios", item, base)
@@ -91,7 +105,7 @@ def named_in(path: Path, content: Any, lines: dict[Any, int], words: Mapping[str
         if found is None:
             continue
         inner, inner_lines = load_yaml(found)
-        inner = filled(inner, words)
+        inner = filled(inner, {**words, "file": str(entry["radcalnet"])} if day else words)
         files += _files(inner, found.resolve().parent)
         name = item if item.startswith(PREFIX) else str(Path(path).parent / item)
         marks += placeholders(inner, inner_lines, name)

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from hyperval.campaign.day_scenarios import DayScenarios
 from hyperval.campaign.template import campaign_runs
 from hyperval.collection import Classification, Collection, Detection
 from hyperval.compare.gates import Gate
@@ -64,9 +65,10 @@ class Campaign(Outline):
         lt=1,
         description="difference of P_D that is no difference for the purpose; adds pd_equivalence rows",
     )
-    scenarios: list[Scenario | str] = Field(
+    scenarios: list[DayScenarios | Scenario | str] = Field(
         default_factory=list,
-        description="scenario files, built-in names or scenarios written out; observe alone needs none",
+        description="scenario files, built-in names, scenarios written out, or those of a network's day; observe "
+        "alone needs none",
     )
 
     attribution: AttributionOptions | None = Field(None, description="look for the reasons where the sides differ")

@@ -35,7 +35,10 @@ class Gate(Model):
     reason : why this is, or is not, a gate
     """
 
-    product: Literal["radiance", "snr", "reflectance", "covariance", "classification", "scores", "roc", "abundance"]
+    product: Literal[
+        "radiance", "snr", "reflectance", "toa_reflectance", "covariance", "classification", "scores", "roc",
+        "abundance",
+    ]  # fmt: skip
     metric: str = Field(
         min_length=1,
         description="as in results.csv (hyperval metrics lists them); * and ? allowed; without @P for every P",

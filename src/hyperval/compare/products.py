@@ -18,7 +18,7 @@ from hyperval.errors import UsageError
 from hyperval.products import Products
 from hyperval.results import Result
 
-SPECTRAL = ("radiance", "snr", "reflectance")
+SPECTRAL = ("radiance", "snr", "reflectance", "toa_reflectance")
 # Quantities in which pixels of a class spread.
 SPREAD = ("radiance", "reflectance")
 MOST_NAMED = 6

@@ -36,6 +36,8 @@ Array = npt.NDArray[np.float64]
 ROUNDING = 1e-9
 # Spectra of files and cubes have 24 bits: a smaller stated uncertainty is none.
 NUMERICAL = 6e-8
+# Of what a source states of its values: about 95 % of a normal law.
+STATED_COVERAGE = 2.0
 
 
 def compare_spectra(
@@ -56,7 +58,9 @@ def compare_spectra(
     ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (mean difference ratio), ``chi2_reduced_shape``,
     ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``.  A region
     without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.  A measured spectrum
-    that is no evidence, since the prediction's own input made it, gives one SKIPPED row.
+    that is no evidence, since the prediction's own input made it, gives one SKIPPED row.  Where the source of the
+    observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
+    ``fraction_inside_stated_windows``.
     """
     make = RowMaker(campaign, product, subject, method)
     if predicted is not None and observed is not None and observed.circular:
@@ -95,6 +99,11 @@ def _rows(
             )
         if np.isfinite(z[b]):
             out.append(make.row("z", z[b], band_nm=at, n=n))
+    if observed.stated is not None:
+        for name, bands in (("", usable), ("_windows", usable & regions(axis)["windows"])):
+            if bands.any():
+                share = fraction_inside_stated(difference[bands], observed.stated[bands])
+                out.append(make.row(f"fraction_inside_stated{name}", share, n=int(bands.sum())))
     for name, region in regions(axis).items():
         if not region.any() and name != "windows":
             continue  # the sensor does not see this part of the spectrum: nothing was planned there
@@ -114,6 +123,11 @@ def _rows(
         leading,
     )
     return out
+
+
+def fraction_inside_stated(difference: Array, stated: Array) -> float:
+    """Share of bands whose difference (B,) is at most twice the standard uncertainty (B,) that a source states."""
+    return float(np.mean(np.abs(difference) <= STATED_COVERAGE * stated))
 
 
 def leading_source(predicted: SpectralEstimate, observed: SpectralEstimate, bands: npt.NDArray[np.bool_]) -> str:

@@ -77,6 +77,11 @@ METRICS = (
     Metric("fraction_inside_95", "share of the bands with |z| <= 1.96", "compare.consistency.z_scores",
            "mean_b [|z| <= 1.96]", low=0.0, high=1.0, agreement=0.95, kind=Kind.STATISTIC, tolerance=of_unit(0.02),
            example="np.mean(np.abs(z_scores([0.2, 0.0], np.eye(2) * 0.01)) <= 1.96)", gives=0.5),
+    Metric("fraction_inside_stated*", "share of the bands whose difference is at most twice the standard "
+           "uncertainty that the source of the observation states, what both sides share included; the suffix "
+           "_windows takes the windows of the atmosphere alone", "compare.spectral.fraction_inside_stated",
+           "mean_b [|p - c| <= 2 u_b]", low=0.0, high=1.0, kind=Kind.COVERAGE, tolerance=of_unit(0.02),
+           example="fraction_inside_stated(np.array([0.01, 0.03]), np.array([0.01, 0.01]))", gives=0.5),
     # Spread from pixel to pixel.
     Metric("eigenvalue_ratio", "predicted over measured variance along one principal direction; the number after "
            "@ counts directions, largest first", _SPREAD, "E[lambda_k] / lambda_k", low=0.0, agreement=1.0,

@@ -17,6 +17,7 @@ from hyperval.observe.detection import Detected, detect
 from hyperval.observe.empirical_line import empirical_line, line_notes, refuse_saturated
 from hyperval.observe.filter_bank import BACKGROUND, in_reflectance
 from hyperval.observe.place import IMAGE, Place, open_place
+from hyperval.observe.radcalnet import observe_radcalnet
 from hyperval.observe.sampling import mean_error
 from hyperval.observe.site_spectra import observe_spectra
 from hyperval.observe.spread import pixel_distribution
@@ -88,6 +89,8 @@ def observe(
     InputError, MissingDataError : files that are missing or corrupt.
     UsageError : names and settings that do not fit.
     """
+    if collection.radcalnet is not None:
+        return Observed(observe_radcalnet(collection.radcalnet, resolve))
     if collection.spectra:
         return Observed(observe_spectra(collection, resolve))
     place = open_place(collection, resolve, show_progress=show_progress)

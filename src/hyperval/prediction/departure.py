@@ -309,6 +309,7 @@ def true_terms(terms: AtmosphericTerms, departure: Departure) -> AtmosphericTerm
         adjacency=np.asarray(seen * terms.adjacency),
         spherical_albedo=np.asarray(departure.spherical_albedo * terms.spherical_albedo),
         ground_irradiance=np.asarray(e * terms.ground_irradiance),
+        diffuser_radiance=None if terms.diffuser_radiance is None else np.asarray(e * terms.diffuser_radiance),
     )
 
 

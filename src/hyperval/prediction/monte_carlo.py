@@ -14,7 +14,7 @@ from hyperval.prediction.departure import Departure
 from hyperval.prediction.designs import drawn_truths
 from hyperval.prediction.emulator import Emulator, emulator
 from hyperval.prediction.input import Input
-from hyperval.prediction.propagation import Agreement, Draws, Linear, agreement, draw_products, linearise
+from hyperval.prediction.propagation import SPECTRA, Agreement, Draws, Linear, agreement, draw_products, linearise
 from hyperval.products import Prediction, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario
@@ -116,7 +116,7 @@ def with_intervals(stated: Prediction, found: Propagated, method: str) -> Predic
             f"P_D intervals from the draws, where linearisation differs by more than the tolerance: {which}"
         )
     spectra = {}
-    for product in ("radiance", "reflectance", "snr"):
+    for product in SPECTRA:
         held = getattr(stated, product)
         if method == "monte-carlo":
             held = {s: _drawn_estimate(e, found.draws.sd((product, s))) for s, e in held.items()}

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 Key = tuple[str, ...]
 Z95 = 1.959963984540054
 
-SPECTRA = ("radiance", "reflectance", "snr")
+SPECTRA = ("radiance", "reflectance", "snr", "toa_reflectance")
 PROBABILITIES = ("P_D", "AUC")
 # Directions of one input that the linearisation follows, the leading ones.
 MOST_DIRECTIONS = 40

@@ -29,7 +29,7 @@ from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflec
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import Target, TargetSubject
 from hyperval.scenario_uncertainty import EngineUncertainty
-from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance
+from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance, toa_reflectance
 
 Array = npt.NDArray[np.float64]
 
@@ -48,6 +48,7 @@ class SpectralProducts:
     reflectance: dict[str, SpectralEstimate] = field(default_factory=dict)
     noise: dict[str, Mapping[str, Array]] = field(default_factory=dict)
     full_scale: dict[str, Array] = field(default_factory=dict)
+    toa_reflectance: dict[str, SpectralEstimate] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,8 @@ def spectral_products(
             total, budget = combined(changes, shapes, len(axis))
             out.radiance[subject.name] = SpectralEstimate(level, total, _known(seen), None, budget)
             _add_noise(out, subject, level, view, steps, shapes)
+            if setup.scenario.is_of_space:
+                _add_toa_reflectance(out, subject, view, steps, shapes)
         if view.terms is None or view.elm is not None:
             line = view.line()
             # What the empirical line is off by belongs to collected reflectance, not to the predicted one.
@@ -109,6 +112,24 @@ def spectral_products(
             mean = retrieved_reflectance(line, level)
             out.reflectance[subject.name] = SpectralEstimate(mean, total, pixel, None, budget)
     return out
+
+
+def _add_toa_reflectance(
+    out: SpectralProducts, subject: _Subject, view: View, steps: Steps, shapes: Mapping[str, Array]
+) -> None:
+    """pi L / (mu0 E0) with its errors, where the engine says what E0 is; the level of the sunlight cancels."""
+
+    def reflected(v: View) -> Array:
+        assert v.terms is not None  # noqa: S101 - the caller's own check
+        assert v.terms.diffuser_radiance is not None  # noqa: S101 - of the same engine
+        return toa_reflectance(v.level(subject.rho), v.terms.diffuser_radiance)
+
+    if view.terms is None or view.terms.diffuser_radiance is None:
+        return
+    white = view.terms.diffuser_radiance
+    relative = {source: c / np.outer(white, white) for source, c in shapes.items()}
+    total, budget = combined(steps.changes(reflected), relative, white.size)
+    out.toa_reflectance[subject.name] = SpectralEstimate(reflected(view), total, None, None, budget)
 
 
 def _add_noise(

@@ -30,6 +30,7 @@ def draw_figures(run: RunReport) -> list[Drawing]:
         drawings += budget_figures(sides, simulated=simulated)
         drawings += pair_figures(sides, "snr", simulated=simulated)
         drawings += pair_figures(sides, "reflectance", simulated=simulated)
+        drawings += pair_figures(sides, "toa_reflectance", simulated=simulated)
         if not run.eigenvalues:  # one side alone: no band of chance to judge by
             drawings += eigenvalue_figures(sides, simulated=simulated)
         drawings += sampled_eigenvalue_figures(run.eigenvalues, simulated=simulated)

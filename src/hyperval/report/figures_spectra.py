@@ -30,6 +30,7 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
     label, title, ratio = {
         "radiance": (style.RADIANCE_LABEL, "Radiance at the sensor", True),
         "reflectance": ("reflectance [1]", "Reflectance", False),
+        "toa_reflectance": ("reflectance [1]", "Reflectance at the top of the atmosphere", True),
         "snr": ("signal-to-noise\nratio [1]", "Signal-to-noise ratio", True),
     }[product]
     predicted, collected = _of_side(sides[0], product), _of_side(sides[1], product)

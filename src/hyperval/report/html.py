@@ -35,6 +35,7 @@ SECTIONS = {
     "sensitivity": "What moves what",
     "scene": "Scene",
     "radiance": "Radiance",
+    "toa_reflectance": "Reflectance at the top of the atmosphere",
     "snr": "Signal-to-noise ratio",
     "reflectance": "Reflectance",
     "covariance": "Covariance",

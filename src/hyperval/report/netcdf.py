@@ -24,6 +24,7 @@ _SPECTRA = (  # name, long name, unit, unit of a covariance, covariances written
     ("radiance", "spectral radiance at the sensor", RADIANCE_UNIT, "uW2 cm-4 sr-2 nm-2", True),
     ("reflectance", "surface reflectance", "1", "1", True),
     ("snr", "signal-to-noise ratio", "1", "1", False),
+    ("toa_reflectance", "reflectance at the top of the atmosphere", "1", "1", True),
 )
 _TAILS = (
     ("tail_dof", "degrees of freedom of the multivariate t law of the pixels; inf for the normal law"),

@@ -51,6 +51,24 @@ def mean_radiance(
     return np.asarray(path + terms.direct * rho / own)  # (3.7)
 
 
+def toa_reflectance(radiance: npt.ArrayLike, diffuser_radiance: npt.ArrayLike) -> Array:
+    """(..., B) reflectance at the top of the atmosphere of a radiance (3.7), pi L d^2 / (mu0 E0) [1].
+
+    Parameters
+    ----------
+    radiance : (..., B) L above the atmosphere
+    diffuser_radiance : (B,) mu0 E0 / (pi d^2), what a white level diffuser would have there, in the same unit
+
+    Source: Nicodemus et al., NBS Monograph 160, 1977 (reflectance factor of a Lambertian diffuser).
+
+    Examples
+    --------
+    >>> toa_reflectance([2.0, 1.0], [10.0, 4.0]).tolist()
+    [0.2, 0.25]
+    """
+    return np.asarray(np.asarray(radiance, dtype=float) / np.asarray(diffuser_radiance, dtype=float))
+
+
 def target_pixel_reflectance(fill: npt.ArrayLike, target: npt.ArrayLike, host: npt.ArrayLike) -> Array:
     """Reflectance of a pixel of which the target fills the part ``fill`` (3.10) [1].
 

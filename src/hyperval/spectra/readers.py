@@ -14,6 +14,7 @@ from typing import Any
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.paths import checked_file
 from hyperval.spectra import (
+    radcalnet,
     readers_asd,
     readers_instruments,
     readers_library,
@@ -168,6 +169,8 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | Non
         return readers_library.library_records(path, None, root)
     if head.startswith(b"/*** Spectra Vista"):
         return [readers_instruments.svc_record(decoded(raw), path, quantity)]
+    if radcalnet.is_radcalnet(head):
+        return radcalnet.radcalnet_records(decoded(raw), path)
     if b"Instrument:" in head and b"Columns [" in head:
         return [readers_instruments.sed_record(decoded(raw), path, quantity)]
     # A table may lie beside a cube of the same name, whose header is not its own.

@@ -37,7 +37,7 @@ class Quantity:
 def quantities(predicted: Products, observed: Products) -> list[Quantity]:
     """Predicted over observed mean in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3."""
     found: list[Quantity] = []
-    for product in ("radiance", "reflectance", "snr"):
+    for product in ("radiance", "reflectance", "snr", "toa_reflectance"):
         left, right = getattr(predicted, product), getattr(observed, product)
         for subject in right:
             if subject not in left:

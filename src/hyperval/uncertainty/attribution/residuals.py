@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 SPECTRUM_FLOOR = 2e-3  # of the value, each band by itself: what closure with simulated collections leaves
 SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
 LOG_FLOOR = 0.02  # of the logarithm of a standard deviation
+_SPECTRA = ("radiance", "reflectance", "toa_reflectance")
 RATE_FLOOR = 0.1  # of the logarithm of a false-alarm rate
 Z95 = 1.959963984540054
 # A false-alarm rate says something of the tail where this many pixels lie above the threshold.
@@ -84,7 +85,7 @@ class Stack:
 
     def single_bands(self) -> Array:
         """(n, K) the spectra band by band: column k holds what all subjects show in one band, 0 elsewhere."""
-        of_spectra = [b for b in self.blocks if b.bands is not None and b.product in ("radiance", "reflectance")]
+        of_spectra = [b for b in self.blocks if b.bands is not None and b.product in _SPECTRA]
         if not of_spectra:
             return np.zeros((self.observed.size, 0))
         used = np.unique(np.concatenate([b.bands for b in of_spectra if b.bands is not None]))
@@ -122,6 +123,9 @@ def stacked(predicted: Products, observed: Products) -> Stack:
     for name, estimate in observed.reflectance.items():
         if name not in mixed and (name not in observed.radiance or name not in predicted.radiance):
             blocks += _spectrum("reflectance", name, predicted, estimate)
+    for name, estimate in observed.toa_reflectance.items():
+        if name not in observed.radiance:
+            blocks += _spectrum("toa_reflectance", name, predicted, estimate)
     for name, estimate in observed.snr.items():
         blocks += _snr(name, predicted, estimate)
     blocks += _scores(predicted, observed)

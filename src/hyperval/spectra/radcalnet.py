@@ -1,0 +1,239 @@
+"""A day of a RadCalNet site: surface and top-of-atmosphere reflectance every half hour, with the state of the air.
+
+A file is tab-separated text: the site, one column a half hour, the state, reflectance every 10 nm, and after an
+empty line the standard uncertainties of all of it in the same columns.  ``.input`` holds what was measured on the
+ground, ``.output`` what the network computed for the top of the atmosphere, seen from nadir; the text of the two
+does not tell them apart.  9996 and above: no value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import InputError, UsageError, reader
+from hyperval.paths import checked_file
+from hyperval.spectra.readers_record import MAX_BYTES, Record
+
+Array = npt.NDArray[np.float64]
+
+NO_VALUE = 9996.0  # and above, up to 9999: night, bad weather, outside the instrument's range, other causes
+STATE = {
+    "P": "pressure_hpa", "T": "temperature_k", "WV": "water_vapour_g_cm2", "O3": "ozone_dobson",
+    "AOD": "aot550", "Ang": "angstrom_exponent",
+}  # fmt: skip
+SURFACE, TOP = "reflectance", "top-of-atmosphere reflectance"
+_KINDS = {".input": SURFACE, ".output": TOP}
+_DOBSON_PER_ATM_CM = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class RadCalNetDay:
+    """One daily file; arrays are NaN where the file holds no value.
+
+    Attributes
+    ----------
+    site, latitude_deg, longitude_deg, altitude_m : of the heading
+    quantity : "reflectance" of the surface, or "top-of-atmosphere reflectance"
+    times : (T,) UTC
+    state, state_uncertainty : name of ``STATE`` -> (T,) pressure [hPa], temperature [K], water vapour [g cm-2],
+        ozone [Dobson], aerosol optical depth at 550 nm, Angstrom exponent, and their standard uncertainties
+    wavelength_nm : (W,)
+    values, uncertainty : (T, W) reflectance and its standard uncertainty [1]
+    source : the file
+    """
+
+    site: str
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    quantity: str
+    times: tuple[datetime, ...]
+    state: Mapping[str, Array]
+    state_uncertainty: Mapping[str, Array]
+    wavelength_nm: Array
+    values: Array
+    uncertainty: Array
+    source: str
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """(T,) the time of each column, such as 04:00."""
+        return tuple(f"{t:%H:%M}" for t in self.times)
+
+    @property
+    def valid(self) -> tuple[str, ...]:
+        """Labels of the half hours with a spectrum and the whole state."""
+        whole = np.isfinite(np.stack(list(self.state.values()))).all(axis=0)
+        whole &= np.isfinite(self.values).sum(axis=1) >= 2
+        return tuple(label for label, good in zip(self.labels, whole, strict=True) if good)
+
+    def column(self, label: str) -> int:
+        """Number of a half hour by its label; raises UsageError where it holds no value."""
+        if label not in self.valid:
+            what = "holds no value" if label in self.labels else "is none of the file"
+            raise UsageError(f"the half hour {label} {what}", where=self.source, expected=", ".join(self.valid))
+        return self.labels.index(label)
+
+    def at(self, label: str) -> dict[str, float]:
+        """State of a half hour and its standard uncertainties, names with ``u_`` before them; ozone in atm cm."""
+        i = self.column(label)
+        found = {name: float(values[i]) for name, values in self.state.items()}
+        found |= {f"u_{name}": float(values[i]) for name, values in self.state_uncertainty.items()}
+        for name in ("ozone", "u_ozone"):
+            found[f"{name}_atm_cm"] = found.pop(f"{name}_dobson") / _DOBSON_PER_ATM_CM
+        return found
+
+
+@reader
+def read_radcalnet(path: Path | str) -> RadCalNetDay:
+    """Read a daily file.
+
+    Raises
+    ------
+    InputError : missing, too large, not of this form, or values that cannot be.
+    UsageError : a name that ends in neither .input nor .output.
+    """
+    path = checked_file(path, what="RadCalNet file")
+    if path.stat().st_size > MAX_BYTES:
+        raise InputError(f"larger than {MAX_BYTES} bytes", where=str(path), expected="a daily file of RadCalNet")
+    return day_of(path.read_text("utf-8", errors="replace"), path)
+
+
+def is_radcalnet(head: bytes) -> bool:
+    """Whether a file begins as the network's do."""
+    return head.startswith(b"Site:") and b"\nLat:" in head.replace(b"\r", b"")
+
+
+def radcalnet_records(text: str, path: Path) -> list[Record]:
+    """The valid half hours of a file as spectra, named by their time; the spread is the standard uncertainty."""
+    day = day_of(text, path)
+    return [
+        Record(
+            label, day.wavelength_nm, day.values[i], str(path), day.uncertainty[i], None, "nm", "fraction",
+            None if day.quantity == SURFACE else day.quantity,
+        )
+        for label in day.valid
+        for i in (day.labels.index(label),)
+    ]  # fmt: skip
+
+
+def day_of(text: str, path: Path) -> RadCalNetDay:
+    """A daily file from its text; errors as for :func:`read_radcalnet`."""
+    quantity = _KINDS.get(path.suffix.lower())
+    if quantity is None:
+        raise UsageError(
+            "the text of RadCalNet's files does not say whether the surface or the top of the atmosphere is meant",
+            where=str(path), expected="a name that ends in .input (surface) or .output (top of the atmosphere)",
+        )  # fmt: skip
+    rows = _Rows(text, path)
+    site = rows.words("Site")[0]
+    latitude, longitude, altitude = (float(rows.numbers(key, 1)[0]) for key in ("Lat", "Lon", "Alt"))
+    year = rows.numbers("Year")
+    count = year.size
+    days, clock = rows.numbers("DOY(U)", count), rows.words("UTC", count)
+    times = tuple(_time(y, d, c, rows.here) for y, d, c in zip(year, days, clock, strict=True))
+    if any(b <= a for a, b in pairwise(times)):
+        raise InputError("the half hours do not follow each other", where=rows.here, expected="increasing UTC")
+    rows.skip("DOY(L)", "Local")
+    state = {name: rows.numbers(key, count) for key, name in STATE.items()}
+    rows.skip("Type")
+    nm, values = rows.spectra(count)
+    doubt = {name: rows.numbers(key, count) for key, name in STATE.items()}
+    u_nm, uncertainty = rows.spectra(count)
+    if not np.array_equal(nm, u_nm):
+        raise InputError("uncertainties at other wavelengths than the values", where=str(path))
+    if np.nanmin(uncertainty, initial=0.0) < 0 or any(np.nanmin(u, initial=0.0) < 0 for u in doubt.values()):
+        raise InputError("uncertainties below 0", where=str(path))
+    wrong = np.isfinite(values) & ~((values > -0.1) & (values < 2.0))
+    if wrong.any():
+        raise InputError(
+            f"{int(wrong.sum())} values such as {values[wrong][0]:g} are neither a reflectance nor a mark",
+            where=str(path), expected=f"a fraction, or {NO_VALUE:g} to 9999 where there is none",
+        )  # fmt: skip
+    return RadCalNetDay(
+        site, latitude, longitude, altitude, quantity, times, state, doubt, nm, values, uncertainty, str(path)
+    )
+
+
+class _Rows:
+    """The lines of a file, taken in order."""
+
+    def __init__(self, text: str, path: Path) -> None:
+        self.path = path
+        self.lines = [
+            (i, [w.strip() for w in line.split("\t")])
+            for i, line in enumerate(text.splitlines(), start=1)
+            if line.strip()
+        ]
+        self.next = 0
+
+    @property
+    def here(self) -> str:
+        """``file:line`` of the line that was taken last."""
+        return f"{self.path}:{self.lines[min(max(self.next - 1, 0), len(self.lines) - 1)][0]}"
+
+    def words(self, key: str, count: int | None = None) -> list[str]:
+        """What follows ``key:`` in the next line."""
+        line = self.lines[self.next][1] if self.next < len(self.lines) else ["the end of the file"]
+        self.next += 1
+        if line[0] != f"{key}:":
+            raise InputError(
+                f"{line[0][:40]!r} where {key!r} belongs", where=self.here, expected=f"{key}: and values"
+            )
+        found = [w for w in line[1:] if w]
+        if not found or (count is not None and len(found) != count):
+            wanted = "values" if count is None else f"{count} values"
+            raise InputError(f"{len(found)} values of {key}", where=self.here, expected=wanted)
+        return found
+
+    def numbers(self, key: str, count: int | None = None) -> Array:
+        """The same as numbers, NaN where there is no value."""
+        return _numbers(self.words(key, count), self.here)
+
+    def skip(self, *keys: str) -> None:
+        """Pass over lines that say nothing new."""
+        for key in keys:
+            self.words(key)
+
+    def spectra(self, count: int) -> tuple[Array, Array]:
+        """(W,) wavelengths and (count, W) values of the lines that begin with a number."""
+        at, rows = [], []
+        while self.next < len(self.lines) and not self.lines[self.next][1][0].endswith(":"):
+            words = [w for w in self.lines[self.next][1] if w]
+            self.next += 1
+            if len(words) != count + 1:
+                raise InputError(f"{len(words) - 1} values", where=self.here, expected=f"{count}, one a half hour")
+            row = _numbers(words, self.here, marks=False)
+            at.append(row[0])
+            rows.append(np.where(row[1:] >= NO_VALUE, np.nan, row[1:]))
+        nm = np.array(at)
+        if nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 300 and nm[-1] < 3000):
+            raise InputError("no increasing wavelengths in nm", where=self.here, expected="400 to 2500 nm")
+        return nm, np.array(rows).T
+
+
+def _numbers(words: Sequence[str], where: str, marks: bool = True) -> Array:
+    try:
+        found = np.array([float(w) for w in words])
+    except ValueError as error:
+        raise InputError("not a row of numbers", where=where, expected="numbers separated by tabulators") from error
+    if not np.all(np.isfinite(found)):
+        raise InputError("a number is missing", where=where, expected=f"{NO_VALUE:g} to 9999 where there is none")
+    return np.where(found >= NO_VALUE, np.nan, found) if marks else found
+
+
+def _time(year: float, day: float, clock: str, where: str) -> datetime:
+    try:
+        start = datetime.strptime(f"{int(year):04d} {clock}", "%Y %H:%M").replace(tzinfo=UTC)
+    except ValueError as error:
+        raise InputError(f"not a time: {clock!r}", where=where, expected="UTC as HH:MM") from error
+    if not 1 <= day <= 366:
+        raise InputError(f"day {day:g} of the year", where=where, expected="1 to 366")
+    return start + timedelta(days=int(day) - 1)
