@@ -19,6 +19,7 @@ from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
 _COVERAGE = 1.96
 _MOST_ROWS = 30
 _LOWEST_PFA = 1e-9
+_MOST_CURVES = 2 * style.MAX_PANELS
 
 
 def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
@@ -27,7 +28,7 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     every = both_first(predicted, measured)
     # Where anything can be compared, what only one side holds is left to products.nc.
     pairs = [key for key in every if key in predicted and key in measured]
-    pages = style.pages(_best_counted(pairs or every, measured))
+    pages = style.pages(best_counted(pairs or every, measured, _MOST_CURVES))
     drawings = []
     for number, keys in enumerate(pages, start=1):
         columns = style.column_count(len(keys))
@@ -159,9 +160,8 @@ def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None
     style.log_ticks(axes.xaxis)
 
 
-def _best_counted(keys: list[Any], measured: Mapping[Any, RocCurve]) -> list[Any]:
-    """``keys``, of too many those with the most targets (pools of targets among them) first."""
-    most = len([key for page in style.pages(keys) for key in page])
+def best_counted(keys: list[Any], measured: Mapping[Any, RocCurve], most: int) -> list[Any]:
+    """``keys``, of too many those ``most`` with the most targets (pools of targets among them)."""
     if len(keys) <= most:
         return keys
 

@@ -16,14 +16,15 @@ from markupsafe import Markup
 import hyperval
 from hyperval.metrics import Evidence, explained
 from hyperval.report import verdict as v
+from hyperval.report.charts import Chart, draw_charts, script_hashes, scripts
 from hyperval.report.matrix import LETTERS, anchor, matrix_of
 from hyperval.report.run import RunReport
 from hyperval.report.style import Drawing
 from hyperval.report.tables import row_name
 from hyperval.results import Outcome, Result
 
-MAX_BYTES = 5_000_000  # of a page; figures beyond it are linked, not embedded
-_FIGURE_BYTES = 4_200_000  # of that, for figures
+MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
+_FIGURE_BYTES = 2_100_000  # of that, for figures, charts and the script that draws these
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
 _MOST_ROWS = 60  # rows of one section that nothing was planned for
@@ -56,6 +57,7 @@ class Section:
     """One product's part of the page: its figures, what decides, what informs, and what nothing was planned for."""
 
     title: str
+    charts: list[Chart]
     figures: list[dict[str, Any]]
     gates: list[Result]
     informing: list[Result]
@@ -65,6 +67,7 @@ class Section:
 def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
     rows = list(run.table)
+    charts = draw_charts((run.prediction, run.observation), rows)
     tone, words = v.verdict(rows)
     compared = [row for row in rows if row.product not in _REASONS]
     matrices = []
@@ -85,7 +88,9 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         power_changed=run.power.changed_files(run.provenance.get("inputs", ())) if run.power else [],
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),
-        sections=_sections(run, drawings, rows),
+        sections=_sections(run, drawings, charts, rows),
+        scripts=scripts() if charts else (),
+        script_hashes=script_hashes() if charts else "",
         undone=_undone(rows),
         notes=_all_notes(run),
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
@@ -214,37 +219,48 @@ def _subject_text(text: str) -> str:
     return re.sub(r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0", text)
 
 
-def _sections(run: RunReport, drawings: Sequence[Drawing], rows: Sequence[Result]) -> list[Section]:
+def _sections(
+    run: RunReport, drawings: Sequence[Drawing], charts: Sequence[Chart], rows: Sequence[Result]
+) -> list[Section]:
     # Evidence first, then its reasons.
     order = [*_COMPARED, *(k for k in SECTIONS if k not in _COMPARED)]
     names = ["scene", *(k for k in order if k != "scene")]
     names += [p for p in dict.fromkeys(row.product for row in rows) if p not in names]
-    embedded, sections = _embedded(drawings), []
+    embedded, sections = _embedded(drawings, charts), []
     for name in names:
         figures = [
             {"drawing": d, "source": embedded.get(d.name), "from": _under_figure(run, name)}
             for d in drawings
-            if d.section == name
+            if d.section == name and not _is_chart(d, charts)
         ]
         own = [row for row in rows if row.product == name]
         made = (row for row in own if row.planned and row.outcome is not Outcome.SKIPPED)
         planned = sorted(made, key=_severity)
         section = Section(
             SECTIONS.get(name, name),
+            [chart for chart in charts if chart.section == name],
             figures,
             [row for row in planned if row.gates],
             [row for row in planned if not row.gates],
             [row for row in own if not row.planned and not row.per_band],
         )
-        if figures or planned or section.others:
+        if figures or section.charts or planned or section.others:
             sections.append(section)
     return sections
 
 
-def _embedded(drawings: Sequence[Drawing]) -> dict[str, str]:
+def _is_chart(drawing: Drawing, charts: Sequence[Chart]) -> bool:
+    """Whether a chart shows what a drawing shows."""
+    return any(re.fullmatch(rf"{re.escape(chart.prints)}(-[0-9]+)?", drawing.name) for chart in charts)
+
+
+def _embedded(drawings: Sequence[Drawing], charts: Sequence[Chart]) -> dict[str, str]:
     """Name of a figure -> its data URI, for as many as the page has room for; score maps come last."""
-    sources, room = {}, _FIGURE_BYTES
+    sources: dict[str, str] = {}
+    room = _FIGURE_BYTES - sum(len(chart.content) for chart in charts) - sum(map(len, scripts() if charts else ()))
     for drawing in sorted(drawings, key=lambda d: d.name.startswith("score-map")):
+        if _is_chart(drawing, charts):
+            continue
         source = f"data:{_MEDIA[drawing.kind]};base64,{base64.b64encode(drawing.content).decode('ascii')}"
         if len(source) <= room:
             room -= len(source)

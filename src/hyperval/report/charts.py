@@ -1,0 +1,413 @@
+"""Interactive charts of a page: spectra by subject with their difference, and ROC curves.
+
+Bokeh writes each as data in JSON; the page holds its script once, from the installed package, and needs no network.
+Figures for print are drawn by ``figures_*``.
+"""
+
+from __future__ import annotations
+
+import base64
+import functools
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from bokeh.core.types import ID
+from bokeh.embed import json_item
+from bokeh.layouts import column
+from bokeh.models import (
+    BoxSelectTool,
+    BoxZoomTool,
+    ColumnDataSource,
+    HoverTool,
+    LayoutDOM,
+    PanTool,
+    Range1d,
+    ResetTool,
+    SaveTool,
+    TabPanel,
+    Tabs,
+    WheelZoomTool,
+)  # fmt: skip
+from bokeh.models.annotations import Span
+from bokeh.plotting import figure
+
+from hyperval.products import Products, RocCurve, SpectralEstimate
+from hyperval.report import style
+from hyperval.report.figures_detection import best_counted
+from hyperval.report.figures_spectra import Sides, both_first, difference_ratio
+from hyperval.report.style import COLLECTED, PREDICTED
+from hyperval.results import Outcome, Result
+from hyperval.spectra.windows import ABSORPTION_BANDS_NM, in_window
+
+Array = npt.NDArray[np.float64]
+Column = npt.NDArray[np.float32]
+
+_COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
+MOST_SUBJECTS = 24
+MOST_CURVES = 24
+FIRST_CURVES = 3  # that are seen before a name in the legend is clicked
+_MOST_POINTS = 200
+_GREY = "#7a7f87"  # legible on white and on dark paper
+_ABSORPTION = "#9aa0a8"
+_SPECTRUM_LOOKS = {
+    "predicted": (PREDICTED.colour, "dashed"),
+    "collected": (COLLECTED.colour, "solid"),
+    "difference": (style.DIFFERENCE_COLOUR, "solid"),
+}
+_CURVE_COLOURS = ("#0072B2", "#C2410C", "#009E73", "#B4548F", "#5B3A8C", "#B58900")
+# Draws each chart of the page, and shows the subject that is chosen; no code is in the charts themselves.
+_STARTER = """
+for (const held of document.querySelectorAll("script.chart")) {
+  const chart = JSON.parse(held.textContent);
+  Bokeh.embed.embed_item(chart.item).then(() => {
+    const choice = document.querySelector(`select[data-chart="${chart.item.target_id}"]`);
+    if (choice === null) return;
+    const plots = Bokeh.documents.find((d) => d.roots().some((r) => r.id === chart.item.root_id));
+    const numbers = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+    choice.addEventListener("change", () => {
+      const { columns, ranges } = chart.subjects[choice.selectedIndex];
+      const entries = Object.entries(columns).map(([name, text]) => [name, numbers(text)]);
+      plots.get_model_by_name("spectra").data = Object.fromEntries(entries);
+      for (const [name, [start, end]] of Object.entries(ranges))
+        plots.get_model_by_name(name).setv({ start, end, reset_start: start, reset_end: end });
+    });
+  });
+}
+"""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """An interactive chart as the page holds it.
+
+    Attributes
+    ----------
+    name, section, title, alt : as of a :class:`Drawing`
+    prints : beginning of the names of the drawings that show the same
+    content : JSON that the script draws
+    subjects : those that a reader may choose among, the one that is shown at first before the others; maybe none
+    """
+
+    name: str
+    section: str
+    title: str
+    alt: str
+    prints: str
+    content: str
+    subjects: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """What the chart of spectra shows of one subject: columns over wavelength, and the limits of its plots."""
+
+    columns: dict[str, Column]
+    ranges: dict[str, tuple[float, float]]
+
+    def packed(self) -> dict[str, Any]:
+        """As the script reads it."""
+        columns = {name: base64.b64encode(c.tobytes()).decode("ascii") for name, c in self.columns.items()}
+        return {"columns": columns, "ranges": self.ranges}
+
+
+@functools.cache
+def scripts() -> tuple[str, str]:
+    """The library's script, and the one that draws the charts."""
+    library = resources.files("bokeh") / "server" / "static" / "js" / "bokeh.min.js"
+    return library.read_text("utf-8"), _STARTER
+
+
+@functools.cache
+def script_hashes() -> str:
+    """The scripts as sources of a content security policy: these texts, and no other, may run."""
+    digests = (hashlib.sha256(text.encode("utf-8")).digest() for text in scripts())
+    return " ".join(f"'sha256-{base64.b64encode(digest).decode('ascii')}'" for digest in digests)
+
+
+def draw_charts(sides: Sides, rows: Sequence[Result]) -> list[Chart]:
+    """Every chart that the products allow; subjects about which more is amiss in ``rows`` come first."""
+    charts = [spectra_chart(sides, product, rows) for product in ("radiance", "snr", "reflectance")]
+    charts.append(roc_chart(sides))
+    return [chart for chart in charts if chart is not None]
+
+
+def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = ()) -> Chart | None:
+    """Both sides of one subject at a time over wavelength, with the difference below; None without any."""
+    label, title, ratio = {
+        "radiance": ("radiance [µW cm⁻² sr⁻¹ nm⁻¹]", "Radiance at the sensor", True),
+        "reflectance": ("reflectance [1]", "Reflectance", False),
+        "snr": ("signal-to-noise ratio [1]", "Signal-to-noise ratio", True),
+    }[product]
+    predicted, collected = (_held(side, product) for side in sides)
+    every = both_first(predicted, collected)
+    pairs = [subject for subject in every if subject in predicted and subject in collected]
+    if not pairs and None not in sides:
+        return None
+    shown = _worst_first(pairs or every, product, rows)[:MOST_SUBJECTS]
+    if not shown:
+        return None
+    spectra = [subject_spectra(sides, predicted.get(name), collected.get(name), ratio=ratio) for name in shown]
+    words = "predicted and collected" if pairs else "predicted" if sides[0] is not None else "collected"
+    name = f"chart-{product}"
+    return Chart(
+        name,
+        product,
+        f"{title}: {words} (grey: absorption){style.left_out([shown], pairs or every)}",
+        f"{title} against wavelength, a subject at a time: predicted (dashed) and collected (solid) with 95 % "
+        f"intervals{', the difference below' if pairs else ''}. Subjects: {', '.join(shown)}.",
+        f"{product}-pair",
+        _content(_spectra_plots(spectra[0], label, ratio), name, [one.packed() for one in spectra]),
+        tuple(shown),
+    )
+
+
+def roc_chart(sides: Sides) -> Chart | None:
+    """P_D against P_FA, a tab for each detector and unit, a name in the legend for each subject."""
+    predicted, measured = (_held(side, "roc") for side in sides)
+    every = both_first(predicted, measured)
+    pairs = [key for key in every if key in predicted and key in measured]
+    kinds = list(dict.fromkeys(key[1:] for key in pairs or every))
+    if not kinds:
+        return None
+    tabs, shown = [], []
+    for detector, unit in kinds:
+        keys = [key for key in pairs or every if key[1:] == (detector, unit)]
+        keys = best_counted(keys, measured, MOST_CURVES // len(kinds) or 1)
+        shown.append(keys)
+        tabs.append(TabPanel(title=f"{detector}, by {unit}", child=_curves(keys, predicted, measured)))
+    names = ", ".join(dict.fromkeys(key[0] for keys in shown for key in keys))
+    return Chart(
+        "chart-roc",
+        "roc",
+        "ROC: predicted (dashed) and measured; a click on a name shows or hides it"
+        f"{style.left_out(shown, pairs or every)}",
+        f"Probability of detection against probability of false alarm (logarithmic), predicted dashed and measured "
+        f"in steps, with 95 % intervals, a tab for each detector. Subjects: {names}.",
+        "roc",
+        _content(Tabs(tabs=tabs, sizing_mode="stretch_width"), "chart-roc"),
+    )
+
+
+def _held(side: Products | None, product: str) -> Mapping[Any, Any]:
+    return {} if side is None else getattr(side, product)
+
+
+def _worst_first(subjects: Sequence[str], product: str, rows: Sequence[Result]) -> list[str]:
+    weight = {Outcome.DISAGREES: 3, Outcome.ERROR: 3, Outcome.UNDECIDED: 2, Outcome.AGREES: 1}
+    worst: dict[str, int] = {}
+    for row in rows:
+        if row.planned and row.product == product:
+            worst[row.subject] = max(worst.get(row.subject, 0), weight.get(row.outcome, 0))
+    return sorted(subjects, key=lambda subject: -worst.get(subject, 0))
+
+
+def subject_spectra(
+    sides: Sides, predicted: SpectralEstimate | None, collected: SpectralEstimate | None, *, ratio: bool
+) -> Spectra:
+    """Means with their 95 % limits, and the difference (a ratio to the collected side, or not) with its own."""
+    held = [
+        (name, side.axis, estimate)
+        for name, side, estimate in (("predicted", sides[0], predicted), ("collected", sides[1], collected))
+        if side is not None and estimate is not None
+    ]
+    axis = held[0][1]
+    w = axis.centre_nm
+    keep = in_window(w) if in_window(w).any() else np.ones(w.shape, bool)
+    bands: dict[str, tuple[Array, Array]] = {}
+    for name, own, estimate in held:
+        if own.matches(axis):
+            bands[name] = (estimate.mean, _COVERAGE * estimate.standard_uncertainty)
+    if len(bands) == 2 and predicted is not None and collected is not None:
+        if ratio:
+            value, u = difference_ratio(predicted, collected)
+        else:
+            value = predicted.mean - collected.mean
+            u = np.hypot(predicted.standard_uncertainty, collected.standard_uncertainty)
+        bands["difference"] = (value, _COVERAGE * u)
+    columns = {"nm": _column(w)}
+    for name, (value, half) in bands.items():
+        columns |= {
+            name: _column(value),
+            f"{name}_low": _column(value - half),
+            f"{name}_high": _column(value + half),
+        }
+    limits = {
+        "level": style.robust_limits(
+            [v for k, b in bands.items() if k != "difference" for v in _edges(b, keep)], zero=True
+        ),
+        "gap": style.robust_limits(_edges(bands["difference"], keep), zero=True, trim=3.0)
+        if "difference" in bands
+        else None,
+    }
+    ranges = {name: (float(pair[0]), float(pair[1])) for name, pair in limits.items() if pair is not None}
+    return Spectra(columns, ranges)
+
+
+def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array]:
+    value, half = band
+    return [(value - half)[keep], (value + half)[keep]]
+
+
+def _spectra_plots(spectra: Spectra, label: str, ratio: bool) -> Any:
+    """The plot of both sides, with that of their difference where there is one."""
+    source = ColumnDataSource(dict(spectra.columns), name="spectra")
+    starts, ends, _ = zip(*ABSORPTION_BANDS_NM, strict=True)
+    absorption = ColumnDataSource({"start": _column(np.array(starts)), "end": _column(np.array(ends))})
+    w = spectra.columns["nm"]
+    span = Range1d(start=float(w[0]), end=float(max(w[-1], w[0] + 1.0)))
+    plots = []
+    for height, range_name, axis_label, names in (
+        (300, "level", label, [name for name in ("predicted", "collected") if name in spectra.columns]),
+        (190, "gap", "difference ratio [1]" if ratio else "difference [1]", ["difference"]),
+    ):
+        if names[0] not in spectra.columns:
+            continue
+        plot = _plot(height, span, axis_label, absorption)
+        start, end = spectra.ranges.get(range_name, (0.0, 1.0))
+        plot.y_range = Range1d(start=start, end=end, name=range_name)
+        lines = []
+        for name in names:
+            colour, dash = _SPECTRUM_LOOKS[name]
+            plot.varea("nm", f"{name}_low", f"{name}_high", source=source, fill_color=colour, fill_alpha=0.2)
+            named = {} if name == "difference" else {"legend_label": name}
+            lines.append(
+                plot.line("nm", name, source=source, color=colour, line_dash=dash, line_width=1.6, **named)
+            )
+            # Bands that are chosen in one plot stand out in both: their source is one.
+            plot.scatter(
+                "nm",
+                name,
+                source=source,
+                size=5,
+                color=colour,
+                alpha=0.0,
+                selection_alpha=1.0,
+                nonselection_alpha=0.0,
+            )
+        tips = [(name, f"@{name}{{0.0000}} (@{name}_low{{0.0000}} to @{name}_high{{0.0000}})") for name in names]
+        plot.add_tools(HoverTool(tooltips=[("nm", "@nm{0.0}"), *tips], mode="vline", renderers=lines[:1]))
+        if range_name == "level":
+            _legend(plot)
+        else:
+            plot.add_layout(Span(location=0.0, dimension="width", line_color=_GREY))
+        plots.append(plot)
+    plots[-1].xaxis.axis_label = style.WAVELENGTH_LABEL
+    return column(*plots, sizing_mode="stretch_width")
+
+
+def _curves(
+    keys: Sequence[tuple[str, str, str]],
+    predicted: Mapping[Any, RocCurve],
+    measured: Mapping[Any, RocCurve],
+) -> Any:
+    """The ROC curves of one detector and unit; the first few are seen, the others when their name is clicked."""
+    curves = [c[key] for c in (predicted, measured) for key in keys if key in c]
+    lowest = min((float(c.pfa[c.pfa > 0].min()) for c in curves if (c.pfa > 0).any()), default=1e-3)
+    counted = [1.0 / c.n_background for c in measured.values() if c.n_background]
+    low = max(lowest, min(counted) / 100.0 if counted else lowest)
+    plot = _plot(420, Range1d(start=low, end=1.0), "P_D [1]", x_axis_type="log")
+    plot.y_range = Range1d(start=-0.02, end=1.04)
+    lines = []
+    plot.xaxis.axis_label = "P_FA per pixel [1]"
+    for number, key in enumerate(keys):
+        colour, seen = _CURVE_COLOURS[number % len(_CURVE_COLOURS)], number < FIRST_CURVES
+        name = style.shortened(key[0], 30)
+        for side, held, dash in (("predicted", predicted, "dashed"), ("measured", measured, "solid")):
+            if key not in held:
+                continue
+            source = ColumnDataSource(_curve_data(held[key], low))
+            common: dict[str, Any] = {"source": source, "legend_label": name, "visible": seen}
+            plot.varea("pfa", "low", "high", fill_color=colour, fill_alpha=0.12, **common)
+            drawn = plot.line if side == "predicted" else plot.step
+            more = {} if side == "predicted" else {"mode": "after"}
+            look = {"color": colour, "line_dash": dash, "line_width": 1.6, "name": f"{name}, {side}"}
+            lines.append(drawn("pfa", "pd", **look, **more, **common))
+    tips = [("", "$name"), ("P_FA", "@pfa"), ("P_D", "@pd{0.000} (@low{0.000} to @high{0.000})")]
+    plot.add_tools(HoverTool(tooltips=tips, renderers=lines, mode="mouse"))
+    if counted:
+        plot.add_layout(Span(location=min(counted), dimension="height", line_color=_GREY, line_dash="dotted"))
+    _legend(plot)
+    plot.add_layout(plot.legend[0], "right")
+    return plot
+
+
+def _curve_data(curve: RocCurve, low: float) -> dict[str, Column]:
+    """At most a few hundred points of a curve, evenly spread over the logarithm of P_FA."""
+    keep = np.flatnonzero(curve.pfa >= low)
+    if keep.size > _MOST_POINTS:
+        wanted = np.geomspace(curve.pfa[keep[0]], curve.pfa[keep[-1]], _MOST_POINTS)
+        keep = np.unique(np.clip(np.searchsorted(curve.pfa, wanted), keep[0], keep[-1]))
+    held = {"pfa": curve.pfa, "pd": curve.pd, "low": curve.pd_lower, "high": curve.pd_upper}
+    return {name: _column(values[keep]) for name, values in held.items()}
+
+
+def _plot(height: int, span: Range1d, label: str, absorption: ColumnDataSource | None = None, **more: Any) -> Any:
+    """An empty plot in the house's look, legible on white and on dark paper."""
+    plot = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        x_range=span,
+        y_axis_label=label,
+        tools=[PanTool(), BoxZoomTool(), WheelZoomTool(), ResetTool(), SaveTool()],
+        toolbar_location="above",
+        background_fill_alpha=0.0,
+        border_fill_alpha=0.0,
+        outline_line_color=None,
+        min_border_left=72,  # so that plots above each other have one wavelength axis
+        **more,
+    )
+    plot.toolbar.logo = None
+    if absorption is not None:
+        plot.add_tools(BoxSelectTool(dimensions="width"))
+        plot.vstrip("start", "end", source=absorption, fill_color=_ABSORPTION, fill_alpha=0.22, line_alpha=0.0)
+    for axis in (*plot.xaxis, *plot.yaxis):
+        axis.axis_label_text_color = axis.major_label_text_color = axis.axis_line_color = _GREY
+        axis.major_tick_line_color = axis.minor_tick_line_color = _GREY
+        axis.axis_label_text_font_style = "normal"
+    plot.grid.grid_line_alpha = 0.4
+    return plot
+
+
+def _legend(plot: Any) -> None:
+    plot.legend.click_policy = "hide"
+    plot.legend.background_fill_alpha = 0.0
+    plot.legend.border_line_alpha = 0.0
+    plot.legend.label_text_color = _GREY
+
+
+def _column(values: Array) -> Column:
+    return np.asarray(values, dtype=np.float32)
+
+
+def _content(model: LayoutDOM, target: str, subjects: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The JSON of a chart, its models numbered as they stand in it: the same run gives the same bytes."""
+    item: Any = json_item(model, ID(target))
+    numbers: dict[str, str] = {}
+
+    def named(value: Any) -> None:
+        if isinstance(value, dict):
+            if isinstance(value.get("id"), str):
+                numbers.setdefault(value["id"], f"c{len(numbers)}")
+            for part in value.values():
+                named(part)
+        elif isinstance(value, list):
+            for part in value:
+                named(part)
+
+    def renamed(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: renamed(part) for key, part in value.items()}
+        if isinstance(value, list):
+            return [renamed(part) for part in value]
+        return numbers.get(value, value) if isinstance(value, str) else value
+
+    named(item["doc"])
+    held = {"item": renamed(item), "subjects": subjects}
+    # "<" cannot end the script that holds it.
+    return json.dumps(held, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")

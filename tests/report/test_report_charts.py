@@ -1,0 +1,122 @@
+"""Charts hold the numbers of the products, and the same run gives the same bytes."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import gzip
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from synthetic_run import make_run
+
+from hyperval.products import RocCurve
+from hyperval.report.charts import FIRST_CURVES, MOST_SUBJECTS, draw_charts, roc_chart, spectra_chart
+from hyperval.report.figures_spectra import difference_ratio
+from hyperval.results import Outcome, Result, Role
+
+
+def models(content: str, kind: str) -> list[dict[str, Any]]:
+    """Attributes of every model of a kind, in the order of the chart."""
+    found: list[dict[str, Any]] = []
+
+    def walk(value: Any) -> None:
+        if isinstance(value, dict):
+            if value.get("name") == kind and "attributes" in value:
+                found.append(value["attributes"])
+            for part in value.values():
+                walk(part)
+        elif isinstance(value, list):
+            for part in value:
+                walk(part)
+
+    walk(json.loads(content))
+    return found
+
+
+def columns(attributes: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The columns of a source."""
+    entries = dict(attributes["data"]["entries"])
+    packed = {k: base64.b64decode(v["array"]["data"]) for k, v in entries.items()}
+    return {k: np.frombuffer(gzip.decompress(raw), entries[k]["dtype"]) for k, raw in packed.items()}
+
+
+def source(content: str, *names: str) -> dict[str, np.ndarray]:
+    """The columns of the first source that has all of these."""
+    held = map(columns, models(content, "ColumnDataSource"))
+    return next(h for h in held if set(names) <= set(h))
+
+
+@pytest.fixture(scope="module")
+def run():
+    return make_run(subjects=("grass", "lawn"), curves=5, bands=24)
+
+
+def test_spectra_hold_both_sides_and_their_difference(run):
+    chart = spectra_chart((run.prediction, run.observation), "radiance")
+    assert chart.subjects == ("grass", "lawn")
+    held = source(chart.content, "predicted")
+    packed = json.loads(chart.content)["subjects"]
+    assert [list(one["ranges"]) for one in packed] == [["level", "gap"]] * 2
+    for name, column in held.items():
+        np.testing.assert_array_equal(np.frombuffer(base64.b64decode(packed[0]["columns"][name]), "<f4"), column)
+    other = np.frombuffer(base64.b64decode(packed[1]["columns"]["collected"]), "<f4")
+    np.testing.assert_allclose(other, run.observation.radiance["lawn"].mean, rtol=1e-6)
+    predicted, collected = run.prediction.radiance["grass"], run.observation.radiance["grass"]
+    np.testing.assert_allclose(held["nm"], run.prediction.axis.centre_nm, rtol=1e-6)
+    np.testing.assert_allclose(held["predicted"], predicted.mean, rtol=1e-6)
+    np.testing.assert_allclose(held["collected"], collected.mean, rtol=1e-6)
+    value, u = difference_ratio(predicted, collected)
+    np.testing.assert_allclose(held["difference"], value, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(held["difference_high"] - held["difference_low"], 2 * 1.96 * u, rtol=1e-4)
+
+
+def test_the_same_run_gives_the_same_bytes_whatever_was_drawn_before(run):
+    sides = (run.prediction, run.observation)
+    first = [chart.content for chart in draw_charts(sides, [])]
+    assert [chart.content for chart in draw_charts(sides, [])] == first
+    assert all(len(content) > 1000 for content in first)
+
+
+def test_the_subject_that_disagrees_stands_first_and_their_number_is_bounded(run):
+    row = Result("r", "radiance", "lawn", "m", "p_value_full", 0.0, role=Role.GATE, outcome=Outcome.DISAGREES)
+    chart = spectra_chart((run.prediction, run.observation), "radiance", [row])
+    assert chart.subjects == ("lawn", "grass")
+    many = make_run(bands=6, subjects=[f"s{i}" for i in range(30)], curves=0, shape=(4, 4))
+    chart = spectra_chart((many.prediction, many.observation), "snr")
+    assert len(chart.subjects) == len(json.loads(chart.content)["subjects"]) == MOST_SUBJECTS
+    assert chart.title.endswith("; 24 of 30 are drawn, all are in products.nc")
+
+
+def test_one_side_alone_has_its_spectra_and_no_difference(run):
+    chart = spectra_chart((run.prediction, None), "reflectance")
+    held = source(chart.content, "predicted")
+    assert "predicted" in held
+    assert "difference" not in held
+    assert spectra_chart((run.prediction, dataclasses.replace(run.observation, snr={})), "snr") is None
+
+
+def test_curves_beyond_the_first_wait_for_a_click_and_keep_their_points(run):
+    predicted, measured = (
+        dataclasses.replace(
+            side, roc={(f"target {i}", "cem", "pixel"): next(iter(side.roc.values())) for i in range(5)}
+        )
+        for side in (run.prediction, run.observation)
+    )
+    chart = roc_chart((predicted, measured))
+    seen = [line.get("visible", True) for line in models(chart.content, "GlyphRenderer")]
+    per_curve = 4  # the interval and the line of each side
+    assert sum(seen) == FIRST_CURVES * per_curve < len(seen)
+    assert all(plot["click_policy"] == "hide" for plot in models(chart.content, "Legend"))
+
+
+def test_long_curves_are_thinned_from_end_to_end(run):
+    pfa = np.geomspace(1e-6, 1.0, 50_000)
+    curve = RocCurve(pfa, *(np.sqrt(pfa),) * 3, pfa)
+    one = dataclasses.replace(run.prediction, roc={("grass", "cem", "pixel"): curve})
+    held = source(roc_chart((one, None)).content, "pfa")
+    assert held["pfa"].size <= 200
+    np.testing.assert_allclose(held["pfa"][[0, -1]], [1e-6, 1.0], rtol=1e-3)
+    np.testing.assert_allclose(held["pd"], np.sqrt(held["pfa"]), rtol=1e-5)
