@@ -138,7 +138,7 @@ def filled_in(folder: Path) -> Path:
 
 def collected(data: Path) -> None:
     """One flight line under the names of the README: cube, regions, planks, field spectra."""
-    scene = scene_data() | {"sensor": "prospectir-vs", "name": "avon"}
+    scene = scene_data() | {"sensor": "prospectir-vs-2012", "name": "avon"}
     scene["regions"] = [
         {"name": "grass-field", "surface": "grass"},
         {"name": "asphalt-court", "surface": "asphalt"},
@@ -150,7 +150,7 @@ def collected(data: Path) -> None:
         {**planks, "name": "green-planks", "material": "green-paint-plank", "host": "grass", "fill": 0.12,
          "area": {"lines": [14, 36], "samples": [0, 72]}},
     ]  # fmt: skip
-    sensor = sensor_numbers("prospectir-vs")
+    sensor = sensor_numbers("prospectir-vs-2012")
     made = SceneFile.model_validate(scene)
     terms = stand_in_atmosphere(made.atmosphere).at_bands(sensor.axis)
     classes = {name: builtin_class(name, sensor.axis) for name in made.materials()}

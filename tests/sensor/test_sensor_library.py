@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyperval.envi_header import read_header
 from hyperval.errors import InputError, UsageError
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import Sensor, SensorSpecification, library_names, load_sensor
@@ -72,6 +73,28 @@ def test_prospectir_against_the_header_table(data_dir):
     assert axis.centre_nm == pytest.approx(rows[:, 1] * 1000, abs=1e-6)
     assert axis.fwhm_nm == pytest.approx(rows[:, 2] * 1000, abs=1e-3)
     assert np.array_equal(axis.good, rows[:, 3] > 0)
+
+
+@pytest.mark.data
+def test_prospectir_of_2012_against_the_header_of_avon(data_dir):
+    header = read_header(data_dir("share2012-felt/images/avon_reflectance.hdr"))
+    axis = load_sensor("prospectir-vs-2012").axis
+    centre, width = header.numbers("wavelength"), header.numbers("fwhm")
+    assert centre is not None
+    assert width is not None
+    assert len(axis) == 360
+    assert axis.centre_nm[axis.good] == pytest.approx(centre * 1000, abs=1e-6)
+    assert axis.fwhm_nm[axis.good] == pytest.approx(width * 1000, abs=1e-6)
+
+
+def test_the_detectors_of_prospectir_are_told_by_width():
+    """Narrow bands have the VNIR's noise in both sets, those of 939 to 985 nm in the set of 2012 too."""
+    for name, narrow, last in (("prospectir-vs", 117, 935.78), ("prospectir-vs-2012", 126, 985.4)):
+        sensor = load_sensor(name)
+        vnir = sensor.axis.fwhm_nm < 5.5
+        assert vnir.sum() == narrow
+        assert sensor.axis.centre_nm[vnir].max() == last
+        assert np.array_equal(sensor.noise().fixed_noise == 60.0, vnir)
 
 
 def test_electrons_scale_with_the_width_of_another_axis():
