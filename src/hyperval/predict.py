@@ -297,7 +297,7 @@ def _propagated(
     bands = None if shifts else case.setup.used.true_axis
     u = scenario.uncertainty
     found = propagate(
-        scenario, stated, inputs, lambda d, stand_in: next(again([d], stand_in)), samples=u.samples, seed=u.seed,
+        scenario, stated, inputs, again, samples=u.samples, seed=u.seed,
         engine=lambda state: origins.whole_terms(scenario, state), axis=bands,
         show_progress=origins.show_progress,
     )  # fmt: skip

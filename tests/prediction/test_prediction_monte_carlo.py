@@ -10,7 +10,8 @@ from hyperval.prediction.budget import drawn_covariance, given_of, inputs_of
 from hyperval.prediction.departure import true_scenario
 from hyperval.prediction.emulator import emulator
 from hyperval.prediction.propagation import auc_of, quantities, tolerance
-from hyperval.scenario import Scenario
+from hyperval.processing.roc_reading import detection_at
+from hyperval.scenario import FalseAlarmGrid, Scenario
 from hyperval.scenario_uncertainty import Uncertainty
 
 KEY = ("tenth", "cem", "pixel")
@@ -27,6 +28,11 @@ uncertainty:
 
 def with_method(method: str, text: str = SMALL) -> Scenario:
     return scenario(ATMOSPHERE + text.replace("method: both", f"method: {method}"))
+
+
+def on_grid(s: Scenario, **numbers: float) -> Scenario:
+    processing = s.processing.model_copy(update={"false_alarm_grid": FalseAlarmGrid(**numbers)})
+    return s.model_copy(update={"processing": processing})
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +68,27 @@ def test_the_budget_that_predict_adds_up_is_that_of_a_prediction_for_every_direc
         np.testing.assert_allclose(
             getattr(stated, p)[n].standard_uncertainty, np.sqrt(variance), rtol=2e-3, atol=1e-9, err_msg=f"{p} {n}"
         )
+
+
+def test_pd_is_compared_at_the_false_alarms_named_also_between_the_points_of_a_curve():
+    """On a grid without points at 1e-2 and 1e-3 the nearest ones are a fifth and more away from them."""
+    fine = with_method("both", SMALL.replace("samples: 300", "samples: 40"))
+    coarse, fine = run(on_grid(fine, lowest=2e-5, per_decade=2)), run(fine)
+    grid = coarse.roc[KEY].pfa
+    assert np.abs(np.log(grid / 1e-2)).min() > 0.1
+    p_d = quantities(coarse)["P_D", *KEY]
+    np.testing.assert_array_equal(p_d, detection_at(coarse.roc[KEY], [1e-2, 1e-3]))
+    tables = [{(*a["key"], a["at"]): a for a in p.provenance["propagation"]["agreements"]} for p in (coarse, fine)]
+    for at in (1e-2, 1e-3):
+        one, other = (t["P_D", *KEY, at] for t in tables)
+        assert one["linear_sd"] == pytest.approx(other["linear_sd"], rel=0.01)
+        assert one["drawn_sd"] == pytest.approx(other["drawn_sd"], rel=0.01)
+
+
+def test_pd_where_no_curve_reaches_is_not_compared():
+    few = on_grid(with_method("both", SMALL.replace("samples: 300", "samples: 40")), lowest=5e-3)
+    table = run(few).provenance["propagation"]["agreements"]
+    assert {row["at"] for row in table if row["key"][0] == "P_D"} == {1e-2}
 
 
 def test_the_same_seed_gives_the_same_and_another_one_not():

@@ -4,17 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure
 from hyperval.prediction.designs import drawn_truths
 from hyperval.prediction.emulator import Emulator, emulator
 from hyperval.prediction.input import Input
-from hyperval.prediction.propagation import SPECTRA, Agreement, Draws, Linear, agreement, draw_products, linearise
+from hyperval.prediction.propagation import (
+    FALSE_ALARMS,
+    SPECTRA,
+    Agreement,
+    Draws,
+    Linear,
+    agreement,
+    draw_products,
+    limits,
+    linearise,
+)
 from hyperval.products import Prediction, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario
@@ -22,9 +32,7 @@ from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
-Again = Callable[[Departure, Engine | None], Prediction]
-
-FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
+Again = Callable[..., Iterator[Prediction]]  # of departed truths, under ``stand_in`` as the engine
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,7 @@ def propagate(
     Parameters
     ----------
     stated : the prediction without a departure
-    again : the prediction, without a budget, of a departed truth under an engine
+    again : predictions, without a budget, of departed truths under an engine
     engine, axis : of the atmosphere; bands on which its terms are interpolated, None for the engine's own sampling
 
     Raises
@@ -72,27 +80,17 @@ def propagate(
         raise UsageError(f"{samples} draws have no 95 % interval", expected="40 or more")
     stand_in = emulator(scenario, inputs, engine, axis) if engine is not None and scenario.atmosphere else None
 
-    def predicted(d: Departure) -> Prediction:
-        return again(d, stand_in)
-
-    truths = drawn_truths(inputs, samples, seed)
-
-    def drawn() -> Iterator[Prediction]:
-        for d in track(truths, "draws of the budget", show=show_progress):
-            yield predicted(d)
-
-    draws = draw_products(drawn(), seed)
-    linear = linearise(stated, inputs, predicted)
-    found = []
-    for key in linear.stated:
+    predicted = partial(again, stand_in=stand_in)
+    truths = track(drawn_truths(inputs, samples, seed), "draws of the budget", show=show_progress)
+    draws, linear = draw_products(predicted(truths), seed), linearise(stated, inputs, predicted)
+    rows = []
+    for key, values in linear.stated.items():
         if key[0] != "P_D":
-            found.append(agreement(key, linear, draws))
+            rows.append(agreement(key, linear, draws))
             continue
-        curve = stated.roc[key[1], key[2], key[3]]
-        for pfa in FALSE_ALARMS:
-            index = int(np.argmin(np.abs(np.log(curve.pfa) - np.log(pfa))))
-            found.append(agreement(key, linear, draws, index, pfa))
-    return Propagated(linear, draws, tuple(found), stand_in)
+        inside = [i for i, pd in enumerate(values) if np.isfinite(pd)]  # a curve may begin above
+        rows += [agreement(key, linear, draws, i, FALSE_ALARMS[i]) for i in inside]
+    return Propagated(linear, draws, tuple(rows), stand_in)
 
 
 def with_intervals(stated: Prediction, found: Propagated, method: str) -> Prediction:
@@ -108,7 +106,7 @@ def with_intervals(stated: Prediction, found: Propagated, method: str) -> Predic
     for key, curve in stated.roc.items():
         name = ("P_D", *key)
         if method == "monte-carlo" or name in differs:
-            roc[key] = _drawn_curve(curve, found.draws.interval(name))
+            roc[key] = _drawn_curve(curve, limits(found.draws.curves[key]))
     notes = [_words(found)]
     if method == "both" and differs:
         which = ", ".join(sorted({" ".join(k[1:]) for k in differs}))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +12,14 @@ from scipy.special import ndtr, ndtri
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.designs import one_at_a_time
 from hyperval.prediction.input import Input
+from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction, RocCurve
 
 Array = npt.NDArray[np.float64]
 Key = tuple[str, ...]
 Z95 = 1.959963984540054
 
+FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
 SPECTRA = ("radiance", "reflectance", "snr", "toa_reflectance")
 PROBABILITIES = ("P_D", "AUC")
 # Directions of one input that the linearisation follows, the leading ones.
@@ -32,7 +34,7 @@ def auc_of(curve: RocCurve) -> float:
 
 
 def quantities(p: Prediction) -> dict[Key, Array]:
-    """(product, subject, ...) -> (n,) numbers: bands of spectra, points of a ROC, one for scores and areas."""
+    """(product, subject, ...) -> (n,) numbers: bands of spectra, P_D at each of FALSE_ALARMS, scores and areas."""
     out: dict[Key, Array] = {}
     for product in SPECTRA:
         for subject, estimate in getattr(p, product).items():
@@ -41,7 +43,7 @@ def quantities(p: Prediction) -> dict[Key, Array]:
         out["score mean", subject, detector] = np.array([score.mean])
         out["score sd", subject, detector] = np.array([score.sd])
     for (subject, detector, unit), curve in p.roc.items():
-        out["P_D", subject, detector, unit] = curve.pd
+        out["P_D", subject, detector, unit] = detection_at(curve, FALSE_ALARMS)
         out["AUC", subject, detector, unit] = np.array([auc_of(curve)])
     return out
 
@@ -58,9 +60,15 @@ def unscaled(key: Key, values: Array) -> Array:
 
 @dataclass(frozen=True)
 class Draws:
-    """Products of N truths drawn from the budget: key -> (N, n)."""
+    """Products of N truths drawn from the budget.
+
+    Attributes
+    ----------
+    values : key -> (N, n);  curves : (subject, detector, unit) -> (N, K) P_D of whole curves
+    """
 
     values: Mapping[Key, Array]
+    curves: Mapping[Key, Array]
     samples: int
     seed: int
 
@@ -69,20 +77,29 @@ class Draws:
         return np.asarray(self.values[key].std(axis=0, ddof=1))
 
     def interval(self, key: Key) -> tuple[Array, Array]:
-        """(n,) limits of the 95 % interval, probabilistically symmetric (JCGM 101:2008, 7.7.2)."""
-        low, high = np.quantile(self.values[key], [0.025, 0.975], axis=0)
-        return low, high
+        """(n,) limits of the 95 % interval."""
+        return limits(self.values[key])
+
+
+def limits(draws: Array) -> tuple[Array, Array]:
+    """(n,) limits of the 95 % interval of draws (N, n), probabilistically symmetric (JCGM 101:2008, 7.7.2)."""
+    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
+    return low, high
 
 
 def draw_products(predictions: Iterable[Prediction], seed: int) -> Draws:
     """Products of predictions of drawn truths."""
-    found: dict[Key, list[Array]] = {}
+    values: dict[Key, list[Array]] = {}
+    curves: dict[Key, list[Array]] = {}
     count = 0
     for p in predictions:
         count += 1
-        for key, values in quantities(p).items():
-            found.setdefault(key, []).append(values)
-    return Draws({k: np.stack(v) for k, v in found.items()}, count, seed)
+        for key, numbers in quantities(p).items():
+            values.setdefault(key, []).append(numbers)
+        for name, curve in p.roc.items():
+            curves.setdefault(name, []).append(curve.pd)
+    whole, lines = ({k: np.stack(v) for k, v in each.items()} for each in (values, curves))
+    return Draws(whole, lines, count, seed)
 
 
 @dataclass(frozen=True)
@@ -103,20 +120,23 @@ class Linear:
         return unscaled(key, centre - half), unscaled(key, centre + half)
 
 
-def linearise(stated: Prediction, inputs: Sequence[Input], predicted: Callable[[Departure], Prediction]) -> Linear:
+def linearise(
+    stated: Prediction, inputs: Sequence[Input], predicted: Callable[[Iterable[Departure]], Iterator[Prediction]]
+) -> Linear:
     """Linearised propagation of all products (JCGM 100:2008, 5.1).
 
     Spectra have it in ``stated``, with every direction of every input.  For scores and curves it is made of central
     differences over one standard uncertainty along each direction, the leading 40 of an input that has more.
     """
-    base = quantities(predicted(Departure()))
+    base = quantities(next(predicted([Departure()])))
     variance = {key: np.zeros(values.shape) for key, values in base.items()}
-    by_steps = any(key[0] not in SPECTRA for key in variance)
-    for step in one_at_a_time(inputs, MOST_DIRECTIONS) if by_steps else ():
-        up, down = (quantities(predicted(truth)) for truth in step.truths)
-        for key, total in variance.items():
-            if key[0] not in SPECTRA:
-                total += (0.5 * (scaled(key, up[key]) - scaled(key, down[key]))) ** 2
+    if any(key[0] not in SPECTRA for key in variance):
+        steps = one_at_a_time(inputs, MOST_DIRECTIONS)
+        moved = (quantities(p) for p in predicted(truth for step in steps for truth in step.truths))
+        for up, down in zip(moved, moved, strict=True):
+            for key, total in variance.items():
+                if key[0] not in SPECTRA:
+                    total += (0.5 * (scaled(key, up[key]) - scaled(key, down[key]))) ** 2
     for product in SPECTRA:
         for subject, estimate in getattr(stated, product).items():
             variance[product, subject] = estimate.standard_uncertainty**2
