@@ -31,7 +31,7 @@ def terms_in_memory(
     Engines are deterministic: the same engine, state, place of its files and bands give the same terms.
     """
     key = (
-        engine, state.model_dump_json(), str(cache_dir), *(os.environ.get(name) for name in _ENVIRONMENT),
+        engine, state, cache_dir, *(os.environ.get(name) for name in _ENVIRONMENT),
         axis.centre_nm.tobytes(), axis.fwhm_nm.tobytes(),
     )  # fmt: skip
     terms = _KEPT.get(key)

@@ -110,13 +110,12 @@ def transported(table: AtmosphericTable, near: AtmosphericState, other: TermsOf)
     # The other engine ends at 340 and 2600 nm; no band of a sensor needs the outermost channels.
     inner = (table.wavelength_nm - width >= 342.0) & (table.wavelength_nm + width <= 2598.0)
     channels = SpectralAxis(table.wavelength_nm[inner], width[inner])
-    seen: dict[str, AtmosphericTerms] = {}
+    seen: dict[AtmosphericState, AtmosphericTerms] = {}
 
     def other_at(state: AtmosphericState) -> AtmosphericTerms:
-        key = state.model_dump_json()
-        if key not in seen:
-            seen[key] = other(state).at_bands(channels)
-        return seen[key]
+        if state not in seen:
+            seen[state] = other(state).at_bands(channels)
+        return seen[state]
 
     nodes = list(itertools.product(*table.axes.values()))
     own, ratios = table.terms(near), []

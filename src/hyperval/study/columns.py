@@ -61,7 +61,7 @@ class Stage:
         return {}
 
     @cached_property
-    def _noises(self) -> dict[str, NoiseModel]:
+    def _noises(self) -> dict[tuple[Any, ...], NoiseModel]:
         return {}
 
     def ground(self, fractions: Array) -> Ground:
@@ -87,24 +87,20 @@ class Stage:
         if operation:
             stated = run.model_dump(exclude_unset=True) if run else {}
             run = SensorOperation.model_validate({**stated, **operation})
-        found = self._noise_as_run(run)
-        differ = scenario.sensor_changes
+        key = tuple(sorted(operation.items()))
+        if key not in self._noises:
+            sensor = self.setup.used.sensor
+            assert sensor is not None  # noqa: S101 - asked for with an atmosphere alone
+            if len(self._noises) > 64:
+                self._noises.clear()
+            self._noises[key] = sensor.noise(None, run)
+        found, differ = self._noises[key], scenario.sensor_changes
         if changes:
             stated = differ.model_dump(exclude_unset=True) if differ else {}
             differ = SensorChanges.model_validate({**stated, **changes})
         if differ is not None:
             found = changed_noise(found, differ)
         return binned_noise(found, run.spectral_binning) if run and run.spectral_binning > 1 else found
-
-    def _noise_as_run(self, run: SensorOperation | None) -> NoiseModel:
-        sensor = self.setup.used.sensor
-        assert sensor is not None  # noqa: S101 - asked for with an atmosphere alone
-        key = run.model_dump_json() if run else ""
-        if key not in self._noises:
-            if len(self._noises) > 64:
-                self._noises.clear()
-            self._noises[key] = sensor.noise(None, run)
-        return self._noises[key]
 
 
 def stage_of(scenario: Scenario) -> Stage:
