@@ -10,7 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.prediction.replicates import ReplicateStatistics, in_bands, replicate_statistics
+from hyperval.prediction.replicates import (
+    ReplicateStatistics,
+    covariance_in_bands,
+    in_bands,
+    replicate_statistics,
+)
 from hyperval.scenario import BackgroundClass, CovarianceSource, SpectrumSource, Surface
 from hyperval.scenario_sources import Replicates
 from hyperval.scene.builtin import builtin_class
@@ -149,7 +154,10 @@ class Sources:
         if read.standard_deviation is not None:
             spread = in_bands(read.wavelength_nm, read.standard_deviation, self.axis, self.nominal)
         zero = np.zeros((len(self.axis), len(self.axis)))
-        return SurfaceStatistics(name, mean, zero, str(source.file), None, spread, read.n)
+        errors = None
+        if read.errors is not None:  # as the file states them; an entry of the scenario's stands in their place
+            errors = covariance_in_bands(read.wavelength_nm, read.errors.covariance(), self.axis)
+        return SurfaceStatistics(name, mean, zero, str(source.file), None, spread, read.n, errors)
 
     def _measured(self, region: str, name: str) -> ClassStatistics:
         if region not in self.measured:

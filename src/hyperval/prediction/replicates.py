@@ -153,5 +153,13 @@ def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: S
     return band_average(wavelength_nm[known], values[known], axis, outside="nan")
 
 
+def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralAxis) -> Array:
+    """(B, B) error covariance of band averages from that of samples (n, n); 0 in bands they do not cover."""
+    if _are_centres(wavelength_nm, axis):
+        return covariance
+    weights = np.nan_to_num(band_average(wavelength_nm, np.eye(wavelength_nm.size), axis, outside="nan"))
+    return np.asarray(weights.T @ covariance @ weights)
+
+
 def _are_centres(wavelength_nm: Array, axis: SpectralAxis) -> bool:
     return wavelength_nm.size == len(axis) and bool(np.all(np.abs(wavelength_nm - axis.centre_nm) <= SAME_BAND_NM))

@@ -14,6 +14,7 @@ from typing import Any
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.paths import checked_file
 from hyperval.spectra import (
+    hypernets,
     radcalnet,
     readers_asd,
     readers_instruments,
@@ -169,6 +170,8 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | Non
         return readers_library.library_records(path, None, root)
     if head.startswith(b"/*** Spectra Vista"):
         return [readers_instruments.svc_record(decoded(raw), path, quantity)]
+    if hypernets.is_hypernets(raw):
+        return hypernets.hypernets_records(path)
     if radcalnet.is_radcalnet(head):
         return radcalnet.radcalnet_records(decoded(raw), path)
     if b"Instrument:" in head and b"Columns [" in head:
@@ -183,7 +186,7 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | Non
         raise InputError(
             "a binary file of unknown format",
             where=str(path),
-            expected="text, ENVI spectral library with its header, ASD, SVC .sig or Spectral Evolution .sed",
+            expected="text, ENVI spectral library with its header, ASD, SVC .sig, .sed or HYPERNETS",
         )
     text = decoded(raw)
     if columns is None and readers_rows.is_row_table(text):

@@ -29,6 +29,34 @@ MAX_JOINS = 4  # backward jumps of the wavelength: more is not a set of detector
 
 
 @dataclass(frozen=True, eq=False)
+class SpectrumErrors:
+    """Errors of a spectrum by kind, as its file states them.
+
+    Attributes
+    ----------
+    random : (n,) standard uncertainty of what differs from channel to channel
+    systematic : (n,) standard uncertainty of what is correlated between channels
+    correlation : (n, n) of the systematic part; not to be written to, as spectra of a file share it
+    """
+
+    random: Array
+    systematic: Array
+    correlation: Array
+
+    def covariance(self) -> Array:
+        """(n, n) D_r^2 + D_s R D_s."""
+        return np.diag(self.random**2) + np.outer(self.systematic, self.systematic) * self.correlation
+
+    def at(self, index: npt.NDArray[np.intp]) -> SpectrumErrors:
+        """Of some channels."""
+        return SpectrumErrors(self.random[index], self.systematic[index], self.correlation[np.ix_(index, index)])
+
+    def times(self, factor: float) -> SpectrumErrors:
+        """In another unit."""
+        return SpectrumErrors(self.random * factor, self.systematic * factor, self.correlation)
+
+
+@dataclass(frozen=True, eq=False)
 class FieldSpectrum:
     """One spectrum with what the file says of its spread.
 
@@ -43,6 +71,7 @@ class FieldSpectrum:
     source : the file
     quantity : "reflectance", "radiance", "irradiance" or "other"
     notes : what was converted, cut or left out
+    errors : by kind, where the file states them; None otherwise
     """
 
     name: str
@@ -53,6 +82,7 @@ class FieldSpectrum:
     source: str
     quantity: str = "reflectance"
     notes: tuple[str, ...] = ()
+    errors: SpectrumErrors | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +104,7 @@ class Record:
     notes: tuple[str, ...] = ()
     unit: str | None = None
     doubt: str | None = None
+    errors: SpectrumErrors | None = None
 
 
 def reflectance_factor(unit: str) -> float:
@@ -129,6 +160,7 @@ def finished(
         record.where,
         quantity,
         notes,
+        None if record.errors is None else record.errors.times(factor),
     )
 
 
@@ -234,6 +266,7 @@ def mean_of(records: list[Record]) -> Record:
         values=values.mean(axis=0),
         standard_deviation=values.std(axis=0, ddof=1),
         n=len(records),
+        errors=None,
     )
 
 
@@ -293,4 +326,5 @@ def _kept(record: Record, index: npt.NDArray[np.intp], note: str) -> Record:
         values=record.values[index],
         standard_deviation=None if spread is None else spread[index],
         notes=(*record.notes, note),
+        errors=None if record.errors is None else record.errors.at(index),
     )
