@@ -106,7 +106,7 @@ class FileCheck:
 
     path: str
     state: Literal["ok", "missing", "differs"]
-    found: Path | None
+    place: Path | None
 
 
 class _SetEntry(Model):

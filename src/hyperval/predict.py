@@ -157,11 +157,11 @@ def _alike(cases: Sequence[Case]) -> Iterator[list[Case]]:
 
 
 def _same_task(a: Setup, b: Setup) -> bool:
-    if a.looked_for is b.looked_for and a.used is b.used:
+    if a.signatures is b.signatures and a.used is b.used:
         return True
     same = a.scenario.processing == b.scenario.processing and a.scenario.formulation == b.scenario.formulation
     same = same and list(a.surfaces) == list(b.surfaces) and len(a.used.axis) == len(b.used.axis)
-    return same and all(np.array_equal(v, b.looked_for[n], equal_nan=True) for n, v in a.looked_for.items())
+    return same and all(np.array_equal(v, b.signatures[n], equal_nan=True) for n, v in a.signatures.items())
 
 
 def spectrum_errors(setup: Setup) -> dict[str, Array]:

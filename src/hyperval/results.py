@@ -103,9 +103,9 @@ class Result:
     reason: str = ""
 
     def __post_init__(self) -> None:
-        found = metric_of(self.metric)
+        metric = metric_of(self.metric)
         if self.evidence is None:
-            object.__setattr__(self, "evidence", found.evidence)
+            object.__setattr__(self, "evidence", metric.evidence)
 
     @property
     def gates(self) -> bool:

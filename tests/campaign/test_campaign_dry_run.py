@@ -14,7 +14,7 @@ from hyperval.campaign.dry_run import dry_run, summary
 from hyperval.campaign.one import jobs_of, run_campaign
 from hyperval.campaign.run import validate
 from hyperval.campaign.schema import load_campaign, load_campaigns
-from hyperval.campaign.template import campaign_runs, filled
+from hyperval.campaign.template import campaign_runs, with_words
 from hyperval.config import load_yaml, placeholders
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.envi_write import write_cube
@@ -177,7 +177,7 @@ def test_a_filled_in_campaign_whose_cube_is_missing_is_skipped(places, tmp_path)
 
 def test_the_words_of_a_run_reach_the_campaign_and_no_other_braces(tmp_path):
     data = {"name": "x-{line}", "group": "{name} {side_m}", "list": ["{line}{line}"], "n": 1}
-    assert filled(data, {"line": "7"}) == {"name": "x-7", "group": "{name} {side_m}", "list": ["77"], "n": 1}
+    assert with_words(data, {"line": "7"}) == {"name": "x-7", "group": "{name} {side_m}", "list": ["77"], "n": 1}
     path = complete_run(tmp_path)
     first, second = load_campaigns(path)
     assert (first.name, second.name) == ("line-0920-1631", "line-0920-1638")

@@ -118,10 +118,10 @@ def test_target_pixels_in_the_covariance_spoil_the_filter():
     background = rng.normal(size=(n, bands)) * 0.01 + 0.2
     true = 0.2 + 0.05 * np.sin(np.arange(bands) / 5)
     planted = np.vstack([background, true + rng.normal(size=(n // 20, bands)) * 0.01])
-    looked_for = true + 0.04 * 0.25 * np.cos(np.arange(bands) / 3)
+    signatures = true + 0.04 * 0.25 * np.cos(np.arange(bands) / 3)
 
     def separation(sample):
-        w = pixel_detector("smf", looked_for, sample.mean(axis=0), np.cov(sample.T))
+        w = pixel_detector("smf", signatures, sample.mean(axis=0), np.cov(sample.T))
         noise = w.score(background)
         return (w.score(true) - noise.mean()) / noise.std()
 

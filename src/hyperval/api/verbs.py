@@ -78,8 +78,8 @@ def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) ->
     ------
     InputError, UsageError : of the campaign; MissingDataError where its data are not at hand.
     """
-    with collected(_job(campaign, compares=False), show_progress=show_progress) as found:
-        return _side(Observation, found.observed.observation)
+    with collected(_job(campaign, compares=False), show_progress=show_progress) as collection:
+        return _side(Observation, collection.observed.observation)
 
 
 def compare(
@@ -172,8 +172,8 @@ def check(
     """
     files = [campaigns] if isinstance(campaigns, Path | str) else list(campaigns)
     names = [sensors] if isinstance(sensors, str) else list(sensors)
-    found = check_numbers([Path(f) for f in files], names, baselines=Path(baselines), show_progress=show_progress)
-    return Results(found.table)
+    outcome = check_numbers([Path(f) for f in files], names, baselines=Path(baselines), show_progress=show_progress)
+    return Results(outcome.table)
 
 
 def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress: bool | None = None) -> Collection:

@@ -301,11 +301,11 @@ def _gas(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | 
 
     def compute() -> Arrays:
         outputs = _run_all(list(decks.values()), folder, "6S gas", show)
-        found = {}
+        gases = {}
         for name, text in zip(decks, outputs, strict=True):
             nm, transmittance = parse_steps(text)
-            found[name] = np.maximum(np.interp(GRID_NM, nm, transmittance), _LEAST_GAS)
-        return found
+            gases[name] = np.maximum(np.interp(GRID_NM, nm, transmittance), _LEAST_GAS)
+        return gases
 
     return cached(folder, "gas", inputs, compute)
 

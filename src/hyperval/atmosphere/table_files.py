@@ -87,14 +87,14 @@ def write_table(table: AtmosphericTable, path: Path) -> None:
             "leave_one_out_error": json.dumps(table.errors or leave_one_out(table), sort_keys=True),
         },
     )
-    held = [name for name in (*QUANTITIES, *OPTIONAL) if name in table.quantities]
-    for name in held:
+    present = [name for name in (*QUANTITIES, *OPTIONAL) if name in table.quantities]
+    for name in present:
         data[name] = (dims, table.quantities[name], {"units": "1", "long_name": _LONG_NAMES[name]})
     if table.solar_irradiance is not None:
         data["solar_irradiance"] = ("wavelength_nm", table.solar_irradiance, {"units": "uW cm-2 nm-1"})
     if table.fwhm_nm is not None:
         data["fwhm_nm"] = ("wavelength_nm", table.fwhm_nm, {"units": "nm"})
-    encoding = {name: {"zlib": True, "complevel": 4, "shuffle": True} for name in held}
+    encoding = {name: {"zlib": True, "complevel": 4, "shuffle": True} for name in present}
     data.attrs["content_sha256"] = _checksum(data)
     with whole_file(Path(path)) as temporary:
         data.to_netcdf(temporary, mode="w", engine="h5netcdf", encoding=encoding)
@@ -142,8 +142,8 @@ def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
             where=path,
             expected=f"NetCDF with the attribute format {_FORMAT!r} and the variables {', '.join(QUANTITIES)}",
         )
-    held = [name for name in (*QUANTITIES, *OPTIONAL) if name in data.variables]
-    total = sum(int(np.prod(data[name].shape, dtype=object)) for name in held)
+    present = [name for name in (*QUANTITIES, *OPTIONAL) if name in data.variables]
+    total = sum(int(np.prod(data[name].shape, dtype=object)) for name in present)
     if total > _MAX_VALUES:
         raise InputError(f"{total} values", where=path, expected=f"at most {_MAX_VALUES}")
     dims = [str(d) for d in data["path"].dims]
@@ -165,7 +165,7 @@ def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
         wavelength_nm=_floats(data["wavelength_nm"]),
         axes={name: _floats(data[name]) for name in dims[:-1]},
         fixed=_record(data.attrs, "fixed"),
-        quantities={name: _floats(data[name].transpose(*dims)) for name in held},
+        quantities={name: _floats(data[name].transpose(*dims)) for name in present},
         solar_irradiance=_floats(data["solar_irradiance"]) if "solar_irradiance" in data else None,
         fwhm_nm=_floats(data["fwhm_nm"]) if "fwhm_nm" in data else None,
         source={**_record(data.attrs, "source"), **file},
@@ -178,10 +178,10 @@ def _floats(values: xr.DataArray | xr.Variable) -> Array:
 
 
 def _record(attributes: dict[Any, Any], name: str) -> dict[str, Any]:
-    found = json.loads(str(attributes.get(name, "{}")))
-    if not isinstance(found, dict):
+    record = json.loads(str(attributes.get(name, "{}")))
+    if not isinstance(record, dict):
         raise ValueError(f"the attribute {name} is no record")
-    return found
+    return record
 
 
 def _channel_files(folder: Path) -> list[Path]:
@@ -202,15 +202,15 @@ def _stem(path: Path) -> str:
 
 
 def _values_in(path: Path) -> dict[str, float]:
-    found = {}
+    values = {}
     for name, value in _PART.findall(_stem(path)):
         axis = _FILE_NAMES.get(name, name)
         if axis not in AXES:
             raise InputError(
                 f"{name!r} is no axis", where=str(path), expected="among " + ", ".join([*_FILE_NAMES, *AXES])
             )
-        found[axis] = float(value)
-    return found
+        values[axis] = float(value)
+    return values
 
 
 @lru_cache(maxsize=8)
@@ -254,12 +254,12 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
             "the runs have different suns", where=folder, expected="one solar spectrum, day and zenith"
         )
     shape = (*(n.size for n in axes.values()), first["wavelength_nm"].size)
-    held = [name for name in (*QUANTITIES, *OPTIONAL) if all(r[name] is not None for r in rows)]
+    present = [name for name in (*QUANTITIES, *OPTIONAL) if all(r[name] is not None for r in rows)]
     table = AtmosphericTable(
         wavelength_nm=first["wavelength_nm"],
         axes=axes,
         fixed=fixed,
-        quantities={name: np.stack([r[name] for r in rows]).reshape(shape) for name in held},
+        quantities={name: np.stack([r[name] for r in rows]).reshape(shape) for name in present},
         solar_irradiance=irradiance[0] * solar.distance_on_day(int(stated["day_of_year"])) ** 2,
         fwhm_nm=first["fwhm_nm"],
         source={
@@ -272,16 +272,16 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
 
 
 def _template_file(folder: Path, first: Path) -> Path:
-    found = [p for p in (folder / f"LUT_{_stem(first)}.json",) if p.is_file()] or sorted(
+    templates = [p for p in (folder / f"LUT_{_stem(first)}.json",) if p.is_file()] or sorted(
         folder.glob("*template*.json")
     )
-    if len(found) != 1:
+    if len(templates) != 1:
         raise InputError(
-            f"{len(found)} run templates",
+            f"{len(templates)} run templates",
             where=str(folder),
             expected="one *template*.json, or LUT_NAME.json beside each file",
         )
-    return found[0]
+    return templates[0]
 
 
 def _stated(template: Path) -> tuple[dict[str, Any], list[float] | None]:

@@ -55,13 +55,13 @@ def campaign_metrics(rows: Iterable[Result]) -> dict[str, Measured]:
             for product, subject, method in subjects
         )
     ]
-    found: dict[str, Measured] = {}
+    metrics: dict[str, Measured] = {}
     for row in [*planned, *behind]:
         key = key_of(row.product, row.subject, row.method, row.metric)
         new = _measured(row)
-        old = found.get(key)
-        found[key] = new if old is None else replace(old, outcome=min(old.outcome, new.outcome, key=_ORDER.index))
-    return dict(sorted(found.items()))
+        old = metrics.get(key)
+        metrics[key] = new if old is None else replace(old, outcome=min(old.outcome, new.outcome, key=_ORDER.index))
+    return dict(sorted(metrics.items()))
 
 
 def skipped_reason(rows: Iterable[Result]) -> str | None:

@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy.optimize import brentq
 
 from hyperval.atmosphere.profiles import pressure_at, standard_profile
-from hyperval.campaign.template import filled
+from hyperval.campaign.template import with_words
 from hyperval.config import Model, load_yaml, validate
 from hyperval.errors import InputError, UsageError
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
@@ -50,7 +50,7 @@ def scenarios_of(
     if not words:
         return [load_scenario(path)]
     data, lines = load_yaml(path)
-    scenario = validate(Scenario, filled(data, words), lines, str(path))
+    scenario = validate(Scenario, with_words(data, words), lines, str(path))
     scenario._folder = path.resolve().parent
     return [scenario]
 
@@ -60,28 +60,28 @@ def day_scenarios(source: DayScenarios, scenario: Path, day: Path, words: Mappin
 
     Words, besides those of the run: site, time, time_utc, latitude_deg, longitude_deg, station_km, file, the state
     (pressure_hpa, temperature_k, water_vapour_g_cm2, ozone_atm_cm, aot550, angstrom_exponent), its uncertainties
-    (u_ and the same names), and ground_km: where the stated standard atmosphere has the measured pressure.
+    (u_ and the same names), and ground_km: where the stated standard atmosphere has the rows pressure.
 
     Raises
     ------
     UsageError : mistakes of the scenario with file and line, a half hour without values.
     InputError : a day that is missing, corrupt, not of the surface, or without values.
     """
-    found = read_radcalnet(day)
-    if found.quantity != SURFACE:
+    rows = read_radcalnet(day)
+    if rows.quantity != SURFACE:
         raise InputError(
             "holds reflectance of the top of the atmosphere",
-            where=found.source,
+            where=rows.source,
             expected="a file that ends in .input",
         )
-    times = tuple(source.times) or found.valid
+    times = tuple(source.times) or rows.valid
     if not times:
-        raise InputError("no half hour has a value", where=found.source, mend="take a day of better weather")
+        raise InputError("no half hour has a value", where=rows.source, mend="take a day of better weather")
     text, lines = load_yaml(scenario)
     out = []
     for time in times:
-        at = _words(found, time, source.radcalnet, str((text.get("atmosphere") or {}).get("model", "")), scenario)
-        made = validate(Scenario, _with_numbers(filled(text, dict(words)), at), lines, str(scenario))
+        at = _words(rows, time, source.radcalnet, str((text.get("atmosphere") or {}).get("model", "")), scenario)
+        made = validate(Scenario, _with_numbers(with_words(text, dict(words)), at), lines, str(scenario))
         made._folder = scenario.resolve().parent
         out.append(made)
     return out
@@ -113,5 +113,5 @@ def _with_numbers(content: Any, words: Mapping[str, Any]) -> Any:
     if isinstance(content, str):
         if content[:1] == "{" and content[1:-1] in words:
             return words[content[1:-1]]
-        return filled(content, {name: str(value) for name, value in words.items()})
+        return with_words(content, {name: str(value) for name, value in words.items()})
     return content

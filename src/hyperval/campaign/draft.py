@@ -51,9 +51,9 @@ class Text:
 
     def campaign(self) -> Campaign:
         """The campaign; UsageError for mistakes and for values that are still to be filled in."""
-        found = validate(Campaign, self.content, self.lines, str(self.path))
-        found._run = self.words
-        return found
+        campaign = validate(Campaign, self.content, self.lines, str(self.path))
+        campaign._run = self.words
+        return campaign
 
     def check_two_sides(self) -> None:
         """Raise UsageError for a campaign that names no scenario or no comparison: it can only be observed."""
@@ -66,12 +66,12 @@ class Text:
                 mend="hyperval observe needs neither",
             )
 
-    def not_held(self) -> str | None:
+    def absent(self) -> str | None:
         """Why the campaign cannot be tried here: the collection is not public, and not a file of it is at hand."""
-        held = {r: owner for r in self.named.files if (owner := set_on_request(r.text)) is not None}
-        if not held or any(r.path is not None for r in held):
+        owners = {r: owner for r in self.named.files if (owner := set_on_request(r.text)) is not None}
+        if not owners or any(r.path is not None for r in owners):
             return None
-        first, owner = next(iter(held.items()))
+        first, owner = next(iter(owners.items()))
         left = len(self.named.to_fill_in)
         more = f"; {left} values are to be filled in then (hyperval validate --dry-run lists them)" if left else ""
         return f"{owner.name} is not on this machine: {first.problem}{more}"

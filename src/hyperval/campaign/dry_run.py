@@ -17,7 +17,7 @@ from hyperval.campaign.names import (
     scenario_mistakes,
 )
 from hyperval.campaign.references import Reference
-from hyperval.campaign.template import filled
+from hyperval.campaign.template import with_words
 from hyperval.compare.gates import Gate
 from hyperval.config import Location, load_yaml, validate
 from hyperval.datasets import how_to_get, resolve, set_on_request
@@ -27,7 +27,7 @@ from hyperval.imagery.rasters import needs_header
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 
 FILE, VALUE, COMPARISON, NAME = "file", "value", "comparison", "name"
-FOUND, MISSING, TO_FILL_IN, PLANNED, WRONG = "found", "missing", "to fill in", "planned", "wrong"
+PRESENT, MISSING, TO_FILL_IN, PLANNED, WRONG = "found", "missing", "to fill in", "planned", "wrong"
 
 
 @dataclass(frozen=True)
@@ -104,10 +104,10 @@ def _file(name: str, reference: Reference, text: Text) -> list[Item]:
         holder = set_on_request(reference.text)
         place = f"to stand below HYPERVAL_DATA (--data-dir); {holder.name} is not public" if holder else ""
         return [Item(name, FILE, MISSING, reference.text, place or reference.problem)]
-    found = matching(path)
-    size = sum(p.stat().st_size for p in found)
-    detail = f"{size} bytes" if len(found) == 1 else f"{len(found)} files, {size} bytes"
-    rows = [Item(name, FILE, FOUND, reference.text, detail)]
+    matches = matching(path)
+    size = sum(p.stat().st_size for p in matches)
+    detail = f"{size} bytes" if len(matches) == 1 else f"{len(matches)} files, {size} bytes"
+    rows = [Item(name, FILE, PRESENT, reference.text, detail)]
     if reference.key == "collection.cube.path" and needs_header(path):
         given = text.content["collection"]["cube"].get("header")
         if given is None and path.suffix.lower() != ".hdr" and header_beside(path) is None:
@@ -139,8 +139,8 @@ def _scenarios(text: Text) -> list[tuple[Scenario, str, Mapping[Location, int], 
             paths = [Reference("scenarios", name, base).path for name in (source.scenario, source.radcalnet)]
             if paths[0] is not None and paths[1] is not None:
                 own = load_yaml(paths[0])[1]
-                found = day_scenarios(source, paths[0], paths[1], text.words)
-                out += [(scenario, str(paths[0]), own, ()) for scenario in found]
+                days = day_scenarios(source, paths[0], paths[1], text.words)
+                out += [(scenario, str(paths[0]), own, ()) for scenario in days]
         elif source in builtin_scenarios():
             out.append((load_scenario(source), str(text.path), text.lines, ("scenarios", i)))
         else:
@@ -174,6 +174,6 @@ def _mistakes(
 def scenario_of(path: Path, text: Text) -> tuple[Scenario, Mapping[Location, int]]:
     """A scenario file with the words of the run, and its lines; UsageError for its mistakes."""
     data, lines = load_yaml(path)
-    scenario = validate(Scenario, filled(data, text.words), lines, str(path))
+    scenario = validate(Scenario, with_words(data, text.words), lines, str(path))
     scenario._folder = path.resolve().parent
     return scenario, lines

@@ -73,7 +73,7 @@ def jobs_of(path: Path, *, compares: bool = True) -> list[Job | Waiting]:
         if not text.named.to_fill_in:
             out.append(Job(text.campaign(), Path(path)))
             continue
-        reason = text.not_held()
+        reason = text.absent()
         if reason is None:
             raise text.unfilled()
         out.append(Waiting(text.outline(), Path(path), reason))
@@ -126,23 +126,23 @@ def run_campaign(
     if isinstance(job, Waiting):
         return unfinished(job, Outcome.SKIPPED, job.reason)
     try:
-        with collected(job, show_progress=show_progress) as held:
+        with collected(job, show_progress=show_progress) as side:
             if with_observed is not None:
-                with_observed(held.observed)
+                with_observed(side.observed)
             predictions = []
             if predicts:
                 predictions = [
                     predict(
                         scenario,
-                        axis=held.observed.observation.axis,
-                        measured=held.observed.statistics,
-                        resolve=held.resolver(scenario),
+                        axis=side.observed.observation.axis,
+                        measured=side.observed.statistics,
+                        resolve=side.resolver(scenario),
                         show_progress=show_progress,
                         objects=True,
                     )
-                    for scenario in held.scenarios
+                    for scenario in side.scenarios
                 ]
-            return _report(job, held.inputs, held.observed, held.scenarios, predictions, held.seed, show_progress)
+            return _report(job, side.inputs, side.observed, side.scenarios, predictions, side.seed, show_progress)
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
@@ -167,14 +167,14 @@ class Collected:
 def collected(
     job: Job,
     *,
-    asked: Callable[[Sequence[Scenario], Inputs], Campaign] | None = None,
+    question: Callable[[Sequence[Scenario], Inputs], Campaign] | None = None,
     show_progress: bool | None = None,
 ) -> Iterator[Collected]:
     """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
 
     Parameters
     ----------
-    asked : the campaign to observe in place of the job's, once its files are there
+    question : the campaign to observe in place of the job's, once its files are there
 
     Raises
     ------
@@ -193,8 +193,8 @@ def collected(
         if campaign.collection.simulate:
             scratch = stack.enter_context(scratch_folder("simulated"))
             seed = _simulate(campaign.collection.simulate, inputs, scratch, show_progress)
-        if asked is not None:
-            campaign = asked(scenarios, inputs)
+        if question is not None:
+            campaign = question(scenarios, inputs)
         observed = observe_collection(
             campaign.collection,
             campaign.detection,

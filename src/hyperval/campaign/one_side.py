@@ -93,12 +93,12 @@ def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
                 n=area.n,
             )
         )
-    for subject, held in products.distribution.items():
-        rows += compare_distribution(None, held, campaign=campaign, subject=subject)
-    for (classes, features), found in products.classification.items():
+    for subject, distribution in products.distribution.items():
+        rows += compare_distribution(None, distribution, campaign=campaign, subject=subject)
+    for (classes, features), errors in products.classification.items():
         make = RowMaker(campaign, "classification", classes, features)
-        rows.append(make.row("error", found.error, interval=(found.lower, found.upper), n=found.n))
-        rows.append(make.row("distance", found.distance, n=found.n))
+        rows.append(make.row("error", errors.error, interval=(errors.lower, errors.upper), n=errors.n))
+        rows.append(make.row("distance", errors.distance, n=errors.n))
     return rows
 
 

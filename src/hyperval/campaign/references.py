@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperval.atmosphere.solar import reference_of
-from hyperval.campaign.template import filled
+from hyperval.campaign.template import with_words
 from hyperval.config import FILL_IN, Placeholder, load_yaml, placeholders
 from hyperval.datasets import PREFIX, describe, resolve
 from hyperval.errors import HypervalError, UsageError
@@ -101,12 +101,12 @@ def named_in(path: Path, content: Any, lines: dict[Any, int], words: Mapping[str
             continue
         reference = Reference("scenarios", item, base)
         files.append(reference)
-        found = reference.path
-        if found is None:
+        scenario_path = reference.path
+        if scenario_path is None:
             continue
-        inner, inner_lines = load_yaml(found)
-        inner = filled(inner, {**words, "file": str(entry["radcalnet"])} if day else words)
-        files += _files(inner, found.resolve().parent)
+        inner, inner_lines = load_yaml(scenario_path)
+        inner = with_words(inner, {**words, "file": str(entry["radcalnet"])} if day else words)
+        files += _files(inner, scenario_path.resolve().parent)
         name = item if item.startswith(PREFIX) else str(Path(path).parent / item)
         marks += placeholders(inner, inner_lines, name)
     unique = {(r.text, r.base if not r.text.startswith(PREFIX) else None): r for r in reversed(files)}

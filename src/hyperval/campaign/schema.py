@@ -118,12 +118,12 @@ def load_campaign(path: Path) -> Campaign:
     InputError : no such file.
     UsageError : every mistake with its file and line; a file of several runs.
     """
-    found = load_campaigns(path)
-    if len(found) > 1:
+    campaigns = load_campaigns(path)
+    if len(campaigns) > 1:
         raise UsageError(
-            f"the file holds {len(found)} runs",
+            f"the file holds {len(campaigns)} runs",
             where=str(path),
             expected="a campaign of one run",
             mend="copy it with one entry under 'runs'; hyperval validate takes all of them",
         )
-    return found[0]
+    return campaigns[0]

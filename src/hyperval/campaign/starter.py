@@ -95,12 +95,12 @@ def stated_quantity(raster: Raster) -> str:
     if about is not None and about.quantity is not None:
         return about.quantity
     entries = raster.header.extras if raster.header is not None else about.entries if about is not None else {}
-    told = " ".join(text for key, text in entries.items() if re.search(r"unit|plot titles|description|level", key))
+    words = " ".join(text for key, text in entries.items() if re.search(r"unit|plot titles|description|level", key))
     patterns = {
         "radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])",
         "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])",
     }
-    for text in (told.lower(), raster.path.name.lower()):
+    for text in (words.lower(), raster.path.name.lower()):
         named = [quantity for quantity, pattern in patterns.items() if re.search(pattern, text)]
         if len(named) == 1:
             return named[0]

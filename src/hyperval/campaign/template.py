@@ -39,15 +39,15 @@ def campaign_runs(data: Any, lines: dict[Location, int], name: str) -> list[tupl
                 where=at,
                 expected="the same words in every run, each with a text (in quotation marks where it is a number)",
             )
-    return [(dict(run), filled(rest, run)) for run in runs]
+    return [(dict(run), with_words(rest, run)) for run in runs]
 
 
-def filled(content: Any, words: Mapping[str, str]) -> Any:
+def with_words(content: Any, words: Mapping[str, str]) -> Any:
     """The content with ``{word}`` replaced in every text; other braces stay as they are."""
     if isinstance(content, dict):
-        return {key: filled(value, words) for key, value in content.items()}
+        return {key: with_words(value, words) for key, value in content.items()}
     if isinstance(content, list):
-        return [filled(value, words) for value in content]
+        return [with_words(value, words) for value in content]
     if isinstance(content, str):
         for word, text in words.items():
             content = content.replace(f"{{{word}}}", text)

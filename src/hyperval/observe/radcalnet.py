@@ -41,17 +41,17 @@ def observe_radcalnet(source: RadCalNetSource, resolve: Callable[[str], Path]) -
     nm = day.wavelength_nm[bands]
     axis = SpectralAxis(nm, np.full(nm.size, source.fwhm_nm))
     rounding = np.eye(nm.size) * 10.0 ** (-2 * DECIMALS) / 12.0
-    found = {}
+    out = {}
     for time, row in zip(times, rows, strict=True):
         stated = np.nan_to_num(day.uncertainty[row, bands])
         errors = {ROUNDING: rounding}
         if not source.shared_inputs:
             errors[NETWORK] = np.outer(stated, stated) * correlation(axis, source.correlation_nm)
         budget = {name: np.sqrt(np.diag(c)) for name, c in errors.items()}
-        found[source.subject.format(site=day.site, time=time)] = SpectralEstimate(
+        out[source.subject.format(site=day.site, time=time)] = SpectralEstimate(
             day.values[row, bands], np.sum(list(errors.values()), axis=0), budget=budget, stated=stated
         )
     notes = [f"bands are taken as {source.fwhm_nm:g} nm wide: the network's file does not state their width"]
     if source.shared_inputs:
         notes.append("both sides start from the same surface and state: their errors are not in the difference")
-    return Observation(axis=axis, toa_reflectance=found, notes=tuple(notes), provenance={"quantity": TOP})
+    return Observation(axis=axis, toa_reflectance=out, notes=tuple(notes), provenance={"quantity": TOP})

@@ -92,7 +92,7 @@ class Batch:
     Parameters
     ----------
     scenario, axis : what all evaluations share: names, processing, bands as they are labelled
-    looked_for : target -> (B,) reflectance that its filter looks for
+    signatures : target -> (B,) reflectance that its filter looks for
     settings, points : what differs
     errors : target -> (B, B) error covariance of its spectrum
     designers : room for matrices kept from batch to batch
@@ -102,13 +102,13 @@ class Batch:
         self,
         scenario: Scenario,
         axis: SpectralAxis,
-        looked_for: Mapping[str, Array],
+        signatures: Mapping[str, Array],
         settings: Settings,
         points: Points,
         errors: Mapping[str, Array] | None = None,
         designers: dict[bytes, Designer] | None = None,
     ):
-        self.scenario, self.axis, self.looked_for = scenario, axis, looked_for
+        self.scenario, self.axis, self.signatures = scenario, axis, signatures
         self.settings, self.points = settings, points
         self.errors = errors or {}
         self._designers = {} if designers is None else designers
@@ -156,7 +156,7 @@ class Batch:
         settings = self.settings
         usable = np.broadcast_to(settings.view.lit(), (len(settings), 1, len(self.axis)))[:, 0]
         usable = usable & np.isfinite(settings.means(self.needed)).all(axis=1)
-        for spectrum in self.looked_for.values():
+        for spectrum in self.signatures.values():
             usable = usable & np.isfinite(spectrum)
         patterns, which = np.unique(usable, axis=0, return_inverse=True)
         return [self._group(np.flatnonzero(which.reshape(-1) == i), pattern) for i, pattern in enumerate(patterns)]
@@ -192,7 +192,7 @@ class Batch:
     def spectrum_as_seen(self, group: Group, target: str) -> Array:
         """(V, F) what a filter looks for, in the units of the image."""
         line, at = group.at.view.library_line(), group.at
-        return retrieved_reflectance(line, at.levels(self.looked_for[target][None, group.bands]))[:, 0]
+        return retrieved_reflectance(line, at.levels(self.signatures[target][None, group.bands]))[:, 0]
 
     def filter_populations(self, group: Group, u: int) -> list[Population]:
         """Target pixels that the statistics of the filter of setting ``u`` hold, if any."""

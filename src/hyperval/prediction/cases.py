@@ -250,4 +250,4 @@ def batch_of(
     setting = np.concatenate([np.arange(len(cases)), np.zeros(len(shifts), int)])
     shift = np.concatenate([np.zeros(len(cases)), shifts])
     points = points_of(cases, setting, shift)
-    return Batch(first.scenario, first.used.axis, first.looked_for, settings_of(cases), points, errors)
+    return Batch(first.scenario, first.used.axis, first.signatures, settings_of(cases), points, errors)

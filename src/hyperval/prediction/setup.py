@@ -157,13 +157,13 @@ class Setup:
     scenario : with the sensor's blur where it states none
     used : sensor, bands and noise
     surfaces : name -> statistics of every class, panel, site and target, where the bands truly stand
-    looked_for : target -> (B,) reflectance that its filter looks for, where the bands are labelled
+    signatures : target -> (B,) reflectance that its filter looks for, where the bands are labelled
     """
 
     scenario: Scenario
     used: Instrument
     surfaces: Mapping[str, SurfaceStatistics]
-    looked_for: Mapping[str, Array]
+    signatures: Mapping[str, Array]
 
     @property
     def classes(self) -> list[str]:
@@ -179,8 +179,8 @@ def setup_of(scenario: Scenario, used: Instrument, measured: Mapping[str, ClassS
     UsageError, InputError : a spectrum that is missing, corrupt, or does not cover the bands.
     """
     sources = Sources(used.true_axis, measured, find, used.axis)
-    surfaces, looked_for = surfaces_of(scenario, sources, Sources(used.axis, measured, find))
-    return Setup(scenario, used, surfaces, looked_for)
+    surfaces, signatures = surfaces_of(scenario, sources, Sources(used.axis, measured, find))
+    return Setup(scenario, used, surfaces, signatures)
 
 
 def surfaces_of(
@@ -190,12 +190,12 @@ def surfaces_of(
     scene = scenario.scene
     surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
     refuse_gaps(scenario, surfaces, sources.axis)
-    looked_for = {}
+    signatures = {}
     for t in scene.targets:
         if t.filter_spectrum is not None:
-            looked_for[t.name] = labelled.spectrum(t.filter_spectrum, t.name).mean
+            signatures[t.name] = labelled.spectrum(t.filter_spectrum, t.name).mean
         elif sources.axis is labelled.axis:
-            looked_for[t.name] = surfaces[t.name].mean
+            signatures[t.name] = surfaces[t.name].mean
         else:
-            looked_for[t.name] = labelled.spectrum(t.spectrum, t.name).mean
-    return surfaces, looked_for
+            signatures[t.name] = labelled.spectrum(t.spectrum, t.name).mean
+    return surfaces, signatures

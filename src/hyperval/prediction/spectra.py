@@ -168,18 +168,18 @@ def _through(view: View, errors: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _subjects(setup: Setup, view: View, errors: Mapping[str, Array]) -> list[_Subject]:
-    scenario, surfaces, found = setup.scenario, setup.surfaces, []
+    scenario, surfaces, subjects = setup.scenario, setup.surfaces, []
     scene = scenario.scene
     for c in scene.classes:
         s = surfaces[c.name]
         covariance = s.covariance if c.gain == 1.0 else c.gain * s.covariance
-        found.append(_Subject(c.name, s.mean, s.mean, covariance, c.gain, errors.get(c.name), True))
+        subjects.append(_Subject(c.name, s.mean, s.mean, covariance, c.gain, errors.get(c.name), True))
     for surface in (*scene.panels, *scene.sites):
         s = surfaces[surface.name]
-        found.append(_Subject(surface.name, s.mean, s.mean, s.covariance, 1.0, errors.get(surface.name), True))
+        subjects.append(_Subject(surface.name, s.mean, s.mean, s.covariance, 1.0, errors.get(surface.name), True))
     for t in scene.targets:
-        found += [_mixed(setup, view, errors, t, population) for population in t.populations]
-    return found
+        subjects += [_mixed(setup, view, errors, t, population) for population in t.populations]
+    return subjects
 
 
 @dataclass(frozen=True)

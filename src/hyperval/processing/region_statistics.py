@@ -120,28 +120,28 @@ def region_statistics(
             for key, value in total.items():
                 if key[i]:
                     joined.merge(value)
-            found = _statistics(cube, name, joined, int(left_out[i]))
+            statistics = _statistics(cube, name, joined, int(left_out[i]))
             if joined.n_split:
                 # A sampled batch in which nothing stands out says nothing of the others: no bound, exact sums.
                 parts = [
                     max(1.0, joined.above_typical / above)
-                    * _part(error, found.covariance, cube.gain, rank=min(joined.n - 1, cube.bands))
+                    * _part(error, statistics.covariance, cube.gain, rank=min(joined.n - 1, cube.bands))
                     if above > 0.0
                     else np.inf
                     for above, error in errors
                 ]
                 bound = MARGIN * max(parts, default=np.inf) * joined.n_split / joined.n
-                found = replace(found, rounding=bound)
-            if not found.rounding <= MOST_ROUNDING:  # NaN too
+                statistics = replace(statistics, rounding=bound)
+            if not statistics.rounding <= MOST_ROUNDING:  # NaN too
                 options = {"threads": threads, "block_lines": block_lines, "watch": watch}
                 return region_statistics(cube, masks, exclude, precision="exact", **options)  # type: ignore[arg-type]
-            out[name] = found
+            out[name] = statistics
         return out
 
 
 def _rounding_errors(cube: StoredCube, directions: Directions, step: int) -> list[tuple[float, Array]]:
     """Of some batches: how far they stand out, and what single precision changes in their covariance (B, B)."""
-    found, whole = [], cube.dtype.kind in "iu"
+    errors, whole = [], cube.dtype.kind in "iu"
     last = (cube.lines - 1) // step
     for at in np.unique(np.linspace(0, last, CHECKED_BLOCKS).astype(int)).tolist():
         count = min(step, cube.lines - at * step)
@@ -153,8 +153,8 @@ def _rounding_errors(cube: StoredCube, directions: Directions, step: int) -> lis
             pair.append(sums)
         if pair[0].n_split >= 2:
             error = pair[0].mean_and_covariance()[1] - pair[1].mean_and_covariance()[1]
-            found.append((pair[0].above_typical, error))
-    return found
+            errors.append((pair[0].above_typical, error))
+    return errors
 
 
 def _part(error: Array, covariance: Array, gain: Array, *, rank: int) -> float:
@@ -212,10 +212,10 @@ def darkest_values(cube: StoredCube, *, threads: int | None = None) -> Array:
                 least = np.minimum(least, (cube.gain * ends + cube.offset).min(axis=0))
         return least
 
-    found = np.stack([part for _, part in by_segments(cube, step, segment, threads=threads)]).min(axis=0)
-    if not np.all(np.isfinite(found)):
+    lowest = np.stack([part for _, part in by_segments(cube, step, segment, threads=threads)]).min(axis=0)
+    if not np.all(np.isfinite(lowest)):
         raise UsageError("no pixel of the cube holds data in every band")
-    return np.asarray(found)
+    return np.asarray(lowest)
 
 
 @dataclass(frozen=True)
@@ -280,9 +280,9 @@ class _Part:
         few = sizes[most] < min(WAITING_PIXELS, stored[0].size)
         for i, (key, members) in enumerate(kinds):
             if sizes[i] and (few or i != most):
-                held = self.waiting.setdefault(key, [])
-                held.append(stored[:, members])
-                if sum(h.shape[1] for h in held) >= WAITING_PIXELS:
+                waiting = self.waiting.setdefault(key, [])
+                waiting.append(stored[:, members])
+                if sum(h.shape[1] for h in waiting) >= WAITING_PIXELS:
                     self._release(key)
         if not few:
             key, keep = kinds[most]
@@ -294,8 +294,8 @@ class _Part:
             self._release(key)
 
     def _release(self, key: bytes) -> None:
-        held = self.waiting.pop(key)
-        self._of(key).add(np.concatenate(held, axis=1)[:, None])
+        waiting = self.waiting.pop(key)
+        self._of(key).add(np.concatenate(waiting, axis=1)[:, None])
 
     def _of(self, key: bytes) -> Sums:
         if key not in self.sums:
@@ -318,13 +318,13 @@ def _kinds(inside: Mask) -> list[tuple[bytes, Mask]]:
 
 def _brightest_directions(cube: StoredCube) -> Directions | None:
     """Directions of the greatest variance of some lines; None where single precision does not hold the squares."""
-    found = []
+    out = []
     for line in np.unique(np.linspace(0, cube.lines - 1, SAMPLED_LINES).astype(int)).tolist():
         stored, usable = cube.read_stored(line, 1)
         rows, columns = np.nonzero(usable)
         some = slice(None, None, -(-rows.size // (SAMPLED_PIXELS // SAMPLED_LINES)) or 1)
-        found.append(stored[:, rows[some], columns[some]].astype(np.float64))
-    pixels = np.concatenate(found, axis=1)
+        out.append(stored[:, rows[some], columns[some]].astype(np.float64))
+    pixels = np.concatenate(out, axis=1)
     pixels -= np.median(pixels, axis=1, keepdims=True) if pixels.shape[1] else 0.0
     size = float(np.mean(pixels**2)) if pixels.size else 0.0
     if size and not REPRESENTABLE[0] < size < REPRESENTABLE[1]:

@@ -41,8 +41,8 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
     if not pairs and None not in sides:
         return []  # a comparison that has none of this product
     paired = bool(pairs)
-    found = style.pages(pairs or every)
-    for number, subjects in enumerate(found, start=1):
+    pages = style.pages(pairs or every)
+    for number, subjects in enumerate(pages, start=1):
         columns = style.column_count(len(subjects))
         rows = math.ceil(len(subjects) / columns)
         figure = style.new_figure(10.0, 0.9 + (3.1 if paired else 2.3) * rows, title, simulated)
@@ -78,9 +78,9 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
             alt += f" Median absolute difference in the windows: {'; '.join(medians)}."
         drawings.append(
             Drawing(
-                _numbered(f"{product}-pair", number, len(found)),
+                _numbered(f"{product}-pair", number, len(pages)),
                 product,
-                f"{title}: predicted and collected{style.left_out(found, every)}",
+                f"{title}: predicted and collected{style.left_out(pages, every)}",
                 alt,
                 style.svg_bytes(figure),
                 "svg",
@@ -92,9 +92,9 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
 def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Relative uncertainty of the radiance by source, stacked to the total."""
     panels: list[tuple[str, str, Products, SpectralEstimate]] = []
-    held = [_of_side(side, "radiance") for side in sides]
-    every = both_first(*held)
-    for subject in [s for s in every if all(s in side for side in held)] or every:
+    estimates = [_of_side(side, "radiance") for side in sides]
+    every = both_first(*estimates)
+    for subject in [s for s in every if all(s in side for side in estimates)] or every:
         for name, side in (("predicted", sides[0]), ("collected", sides[1])):
             if side is not None and subject in side.radiance and side.radiance[subject].budget:
                 panels.append((subject, name, side, side.radiance[subject]))
@@ -149,17 +149,17 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     columns = style.column_count(len(subjects))
     rows = math.ceil(len(subjects) / columns)
     figure = style.new_figure(10.0, 0.9 + 2.6 * rows, "Eigenvalues of the radiance covariance", simulated)
-    told = []
+    words = []
     for at, subject in enumerate(subjects):
         axes = figure.add_subplot(rows, columns, at + 1)
         axes.set_title(style.plain(style.shortened(subject, 44)), loc="left")
         firsts = []
-        for held, look in ((predicted, PREDICTED), (collected, COLLECTED)):
-            if subject in held:
-                values = eigenvalues(held[subject])
-                _eigenvalue_line(axes, values, held[subject].n, look)
+        for spectra, look in ((predicted, PREDICTED), (collected, COLLECTED)):
+            if subject in spectra:
+                values = eigenvalues(spectra[subject])
+                _eigenvalue_line(axes, values, spectra[subject].n, look)
                 firsts.append(f"{values[0]:.3g}" if values.size else "none")
-        told.append(f"{subject} {' and '.join(firsts)}")
+        words.append(f"{subject} {' and '.join(firsts)}")
         axes.set_yscale("log")
         axes.set_xlim(left=0.0)
         style.log_ticks(axes.yaxis)
@@ -170,7 +170,7 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     style.add_legend(figure, _legend(predicted, collected, difference=False, absorption=False))
     alt = (
         f"The largest {_MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
-        f"logarithmic scale, predicted and collected. Largest: {'; '.join(told)}."
+        f"logarithmic scale, predicted and collected. Largest: {'; '.join(words)}."
     )
     title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
     title += style.left_out([subjects], every)
@@ -180,8 +180,8 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
 def eigenvalues(estimate: SpectralEstimate) -> Array:
     """(K,) leading eigenvalues of the pixel covariance over its finite bands, largest first."""
     covariance = np.asarray(estimate.pixel_covariance, dtype=float)
-    held = np.isfinite(np.diag(covariance))
-    block = covariance[np.ix_(held, held)]
+    finite = np.isfinite(np.diag(covariance))
+    block = covariance[np.ix_(finite, finite)]
     if block.size == 0 or not np.isfinite(block).all():
         return np.empty(0)
     values = np.linalg.eigvalsh(block)[::-1]
@@ -312,8 +312,8 @@ def _legend(
 ) -> list[tuple[Any, str]]:
     entries: list[tuple[Any, str]] = []
     colours = []
-    for held, look, name in ((predicted, PREDICTED, "predicted"), (collected, COLLECTED, "collected")):
-        if held:
+    for side, look, name in ((predicted, PREDICTED, "predicted"), (collected, COLLECTED, "collected")):
+        if side:
             entries.append((Line2D([], [], color=look.colour, linestyle=look.line), name))
             colours.append(look.colour)
     if difference:

@@ -73,9 +73,9 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     matrices = []
     for title, kinds in _MATRICES if not run.sentence else (("Numbers", tuple(Evidence)),):
         own = [row for row in compared if row.evidence in kinds]
-        found = matrix_of(own, lambda r: r.subject, _link, _COMPARED)
-        if found is not None:
-            matrices.append((title, found))
+        matrix = matrix_of(own, lambda r: r.subject, _link, _COMPARED)
+        if matrix is not None:
+            matrices.append((title, matrix))
     planned = [row for row in rows if row.planned]
     return environment().get_template("report.html.j2").render(
         run=run,
@@ -275,10 +275,10 @@ def _under_figure(run: RunReport, product: str) -> str:
         for item in run.provenance.get("inputs", ())
         if not item.get("products") or product in item["products"]
     ]
-    told = [i["reference"] + (f" ({i['licence']})" if i["licence"] else "") for i in inputs[:_INPUTS_UNDER_FIGURE]]
+    words = [i["reference"] + (f" ({i['licence']})" if i["licence"] else "") for i in inputs[:_INPUTS_UNDER_FIGURE]]
     if len(inputs) > _INPUTS_UNDER_FIGURE:
-        told.append(f"{len(inputs) - _INPUTS_UNDER_FIGURE} more in the provenance table")
-    parts = [f"Inputs: {'; '.join(told)}" if told else "Inputs: none recorded"]
+        words.append(f"{len(inputs) - _INPUTS_UNDER_FIGURE} more in the provenance table")
+    parts = [f"Inputs: {'; '.join(words)}" if words else "Inputs: none recorded"]
     cited = list(dict.fromkeys(i["citation"] for i in inputs if i["citation"]))
     if cited:
         parts.append("; ".join(cited[:2]) + ("; …" if len(cited) > 2 else ""))

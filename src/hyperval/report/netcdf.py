@@ -141,11 +141,11 @@ def _add_spectra(
 def _add_noise(data: xr.Dataset, prediction: Prediction) -> None:
     """Variance by source of noise, and the part of full scale, by subject."""
     if prediction.noise:
-        held = prediction.noise
-        data.coords["noise_subject"] = ("noise_subject", _names(held), {"long_name": "subjects of noise"})
-        for source in sorted({source for parts in held.values() for source in parts}):
+        noise = prediction.noise
+        data.coords["noise_subject"] = ("noise_subject", _names(noise), {"long_name": "subjects of noise"})
+        for source in sorted({source for parts in noise.values() for source in parts}):
             empty = np.full(len(data["band"]), np.nan)
-            values = np.stack([np.asarray(parts.get(source, empty), dtype=float) for parts in held.values()])
+            values = np.stack([np.asarray(parts.get(source, empty), dtype=float) for parts in noise.values()])
             text = f"variance of a pixel's radiance from {source.replace('_', ' ')}"
             data[f"noise_variance_{_identifier(source)}"] = (
                 ("noise_subject", "band"), values, {"units": _SPECTRA[0][3], "long_name": text})  # fmt: skip
@@ -161,10 +161,10 @@ def _add_noise(data: xr.Dataset, prediction: Prediction) -> None:
 
 def _add_tails(data: xr.Dataset, products: Products) -> None:
     """How the pixels of each class are distributed about their mean."""
-    held = {(subject,): found for subject, found in products.distribution.items()}
-    add_entries(data, "distribution", held, [(name, "1", text) for name, text in _TAILS], ("subject",))
+    distributions = {(subject,): distribution for subject, distribution in products.distribution.items()}
+    add_entries(data, "distribution", distributions, [(name, "1", text) for name, text in _TAILS], ("subject",))
     for name, dim, text in _TAIL_CURVES:
-        values = [getattr(found, name) for found in held.values()]
+        values = [getattr(distribution, name) for distribution in distributions.values()]
         if any(value is not None for value in values):
             data[f"distribution_{name}"] = (
                 ("distribution_entry", dim), ragged(values), {"units": "1", "long_name": text})  # fmt: skip
@@ -174,8 +174,8 @@ def _counts(values: Sequence[float | int | None]) -> Any:
     return np.array([np.nan if value is None else value for value in values], dtype=float)
 
 
-def _names(held: Mapping[str, Any]) -> Any:
-    return np.array(list(held), dtype=object)
+def _names(mapping: Mapping[str, Any]) -> Any:
+    return np.array(list(mapping), dtype=object)
 
 
 def _identifier(text: str) -> str:

@@ -101,7 +101,7 @@ def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | Non
             chosen = with_own_detectors(chosen, job.campaign.detection, refused)
         return chosen.campaign
 
-    with collected(job, asked=ask, show_progress=show_progress) as collection:
+    with collected(job, question=ask, show_progress=show_progress) as collection:
         rows = detector_rows(name, collection.observed, chosen, seed=entry.seed, show_progress=show_progress)
         rows += peer_rows(name, collection.observed, chosen.campaign.detection, collection.inputs.resolve)
         variants, predictions = variant_rows(name, collection, seed=entry.seed, show_progress=show_progress)

@@ -84,11 +84,11 @@ class RadCalNetDay:
     def at(self, label: str) -> dict[str, float]:
         """State of a half hour and its standard uncertainties, names with ``u_`` before them; ozone in atm cm."""
         i = self.column(label)
-        found = {name: float(values[i]) for name, values in self.state.items()}
-        found |= {f"u_{name}": float(values[i]) for name, values in self.state_uncertainty.items()}
+        numbers = {name: float(values[i]) for name, values in self.state.items()}
+        numbers |= {f"u_{name}": float(values[i]) for name, values in self.state_uncertainty.items()}
         for name in ("ozone", "u_ozone"):
-            found[f"{name}_atm_cm"] = found.pop(f"{name}_dobson") / _DOBSON_PER_ATM_CM
-        return found
+            numbers[f"{name}_atm_cm"] = numbers.pop(f"{name}_dobson") / _DOBSON_PER_ATM_CM
+        return numbers
 
 
 @reader
@@ -187,11 +187,11 @@ class _Rows:
             raise InputError(
                 f"{line[0][:40]!r} where {key!r} belongs", where=self.here, expected=f"{key}: and values"
             )
-        found = [w for w in line[1:] if w]
-        if not found or (count is not None and len(found) != count):
+        cells = [w for w in line[1:] if w]
+        if not cells or (count is not None and len(cells) != count):
             wanted = "values" if count is None else f"{count} values"
-            raise InputError(f"{len(found)} values of {key}", where=self.here, expected=wanted)
-        return found
+            raise InputError(f"{len(cells)} values of {key}", where=self.here, expected=wanted)
+        return cells
 
     def numbers(self, key: str, count: int | None = None) -> Array:
         """The same as numbers, NaN where there is no value."""
@@ -221,12 +221,12 @@ class _Rows:
 
 def _numbers(words: Sequence[str], where: str, marks: bool = True) -> Array:
     try:
-        found = np.array([float(w) for w in words])
+        values = np.array([float(w) for w in words])
     except ValueError as error:
         raise InputError("not a row of numbers", where=where, expected="numbers separated by tabulators") from error
-    if not np.all(np.isfinite(found)):
+    if not np.all(np.isfinite(values)):
         raise InputError("a number is missing", where=where, expected=f"{NO_VALUE:g} to 9999 where there is none")
-    return np.where(found >= NO_VALUE, np.nan, found) if marks else found
+    return np.where(values >= NO_VALUE, np.nan, values) if marks else values
 
 
 def _time(year: float, day: float, clock: str, where: str) -> datetime:

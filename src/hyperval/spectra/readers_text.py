@@ -207,10 +207,10 @@ def check_stated(wavelength: Array, where: str, *, count: str | None, ends: tupl
             f"{wavelength.size} rows", where=where, expected=f"{count.strip()[:20]}, as it states", mend=mend
         )
     if ends is not None:
-        stated, found = np.array(sorted(ends)), np.array([wavelength.min(), wavelength.max()])
-        if not np.all(np.abs(found - stated) <= _ENDS * np.abs(stated)):
+        stated, ends_nm = np.array(sorted(ends)), np.array([wavelength.min(), wavelength.max()])
+        if not np.all(np.abs(ends_nm - stated) <= _ENDS * np.abs(stated)):
             raise InputError(
-                f"wavelengths from {found[0]:g} to {found[1]:g}",
+                f"wavelengths from {ends_nm[0]:g} to {ends_nm[1]:g}",
                 where=where,
                 expected=f"{stated[0]:g} to {stated[1]:g}, as it states",
                 mend=mend,

@@ -94,13 +94,13 @@ class Stage:
             if len(self._noises) > 64:
                 self._noises.clear()
             self._noises[key] = sensor.noise(None, run)
-        found, differ = self._noises[key], scenario.sensor_changes
+        model, differ = self._noises[key], scenario.sensor_changes
         if changes:
             stated = differ.model_dump(exclude_unset=True) if differ else {}
             differ = SensorChanges.model_validate({**stated, **changes})
         if differ is not None:
-            found = changed_noise(found, differ)
-        return binned_noise(found, run.spectral_binning) if run and run.spectral_binning > 1 else found
+            model = changed_noise(model, differ)
+        return binned_noise(model, run.spectral_binning) if run and run.spectral_binning > 1 else model
 
 
 def stage_of(scenario: Scenario) -> Stage:
@@ -127,7 +127,7 @@ def batch_of_columns(stage: Stage, columns: Columns, n: int, terms_at: TermsAt |
     first, setting = distinct([columns[lever] for lever in shared], n)
     settings = _settings(stage, {lever: columns[lever][first] for lever in shared}, first.size, terms_at)
     points = _points(setup, columns, setting)
-    return Batch(setup.scenario, setup.used.axis, setup.looked_for, settings, points, designers=stage.designers)
+    return Batch(setup.scenario, setup.used.axis, setup.signatures, settings, points, designers=stage.designers)
 
 
 def _settings(stage: Stage, columns: Columns, count: int, terms_at: TermsAt | None) -> Settings:
@@ -171,8 +171,8 @@ def _noise(stage: Stage, changes: Mapping[str, Any], operation: Mapping[str, Any
         stage.noise({k: plain(v[i]) for k, v in changes.items()}, {k: plain(v[i]) for k, v in operation.items()})
         for i in first
     ]
-    found = stacked_noise(models, len(stage.setup.used.axis))
-    return found if len(models) == 1 else on_arrays(found, lambda x: x[index] if x.ndim == 3 else x)
+    stack = stacked_noise(models, len(stage.setup.used.axis))
+    return stack if len(models) == 1 else on_arrays(stack, lambda x: x[index] if x.ndim == 3 else x)
 
 
 def _points(setup: Setup, columns: Columns, setting: npt.NDArray[np.intp]) -> Points:

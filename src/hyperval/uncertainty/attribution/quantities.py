@@ -36,7 +36,7 @@ class Quantity:
 
 def quantities(predicted: Products, observed: Products) -> list[Quantity]:
     """Predicted over observed mean in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3."""
-    found: list[Quantity] = []
+    items: list[Quantity] = []
     for product in ("radiance", "reflectance", "snr", "toa_reflectance"):
         left, right = getattr(predicted, product), getattr(observed, product)
         for subject in right:
@@ -61,7 +61,7 @@ def quantities(predicted: Products, observed: Products) -> list[Quantity]:
                 estimate: SpectralEstimate = getattr(p, product)[subject]
                 return float(np.mean(estimate.mean[use])) / level
 
-            found.append(Quantity(product, subject, "", "ratio_windows", 1.0, ratio))
+            items.append(Quantity(product, subject, "", "ratio_windows", 1.0, ratio))
     for key, curve in observed.roc.items():
         there = predicted.roc.get(key)
         if there is None or key[2] != "pixel":
@@ -74,5 +74,5 @@ def quantities(predicted: Products, observed: Products) -> list[Quantity]:
                 return float(detection_at(p.roc[key], at))
 
             name = f"pd@{pfa:.0e}".replace("e-0", "e-")
-            found.append(Quantity("roc", key[0], f"{key[1]}/{key[2]}", name, pd(observed), pd))
-    return found
+            items.append(Quantity("roc", key[0], f"{key[1]}/{key[2]}", name, pd(observed), pd))
+    return items

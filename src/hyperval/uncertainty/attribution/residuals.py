@@ -200,8 +200,8 @@ def _moments(subject: str, detector: str, score: ScoreDistribution) -> Block:
     variances = [score.sd**2 / n + SCORE_FLOOR**2, 0.5 / (n - 1) + LOG_FLOOR**2]
 
     def read(p: Products) -> Array:
-        found = p.scores[subject, detector]
-        return np.array([found.mean, np.log(found.sd)])
+        scores = p.scores[subject, detector]
+        return np.array([scores.mean, np.log(scores.sd)])
 
     return Block("scores", subject, detector, np.array([score.mean, np.log(score.sd)]), np.diag(variances), read)
 
