@@ -18,7 +18,6 @@ WAITING = {
     "prediction/background.py": {"filled"},
     "prediction/inputs.py": {"found", "filled", "held"},
     "prediction/monte_carlo.py": {"found", "held"},
-    "prediction/propagation.py": {"found"},
     "processing/wavelength_check.py": {"found"},
     "report/charts.py": {"_held", "held"},
     "spectra/readers.py": {"found", "held"},
@@ -35,7 +34,7 @@ def authors_names(text: str) -> set[str]:
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.relative_to(SOURCE).as_posix())
 def test_names_need_no_author(path):
     name = path.relative_to(SOURCE).as_posix()
-    assert authors_names(path.read_text("utf-8")) == WAITING.get(name, set())
+    assert authors_names(path.read_text("utf-8")) <= WAITING.get(name, set())
 
 
 def test_such_a_name_is_seen():
