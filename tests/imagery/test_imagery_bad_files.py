@@ -166,6 +166,9 @@ def test_more_bands_than_an_imager_has_are_refused(tmp_path: Path):
     path.write_bytes(struct.pack("<2sHIH", b"II", 42, 8, len(entries)) + body + bytes(1300))
     with pytest.raises(InputError, match="32769 bands\n  expected: at most 20000"):
         open_cube(path, quantity="other")
+    path.write_bytes(path.read_bytes().replace(struct.pack("<I", 32_769), struct.pack("<I", 16_385)))
+    with pytest.raises(InputError, match="1430 bytes for 16385 bands of 1 lines and 1 samples"):
+        open_cube(path, quantity="other")
 
 
 def test_sidecar_that_changes_the_meaning_is_not_read(tiff: Path, axis: SpectralAxis):

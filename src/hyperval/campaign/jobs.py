@@ -10,6 +10,7 @@ from pathlib import Path
 
 from hyperval.campaign.draft import Waiting
 from hyperval.campaign.one import Job, run_campaign, unfinished
+from hyperval.campaign.resume import Finished
 from hyperval.errors import HypervalError, internal_error
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.progress import track
@@ -23,50 +24,69 @@ AnyJob = Job | Waiting
 
 def run_jobs(
     jobs: Sequence[AnyJob],
-    folder: Path,
+    finished: Finished,
     *,
     executor: Executor | None = None,
     scheduler: str | None = None,
     show_progress: bool | None = None,
 ) -> list[Done]:
-    """Run every campaign into ``folder``/NAME; the result does not depend on how many run at once, or where.
+    """Run every campaign into a folder of its name; the result does not depend on how many run at once, or where.
 
     Parameters
     ----------
+    finished : where the folders are made, and stay until the output is whole; those that an earlier run finished
+        are not run again
     executor : what runs them; default: the workers of ``scheduler``, or one process for each processor
-    scheduler : address of a Dask scheduler, whose workers see ``folder`` and the data under the same names
+    scheduler : address of a Dask scheduler, whose workers see that folder and the data under the same names
 
     Returns
     -------
     For each campaign, in the order given, its report without the arrays (they are written), and the exit code of
     the error that stopped it (None when nothing did).  What stops one campaign becomes its ERROR rows.
     """
+    finished.folder.mkdir(parents=True, exist_ok=True)
+    ready = {i: (run, None) for i, job in enumerate(jobs) if isinstance(job, Job) and (run := finished.load(job))}
+    left = [job for i, job in enumerate(jobs) if i not in ready]
+    new = iter(_run_left(left, finished, executor, scheduler, show_progress) if left else [])
+    return [ready[i] if i in ready else next(new) for i in range(len(jobs))]
+
+
+def _run_left(
+    jobs: Sequence[AnyJob],
+    finished: Finished,
+    executor: Executor | None,
+    scheduler: str | None,
+    show_progress: bool | None,
+) -> list[Done]:
     count = worker_count(len(jobs))
     if executor is None and scheduler is None and count == 1:
-        return [_run_into(job, folder / job.campaign.name, show_progress) for job in jobs]
+        return [_run_into(job, finished, show_progress) for job in jobs]
     with ExitStack() as stack:
         where = executor or stack.enter_context(workers(count, scheduler))
-        pieces = [(job, folder.resolve() / job.campaign.name) for job in jobs]
+        pieces = [(job, finished) for job in jobs]
         done: list[Done] = []
         try:
             results = in_order(where, _piece, pieces, ahead=len(jobs))
             done.extend(track(results, "campaigns", len(jobs), show=show_progress))
         except WorkersLostError as error:  # the campaigns whose results are not there yet
-            done += [_stopped(job, path, error) for job, path in pieces[len(done) :]]
+            done += [_stopped(job, finished.folder / job.campaign.name, error) for job in jobs[len(done) :]]
         return done
 
 
-def _piece(piece: tuple[AnyJob, Path]) -> Done:
+def _piece(piece: tuple[AnyJob, Finished]) -> Done:
     return _run_into(*piece, False)
 
 
-def _run_into(job: AnyJob, folder: Path, show_progress: bool | None) -> Done:
+def _run_into(job: AnyJob, finished: Finished, show_progress: bool | None) -> Done:
+    folder = finished.folder / job.campaign.name
     try:
         run = run_campaign(job, show_progress=show_progress)
     except Exception as error:  # one broken campaign must not hide what the others say
         return _stopped(job, folder, error)
     folder.mkdir(exist_ok=True)
     write_outputs(run, folder)
+    if isinstance(job, Job):
+        finished.keep(job, run)
     return _without_arrays(run), None
 
 

@@ -9,10 +9,11 @@ from pathlib import Path
 from hyperval.campaign.jobs import run_jobs
 from hyperval.campaign.one import Job, jobs_of, record_of, run_campaign
 from hyperval.campaign.one_side import product_rows
+from hyperval.campaign.resume import Finished
 from hyperval.campaign.schema import load_campaign
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
-from hyperval.folders import whole_folder
+from hyperval.folders import partial_folder, whole_folder
 from hyperval.observe import Observed
 from hyperval.observe.reflectance_cube import Form
 from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
@@ -43,7 +44,8 @@ def validate(
     The exit code of the contract.  A campaign whose data set is not at hand is SKIPPED in the table with the
     command that fetches it, or with who holds it.  An error in one of several campaigns becomes ERROR rows, the
     others are run, and the code is that of the first error; with a single campaign it is raised and nothing is
-    written.
+    written.  Of several, those that are finished stand in ``OUTPUT.partial`` until the results are whole: the same
+    command goes on from there.
     """
     jobs = [job for path in paths for job in jobs_of(path)]
     names = [job.campaign.name for job in jobs]
@@ -55,10 +57,13 @@ def validate(
             run = run_campaign(jobs[0], show_progress=show_progress)
             write_outputs(run, folder)
             return run.table.exit_code(strict=strict)
-        done = run_jobs(jobs, folder, scheduler=scheduler, show_progress=show_progress)
+        finished = Finished(partial_folder(output).resolve())
+        done = run_jobs(jobs, finished, scheduler=scheduler, show_progress=show_progress)
         write_index([run for run, _ in done], folder)
-        first_error = next((code for _, code in done if code is not None), None)
-        return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
+        finished.hand_over(names, folder)
+    finished.remove()
+    first_error = next((code for _, code in done if code is not None), None)
+    return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
 
 
 def observe(

@@ -27,6 +27,7 @@ from hyperval.imagery.validity import equals
 Mask = npt.NDArray[np.bool_]
 MAX_TEXT_BYTES = 32 << 20
 MAX_CLASSES = 1000
+_MAX_DIGITS = 300  # more are no float
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")
 REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
@@ -112,7 +113,7 @@ def geojson_drawings(
     has it.
     """
     try:
-        data = json.loads(read_text(path), object_pairs_hook=_once, parse_constant=_refuse)
+        data = json.loads(read_text(path), object_pairs_hook=_once, parse_constant=_refuse, parse_int=_whole_number)
     except (ValueError, RecursionError) as error:
         raise InputError(f"not valid GeoJSON: {error}", where=str(path)) from error
     stated = _stated_crs(data, path)
@@ -298,6 +299,12 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(out) < len(pairs):
         raise ValueError("a key stands twice in one object")
     return out
+
+
+def _whole_number(text: str) -> int:
+    if len(text) > _MAX_DIGITS:
+        raise ValueError(f"a number of {len(text)} digits")
+    return int(text)
 
 
 def _refuse(text: str) -> Any:

@@ -29,6 +29,7 @@ from hyperval.paths import checked_file
 
 Index = npt.NDArray[np.intp]
 MAX_BANDS = 20_000
+MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
 MAX_TILE_BYTES = 1 << 30
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
 TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
@@ -118,6 +119,12 @@ def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffR
             raise InputError(
                 "a mask or alpha band in the file, which would not be heeded", where=str(path),
                 mend="rewrite it without, the masked pixels holding a no-data value",
+            )  # fmt: skip
+        stated, stored = dataset.height * dataset.width * dataset.count * dtype.itemsize, path.stat().st_size
+        if stated > stored * (MOST_COMPRESSED if dataset.compression else 1):
+            raise InputError(
+                f"{stored} bytes for {dataset.count} bands of {dataset.height} lines and {dataset.width} samples",
+                where=str(path), expected=f"{stated} bytes of values", mend="copy the file again: it is cut short",
             )  # fmt: skip
         rows, cols = dataset.block_shapes[0]
         if rows * cols * dtype.itemsize * dataset.count > MAX_TILE_BYTES:

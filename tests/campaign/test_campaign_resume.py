@@ -1,0 +1,145 @@
+"""Runs of several campaigns that are killed: the next gives the same files and repeats nothing that was whole."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hyperval import cli
+from hyperval.campaign import jobs as campaign_jobs
+from hyperval.campaign import run as campaign_run
+from hyperval.campaign.one import jobs_of
+from hyperval.campaign.resume import Finished
+from small_campaign import SmallCampaign
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture
+def two(make_small: Callable[[str], SmallCampaign]) -> list[Path]:
+    first, second = make_small("one"), make_small("two")
+    second.data["name"] = "other"
+    return [first.write(), second.write()]
+
+
+def validate(paths: list[Path], out: Path) -> int:
+    return cli.run(["-q", "validate", *map(str, paths), "-o", str(out)])
+
+
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the campaigns that are run from now on."""
+    names, right = [], campaign_jobs.run_campaign
+
+    def counted(job, **options):
+        names.append(job.campaign.name)
+        return right(job, **options)
+
+    monkeypatch.setattr(campaign_jobs, "run_campaign", counted)
+    return names
+
+
+def die(*_: object, **__: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def killed(paths: list[Path], out: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+    """Run in a process that is killed in the middle."""
+    child = os.fork()
+    if child == 0:
+        run, keep, write = campaign_jobs.run_campaign, Finished.keep, campaign_jobs.write_outputs
+
+        def half_written(report, folder):
+            write(report, folder)
+            if report.campaign == "other":
+                (folder / "results.json").write_text("{")
+                die()
+
+        def at_second(job, right, *rest, **options):
+            return die() if job.campaign.name == "other" else right(*rest, **options)
+
+        if where == "in the second campaign":
+            monkeypatch.setattr(campaign_jobs, "run_campaign", lambda job, **o: at_second(job, run, job, **o))
+        elif where == "in the files of the second":
+            monkeypatch.setattr(campaign_jobs, "write_outputs", half_written)
+        elif where == "before the second is known to be whole":
+            monkeypatch.setattr(Finished, "keep", lambda self, job, r: at_second(job, keep, self, job, r))
+        else:
+            monkeypatch.setattr(campaign_run, "write_index", die)
+        try:
+            validate(paths, out)
+        finally:
+            os._exit(0)
+    _, status = os.waitpid(child, 0)
+    assert os.WIFSIGNALED(status)
+    assert os.WTERMSIG(status) == signal.SIGKILL
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("where", "again"),
+    [
+        ("in the second campaign", ["other"]), ("in the files of the second", ["other"]),
+        ("before the second is known to be whole", ["other"]), ("on the page of both", []),
+    ],
+)  # fmt: skip
+def test_a_killed_run_goes_on_to_the_same_bytes(where, again, two, tmp_path, monkeypatch):
+    code = validate(two, tmp_path / "whole")
+    killed(two, tmp_path / "out", monkeypatch, where)
+    assert "results.csv" not in files_of(tmp_path / "out")
+    names = runs(monkeypatch)
+    assert validate(two, tmp_path / "out") == code
+    assert names == again
+    assert files_of(tmp_path / "out") == files_of(tmp_path / "whole")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["one", "out", "two", "whole"]
+
+
+def test_only_what_would_come_out_the_same_is_taken_over(two, tmp_path, monkeypatch):
+    killed(two, tmp_path / "out", monkeypatch, "in the second campaign")
+    kept, path = tmp_path / "out.partial", two[0]
+    assert sorted(p.name for p in (kept / "campaigns").iterdir()) == ["small", "small.json"]
+
+    def taken_over() -> bool:
+        copy = tmp_path / "copy"
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(kept, copy)
+        (job,) = jobs_of(path)
+        run = Finished(copy).load(job)
+        # What is not taken over is gone: nothing of it can get among the new files.
+        assert (copy / "campaigns" / "small").exists() is (run is not None)
+        return run is not None
+
+    assert taken_over()
+    (cube,) = path.parent.rglob("small_rad.img")
+    for file, change in (
+        (path, lambda raw: raw.replace(b"title: ", b"title: Another ", 1)),
+        (path, lambda raw: raw + b"# nothing but a comment\n"),
+        (cube, lambda raw: raw[:-1] + bytes([raw[-1] ^ 1])),
+        (cube.with_suffix(".hdr"), lambda raw: raw + b"\n"),
+        (kept / "campaigns" / "small.json", lambda raw: raw[:-9]),
+        (kept / "campaigns" / "small.json", lambda raw: b"[]"),
+        (kept / "campaigns" / "small" / "results.json", lambda raw: raw[:-9]),
+    ):
+        before = file.read_bytes()
+        assert change(before) != before
+        file.write_bytes(change(before))
+        assert not taken_over(), file
+        file.write_bytes(before)
+        assert taken_over()
+    monkeypatch.setattr("hyperval.campaign.resume._program", lambda: "another")
+    assert not taken_over()
+
+
+def test_what_was_skipped_or_went_wrong_is_not_kept(two, tmp_path, monkeypatch):
+    (cube,) = two[0].parent.rglob("small_rad.img")
+    cube.unlink()
+    killed(two, tmp_path / "out", monkeypatch, "in the second campaign")
+    assert [p.name for p in (tmp_path / "out.partial" / "campaigns").iterdir()] == ["small"]
+    (job,) = jobs_of(two[0])
+    assert Finished(tmp_path / "out.partial").load(job) is None

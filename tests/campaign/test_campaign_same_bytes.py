@@ -1,0 +1,73 @@
+"""The same campaigns give the same bytes, whoever computes them: processes, threads, blocks of lines."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hyperval
+from small_campaign import SmallCampaign
+
+# Read again by every process that the run starts.
+SCRIPT = """
+import os, sys
+from small_campaign import stand_in_atmosphere
+import hyperval.atmosphere, hyperval.imagery.cube, hyperval.prediction.cases, hyperval.processing.passes
+from hyperval import cli
+
+hyperval.atmosphere.atmospheric_terms = hyperval.prediction.cases.atmospheric_terms = stand_in_atmosphere
+if "CORES" in os.environ:
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(os.environ["CORES"])])
+if "LINES" in os.environ:
+    hyperval.processing.passes.BLOCK_PIXELS = 72 * int(os.environ["LINES"])
+    hyperval.imagery.cube.BLOCK_BYTES = 72 * 16 * 8 * int(os.environ["LINES"])
+if __name__ == "__main__":
+    sys.exit(cli.run(sys.argv[1:]))
+"""
+AS_IT_IS = {"HYPERVAL_WORKERS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def run(tmp_path: Path, name: str, paths: list[Path], **environment: str) -> dict[str, bytes]:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    places = [str(Path(hyperval.__file__).parents[1]), str(Path(__file__).parents[1])]
+    inherited = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    command = [sys.executable, str(tmp_path / "script.py"), "-q", "validate", *map(str, paths), "-o", name]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, check=False,
+        env={**inherited, "PYTHONPATH": os.pathsep.join(places), **AS_IT_IS, **environment},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr.decode()
+    return files_of(tmp_path / name)
+
+
+@pytest.mark.slow
+def test_results_pages_figures_and_products_do_not_depend_on_who_computes_them(small_collection, tmp_path):
+    paths = []
+    for name in ("one", "two"):
+        shutil.copytree(small_collection, tmp_path / name)
+        campaign = SmallCampaign(tmp_path / name)
+        campaign.data["name"] = name
+        campaign.data["detection"]["targets"][0]["name"] = "yellow"
+        paths.append(campaign.write())
+    first = run(tmp_path, "first", paths)
+    assert {"results.csv", "report.html", "one/products.nc", "two/report.html", "one/results.csv"} <= set(first)
+    assert sum(name.endswith((".svg", ".png")) for name in first) > 10
+    for name, environment in {
+        "again": {},
+        "workers": {"HYPERVAL_WORKERS": "2"},
+        "products of matrices by two threads": {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"},
+        "one core": {"CORES": "1"},
+        "blocks of other lines": {"LINES": "5"},
+    }.items():
+        other = run(tmp_path, name, paths, **environment)
+        assert sorted(other) == sorted(first), name
+        assert [path for path in first if other[path] != first[path]] == [], name
