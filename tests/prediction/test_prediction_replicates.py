@@ -14,7 +14,7 @@ from hyperval.config import validate
 from hyperval.errors import InputError, UsageError
 from hyperval.predict import predict
 from hyperval.prediction.inputs import Sources
-from hyperval.prediction.replicates import mean_error_covariance, replicate_statistics
+from hyperval.prediction.replicates import band_error_covariance, mean_error_covariance, replicate_statistics
 from hyperval.scenario import Scenario, SpectrumSource, Surface
 from hyperval.scenario_sources import Replicates
 from hyperval.spectra.axis import SpectralAxis
@@ -227,3 +227,28 @@ def test_real_replicates(data_dir):
     assert (infrared - red) / (infrared + red) > 0.6  # grass
     assert np.all(lawn_of_hysu.standard_deviation < 0.15)
     assert np.all(np.linalg.eigvalsh(lawn_of_hysu.covariance) > 0)
+
+
+def test_errors_of_single_samples_partly_cancel_in_a_band():
+    """4,000 draws of errors that are each nanometre's own, and of errors over 40 nm, averaged over bands of 6 nm.
+
+    Of a band's variance a draw of 4,000 has a standard error of 2.2 %; five of them over 20 bands: one false
+    failure in 10,000.  Bands 4 nm apart share samples, which the diagonal alone would miss.
+    """
+    at = np.arange(400.0, 901.0)
+    axis = SpectralAxis(np.arange(500.0, 580.0, 4.0), np.full(20, 6.0))
+    u = 0.001 + 0.00001 * (at - 400.0)
+    rng = np.random.default_rng(12)
+    for length in (1e-6, 40.0):
+        c = np.outer(u, u) * np.exp(-0.5 * ((at[:, None] - at) / length) ** 2)
+        values, vectors = np.linalg.eigh(c)
+        drawn = rng.standard_normal((4000, at.size)) * np.sqrt(np.clip(values, 0, None)) @ vectors.T
+        found = np.cov(band_average(at, drawn, axis), rowvar=False)
+        stated = band_error_covariance(at, u, length, axis)
+        assert np.diag(stated) == pytest.approx(np.diag(found), rel=0.11)
+        unit = np.sqrt(np.outer(np.diag(stated), np.diag(stated)))
+        assert np.max(np.abs(stated - found) / unit) < 0.11
+    alone = band_error_covariance(at, u, 1e-6, axis)
+    assert np.all(np.sqrt(np.diag(alone)) < 0.5 * band_average(at, u, axis))  # what the plain average would say
+    wide = band_error_covariance(at, u, 1e6, axis)
+    assert np.sqrt(np.diag(wide)) == pytest.approx(band_average(at, u, axis), rel=1e-9)

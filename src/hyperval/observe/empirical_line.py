@@ -13,6 +13,7 @@ from hyperval.collection import EmpiricalLineSource, PanelReference
 from hyperval.errors import UsageError
 from hyperval.imagery.cube import Cube
 from hyperval.prediction.inputs import Sources, correlation
+from hyperval.prediction.replicates import band_error_covariance
 from hyperval.processing.elm import EmpiricalLine, PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import LineError, PanelErrors, line_error
 from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
@@ -155,14 +156,18 @@ def _field(panel: PanelReference, cube: Cube, resolve: Callable[[str], Path]) ->
     """Reflectance (B,) of a panel as measured on the ground, and its error covariance (B, B).
 
     What replicate spectra say, or the standard error that the file carries, and the stated relative uncertainty;
-    the latter two with the stated correlation length, common to all bands without one.
+    the latter two with the stated correlation length, common to all bands without one.  The file's standard error
+    holds between its own samples, of which a band may average several.
     """
     field = Sources(cube.axis, {}, resolve).spectrum(panel.spectrum, panel.region)
     stated, together = panel.relative_uncertainty * field.mean, correlation(cube.axis, panel.correlation_nm)
     covariance = np.outer(stated, stated) * together
     if field.mean_error is not None:
         covariance = covariance + field.mean_error
+    elif field.sampled_deviation is not None and panel.correlation_nm is not None:
+        spread = band_error_covariance(*field.sampled_deviation, panel.correlation_nm, cube.axis)
+        covariance = covariance + spread / (field.n or 1)
     elif field.standard_deviation is not None:
         spread = field.standard_deviation / np.sqrt(field.n or 1)
-        covariance = covariance + np.outer(spread, spread) * together
+        covariance = covariance + np.outer(spread, spread)
     return field.mean, covariance

@@ -35,6 +35,7 @@ class SurfaceStatistics:
     mean : (B,) reflectance [1]
     covariance : (B, B), zero where nothing is known of the spread
     standard_deviation : (B,) that a spectrum's file carries, None without
+    sampled_deviation : (n,) wavelengths [nm] and the same standard deviations as the file has them
     n : samples behind it
     mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
     """
@@ -47,6 +48,7 @@ class SurfaceStatistics:
     standard_deviation: Array | None = None
     n: int | None = None
     mean_error: Array | None = None
+    sampled_deviation: tuple[Array, Array] | None = None
 
 
 def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float | None:
@@ -150,14 +152,15 @@ class Sources:
                 f"the spectrum of {name!r} ({source.file}) covers none of the bands",
                 expected=f"samples between {self.axis.centre_nm[0]:g} and {self.axis.centre_nm[-1]:g} nm",
             )
-        spread = None
+        spread, sampled = None, None
         if read.standard_deviation is not None:
             spread = in_bands(read.wavelength_nm, read.standard_deviation, self.axis, self.nominal)
+            sampled = read.wavelength_nm, read.standard_deviation
         zero = np.zeros((len(self.axis), len(self.axis)))
         errors = None
         if read.errors is not None:  # as the file states them; an entry of the scenario's stands in their place
             errors = covariance_in_bands(read.wavelength_nm, read.errors.covariance(), self.axis)
-        return SurfaceStatistics(name, mean, zero, str(source.file), None, spread, read.n, errors)
+        return SurfaceStatistics(name, mean, zero, str(source.file), None, spread, read.n, errors, sampled)
 
     def _measured(self, region: str, name: str) -> ClassStatistics:
         if region not in self.measured:

@@ -161,5 +161,18 @@ def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralA
     return np.asarray(weights.T @ covariance @ weights)
 
 
+def band_error_covariance(
+    wavelength_nm: Array, standard_deviation: Array, correlation_nm: float, axis: SpectralAxis
+) -> Array:
+    """(B, B) covariance in the bands of an error of standard deviation (n,) and correlation length at its samples.
+
+    Of C_kl = u_k u_l exp(-(dl / length)^2 / 2): errors that are each sample's own partly cancel within a band, which
+    the band average of their standard deviation alone does not know.
+    """
+    u = np.nan_to_num(standard_deviation)
+    together = np.exp(-0.5 * ((wavelength_nm[:, None] - wavelength_nm[None, :]) / correlation_nm) ** 2)
+    return covariance_in_bands(wavelength_nm, np.outer(u, u) * together, axis)
+
+
 def _are_centres(wavelength_nm: Array, axis: SpectralAxis) -> bool:
     return wavelength_nm.size == len(axis) and bool(np.all(np.abs(wavelength_nm - axis.centre_nm) <= SAME_BAND_NM))
