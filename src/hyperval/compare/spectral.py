@@ -26,6 +26,7 @@ from hyperval.compare.difference import (
     size_intervals,
 )
 from hyperval.compare.rows import RowMaker
+from hyperval.compare.wavelengths import wavelength_rows
 from hyperval.products import SpectralEstimate
 from hyperval.results import Cause, Result
 from hyperval.spectra.axis import SpectralAxis
@@ -56,7 +57,8 @@ def compare_spectra(
     swir2, absorption: ``median_difference_ratio_R`` (with interval), ``median_abs_difference_ratio_R`` and
     ``max_abs_difference_ratio_R``.  Over the windows: ``chi2_reduced_diagonal``, ``p_value_diagonal``,
     ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (mean difference ratio), ``chi2_reduced_shape``,
-    ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``.  A region
+    ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``; of radiance
+    :func:`hyperval.compare.wavelengths.wavelength_rows` where both sides have the absorptions of the atmosphere.  A region
     without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.  A measured spectrum
     that is no evidence, since the prediction's own input made it, gives one SKIPPED row.  Where the source of the
     observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
@@ -65,7 +67,11 @@ def compare_spectra(
     make = RowMaker(campaign, product, subject, method)
     if predicted is not None and observed is not None and observed.circular:
         return [make.skipped(Cause.CIRCULAR, observed.circular)]
-    return make.compared(predicted, observed, lambda p, o: _rows(make, p, o, axis))
+
+    def rows(p: SpectralEstimate, o: SpectralEstimate) -> list[Result]:
+        return _rows(make, p, o, axis) + (wavelength_rows(make, p, o, axis) if product == "radiance" else [])
+
+    return make.compared(predicted, observed, rows)
 
 
 def _rows(

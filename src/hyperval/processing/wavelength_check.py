@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 LEAST_DEPTH = 0.15  # of an absorption under the line between its shoulders
 LEAST_BANDS = 3  # in a feature
@@ -25,6 +26,7 @@ Z95 = 1.959963984540054
 class Feature:
     """An absorption: the centre of its area and how well that is known, and where it is looked for [nm]."""
 
+    key: str
     name: str
     centre_nm: float
     uncertainty_nm: float
@@ -35,12 +37,12 @@ class Feature:
 # Centres: MODTRAN 6 at 5 nm for a flat surface (763.1 +- 0.1, 941.3 +- 0.2, 1134.7 +- 0.2) beside 6S, whose lines
 # are coarser (762.4, 941.4, 1137.1); liquid water in plants moves the two of vapour by 1 nm.
 FEATURES = (
-    Feature("oxygen A band", 762.9, 0.5, 12.0, 10.0),
-    Feature("water vapour at 940 nm", 941.4, 1.0, 60.0, 20.0),
-    Feature("water vapour at 1135 nm", 1135.5, 1.3, 50.0, 20.0),
+    Feature("oxygen-763", "oxygen A band", 762.9, 0.5, 12.0, 10.0),
+    Feature("vapour-940", "water vapour at 940 nm", 941.4, 1.0, 60.0, 20.0),
+    Feature("vapour-1135", "water vapour at 1135 nm", 1135.5, 1.3, 50.0, 20.0),
 )
 # Half of the rise from red to infrared: 710 to 724 nm for leaves, lawns and the built-in grass.
-RED_EDGE = Feature("red edge of plants", 717.0, 5.0, 50.0, 20.0)
+RED_EDGE = Feature("red-edge", "red edge of plants", 717.0, 5.0, 50.0, 20.0)
 
 
 @dataclass(frozen=True)
@@ -80,17 +82,13 @@ def absorption_centre(
     centre, depth = float(w[at][np.argmin(y[at] / np.where(line > 0.0, line, np.inf))]), 0.0
     width = np.gradient(w)
     for _ in range(_STEPS):
-        low, high = centre - feature.half_nm, centre + feature.half_nm
-        before = (w >= low - feature.shoulder_nm) & (w < low)
-        after = (w > high) & (w <= high + feature.shoulder_nm)
-        inside = (w >= low) & (w <= high)
+        before, inside, after = _around(w, centre, feature)
         if not before.any() or not after.any() or inside.sum() < LEAST_BANDS:
             return float("nan"), 0.0
-        steps = np.diff(w[(w >= low - feature.shoulder_nm) & (w <= high + feature.shoulder_nm)])
+        steps = np.diff(w[before | inside | after])
         if steps.max() > MOST_GAP * np.median(steps):
             return float("nan"), 0.0
-        ends = [w[before].mean(), w[after].mean()], [y[before].mean(), y[after].mean()]
-        d = 1.0 - y[inside] / np.interp(w[inside], *ends)
+        d = 1.0 - y[inside] / _line(w, y, before, inside, after)
         area = float(np.sum(d * width[inside]))
         depth = float(d.max())
         if depth < LEAST_DEPTH or area <= 0.0:
@@ -101,6 +99,46 @@ def absorption_centre(
         # Half steps: bands enter and leave the window, which makes whole ones swing.
         centre = 0.5 * (centre + moved)
     return centre, depth
+
+
+def centre_uncertainty(
+    wavelength_nm: npt.ArrayLike,
+    radiance: npt.ArrayLike,
+    covariance: npt.ArrayLike,
+    feature: Feature,
+    centre_nm: float,
+) -> float:
+    """Standard uncertainty [nm] of an absorption's centre by the errors of its bands; NaN without a centre.
+
+    First order, the line between the shoulders taken as known: a unit of radiance in a band inside moves
+    the centre c by -(w - c) dw / (A L_line), A = sum d dw being the area of the absorption.
+
+    Parameters
+    ----------
+    covariance : (B, B) of the radiance (B,)
+    """
+    w, y, cov = (np.asarray(x, dtype=float) for x in (wavelength_nm, radiance, covariance))
+    if not np.isfinite(centre_nm):
+        return float("nan")
+    before, inside, after = _around(w, centre_nm, feature)
+    line, width = _line(w, y, before, inside, after), np.gradient(w)[inside]
+    area = float(np.sum((1.0 - y[inside] / line) * width))
+    slope = (w[inside] - centre_nm) * width / (area * line)
+    return float(np.sqrt(max(slope @ cov[np.ix_(inside, inside)] @ slope, 0.0)))
+
+
+def _around(w: Array, centre: float, feature: Feature) -> tuple[Mask, Mask, Mask]:
+    """Bands of the shoulder before, of the absorption and of the shoulder after."""
+    low, high = centre - feature.half_nm, centre + feature.half_nm
+    before = (w >= low - feature.shoulder_nm) & (w < low)
+    after = (w > high) & (w <= high + feature.shoulder_nm)
+    return before, (w >= low) & (w <= high), after
+
+
+def _line(w: Array, y: Array, before: Mask, inside: Mask, after: Mask) -> Array:
+    """Radiance of the line between the shoulders at the bands inside."""
+    ends = [w[before].mean(), w[after].mean()], [y[before].mean(), y[after].mean()]
+    return np.asarray(np.interp(w[inside], *ends))
 
 
 def red_edge(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike) -> float:

@@ -1,0 +1,41 @@
+"""Where both radiances have the absorptions of the atmosphere: a shift of wavelengths that levels hardly show."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hyperval.compare.difference import Z95
+from hyperval.compare.rows import RowMaker
+from hyperval.processing.wavelength_check import FEATURES, absorption_centre, centre_uncertainty
+from hyperval.products import SpectralEstimate
+from hyperval.results import Result
+from hyperval.spectra.axis import SpectralAxis
+
+
+def wavelength_rows(
+    make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis
+) -> list[Result]:
+    """Rows ``absorption_centre_difference@FEATURE`` [nm], predicted less measured, of what both sides show.
+
+    Both centres come from the same bands in the same way, so that what a band set does to a centre falls out.  The
+    interval holds the stated errors of both spectra within the absorption; where none is stated there is none.
+    """
+    rows = []
+    use = axis.good & np.isfinite(predicted.mean) & np.isfinite(observed.mean)
+    at = np.flatnonzero(use)[np.argsort(axis.centre_nm[use], kind="stable")]
+    w = axis.centre_nm[at]
+    for feature in FEATURES:
+        found = []
+        for side in (predicted, observed):
+            y, c = side.mean[at], side.error_covariance[np.ix_(at, at)]
+            centre, _ = absorption_centre(w, y, feature)
+            found.append((centre, centre_uncertainty(w, y, c, feature, centre)))
+        (p, up), (o, uo) = found
+        if math.isnan(p) or math.isnan(o):
+            continue
+        half = Z95 * math.hypot(up, uo) or math.nan
+        name = f"absorption_centre_difference@{feature.key}"
+        rows.append(make.row(name, p - o, interval=(p - o - half, p - o + half), unit="nm", n=observed.n))
+    return rows
