@@ -7,9 +7,9 @@ side a product came from.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,34 @@ import numpy.typing as npt
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+
+
+class EstimatedPart(NamedTuple):
+    """A part of an error covariance that was estimated from samples.
+
+    Attributes
+    ----------
+    covariance : (B, B) as it stands in the error covariance, widened where few samples know it
+    dof : degrees of freedom behind ``model``
+    model : (B, B) as estimated, all directions of it; None: ``covariance``
+    sample : (B, B) of the samples themselves, where ``model`` is a model of it; None: ``model``
+    sample_dof : degrees of freedom behind it
+    """
+
+    covariance: Array
+    dof: float
+    model: Array | None = None
+    sample: Array | None = None
+    sample_dof: float = math.nan
+
+    def bands(self, use: npt.NDArray[np.bool_]) -> EstimatedPart:
+        """The same in some of the bands."""
+        return self.of_each(lambda c: c[np.ix_(use, use)])
+
+    def of_each(self, change: Callable[[Array], Array]) -> EstimatedPart:
+        """With its covariances changed alike."""
+        model, sample = (None if c is None else change(c) for c in (self.model, self.sample))
+        return EstimatedPart(change(self.covariance), self.dof, model, sample, self.sample_dof)
 
 
 @dataclass(frozen=True)
@@ -32,8 +60,7 @@ class SpectralEstimate:
     n : number of samples behind the mean
     budget : standard uncertainty (B,) by source of error, for budget bars; the sources are
         independent of each other, so their squares sum to the diagonal of ``error_covariance``
-    estimated : parts (B, B) of ``error_covariance`` that were estimated from samples, each with its degrees of
-        freedom; the rest counts as known
+    estimated : parts of ``error_covariance`` that were estimated from samples; the rest counts as known
     circular : why the estimate is no evidence, such as a panel that its own empirical line goes through; else empty
     stated : (B,) standard uncertainty that its source states, where ``error_covariance`` leaves out what the other
         side shares with it; None where that holds all
@@ -44,7 +71,7 @@ class SpectralEstimate:
     pixel_covariance: Array | None = None
     n: int | None = None
     budget: Mapping[str, Array] = field(default_factory=dict)
-    estimated: tuple[tuple[Array, float], ...] = field(default=(), compare=False, repr=False)
+    estimated: tuple[EstimatedPart, ...] = field(default=(), compare=False, repr=False)
     circular: str = ""
     stated: Array | None = field(default=None, compare=False, repr=False)
 

@@ -28,7 +28,10 @@ def test_mean_and_covariance_of_a_region_equal_numpy(world):
     assert set(corner.budget) == {"sampling"}
     assert corner.n == 200
     # Pixels that are independent of each other: n - 1 degrees of freedom behind the error.
-    assert [dof for _, dof in corner.estimated] == pytest.approx([199], rel=0.02)
+    (part,) = corner.estimated
+    assert part.dof == pytest.approx(199, rel=0.02)
+    # A test widens by these degrees of freedom, and gets the covariance without the widening.
+    assert part.model == pytest.approx(covariance / 200, rel=1e-9, abs=1e-18)
     assert seen.observation.radiance == {}
     handed = seen.statistics["corner"]
     assert (handed.mean, handed.n) == (pytest.approx(pixels.mean(axis=0)), 200)
@@ -40,7 +43,11 @@ def test_the_mean_of_fewer_pixels_than_bands_has_an_error_in_every_direction(wor
     expected, dof = factor_covariance(np.cov(world.values[40:42, 5:8].reshape(-1, BANDS), rowvar=False), 6)
     assert few.error_covariance == pytest.approx(expected / 6, rel=1e-9, abs=1e-18)
     assert np.linalg.matrix_rank(few.error_covariance) == BANDS
-    assert [nu for _, nu in few.estimated] == pytest.approx([dof])
+    (part,) = few.estimated
+    assert part.dof == pytest.approx(dof)
+    sample = np.cov(world.values[40:42, 5:8].reshape(-1, BANDS), rowvar=False)
+    assert part.sample == pytest.approx(sample / 6, rel=1e-9, abs=1e-18)
+    assert part.sample_dof == 5
 
 
 def test_a_region_keeps_clear_of_targets_unless_nothing_is_left(world):

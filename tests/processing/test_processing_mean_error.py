@@ -15,6 +15,7 @@ from hyperval.processing.mean_error import (
     small_sample_factor,
 )
 from hyperval.processing.spatial_correlation import neighbour_shares
+from hyperval.products import EstimatedPart
 from hyperval.simulate.fields import correlated_field
 
 SIDE, REACH = 40, 24
@@ -162,7 +163,7 @@ def test_consistency_with_a_covariance_from_few_samples_rejects_as_often_as_stat
         x = rng.standard_normal((n, p)) @ root
         part = np.cov(x.T)
         r = rng.standard_normal(p) @ root + np.sqrt(0.2) * rng.standard_normal(p)
-        with_f += chi_square_full(r, known + part, [(part, n - 1.0)]).p_value < 0.05
+        with_f += chi_square_full(r, known + part, [EstimatedPart(part, n - 1.0)]).p_value < 0.05
         with_chi2 += chi_square_full(r, known + part).p_value < 0.05
     assert with_f / 2000 == pytest.approx(0.05, abs=0.02)
     assert with_chi2 / 2000 > 0.08
@@ -183,8 +184,8 @@ def test_directions_are_left_out_until_the_covariance_is_known_well_enough():
     c = np.diag(np.linspace(1.0, 2.0, 10))
     c[0, 1] = c[1, 0] = 0.9
     r = rng.standard_normal(10)
-    some = chi_square_full(r, c, [(c, 12.0)])
+    some = chi_square_full(r, c, [EstimatedPart(c, 12.0)])
     assert (some.dof, some.covariance_dof) == (4, pytest.approx(12.0))
     assert 0.0 < some.p_value < 1.0
-    split = bias_and_shape(r, np.ones(10), c, [(c, 12.0)])
+    split = bias_and_shape(r, np.ones(10), c, [EstimatedPart(c, 12.0)])
     assert (split.bias / split.bias_sd) ** 2 + split.shape.value == pytest.approx(some.value)

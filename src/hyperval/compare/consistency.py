@@ -11,9 +11,10 @@ import numpy.typing as npt
 from scipy import optimize, stats
 
 from hyperval.errors import UsageError
+from hyperval.products import EstimatedPart
 
 Array = npt.NDArray[np.float64]
-Estimated = Sequence[tuple[Array, float]]
+Estimated = Sequence[EstimatedPart]
 
 # Directions whose variance, in the correlation matrix, is below this part of the greatest are rounding noise.
 EIGENVALUE_CUT = 1e-9
@@ -21,6 +22,8 @@ EIGENVALUE_CUT = 1e-9
 POWER_LEVEL, POWER = 1e-3, 0.8
 # Fewer degrees of freedom of an estimated covariance for each direction say little of the least of them.
 DOF_PER_DIRECTION = 3.0
+# Samples fewer than directions may hold this part of the variance in some direction without being seen in others.
+UNSEEN_PART = 0.2
 
 
 @dataclass(frozen=True)
@@ -76,18 +79,20 @@ def chi_square_full(difference: npt.ArrayLike, covariance: npt.ArrayLike, estima
 
     C is scaled to unit diagonal and eigen-decomposed; directions with less than ``EIGENVALUE_CUT`` of the
     greatest eigenvalue are left out, and the degrees of freedom are the directions kept.  Where parts of C were
-    estimated from samples, the directions of least variance are left out too, until there are three effective
-    degrees of freedom for each direction (:func:`covariance_dof`).
+    estimated from samples and there are fewer than three effective degrees of freedom for each direction
+    (:func:`covariance_dof`), the smoothest directions are tested alone: as many cosines over the bands as the
+    degrees of freedom allow, with the samples' own covariance.  They are chosen without the samples, so that
+    Hotelling's law holds; a sample overstates the variance of its own leading directions, where it does not.
 
     Parameters
     ----------
-    estimated : parts (B, B) of the covariance that were estimated, each with its degrees of freedom
+    estimated : parts of the covariance that were estimated
     """
     r, nu = _tested(difference, covariance, estimated)
     return ChiSquare(float(r @ r), int(r.size), nu)
 
 
-def covariance_dof(parts: Estimated) -> float:
+def covariance_dof(parts: Sequence[tuple[Array, float]]) -> float:
     """Effective degrees of freedom of a covariance C = I of which ``parts`` (p, p) were estimated.
 
     nu = p (1 + p) / sum {tr(C_i^2) + tr(C_i)^2} / nu_i, the rest of C being known.  Source: Nel & van der Merwe,
@@ -103,18 +108,42 @@ def covariance_dof(parts: Estimated) -> float:
 
 def _tested(difference: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated) -> tuple[Array, float]:
     """A vector, or vectors in columns, in the tested directions in units of their sd, and what C is known by."""
-    some, whiten = _whitening(covariance)
-    whiten = whiten[:, ::-1]  # greatest variance first
-    x = np.asarray(difference, dtype=float)
+    x, stated = np.asarray(difference, dtype=float), np.asarray(covariance, dtype=float)
     if not np.all(np.isfinite(x)):
         raise UsageError("a consistency test got NaN or infinity", mend="leave bands without a value out")
-    parts = [(whiten.T @ np.asarray(c)[np.ix_(some, some)] @ whiten, nu) for c, nu in estimated]
-    kept = whiten.shape[1]
-    nu = covariance_dof(parts)
-    while kept > 1 and nu < DOF_PER_DIRECTION * kept:
-        kept = max(min(kept - 1, int(nu / DOF_PER_DIRECTION)), 1)
-        nu = covariance_dof([(c[:kept, :kept], n) for c, n in parts])
-    return (whiten.T @ x[some])[:kept], nu
+    models = [(p.covariance if p.model is None else p.model, p.dof) for p in estimated]
+    widened = sum((p.covariance for p in estimated), np.zeros_like(stated))
+    known = stated - widened
+    some, whiten = _whitening(known + sum((m for m, _ in models), np.zeros_like(stated)))
+    nu = covariance_dof([(whiten.T @ m[np.ix_(some, some)] @ whiten, v) for m, v in models])
+    if nu >= DOF_PER_DIRECTION * whiten.shape[1]:
+        return whiten.T @ x[some], nu
+    samples = [
+        (m, v) if p.sample is None else (p.sample, p.sample_dof)
+        for p, (m, v) in zip(estimated, models, strict=True)
+    ]
+    bands = np.ix_(some, some)
+    return _smooth(x[some], known[bands], [(s[bands], v) for s, v in samples])
+
+
+def _smooth(x: Array, known: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
+    """The same in cosines over the bands, half a wave more in each, with three degrees of freedom for each."""
+    total = known + sum((s for s, _ in samples), np.zeros_like(known))
+    scale = np.sqrt(np.diag(total))
+    size = scale.size
+    waves = np.cos(np.pi * (np.arange(size)[:, None] + 0.5) * np.arange(size) / size) / scale[:, None]
+    within = waves.T @ total @ waves
+    parts = [(waves.T @ s @ waves, v) for s, v in samples]
+    kept = size
+    while True:
+        _, whiten = _whitening(within[:kept, :kept])
+        here = [(whiten.T @ s[:kept, :kept] @ whiten, v) for s, v in parts]
+        nu = covariance_dof(here)
+        # Directions that no sample reaches have the known part alone: too little where samples count.
+        nu = min([nu, *(v for s, v in here if v < kept and np.linalg.eigvalsh(s)[-1] > UNSEEN_PART)])
+        if kept == 1 or (whiten.shape[1] == kept and nu >= DOF_PER_DIRECTION * kept):
+            return whiten.T @ (waves[:, :kept].T @ x), nu
+        kept = max(min(kept - 1, int(nu / DOF_PER_DIRECTION + 1e-9)), 1)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from hyperval.compare.difference import (
 )
 from hyperval.compare.rows import RowMaker
 from hyperval.compare.wavelengths import wavelength_rows
-from hyperval.products import SpectralEstimate
+from hyperval.products import EstimatedPart, SpectralEstimate
 from hyperval.results import Cause, Result
 from hyperval.spectra.axis import SpectralAxis
 
@@ -58,10 +58,10 @@ def compare_spectra(
     ``max_abs_difference_ratio_R``.  Over the windows: ``chi2_reduced_diagonal``, ``p_value_diagonal``,
     ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (mean difference ratio), ``chi2_reduced_shape``,
     ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``; of radiance
-    :func:`hyperval.compare.wavelengths.wavelength_rows` where both sides have the absorptions of the atmosphere.  A region
-    without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.  A measured spectrum
-    that is no evidence, since the prediction's own input made it, gives one SKIPPED row.  Where the source of the
-    observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
+    :func:`hyperval.compare.wavelengths.wavelength_rows` where both sides have the absorptions of the atmosphere.
+    A region without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.  A measured
+    spectrum that is no evidence, since the prediction's own input made it, gives one SKIPPED row.  Where the source of
+    the observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
     ``fraction_inside_stated_windows``.
     """
     make = RowMaker(campaign, product, subject, method)
@@ -177,7 +177,7 @@ def _consistency(
     window: npt.NDArray[np.bool_],
     centre_nm: Array,
     relative: tuple[Array, Array],
-    estimated: Sequence[tuple[Array, float]] = (),
+    estimated: Sequence[EstimatedPart] = (),
     leading: str = "",
 ) -> list[Result]:
     names = (
@@ -188,7 +188,7 @@ def _consistency(
         return [make.skipped(Cause.NO_BANDS, "no comparable band in windows", name) for name in names]
     r = (predicted - observed)[window]
     cov = covariance[np.ix_(window, window)]
-    parts_here = [(c[np.ix_(window, window)], nu) for c, nu in estimated]
+    parts_here = [part.bands(window) for part in estimated]
     cause = Cause.NONE
     if not np.all(np.diag(cov) > (NUMERICAL * observed[window]) ** 2):
         cause, reason = Cause.NO_UNCERTAINTY, "neither side states an uncertainty beyond rounding in some bands"

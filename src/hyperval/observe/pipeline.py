@@ -30,7 +30,7 @@ from hyperval.processing.elm_error import LineError
 from hyperval.processing.region_statistics import region_statistics
 from hyperval.processing.sample import SCENE, SampleStatistics
 from hyperval.processing.snr import snr_decorrelated
-from hyperval.products import Observation, SpectralEstimate
+from hyperval.products import EstimatedPart, Observation, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
@@ -38,7 +38,6 @@ from hyperval.spectra.axis import SpectralAxis
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Resolve = Callable[[str], Path]
-Sampling = tuple[Array, float]  # error covariance of a mean, and the degrees of freedom behind it
 
 CIRCULAR = "the empirical line goes through this panel whatever it reflects: no degree of freedom is left"
 # At most this many pixels of a region are held in memory for its SNR.
@@ -109,11 +108,11 @@ def observe(
     measured = region_statistics(cube, masks, place.left_out, precision=collection.precision, watch=watch)
     regions = {name: measured[name] for name in place.regions}
     subjects = regions | {name: measured[name] for name in populations}
-    sampling: dict[str, Sampling] = {
+    sampling = {
         name: _with_rounding(place, s, mean_error(place, masks[name], s))
         for name, s in track(list(subjects.items()), "sampling", show=show_progress)
     }
-    errors = {name: covariance for name, (covariance, _) in sampling.items()}
+    errors = {name: part.covariance for name, part in sampling.items()}
     line = empirical_line(collection.empirical_line, measured, errors, cube, resolve)
     elm = None if line is None else line.line
 
@@ -179,13 +178,14 @@ def observe(
     return Observed(observation, classes, place, detected, elm, unmixed)
 
 
-def _with_rounding(place: Place, sample: SampleStatistics, sampling: Sampling) -> Sampling:
+def _with_rounding(place: Place, sample: SampleStatistics, sampling: EstimatedPart) -> EstimatedPart:
     """The error of a mean with that of values which are stored as whole steps."""
     cube = place.cube
     if cube.dtype.kind not in "iu" or sample.n < 2:
         return sampling
     spread = np.sqrt(np.clip(np.diag(sample.covariance), 0.0, None))
-    return sampling[0] + np.diag(rounding_variance(np.abs(cube.gain), spread)), sampling[1]
+    rounding = np.diag(rounding_variance(np.abs(cube.gain), spread))
+    return sampling.of_each(lambda c: c + rounding)
 
 
 def _population_notes(place: Place, detection: Detection, masks: Mapping[str, Mask]) -> list[str]:
@@ -228,24 +228,28 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[
 
 
 def _radiance(
-    sample: SampleStatistics, sampling: Sampling, collection: Collection, axis: SpectralAxis, resolve: Resolve
+    sample: SampleStatistics, sampling: EstimatedPart, collection: Collection, axis: SpectralAxis, resolve: Resolve
 ) -> SpectralEstimate:
-    parts, dof = _sampling_part(sample, sampling)
+    parts, estimated = _sampling_part(sample, sampling)
     if collection.calibration is not None:
         parts["calibration"] = calibration_covariance(sample.mean, axis, collection.calibration, resolve)
-    return spectral_estimate(sample.mean, parts, pixel_covariance=_spread(sample), n=sample.n, dof=dof)
+    return spectral_estimate(sample.mean, parts, pixel_covariance=_spread(sample), n=sample.n, estimated=estimated)
 
 
-def _sampling_part(sample: SampleStatistics, sampling: Sampling) -> tuple[dict[str, Array], dict[str, float]]:
+def _sampling_part(
+    sample: SampleStatistics, sampling: EstimatedPart
+) -> tuple[dict[str, Array], tuple[EstimatedPart, ...]]:
     """The error of the mean by name, and what it is known by; none where there is a single pixel."""
-    return ({"sampling": sampling[0]}, {"sampling": sampling[1]}) if sample.n > 1 else ({}, {})
+    return ({"sampling": sampling.covariance}, (sampling,)) if sample.n > 1 else ({}, ())
 
 
 def _spread(sample: SampleStatistics) -> Array | None:
     return sample.covariance if sample.n > 1 else None
 
 
-def _reflectance(name: str, sample: SampleStatistics, sampling: Sampling, error: LineError) -> SpectralEstimate:
+def _reflectance(
+    name: str, sample: SampleStatistics, sampling: EstimatedPart, error: LineError
+) -> SpectralEstimate:
     """After the empirical line, whose error is common to all pixels and hangs together between bands.
 
     A panel of the line is no evidence for it: its reflectance is that of the line through the other panels.  Where
@@ -258,14 +262,15 @@ def _reflectance(name: str, sample: SampleStatistics, sampling: Sampling, error:
     if others is None:
         own = {"empirical line": error.covariance(sample.mean, own=name)}
         return spectral_estimate(mean, own, pixel_covariance=spread, n=sample.n, circular=CIRCULAR)
-    parts, dof = _sampling_part(sample, (sampling[0] / np.outer(elm.gain, elm.gain), sampling[1]))
+    gains = np.outer(elm.gain, elm.gain)
+    parts, estimated = _sampling_part(sample, sampling.of_each(lambda c: c / gains))
     parts["empirical line"] = others.covariance(sample.mean)
-    return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, dof=dof)
+    return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, estimated=estimated)
 
 
-def _sampled(sample: SampleStatistics, sampling: Sampling) -> SpectralEstimate:
-    parts, dof = _sampling_part(sample, sampling)
-    return spectral_estimate(sample.mean, parts, pixel_covariance=_spread(sample), n=sample.n, dof=dof)
+def _sampled(sample: SampleStatistics, sampling: EstimatedPart) -> SpectralEstimate:
+    parts, estimated = _sampling_part(sample, sampling)
+    return spectral_estimate(sample.mean, parts, pixel_covariance=_spread(sample), n=sample.n, estimated=estimated)
 
 
 def _some_pixels(place: Place, name: str) -> Array:

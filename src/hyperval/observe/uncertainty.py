@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hyperval.collection import CalibrationUncertainty
 from hyperval.prediction.inputs import correlation
-from hyperval.products import SpectralEstimate
+from hyperval.products import EstimatedPart, SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.readers import read_spectrum
 
@@ -59,15 +59,14 @@ def spectral_estimate(
     *,
     pixel_covariance: Array | None = None,
     n: int | None = None,
-    dof: Mapping[str, float] | None = None,
+    estimated: Sequence[EstimatedPart] = (),
     circular: str = "",
 ) -> SpectralEstimate:
     """Estimate whose error covariance is the sum of independent ``parts`` (B, B), each named in the budget.
 
-    ``dof``: degrees of freedom of the parts that were estimated from samples; ``circular``: as in the estimate.
+    ``estimated``: those of the parts that were estimated from samples; ``circular``: as in the estimate.
     """
     mean = np.asarray(mean, dtype=float)
     total = sum(parts.values(), np.zeros((mean.size, mean.size)))
     budget = {name: np.sqrt(np.clip(np.diag(part), 0.0, None)) for name, part in parts.items()}
-    estimated = tuple((parts[name], v) for name, v in (dof or {}).items())
-    return SpectralEstimate(mean, total, pixel_covariance, n, budget, estimated, circular)
+    return SpectralEstimate(mean, total, pixel_covariance, n, budget, tuple(estimated), circular)

@@ -111,11 +111,12 @@ def small_sample_factor(independent: npt.ArrayLike) -> Array:
 def mean_error_covariance(covariance: Array, components: Components, independent: Array) -> Array:
     """(B, B) error covariance of a mean: lambda_k / n_k along the leading components.
 
-    The rest has the average 1/n of its mixtures; ``independent`` (K + M,) are those of :meth:`Components.scores`.
+    The rest has the average 1/n_r of its mixtures; ``independent`` (K + M,) are those of :meth:`Components.scores`.
+    D C D / n_r with D = 1 + sum_k (sqrt(n_r/n_k) - 1) v_k v_k^T, which stays a covariance where C is another one
+    than that whose components they are.
     """
     k = components.values.size
-    v, values = components.vectors, components.values
-    total = (v * (values / independent[:k])) @ v.T
-    if independent.size > k:
-        total += (covariance - (v * values) @ v.T) * float(np.mean(1.0 / independent[k:]))
-    return np.asarray(total)
+    of_rest = 1.0 / float(np.mean(1.0 / independent[k:])) if independent.size > k else float(independent[k - 1])
+    v = components.vectors
+    scale = np.eye(covariance.shape[0]) + (v * (np.sqrt(of_rest / independent[:k]) - 1.0)) @ v.T
+    return np.asarray(scale @ covariance @ scale / of_rest)
