@@ -22,6 +22,7 @@ EIGENVALUE_CUT = 1e-9
 POWER_LEVEL, POWER = 1e-3, 0.8
 # Fewer degrees of freedom of an estimated covariance for each direction say little of the least of them.
 DOF_PER_DIRECTION = 3.0
+ROUNDING = 1e-6  # of degrees of freedom
 # Samples fewer than directions may hold this part of the variance in some direction without being seen in others.
 UNSEEN_PART = 0.2
 
@@ -141,9 +142,9 @@ def _smooth(x: Array, known: Array, samples: Sequence[tuple[Array, float]]) -> t
         nu = covariance_dof(here)
         # Directions that no sample reaches have the known part alone: too little where samples count.
         nu = min([nu, *(v for s, v in here if v < kept and np.linalg.eigvalsh(s)[-1] > UNSEEN_PART)])
-        if kept == 1 or (whiten.shape[1] == kept and nu >= DOF_PER_DIRECTION * kept):
+        if kept == 1 or (whiten.shape[1] == kept and nu >= DOF_PER_DIRECTION * kept - ROUNDING):
             return whiten.T @ (waves[:, :kept].T @ x), nu
-        kept = max(min(kept - 1, int(nu / DOF_PER_DIRECTION + 1e-9)), 1)
+        kept = max(min(kept - 1, int((nu + ROUNDING) / DOF_PER_DIRECTION)), 1)
 
 
 @dataclass(frozen=True)
