@@ -76,6 +76,14 @@ def compared(small):
     small.gate("radiance")["subjects"][0] = "meadow"
 
 
+def metric(small):
+    small.data["comparisons"][0]["metric"] = "median_abs_difference_ratio_window"
+
+
+def product(small):
+    small.data["comparisons"][0]["metric"] = "pd_difference@1e-2"
+
+
 def target_outside(small):
     small.edit("targets.csv", lambda text: text.replace("39.5,3.5", "39.5,9000.5", 1))
 
@@ -108,6 +116,8 @@ def pixel_size(small):
         (surface, "scenarios.0.scene.classes.1.spectrum", "asphallt"),
         (measured, "scenarios.0.scene.classes.1.covariance.measured", "no region 'cort'"),
         (compared, "comparisons.0.subjects.0", "no 'meadow'"),
+        (metric, "comparisons.0.metric", "no part of the spectrum is 'window'"),
+        (product, "comparisons.0.metric", "'pd_difference' is a metric of scores or roc, not of radiance"),
         (target_outside, "collection.targets", "targets.csv"),
         (region_outside, "collection.regions.1", "not in the image"),
         (pixel_size, "detection.areas", "ground area of a pixel"),

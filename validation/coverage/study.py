@@ -27,11 +27,16 @@ from hyperval.predict import predict
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import PanelErrors, line_error
 from hyperval.processing.intervals import clopper_pearson
-from hyperval.processing.mean_error import components, independent_pixels, mean_error_covariance
+from hyperval.processing.mean_error import (
+    components,
+    independent_pixels,
+    mean_error_covariance,
+    small_sample_factor,
+)
 from hyperval.processing.roc import empirical_roc, with_summary
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.processing.spatial_correlation import neighbour_shares
-from hyperval.products import ObjectScores, Observation, Prediction
+from hyperval.products import EstimatedPart, ObjectScores, Observation, Prediction
 from hyperval.progress import track
 from hyperval.results import Result
 from hyperval.scene.builtin import builtin_class
@@ -54,12 +59,15 @@ def predictions(samples: int) -> dict[str, Prediction]:
 def observed(c: Collection) -> Observation:
     """What a campaign would measure on the pixels of a collection."""
     mean, spread = c.field.reshape(-1, BANDS).mean(axis=0), np.cov(c.field.reshape(-1, BANDS).T)
-    sampling, dof = _field_error(c.field, mean, spread)
+    sampling = _field_error(c.field, mean, spread)
     bright = c.bright.mean(axis=0)
     n = PANEL_SIDE**2
+    by_pixel = np.cov(c.bright.T) / n
     radiance = {
-        "field": spectral_estimate(mean, {"sampling": sampling}, n=SITE**2, dof={"sampling": dof}),
-        "bright": spectral_estimate(bright, {"sampling": np.cov(c.bright.T) / n}, n=n, dof={"sampling": n - 1}),
+        "field": spectral_estimate(mean, {"sampling": sampling.covariance}, n=SITE**2, estimated=[sampling]),
+        "bright": spectral_estimate(
+            bright, {"sampling": by_pixel}, n=n, estimated=[EstimatedPart(by_pixel, n - 1.0)]
+        ),
     }
     panels, errors = [], []
     shape = np.exp(-0.5 * (np.subtract.outer(AXIS.centre_nm, AXIS.centre_nm) / ELM_NM) ** 2)
@@ -74,9 +82,9 @@ def observed(c: Collection) -> Observation:
     reflectance = {
         "field": spectral_estimate(
             line.reflectance(mean),
-            {"sampling": sampling / k, "empirical line": error.covariance(mean)},
+            {"sampling": sampling.covariance / k, "empirical line": error.covariance(mean)},
             n=SITE**2,
-            dof={"sampling": dof},
+            estimated=[sampling.of_each(lambda covariance: covariance / k)],
         )
     }
     roc, objects = {}, {}
@@ -89,7 +97,7 @@ def observed(c: Collection) -> Observation:
     return Observation(AXIS, radiance, snr, reflectance, roc=roc, object_scores=objects)
 
 
-def _field_error(field: Array, mean: Array, covariance: Array) -> tuple[Array, float]:
+def _field_error(field: Array, mean: Array, covariance: Array) -> EstimatedPart:
     """Sampling error of the mean with its degrees of freedom, as the pipeline has it."""
     along = components(covariance, np.random.default_rng(0))
     inside = np.ones(field.shape[:2], bool)
@@ -98,7 +106,11 @@ def _field_error(field: Array, mean: Array, covariance: Array) -> tuple[Array, f
     independent, of_variance = independent_pixels(
         [(along.scores(field - mean), inside)], shares, inside.size, reach
     )
-    return mean_error_covariance(covariance, along, independent), float(np.median(of_variance)) - 1.0
+    plain, widened = (
+        mean_error_covariance(covariance, along, by)
+        for by in (independent, independent / small_sample_factor(independent))
+    )
+    return EstimatedPart(widened, float(np.median(of_variance)) - 1.0, plain)
 
 
 def _scores(x: Array, background: Array) -> Array:

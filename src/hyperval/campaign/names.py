@@ -15,6 +15,7 @@ from hyperval.collection import Detection
 from hyperval.config import Location
 from hyperval.datasets import resolve
 from hyperval.errors import HypervalError
+from hyperval.metrics import foreign
 from hyperval.observe.place import IMAGE, SCENE, Place, open_place
 from hyperval.observe.radcalnet import observe_radcalnet
 from hyperval.observe.subjects import target_groups
@@ -158,7 +159,7 @@ def scenario_mistakes(
 
 
 def comparison_mistakes(campaign: Campaign, lookup: Lookup, offered: Collected, predicted: Sequence[str]) -> None:
-    """Subjects of spectra and curves that neither side has, by the patterns of the comparisons."""
+    """Metrics that a product does not have, and subjects of spectra and curves that neither side has."""
     detection = campaign.detection
     pools = [pool.name for pool in detection.pools] if detection else []
     both = {
@@ -169,6 +170,8 @@ def comparison_mistakes(campaign: Campaign, lookup: Lookup, offered: Collected, 
         "roc": [*offered.subjects, *pools],
     }
     for i, gate in enumerate(campaign.comparisons):
+        if wrong := foreign(gate.metric, gate.product):
+            lookup.add(("comparisons", i, "metric"), wrong)
         collected = both.get(gate.product)
         if not collected:
             continue

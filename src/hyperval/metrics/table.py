@@ -60,6 +60,38 @@ def metric_of(name: str) -> Metric:
     return row
 
 
+_OF_SPECTRA = ("compare.difference", "compare.consistency", "compare.spectral", "compare.wavelengths")
+_SPREAD = ("covariance", "classification")
+_PARTS = ("windows", "vnir", "swir1", "swir2", "absorption")
+
+
+def foreign(name: str, product: str) -> str:
+    """Why a product of a comparison has no metric of that name, in words; empty where it may have.
+
+    A name with ``*`` or ``?`` may mean several and is not looked at.
+
+    Examples
+    --------
+    >>> foreign("median_difference_ratio_window", "radiance")
+    "no part of the spectrum is 'window'; one of windows, vnir, swir1, swir2, absorption"
+    """
+    base = base_name(name)
+    if set(base) & set("*?"):
+        return ""
+    row = metric_of(name)
+    if row in spectral.METRICS:
+        of_spectra = row.function.startswith(_OF_SPECTRA) and not base.startswith("error")
+        own = ("radiance", "snr", "reflectance") if of_spectra else _SPREAD
+    elif row in detection.METRICS:
+        own = ("abundance",) if base.startswith("area") else ("scores", "roc")
+    else:
+        return ""
+    if product not in own:
+        return f"{base!r} is a metric of {' or '.join(own)}, not of {product}"
+    part = base.removeprefix(row.name.removesuffix("*")) if row.name.endswith("_ratio_*") else _PARTS[0]
+    return "" if part in _PARTS else f"no part of the spectrum is {part!r}; one of {', '.join(_PARTS)}"
+
+
 def explained(names: Iterable[str]) -> list[tuple[str, str]]:
     """(metric, what it is), each once, by name."""
     return [(base, metric_of(base).words) for base in sorted({base_name(name) for name in names})]
