@@ -64,9 +64,10 @@ class Geometry(Model):
         None, description="Gaussian blur besides the square aperture, or (along, across); None: the sensor's, or 0"
     )
     phase: Literal["random", "centred"] = Field("random", description="where in its pixel the target's centre lies")
-    pixels: Literal["best", "ranked"] = Field(
+    pixels: Literal["best", "ranked", "touched"] = Field(
         "best",
-        description="the fullest pixel of an object alone, or its n fullest, as a truth that counts so many has",
+        description="the fullest pixel of an object alone; its n fullest, as a truth that counts so many has; or "
+        "all that its outline meets, as a truth by outlines has",
     )
     n: int | None = Field(None, ge=1, le=400, description="pixels of an object, with ranked")
 

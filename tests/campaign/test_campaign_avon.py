@@ -43,10 +43,10 @@ VALUES = {
     "uncertainty.meteorological_range_km": "5.0",
     "scene.classes.0.fraction": "0.43",
     "scene.classes.1.fraction": "0.57",
-    "scene.targets.0.subjects.0.fill.geometry.length_m": "0.4",
-    "scene.targets.0.subjects.0.fill.geometry.width_m": "0.3",
-    "scene.targets.1.subjects.0.fill.geometry.length_m": "0.4",
-    "scene.targets.1.subjects.0.fill.geometry.width_m": "0.3",
+    "scene.targets.0.subjects.0.fill.geometry.length_m": "0.47",
+    "scene.targets.0.subjects.0.fill.geometry.width_m": "0.47",
+    "scene.targets.1.subjects.0.fill.geometry.length_m": "0.47",
+    "scene.targets.1.subjects.0.fill.geometry.width_m": "0.47",
 }
 
 
@@ -143,11 +143,12 @@ def collected(data: Path) -> None:
         {"name": "grass-field", "surface": "grass"},
         {"name": "asphalt-court", "surface": "asphalt"},
     ]
-    planks = {"spacing_pixels": 6, "count": 24}
+    # As the template takes them: at any phase, any way round.
+    planks = {"spacing_pixels": 6, "count": 24, "side_m": 0.47, "phase": "random", "heading_deg": "random"}
     scene["targets"] = [
-        {**planks, "name": "yellow-planks", "material": "yellow-paint-plank", "host": "asphalt", "fill": 0.12,
+        {**planks, "name": "yellow-planks", "material": "yellow-paint-plank", "host": "asphalt",
          "area": {"lines": [36, 84], "samples": [0, 72]}},
-        {**planks, "name": "green-planks", "material": "green-paint-plank", "host": "grass", "fill": 0.12,
+        {**planks, "name": "green-planks", "material": "green-paint-plank", "host": "grass",
          "area": {"lines": [14, 36], "samples": [0, 72]}},
     ]  # fmt: skip
     sensor = sensor_numbers("prospectir-vs-2012")
@@ -226,6 +227,17 @@ def test_filled_in_it_runs_through(no_data, tmp_path):
     assert all(p > 1e-3 / 6 for p in explained.values())
     curves = {key[0] for key in run.observation.roc} & {key[0] for key in run.prediction.roc}
     assert {"yellow-planks", "green-planks"} <= curves
+    # Like pixels with like: all that a plank touches on both sides, of which the emptier ones are not found.
+    gaps = {
+        (r.subject, r.method): r for r in rows if r.metric == "pd_difference@1e-2" and r.subject.endswith("planks")
+    }
+    # 24 planks of each colour; with the fullest pixel of each in the prediction the first two were off by 0.4.
+    found = {
+        ("yellow-planks", "cem/pixel"): 0.05, ("green-planks", "cem/pixel"): -0.06,
+        ("yellow-planks", "cem/object"): 0.0, ("green-planks", "cem/object"): -0.11,
+    }  # fmt: skip
+    assert {key: r.value for key, r in gaps.items()} == pytest.approx(found, abs=0.03)
+    assert all(r.lower <= 0.0 <= r.upper for r in gaps.values())
     assert not [r for r in rows if r.outcome == "error"]
     # The small scene has too few background pixels for the lowest false-alarm rate, and the two panels of the line
     # give themselves back: both are said.

@@ -54,9 +54,9 @@ def test_truth_and_scenario_that_agree_are_not_spoken_of():
 @pytest.mark.parametrize(
     ("held", "change", "message"),
     [
-        ({"pixels": 3}, {}, "the prediction counts 9 pixels for each object (n), the truth 3"),
-        ({}, {"pixels": "best", "n": None}, "the prediction counts 1 pixels for each object (n), the truth 9"),
-        ({"target_pixels": "centre"}, {}, "counts 9 pixels for each object (n), the truth 1"),
+        ({"pixels": 3}, {}, "the prediction counts 9 pixels for each object, the truth 3"),
+        ({}, {"pixels": "best", "n": None}, "the prediction counts 1 pixels for each object, the truth 9"),
+        ({"target_pixels": "centre"}, {}, "counts 9 pixels for each object, the truth 1"),
         ({"area": 1.44}, {}, "its pixels are 1 m wide (gsd_m), those of the image 1.2 m"),
         ({"side_m": 1.0}, {}, "its sides are 2 m (side_m), those of the truth 1 m"),
     ],

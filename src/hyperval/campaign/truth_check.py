@@ -11,7 +11,9 @@ from hyperval.collection import Detection
 from hyperval.imagery.truth import TargetObject
 from hyperval.observe.place import Place
 from hyperval.observe.subjects import scored_pixels, target_groups
-from hyperval.scenario import Geometry, Scenario
+from hyperval.prediction.fills import geometry_of, pixels_of_object
+from hyperval.scenario import Fill, Geometry, Scenario
+from hyperval.scene.fill import touched_counts
 
 # Half a pixel of three is common where targets lie at random on the grid; a factor of 1.5 is another footprint.
 MAX_PIXEL_RATIO = 1.5
@@ -35,17 +37,23 @@ def truth_notes(place: Place | None, detection: Detection | None, scenarios: Seq
             for population in item.populations:
                 geometry, members = population.fill.geometry, groups.get(population.name)
                 if geometry is not None and members:
-                    differences = ", ".join(_differences(place, geometry, members))
+                    differences = ", ".join(_differences(place, geometry, _pixels(population.fill), members))
                     if differences:
                         notes.append(f"warning: {population.name!r} of scenario {scenario.name!r}: {differences}")
     return list(dict.fromkeys(notes))
 
 
-def _differences(place: Place, geometry: Geometry, members: Sequence[TargetObject]) -> Iterator[str]:
+def _pixels(fill: Fill) -> float:
+    """Pixels that the prediction counts for an object, on average over its places on the grid."""
+    if fill.geometry is not None and fill.geometry.pixels == "touched":
+        return float(np.mean(touched_counts(geometry_of(fill))))
+    return float(pixels_of_object(fill))
+
+
+def _differences(place: Place, geometry: Geometry, stated: float, members: Sequence[TargetObject]) -> Iterator[str]:
     counted = float(np.mean([np.count_nonzero(scored_pixels(o, place)[1]) for o in members]))
-    stated = geometry.n or 1
     if max(counted / stated, stated / counted) > MAX_PIXEL_RATIO:
-        yield f"the prediction counts {stated} pixels for each object (n), the truth {counted:.3g}"
+        yield f"the prediction counts {stated:.3g} pixels for each object, the truth {counted:.3g}"
     if place.pixel_area_m2 is not None:
         pixel = math.sqrt(place.pixel_area_m2)
         if _apart(pixel, geometry.gsd_m):

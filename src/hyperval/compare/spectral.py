@@ -60,8 +60,8 @@ def compare_spectra(
     ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``; of radiance
     :func:`hyperval.compare.wavelengths.wavelength_rows` where both sides have the absorptions of the atmosphere.
     A region without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.  A measured
-    spectrum that is no evidence, since the prediction's own input made it, gives one SKIPPED row.  Where the source of
-    the observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
+    spectrum that is no evidence, since the prediction's own input made it, gives one SKIPPED row.  Where the source
+    of the observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
     ``fraction_inside_stated_windows``.
     """
     make = RowMaker(campaign, product, subject, method)

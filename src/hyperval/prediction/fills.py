@@ -18,6 +18,8 @@ from hyperval.scene.fill import (
     fixed_fill,
     object_fills,
     ranked_pixel_fill,
+    touched_counts,
+    touched_pixel_fill,
 )
 
 Array = npt.NDArray[np.float64]
@@ -28,14 +30,14 @@ def fill_distribution(fill: Fill) -> FillDistribution:
     if fill.fixed is not None:
         return fixed_fill(fill.fixed)
     if fill.geometry is not None:
-        return _of_geometry(geometry_of(fill), fill.geometry.n or 1)
+        return _of_geometry(geometry_of(fill), 0 if fill.geometry.pixels == "touched" else fill.geometry.n or 1)
     return beta_fill(fill.mean or 0.0, fill.sd or 0.0)
 
 
 @lru_cache(maxsize=256)
 def _of_geometry(geometry: TargetGeometry, n: int) -> FillDistribution:
-    """For one geometry, however often it is asked for; not to be written to."""
-    fill = ranked_pixel_fill(geometry, n).binned()
+    """For one geometry, however often it is asked for; not to be written to.  ``n`` = 0: all pixels it touches."""
+    fill = (ranked_pixel_fill(geometry, n) if n else touched_pixel_fill(geometry)).binned()
     for part in (fill.values, fill.weights):
         part.setflags(write=False)
     return fill
@@ -47,8 +49,17 @@ def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:
     ``wider`` : added to the width of the blur [pixels]
     """
     if fill.geometry is not None:
-        return object_fills(geometry_of(fill, wider), fill.geometry.n or 1)
+        return object_fills(geometry_of(fill, wider), pixels_of_object(fill))
     return fill_distribution(fill).values[:, None]
+
+
+def pixels_of_object(fill: Fill) -> int:
+    """Pixels of one object: its fullest, as many as it may touch where those that it touches count."""
+    if fill.geometry is None:
+        return 1
+    return (
+        int(touched_counts(geometry_of(fill)).max()) if fill.geometry.pixels == "touched" else fill.geometry.n or 1
+    )
 
 
 def geometry_of(fill: Fill, wider: float = 0.0) -> TargetGeometry:

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtri
 
 from hyperval.prediction.batch import Batch, Group
-from hyperval.prediction.fills import fill_distribution, fills_of_objects, geometry_of, moments
+from hyperval.prediction.fills import fill_distribution, fills_of_objects, geometry_of, moments, pixels_of_object
 from hyperval.prediction.inputs import correlation, cut
 from hyperval.prediction.responses import FILL_NODES
 from hyperval.processing.filters import LINEAR_DETECTORS
@@ -280,7 +280,7 @@ def _drawn_fills(objects: _Objects, blur: Array, rng: np.random.Generator) -> tu
         fill = moments(population, thesis) if thesis else fill_distribution(population.fill)
         own = rng.choice(fill.values, shape, p=fill.weights)[..., None]
         return own, np.zeros((*own.shape, 0))
-    n = geometry.n or 1
+    n = pixels_of_object(population.fill)
     own, others = np.empty((*shape, n)), np.zeros((*shape, n, len(beside)))
     for width in np.unique(blur):
         rows = np.flatnonzero(blur == width)

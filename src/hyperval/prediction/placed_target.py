@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.prediction.fills import geometry_of
+from hyperval.prediction.fills import geometry_of, pixels_of_object
 from hyperval.prediction.object_scores import neighbours_of, placed_beside
 from hyperval.scenario import Target, TargetSubject
 from hyperval.scene.fill import PHASES
@@ -67,7 +67,9 @@ def shares_of(
         rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
         count = 1 if geometry.phase == "centred" else PHASES
         shifts = rng.normal(0.0, position_m / geometry.gsd_m, (count, len(placed), 2))
-    own, others = shared_pixel_fills(geometry_of(population.fill), geometry.n or 1, placed, shifts)
+    own, others = shared_pixel_fills(
+        geometry_of(population.fill), pixels_of_object(population.fill), placed, shifts
+    )
     each = np.concatenate([own.mean(axis=1)[:, None], others.mean(axis=1)], axis=1)  # (K, J)
     mean = each.mean(axis=0)
     away = each - mean

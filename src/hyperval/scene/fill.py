@@ -125,6 +125,21 @@ def ranked_pixel_fill(geometry: TargetGeometry, n: int) -> FillDistribution:
     return FillDistribution(values, np.full(values.size, 1.0 / values.size))
 
 
+def touched_pixel_fill(geometry: TargetGeometry) -> FillDistribution:
+    """Distribution of f over the pixels that the target's outline meets, each counted alike (f of 3.10).
+
+    They are what a truth by outlines has: those that hold a corner alone, nearly empty, and the full ones.
+    """
+    fills, touched = _around(geometry)
+    values = fills[touched]
+    return FillDistribution(values, np.full(values.size, 1.0 / values.size))
+
+
+def touched_counts(geometry: TargetGeometry) -> npt.NDArray[np.intp]:
+    """(K,) number of pixels that the target's outline meets, for K equally likely positions."""
+    return np.asarray(_around(geometry)[1].sum(axis=(1, 2)))
+
+
 def object_fills(geometry: TargetGeometry, n: int) -> Array:
     """(K, n) fills of the ``n`` fullest pixels, in falling order, for K equally likely positions (f of 3.10)."""
     fills = _ranked_fills(geometry)
@@ -147,9 +162,15 @@ def _ranked_fills(geometry: TargetGeometry) -> Array:
     return result
 
 
-@lru_cache(maxsize=256)
 def _sampled_fills(geometry: TargetGeometry) -> Array:
     """(K, P) fills of all pixels that the target reaches, one row per sampled position."""
+    fills = _around(geometry)[0]
+    return fills.reshape(fills.shape[0], -1)
+
+
+@lru_cache(maxsize=256)
+def _around(geometry: TargetGeometry) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """(K, P, P) fills of the pixels around the target at each sampled position, and which its outline meets."""
     random = geometry.phase == "random"
     count = PHASES if random or geometry.heading_deg is None else 1
     i = np.arange(count)
@@ -157,9 +178,22 @@ def _sampled_fills(geometry: TargetGeometry) -> Array:
     any_way = 180.0 * ((0.5 + i * np.sqrt(2.0)) % 1.0)
     heading = any_way if geometry.heading_deg is None else np.full(count, geometry.heading_deg)
     fills = pixel_fills(geometry, offset, heading)
-    result = fills.reshape(count, -1)
-    result.setflags(write=False)
-    return result
+    touched = _met(geometry, offset, heading, fills.shape[1])
+    for part in (fills, touched):
+        part.setflags(write=False)
+    return fills, touched
+
+
+def _met(geometry: TargetGeometry, offset: Array, heading_deg: Array, size: int) -> npt.NDArray[np.bool_]:
+    """(K, P, P) True for pixels whose square and the target overlap: no axis of either tells them apart."""
+    a, b = 0.5 * geometry.length_m / geometry.gsd_m, 0.5 * geometry.width_m / geometry.gsd_m
+    pixels = np.arange(size, dtype=float) - size // 2
+    x = (pixels[None, None, :] - offset[:, 0, None, None]) + np.zeros((1, size, 1))
+    y = pixels[None, :, None] - offset[:, 1, None, None]
+    c, d = (f(np.deg2rad(heading_deg))[:, None, None] for f in (np.cos, np.sin))
+    reach = 0.5 * (np.abs(c) + np.abs(d))
+    met = (np.abs(x) < 0.5 + a * np.abs(d) + b * np.abs(c)) & (np.abs(y) < 0.5 + a * np.abs(c) + b * np.abs(d))
+    return np.asarray(met & (np.abs(x * d + y * c) < a + reach) & (np.abs(x * c - y * d) < b + reach))
 
 
 def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: npt.ArrayLike) -> Array:
