@@ -79,6 +79,7 @@ def foreign(name: str, product: str) -> str:
     if set(base) & set("*?"):
         return ""
     row = metric_of(name)
+    own: tuple[str, ...]
     if row in spectral.METRICS:
         of_spectra = row.function.startswith(_OF_SPECTRA) and not base.startswith("error")
         own = ("radiance", "snr", "reflectance") if of_spectra else _SPREAD
