@@ -21,6 +21,16 @@ def wavelength_rows(
 
     Both centres come from the same bands in the same way, so that what a band set does to a centre falls out.  The
     interval holds the stated errors of both spectra within the absorption; where none is stated there is none.
+
+    Examples
+    --------
+    >>> w = np.arange(700.0, 830.0, 2.5)
+    >>> def side(centre_nm):
+    ...     depth = 0.5 * np.exp(-0.5 * ((w - centre_nm) / 4.0) ** 2)
+    ...     return SpectralEstimate(1.0 - depth, 1e-6 * np.eye(w.size))
+    >>> make, axis = RowMaker("c", "radiance", "lawn", "sixs"), SpectralAxis(w, np.full(w.size, 5.0))
+    >>> [(row.metric, round(row.value, 1)) for row in wavelength_rows(make, side(764.0), side(763.0), axis)]
+    [('absorption_centre_difference@oxygen-763', 1.0)]
     """
     rows = []
     use = axis.good & np.isfinite(predicted.mean) & np.isfinite(observed.mean)
