@@ -166,8 +166,8 @@ def band_error_covariance(
 ) -> Array:
     """(B, B) covariance in the bands of an error of standard deviation (n,) and correlation length at its samples.
 
-    Of C_kl = u_k u_l exp(-(dl / length)^2 / 2): errors that are each sample's own partly cancel within a band, which
-    the band average of their standard deviation alone does not know.
+    Of C_kl = u_k u_l exp(-(dl / length)^2 / 2): errors that are each sample's own partly cancel within a band,
+    which the band average of their standard deviation alone does not know.
     """
     u = np.nan_to_num(standard_deviation)
     together = np.exp(-0.5 * ((wavelength_nm[:, None] - wavelength_nm[None, :]) / correlation_nm) ** 2)
