@@ -18,7 +18,15 @@ from hyperval.results import COLUMNS, Cause, Outcome
 from hyperval.units import wavelength_to_nm
 from small_campaign import SmallCampaign, scene_data, write_yaml
 
-CONTRACT = {"results.csv", "results.json", "report.html", "products.nc", "provenance.json", "junit.xml"}
+CONTRACT = {
+    "results.csv",
+    "summary.csv",
+    "results.json",
+    "report.html",
+    "products.nc",
+    "provenance.json",
+    "junit.xml",
+}
 MEDIAN = "median_abs_difference_ratio_windows"
 
 
@@ -158,6 +166,7 @@ def test_a_skipped_campaign_beside_a_passing_one_passes(make_small, tmp_path, no
     assert "agrees" in statuses["small"]
     assert set(files_of(out)) >= {
         "results.csv",
+        "summary.csv",
         "results.json",
         "report.html",
         "small/report.html",

@@ -1,6 +1,7 @@
 """What is written: complete, self-contained, honest, and the same bytes twice."""
 
 import base64
+import csv
 import dataclasses
 import hashlib
 import json
@@ -79,7 +80,15 @@ def page(files):
 
 
 def test_every_file_of_the_contract_is_there(files):
-    expected = {"results.csv", "results.json", "report.html", "products.nc", "provenance.json", "junit.xml"}
+    expected = {
+        "results.csv",
+        "summary.csv",
+        "results.json",
+        "report.html",
+        "products.nc",
+        "provenance.json",
+        "junit.xml",
+    }
     expected |= {"scores/yellow_planks-CEM.tif", "scores/yellow_planks-ACE.tif"}
     expected |= {
         f"figures/{name}"
@@ -90,6 +99,14 @@ def test_every_file_of_the_contract_is_there(files):
         )
     }  # fmt: skip
     assert set(files) == expected
+
+
+def test_the_summary_is_what_was_planned(files, run):
+    header, *rows = csv.reader(files["summary.csv"].decode().splitlines())
+    planned = [row for row in run.table if row.planned]
+    assert len(rows) == len(planned) < len(run.table)
+    at = header.index("outcome")
+    assert [row[at] for row in rows] == [str(row.outcome) for row in planned]
 
 
 SMALL = {"bands": 12, "subjects": ("grass",), "curves": 1, "shape": (12, 12)}

@@ -65,7 +65,8 @@ def test_check_writes_a_datasheet(here, capsys):
     assert "good: accepted" in capsys.readouterr().err
     names = {p.name for p in (here / "sheet").iterdir() if not p.name.startswith(".")}
     assert names == {
-        "results.csv", "results.json", "junit.xml", "products.nc", "provenance.json", "report.html", "figures"
+        "results.csv", "summary.csv", "results.json", "junit.xml", "products.nc", "provenance.json",
+        "report.html", "figures",
     }  # fmt: skip
     page = (here / "sheet" / "report.html").read_text()
     seen = Outside()

@@ -147,6 +147,12 @@ class Run:
         """The rows in the columns of ``results.csv``."""
         return self.results.to_dataframe()
 
+    @property
+    def summary(self) -> pd.DataFrame:
+        """The planned comparisons alone, as ``summary.csv`` has them: the outcome of each, and by how much."""
+        frame = self.results.to_dataframe()
+        return frame[frame["outcome"] != "none"].reset_index(drop=True)
+
     def to_xarray(self) -> xr.DataTree:
         """Both sides as the groups of ``products.nc``."""
         return xr.DataTree.from_dict(dict(self.sides), name=self.name)

@@ -352,7 +352,8 @@ def _plot(height: int, span: Range1d, label: str, absorption: ColumnDataSource |
         axis.axis_label_text_color = axis.major_label_text_color = axis.axis_line_color = _GREY
         axis.major_tick_line_color = axis.minor_tick_line_color = _GREY
         axis.axis_label_text_font_style = "normal"
-    plot.grid.grid_line_alpha = 0.4
+    plot.grid.grid_line_color = _GREY
+    plot.grid.grid_line_alpha = 0.25
     return plot
 
 

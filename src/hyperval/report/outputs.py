@@ -16,8 +16,8 @@ from hyperval.results import ResultTable
 def write_outputs(run: RunReport, folder: Path) -> None:
     """Write everything of ``run`` into the existing ``folder``.
 
-    results.csv, results.json, junit.xml, provenance.json, products.nc, figures/, scores/ (where there are
-    score maps) and report.html.  The same run gives the same bytes.
+    results.csv, summary.csv, results.json, junit.xml, provenance.json, products.nc, figures/, scores/ (where there
+    are score maps) and report.html.  The same run gives the same bytes.
     """
     # matplotlib, pandas and xarray take 120 MB: not before the imagery is done with.
     from hyperval.report.figures import draw_figures
@@ -56,8 +56,9 @@ def write_index(runs: Sequence[RunReport], folder: Path, title: str = "Validatio
 
 
 def write_tables(table: ResultTable, folder: Path) -> None:
-    """Write results.csv, results.json and junit.xml."""
+    """Write results.csv, summary.csv (the planned comparisons alone), results.json and junit.xml."""
     write_text(folder / "results.csv", results_csv(table))
+    write_text(folder / "summary.csv", results_csv(row for row in table if row.planned))
     write_text(folder / "results.json", results_json(table))
     write_text(folder / "junit.xml", junit_xml(table))
 
