@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 
@@ -30,20 +31,9 @@ PANELS = ("white-panel", "black-panel", "grey-panel-35")
 def stand_in_atmosphere(state: AtmosphericState, **options: Any) -> AtmosphericTerms:
     """Smooth terms of plausible size, in place of the radiative-transfer engine (which takes minutes)."""
     w = np.arange(340.0, 2601.0, 5.0)
-    blue = (w / 550.0) ** -4
-    haze = (state.aot550 or 0.2) * (w / 550.0) ** -1.3
-    sun = 60.0 * np.exp(-(((w - 480.0) / 500.0) ** 2)) + 1.0
-    direct = sun * np.exp(-0.5 * haze - 0.05 * blue) / np.pi
-    return AtmosphericTerms(
-        wavelength_nm=w,
-        path_radiance=0.8 * blue + 0.5 * haze,
-        direct=direct,
-        adjacency=direct * (0.1 * haze + 0.05 * blue),
-        spherical_albedo=0.06 * blue + 0.15 * haze,
-        ground_irradiance=sun,
-        gas_transmittance=np.ones(w.size),
-        provenance={"engine": "stand-in"},
-    )
+    blue, haze = blue_and_haze(state.aot550 or 0.2, w)
+    direct = sunlight(w) * np.exp(-0.5 * haze - 0.05 * blue) / np.pi
+    return smooth_terms(blue, haze, sunlight(w), direct, w=w)
 
 
 def sensor_data() -> dict[str, Any]:

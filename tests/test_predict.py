@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import ndtri
+from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
@@ -33,23 +34,10 @@ AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130,
 
 def engine(state: AtmosphericState) -> AtmosphericTerms:
     """A smooth stand-in for the radiative-transfer engine: Rayleigh-like path, haze by optical depth."""
-    w = np.arange(340.0, 2601.0, 10.0)
-    blue = (w / 550.0) ** -4
-    haze = (state.aot550 or 0.2) * (w / 550.0) ** -1.3
-    water = (state.water_vapour_g_cm2 or 2.0) * np.exp(-(((w - 940) / 40) ** 2))
-    sun = 60 * np.exp(-(((w - 480) / 500) ** 2)) + 1.0
-    gas = np.exp(-0.3 * water)
-    direct = sun * np.exp(-0.5 * haze - 0.05 * blue) * gas / np.pi
-    return AtmosphericTerms(
-        wavelength_nm=w,
-        path_radiance=0.8 * blue + 0.5 * haze,
-        direct=direct,
-        adjacency=direct * (0.1 * haze + 0.05 * blue),
-        spherical_albedo=0.06 * blue + 0.15 * haze,
-        ground_irradiance=sun * gas,
-        gas_transmittance=gas,
-        provenance={"engine": "stand-in"},
-    )
+    blue, haze = blue_and_haze(state.aot550 or 0.2)
+    gas = np.exp(-0.3 * (state.water_vapour_g_cm2 or 2.0) * line(940, 40))
+    direct = sunlight() * np.exp(-0.5 * haze - 0.05 * blue) * gas / np.pi
+    return smooth_terms(blue, haze, sunlight(), direct, gas)
 
 
 ATMOSPHERE = """

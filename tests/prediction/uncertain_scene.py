@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
@@ -16,25 +17,12 @@ AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130,
 
 def engine(state: AtmosphericState) -> AtmosphericTerms:
     """Rayleigh-like path, haze by optical depth, water at 940 nm, light by the cosine of the sun's zenith angle."""
-    w = np.arange(340.0, 2601.0, 10.0)
-    blue = (w / 550.0) ** -4
-    haze = state.aerosol_optical_depth * (w / 550.0) ** -1.3
-    water = (state.water_vapour_g_cm2 or 2.0) * np.exp(-(((w - 940) / 60) ** 2))
-    ozone = (state.ozone_atm_cm or 0.3) * np.exp(-(((w - 600) / 60) ** 2))
+    blue, haze = blue_and_haze(state.aerosol_optical_depth)
+    water, ozone = (state.water_vapour_g_cm2 or 2.0) * line(940, 60), (state.ozone_atm_cm or 0.3) * line(600, 60)
     mu = np.cos(np.radians(state.sun[0]))
-    sun = (60 * np.exp(-(((w - 480) / 500) ** 2)) + 1.0) * mu
     gas = np.exp(-0.3 * water - 0.1 * ozone)
-    direct = sun * np.exp(-0.5 * (haze + 0.1 * blue) / mu) * gas / np.pi
-    return AtmosphericTerms(
-        wavelength_nm=w,
-        path_radiance=0.8 * blue + 0.5 * haze,
-        direct=direct,
-        adjacency=direct * (0.1 * haze + 0.05 * blue),
-        spherical_albedo=0.06 * blue + 0.15 * haze,
-        ground_irradiance=sun * gas,
-        gas_transmittance=gas,
-        provenance={"engine": "stand-in"},
-    )
+    direct = sunlight() * mu * np.exp(-0.5 * (haze + 0.1 * blue) / mu) * gas / np.pi
+    return smooth_terms(blue, haze, sunlight() * mu, direct, gas)
 
 
 SCENE = """

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import norm
+from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
@@ -46,20 +47,9 @@ SHARES = {"grass": 0.7, "asphalt": 0.3}
 
 def engine(state: AtmosphericState) -> AtmosphericTerms:
     """A smooth atmosphere; a dim sun makes noise half of the variance of the score at a fill of a tenth."""
-    w = np.arange(340.0, 2601.0, 10.0)
-    blue, haze = (w / 550.0) ** -4, 0.2 * (w / 550.0) ** -1.3
-    sun = 0.6 * np.exp(-(((w - 480) / 500) ** 2)) + 0.2
-    direct = sun * np.exp(-0.5 * haze) / np.pi
-    return AtmosphericTerms(
-        wavelength_nm=w,
-        path_radiance=0.05 * blue + 0.02 * haze,
-        direct=direct,
-        adjacency=direct * (0.1 * haze + 0.05 * blue),
-        spherical_albedo=0.06 * blue + 0.15 * haze,
-        ground_irradiance=sun,
-        gas_transmittance=np.ones_like(w),
-        provenance={"engine": "stand-in"},
-    )
+    blue, haze = blue_and_haze(0.2)
+    sun = 0.01 * sunlight() + 0.19
+    return smooth_terms(blue, haze, sun, sun * np.exp(-0.5 * haze) / np.pi, path=(0.05, 0.02))
 
 
 class ByHand:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.special import ndtr
+from score_classes import classes, log_alarms, printed_procedure, roc_of, thresholds
 
 from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance, two_panel_line
 from hyperval.processing.features import feature_covariance, features, principal_components
@@ -17,10 +17,9 @@ from hyperval.processing.filters import (
     solve_positive_definite,
     solved_filter,
 )
-from hyperval.processing.roc_model import RocScores, detection_probability, object_detection_probability
+from hyperval.processing.roc_model import detection_probability, object_detection_probability
 from hyperval.processing.roc_reading import detection_at
 from hyperval.processing.thresholds import (
-    ClassScores,
     class_threshold,
     false_alarm_grid,
     greatest_class_false_alarm,
@@ -32,47 +31,6 @@ from hyperval.scene.fill import beta_fill
 
 # The worked filter: mean (1, 1), target (2, 3), covariance diag(1, 4); d = (1, 2).
 MEAN, TARGET, COVARIANCE = [1.0, 1.0], [2.0, 3.0], [[1.0, 0.0], [0.0, 4.0]]
-
-
-def classes(*rows: tuple[float, ...]) -> ClassScores:
-    """One evaluation: (f_m, theta_m, sigma_m) of each class, and its degrees of freedom where it has tails."""
-    full = np.array([(*row, np.inf)[:4] for row in rows], dtype=float)
-    return ClassScores(*full.T[:, None, :])
-
-
-def at(x, scores: ClassScores) -> tuple[np.ndarray, ClassScores]:
-    """Thresholds and as many rows of one evaluation."""
-    x = np.ravel(np.asarray(x, dtype=float))
-    return x, scores.rows(np.zeros(x.size, dtype=int))
-
-
-def log_alarms(x, scores: ClassScores) -> np.ndarray:
-    return log_false_alarm(*at(x, scores))[0]
-
-
-def thresholds(pfa, scores: ClassScores) -> np.ndarray:
-    return thresholds_at(np.atleast_2d(np.asarray(pfa, dtype=float)), scores)[0]
-
-
-def printed_procedure(
-    mean: float, sd: float, scores: ClassScores, preset
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """P_FA, P_D and threshold by (3.30)-(3.33) step by step: the least P_D over the classes at a preset P_FA."""
-    lp = np.log(np.atleast_2d(np.asarray(preset, dtype=float)))
-    x_m = np.concatenate(
-        [class_threshold(lp, scores, m) for m in range(scores.mean.shape[1]) if scores.fraction[0, m] > 0]
-    )
-    x = x_m.max(axis=0)  # (3.30)
-    pd = ndtr((mean - x_m) / sd).min(axis=0)  # (3.31), (3.32)
-    pfa = np.exp(log_alarms(x, scores))  # (3.33)
-    order = np.argsort(pfa)
-    return pfa[order], pd[order], x[order]
-
-
-def roc_of(means, sds, weights, scores: ClassScores) -> RocScores:
-    """One evaluation of target pixels over their fills."""
-    rows = [np.atleast_2d(np.asarray(a, dtype=float)) for a in (means, sds, weights)]
-    return RocScores(scores, np.zeros(1, dtype=int), *rows)
 
 
 def test_elm_by_hand():
