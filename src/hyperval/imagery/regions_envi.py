@@ -22,18 +22,8 @@ MAX_XML_BYTES = 8 << 20
 MAX_BINARY_BYTES = 64 << 20
 
 
-def xml_drawings(
-    path: Path, shape: tuple[int, int], *, transform: Position = None, crs: CRS | None = None
-) -> dict[str, Drawing]:
-    """Drawings by name of an ENVI 5 ROI file.
-
-    ``CoordSysStr`` "none" means continuous pixel coordinates, a WKT means map coordinates, which
-    are projected to the cube's system where it differs.
-
-    Raises
-    ------
-    InputError : larger than 8 MiB, with a DOCTYPE or ENTITY, not such a file, or a region that cannot be placed.
-    """
+def _root(path: Path) -> ElementTree.Element:
+    """The root of an ENVI 5 ROI file."""
     if path.stat().st_size > MAX_XML_BYTES:
         raise InputError(f"larger than {MAX_XML_BYTES >> 20} MiB", where=str(path))
     text = read_text(path)
@@ -46,6 +36,22 @@ def xml_drawings(
         raise InputError(f"not valid XML: {error}", where=f"{path}:{error.position[0]}") from error
     if root.tag != "RegionsOfInterest":
         raise InputError(f"the root element is {root.tag!r}", where=str(path), expected="RegionsOfInterest")
+    return root
+
+
+def xml_drawings(
+    path: Path, shape: tuple[int, int], *, transform: Position = None, crs: CRS | None = None
+) -> dict[str, Drawing]:
+    """Drawings by name of an ENVI 5 ROI file.
+
+    ``CoordSysStr`` "none" means continuous pixel coordinates, a WKT means map coordinates, which
+    are projected to the cube's system where it differs.
+
+    Raises
+    ------
+    InputError : larger than 8 MiB, with a DOCTYPE or ENTITY, not such a file, or a region that cannot be placed.
+    """
+    root = _root(path)
     drawings: dict[str, Drawing] = {}
     for number, region in enumerate(root.iter("Region"), start=1):
         name = region.get("name") or str(number)
@@ -86,6 +92,21 @@ def xml_drawings(
     return drawings
 
 
+def _dimension(value: str, shape: tuple[int, int], where: str) -> tuple[int, int]:
+    """Lines and samples that a region file was made for, which have to be those of the cube."""
+    sizes = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
+    if sizes is None:
+        raise InputError(f"file dimension {value!r}", where=where, expected="samples x lines")
+    dimension = int(sizes[2]), int(sizes[1])
+    if dimension != shape:
+        raise InputError(
+            f"the regions were made for {dimension[0]} lines x {dimension[1]} samples",
+            where=where,
+            expected=f"{shape[0]} lines x {shape[1]} samples, as the cube",
+        )
+    return dimension
+
+
 def ascii_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
     """Drawings by name of an ENVI "Output of ROIs" text file, whose pixel numbers X, Y start at 1.
 
@@ -108,16 +129,7 @@ def ascii_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
             label, _, value = text.lstrip("; ").partition(":")
             label, value = label.strip().lower(), value.strip()
             if label == "file dimension":
-                sizes = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
-                if sizes is None:
-                    raise InputError(f"file dimension {value!r}", where=where, expected="samples x lines")
-                dimension = int(sizes[2]), int(sizes[1])
-                if dimension != shape:
-                    raise InputError(
-                        f"the regions were made for {dimension[0]} lines x {dimension[1]} samples",
-                        where=where,
-                        expected=f"{shape[0]} lines x {shape[1]} samples, as the cube",
-                    )
+                dimension = _dimension(value, shape, where)
             elif label == "number of rois":
                 announced = _whole(value, where)
             elif label == "roi name":

@@ -270,7 +270,7 @@ class Study(Model):
     _folder: Path | None = PrivateAttr(None)
 
     @model_validator(mode="after")
-    def _check(self) -> Study:
+    def _check_names(self) -> Study:
         named: list[Input | Output | Required] = [*self.inputs, *self.outputs, *self.required]
         names = [x.name for x in named] + [f"{q.name}.{r}" for q in self.required for r in q.report]
         twice = sorted({n for n in names if names.count(n) > 1})
@@ -298,6 +298,10 @@ class Study(Model):
                 known(name, set(inputs), "plots")
             if (p.kind == "tornado") != (self.design.kind == "one-at-a-time"):
                 raise ValueError("a tornado goes with design: {kind: one-at-a-time}, and other plots do not")
+        return self
+
+    @model_validator(mode="after")
+    def _check_paths(self) -> Study:
         if self.design.kind == "one-at-a-time" and any(i.random for i in self.inputs):
             raise ValueError("one-at-a-time takes values or grids")
         paths = [m.path for i in self.inputs for m in i.targets]
