@@ -15,11 +15,9 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import pickle
 import sys
 import time
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +27,7 @@ from predict_speed import TEXT
 
 from hyperval.atmosphere.interpolation import spaced
 from hyperval.config import parse_yaml, validate
-from hyperval.executors import in_order, workers
+from hyperval.executors import Parcel, in_order, parcel, workers
 from hyperval.predict import predict
 from hyperval.processing.thresholds import false_alarm_grid
 from hyperval.scenario import Scenario
@@ -57,16 +55,10 @@ def designs(count: int) -> dict[str, Columns]:
     }
 
 
-@lru_cache(maxsize=2)
-def opened(shipped: bytes) -> Evaluator:
-    """The evaluator that was sent, once for each process."""
-    return pickle.loads(shipped)  # noqa: S301 - made here a moment ago
-
-
-def full(piece: tuple[bytes, Columns]) -> tuple[float, float]:
+def full(piece: tuple[Parcel, Columns]) -> tuple[float, float]:
     """Evaluate some points in full; a number that follows from all of them, and the processor time [s]."""
     start = time.process_time()
-    evaluator, columns = opened(piece[0]), piece[1]
+    evaluator, columns = piece[0].open(), piece[1]
     size = len(next(iter(columns.values())))
     batch = evaluator.batch(evaluator.base, columns, size)
     names = evaluator.base.stage.setup.classes
@@ -87,9 +79,8 @@ def rate(evaluator: Evaluator, columns: Columns, processes: int) -> tuple[float,
     processor of its own.
     """
     size = len(next(iter(columns.values())))
-    shipped = pickle.dumps(evaluator)
-    pieces = [(shipped, part) for part in parts(columns)]
-    with workers(processes) as where:
+    with workers(processes) as where, parcel(where, evaluator) as packed:
+        pieces = [(packed, part) for part in parts(columns)]
         list(in_order(where, full, pieces[: 2 * processes]))  # processes start, memory is touched
         start = time.perf_counter()
         busy = sum(used for _, used in in_order(where, full, pieces))

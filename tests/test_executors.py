@@ -12,6 +12,7 @@ from hyperval.executors import (
     WorkersLostError,
     available_cores,
     in_order,
+    parcel,
     single_blas_thread,
     worker_count,
     workers,
@@ -110,3 +111,24 @@ def test_a_scheduler_that_is_not_there():
     pytest.importorskip("distributed", reason="the extra dask is not installed")
     with pytest.raises(UsageError, match="scheduler"), workers(scheduler="no-such-protocol://nowhere:1"):
         pass
+
+
+def first_of(piece):
+    return piece[0].open()[piece[1]], piece[0].content is None
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_all_pieces_need_is_packed_once(count):
+    """Processes of this machine read it from a file that is gone afterwards; here it needs none."""
+    value = {k: k * k for k in range(5)}
+    with workers(count) as where:
+        with parcel(where, value) as packed:
+            path = packed.path
+            found = list(in_order(where, first_of, [(packed, k) for k in range(5)]))
+        assert path is None or not path.exists()
+    assert found == [(k * k, count == 2) for k in range(5)]
+
+
+def test_pieces_for_other_executors_carry_the_parcel():
+    with ThreadPoolExecutor(1) as pool, parcel(pool, [3, 4]) as packed:
+        assert list(in_order(pool, first_of, [(packed, 1)])) == [(4, False)]

@@ -8,17 +8,21 @@ of a solve depend on the number of threads.
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 import os
+import pickle
 import signal
+import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
 from itertools import islice
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are counted
 from threadpoolctl import ThreadpoolController
@@ -51,6 +55,49 @@ class Workers:
     width: int = 1
     renew: Callable[[], Executor] | None = None
     losses: tuple[type[Exception], ...] = (BrokenExecutor, CancelledError)
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """What all pieces need, opened once in each process.
+
+    Attributes
+    ----------
+    digest : by which parcels are told apart
+    content : of the parcel itself, or None where processes of this machine read it from ``path``
+    """
+
+    digest: str
+    content: bytes | None = field(default=None, compare=False, repr=False)
+    path: Path | None = field(default=None, compare=False)
+
+    def open(self) -> Any:
+        """What was packed; the latest two stay open."""
+        return _opened(self)
+
+
+@lru_cache(maxsize=2)
+def _opened(parcel: Parcel) -> Any:
+    content = parcel.path.read_bytes() if parcel.path else parcel.content
+    return pickle.loads(content or b"")  # noqa: S301 - made by this program a moment ago
+
+
+@contextmanager
+def parcel(where: Workers | Executor, value: Any) -> Iterator[Parcel]:
+    """``value`` packed for the pieces that run inside the block.
+
+    Pieces for a cluster carry it; processes of this machine read it from a file of their own, once each, since
+    handing it to them piece by piece takes longer than the work does where the work is quick.
+    """
+    content = pickle.dumps(value, protocol=5)
+    digest = hashlib.sha256(content).hexdigest()
+    if not isinstance(where, Workers) or where.renew is None:
+        yield Parcel(digest, content)
+        return
+    with tempfile.TemporaryDirectory(prefix="hyperval-") as folder:
+        path = Path(folder, "parcel")
+        path.write_bytes(content)
+        yield Parcel(digest, path=path)
 
 
 def available_cores() -> int:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import pickle
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +14,7 @@ import numpy.typing as npt
 
 import hyperval
 from hyperval.campaign.provenance import command_without_output, package_versions, provenance
-from hyperval.executors import Workers, in_order, worker_count, workers
+from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
 from hyperval.files import write_text
 from hyperval.folders import partial_folder, whole_folder
 from hyperval.processing.filters import LINEAR_DETECTORS
@@ -127,18 +124,17 @@ def evaluate_into(
     count, first = len(plan.points), store.finished
     if first >= count:
         return
-    shipped = pickle.dumps((plan.study, plan.points, plan.evaluator), protocol=5)
-    digest = hashlib.sha256(shipped).hexdigest()
-    pieces = [(shipped, digest, start, min(start + chunk, count)) for start in range(first, count, chunk)]
     words = f"{count:,} points" if not first else f"{count:,} points, from {first:,} on"
-    for values, reasons in track(in_order(where, run_chunk, pieces), words, len(pieces), show=show_progress):
-        store.append(values, reasons)
+    with parcel(where, (plan.study, plan.points, plan.evaluator)) as packed:
+        pieces = [(packed, start, min(start + chunk, count)) for start in range(first, count, chunk)]
+        for values, reasons in track(in_order(where, run_chunk, pieces), words, len(pieces), show=show_progress):
+            store.append(values, reasons)
 
 
-def run_chunk(piece: tuple[bytes, str, int, int]) -> tuple[Array, dict[int, str]]:
+def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     """Outputs and answers of the points of one chunk, and what is to be said of them by the number of the point."""
-    shipped, digest, start, stop = piece
-    study, points, evaluator = _unpacked(digest, _Parcel(shipped))
+    packed, start, stop = piece
+    study, points, evaluator = packed.open()
     parts, reasons = [], dict[int, str]()
     for low in range(start, stop, _BATCH):
         from hyperval.study.design import moved
@@ -155,24 +151,6 @@ def run_chunk(piece: tuple[bytes, str, int, int]) -> tuple[Array, dict[int, str]
         parts.append(np.concatenate(row, axis=1))
         reasons |= {low + i: "; ".join(texts) for i, texts in said.items()}
     return np.concatenate(parts), reasons
-
-
-class _Parcel:
-    """Bytes that are told apart by a digest given beside them, not by their content."""
-
-    def __init__(self, content: bytes):
-        self.content = content
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Parcel)
-
-    def __hash__(self) -> int:
-        return 0
-
-
-@lru_cache(maxsize=2)
-def _unpacked(digest: str, parcel: _Parcel) -> Any:
-    return pickle.loads(parcel.content)  # noqa: S301 - made by this program a moment ago
 
 
 def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | None) -> None:
