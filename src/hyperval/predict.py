@@ -313,6 +313,8 @@ def _provenance(case: Case) -> dict[str, object]:
         "sensor": {"name": sensor.name, "source": sensor.specification.source} if sensor else None,
         "spectra": {name: s.source for name, s in case.setup.surfaces.items()},
     }
+    if scenario.atmosphere is not None and scenario.atmosphere.time_utc is not None:
+        found["time_utc"] = scenario.atmosphere.time_utc
     if scenario.sensor_operation is not None:
         found["sensor_operation"] = scenario.sensor_operation.model_dump(mode="json")
     if scenario.sensor_changes is not None:

@@ -15,7 +15,20 @@ from typing import Any, NoReturn
 from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__
-from hyperval.cli import baseline, check, compare, data, init, metrics, power, runs, scoreboard, sensor, study  # noqa: F401  (each adds its commands to the application)
+from hyperval.cli import (  # noqa: F401  (each adds its commands to the application)
+    baseline,
+    check,
+    compare,
+    data,
+    drift,
+    init,
+    metrics,
+    power,
+    runs,
+    scoreboard,
+    sensor,
+    study,
+)
 from hyperval.cli.shared import app, settings
 from hyperval.errors import HypervalError, UsageError, internal_error
 
