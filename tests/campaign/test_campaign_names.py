@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
 from hyperval import cli
 from hyperval.campaign.dry_run import WRONG, dry_run, summary
+from hyperval.config import load_yaml
+from hyperval.metrics import foreign
 
 
 def mistakes(path):
@@ -166,3 +169,10 @@ def test_warnings_of_a_run_stand_on_the_console_and_beside_its_results(small, tm
     said = capsys.readouterr().err
     assert "small: warning: the panels of the empirical line do not lie on one line" in said
     assert any("do not lie on one line" in w for w in json.loads((out / "provenance.json").read_text())["warnings"])
+
+
+def test_no_shipped_campaign_names_a_metric_that_its_product_lacks():
+    campaigns = sorted((Path(__file__).parents[2] / "campaigns").glob("*/campaign*.yaml"))
+    assert len(campaigns) >= 5
+    named = [(g["product"], g["metric"]) for path in campaigns for g in load_yaml(path)[0]["comparisons"]]
+    assert [(metric, foreign(metric, product)) for product, metric in named if foreign(metric, product)] == []

@@ -61,6 +61,7 @@ def metric_of(name: str) -> Metric:
 
 
 _OF_SPECTRA = ("compare.difference", "compare.consistency", "compare.spectral", "compare.wavelengths")
+_SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 _SPREAD = ("covariance", "classification")
 _PARTS = ("windows", "vnir", "swir1", "swir2", "absorption")
 
@@ -82,7 +83,7 @@ def foreign(name: str, product: str) -> str:
     own: tuple[str, ...]
     if row in spectral.METRICS:
         of_spectra = row.function.startswith(_OF_SPECTRA) and not base.startswith("error")
-        own = ("radiance", "snr", "reflectance") if of_spectra else _SPREAD
+        own = _SPECTRA if of_spectra else _SPREAD
     elif row in detection.METRICS:
         own = ("abundance",) if base.startswith("area") else ("scores", "roc")
     else:
