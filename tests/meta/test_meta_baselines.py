@@ -217,12 +217,16 @@ def test_every_sensor_and_no_other_has_a_baseline():
     assert {p.stem for p in baselines() if p.parent.name == SENSORS} == set(library_names())
 
 
+# Their images are not public, or could not be brought to where numbers are accepted.
+WITHOUT_IMAGES = {"share2012-avon", "share2012-felt", "share2010-felt", "share2010-felt-chip"}
+
+
 def test_every_baseline_is_of_a_campaign():
     names = {
         re.search(r"^name: (\S+)$", p.read_text("utf-8"), re.MULTILINE)[1]
         for p in (ROOT / "campaigns").rglob("campaign*.yaml")
     }
-    runnable = {n for n in names if n != "share2012-avon" and "{" not in n}
+    runnable = {n for n in names if n not in WITHOUT_IMAGES and "{" not in n}
     assert {p.stem for p in baselines() if p.parent.name != SENSORS} == runnable
 
 

@@ -14,7 +14,8 @@ def test_every_data_reference_of_a_campaign_is_registered():
     unknown = {
         f"{path.relative_to(ROOT)}: {reference}"
         for path in (ROOT / "campaigns").rglob("*.yaml")
-        for reference in re.findall(r"""data:[^\s"',\]}#]+""", path.read_text("utf-8"))
-        if describe(reference)["dataset"] is None
+        for pair in re.findall(r"""["'](data:[^"']+)["']|(?<!["'])(data:[^\s"',\]}#]+)""", path.read_text("utf-8"))
+        for reference in pair
+        if reference and describe(reference)["dataset"] is None
     }
     assert unknown == set()

@@ -1,0 +1,125 @@
+"""Stand-in lines for the felt campaigns: the real headers, masks and felt spectra, every pixel simulated.
+
+A line is marked as such in the description of its header.  Ground comes in three surfaces with random pixels each;
+a felt is a square of the area that the mask marks, turned at random about the middle of its marked pixels, seen
+through the square of a pixel and a Gaussian of one pixel.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from hyperval.envi_header import read_header
+from hyperval.scene.builtin import builtin_class
+from hyperval.spectra.axis import SpectralAxis
+
+MARK = "Stand-in: simulated pixels under a real header."
+FINE = 10  # parts of a pixel, along and across
+SURFACES = ("grass", "soil", "asphalt")
+
+
+@dataclass(frozen=True)
+class Line:
+    """Where the files of a line stand below the data directory, and its felts."""
+
+    cube: str
+    header: str
+    felts: dict[str, str]  # mask: spectrum
+    others: tuple[str, ...] = ()
+
+
+FELT = "share2012-felt/targetspectra/{}felt_from_share2012_asdmeasurements.txt"
+CHIP = "share2010-felt/chip/001_0729-1919_rad_GeoRef_THOR_ELM_smoothed 146x84"
+LINES = {
+    "share2012-felt": Line(
+        "share2012-felt/images/avon_reflectance.img",
+        "share2012-felt/images/avon_reflectance.hdr",
+        {f"share2012-felt/truthmasks/{c}felt_avon.img": FELT.format(c) for c in ("blue", "red")},
+    ),
+    "share2010-felt": Line(
+        "share2010-felt/images/ritcampus_reflectance.img",
+        "share2010-felt/images/ritcampus_reflectance.hdr",
+        {f"share2010-felt/truthmasks/{c}felt_ritcampus.img": FELT.format(c) for c in ("blue", "red")},
+    ),
+    "share2010-felt-chip": Line(
+        CHIP,
+        CHIP + ".hdr",
+        {"share2010-felt/chip/class_map_envi": "share2010-felt/chip/Red Felt Refl ASD Reseamp 360 ASCII.txt"},
+    ),
+}
+
+
+def stand_in(name: str, real: Path, data: Path, *, seed: int = 7) -> None:
+    """Write a line below ``data``: header, masks and spectra from ``real``, the cube simulated."""
+    line = LINES[name]
+    for mask, spectrum in line.felts.items():
+        header = Path(mask).with_suffix(".hdr").as_posix() if mask.endswith(".img") else mask + ".hdr"
+        for file in (mask, header, spectrum):
+            (data / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(real / file, data / file)
+    (data / line.header).parent.mkdir(parents=True, exist_ok=True)
+    text = (real / line.header).read_text("latin-1")
+    marked, count = re.subn(r"description = \{[^}]*\}", f"description = {{{MARK}}}", text, count=1)
+    assert count == 1
+    (data / line.header).write_text(marked, "latin-1")
+    header = read_header(data / line.header)
+    factor = 1000.0 if np.max(header.numbers("wavelength")) < 100 else 1.0
+    axis = SpectralAxis(header.numbers("wavelength") * factor, header.numbers("fwhm") * factor)
+    rng = np.random.default_rng(seed)
+    pixels = ground(rng, header.lines, header.samples, axis)
+    for mask, spectrum in line.felts.items():
+        truth = np.fromfile(real / mask, np.uint8).reshape(header.lines, header.samples) > 0
+        part = felt_fractions(truth, rng)[..., None]
+        table = np.genfromtxt(real / spectrum, skip_header=3 if "ASCII" in spectrum else 0)
+        felt = np.interp(axis.centre_nm / 1000.0, table[:, 0], table[:, 1])
+        spread = 1.0 + 0.03 * rng.standard_normal(truth.shape)[..., None]
+        noise = 0.001 * rng.standard_normal(pixels.shape)
+        pixels = np.where(part > 0, (1.0 - part) * pixels + part * (felt * spread + noise), pixels)
+    stored = pixels if header.dtype.kind == "f" else np.round(pixels * 10_000.0)
+    stored.transpose(0, 2, 1).astype(header.dtype).tofile(data / line.cube)  # by line
+
+
+def ground(rng: np.random.Generator, lines: int, samples: int, axis: SpectralAxis) -> np.ndarray:
+    """(lines, samples, B) grass, and stripes of two other surfaces along the right-hand edge."""
+    kinds = np.zeros((lines, samples), int)
+    width = samples // 16
+    kinds[:, samples - 2 * width :] = 1
+    kinds[:, samples - width :] = 2
+    out = np.empty((lines, samples, len(axis)))
+    for kind, name in enumerate(SURFACES):
+        surface = builtin_class(name, axis)
+        at = kinds == kind
+        root = np.linalg.cholesky(surface.covariance + 1e-12 * np.eye(len(axis)))
+        out[at] = surface.mean + rng.standard_normal((int(at.sum()), len(axis))) @ root.T
+    return out
+
+
+def felt_fractions(truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(lines, samples) part of each pixel that squares of the mean marked area fill, one for each patch."""
+    labels, count = ndimage.label(truth, np.ones((3, 3)))
+    side = np.sqrt(truth.sum() / count)
+    out = np.zeros(truth.shape)
+    reach = int(np.ceil(side)) + 4
+    for number in range(1, count + 1):
+        rows, columns = np.nonzero(labels == number)
+        centre = np.array([rows.mean() + 0.5, columns.mean() + 0.5]) + rng.uniform(-0.25, 0.25, 2)
+        first = np.floor(centre).astype(int) - reach
+        grid = (np.arange(2 * reach * FINE) + 0.5) / FINE
+        y, x = np.meshgrid(grid + first[0] - centre[0], grid + first[1] - centre[1], indexing="ij")
+        turn = rng.uniform(0.0, np.pi / 2)
+        u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+        inside = ((np.abs(u) <= side / 2) & (np.abs(v) <= side / 2)).astype(float)
+        blurred = ndimage.gaussian_filter(inside, FINE / 2.354820045)
+        part = blurred.reshape(2 * reach, FINE, 2 * reach, FINE).mean(axis=(1, 3))
+        part[part < 1e-4] = 0.0
+        top, left = np.maximum(first, 0)
+        bottom, right = np.minimum(first + 2 * reach, truth.shape)
+        window = part[top - first[0] : bottom - first[0], left - first[1] : right - first[1]]
+        out[top:bottom, left:right] += window
+    return np.minimum(out, 1.0)
