@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from hyperval.metrics import detection, other, sensors, spectral
-from hyperval.metrics.page import entry
+from hyperval.metrics.table import entry
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "metrics.md"
 HEAD = """# The metrics

@@ -5,13 +5,13 @@ import pytest
 from scipy import stats
 
 from hyperval.compare import Gate, judged
-from hyperval.compare.exceedance import compare_exceedance
 from hyperval.compare.objects import (
     compare_object_scores,
     distance_from_uniform,
     judged_together,
     probability_integral_transform,
 )
+from hyperval.compare.scores import compare_exceedance
 from hyperval.errors import UsageError
 from hyperval.products import ExceedanceCurve, ObjectScores
 from hyperval.results import Outcome, ResultTable

@@ -10,7 +10,6 @@ from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.errors import UsageError
 from hyperval.prediction.budget import given_of, inputs_of
-from hyperval.prediction.designs import drawn_truths
 from hyperval.prediction.forms import (
     covariance_directions,
     directions,
@@ -19,7 +18,7 @@ from hyperval.prediction.forms import (
     standardised,
     value_along,
 )
-from hyperval.prediction.input import Input
+from hyperval.prediction.input import Input, drawn_truths
 from hyperval.prediction.inputs import correlation
 from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import SpectralForm, Spread, Uncertainty

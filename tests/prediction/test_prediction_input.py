@@ -9,8 +9,7 @@ from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 from hyperval.errors import UsageError
 from hyperval.prediction.budget import given_of, inputs_of
 from hyperval.prediction.departure import Departure
-from hyperval.prediction.designs import drawn_truths, one_at_a_time
-from hyperval.prediction.input import number_input, spectral_input
+from hyperval.prediction.input import drawn_truths, number_input, one_at_a_time, spectral_input
 from hyperval.prediction.input_paths import input_path
 from hyperval.scenario_uncertainty import RelativeUncertainty, Spread
 from hyperval.settings import with_settings

@@ -17,9 +17,9 @@ from hyperval.cli import run
 from hyperval.config import parse_yaml, placeholders
 from hyperval.errors import UsageError
 from hyperval.sensor.specification import SensorSpecification
+from hyperval.sensor_check.page import write_check
 from hyperval.sensor_check.skeleton import skeleton
 from hyperval.sensor_check.suite import check_sensor
-from hyperval.sensor_check.write import write_check
 from small_campaign import stand_in_atmosphere
 
 PAGE = Path(__file__).parents[2] / "docs" / "sensors.md"
@@ -41,7 +41,7 @@ def write(path: Path, data: dict) -> Path:
 @pytest.fixture
 def no_drawing(monkeypatch) -> None:
     """Datasheets without figures, where a test is about something else."""
-    monkeypatch.setattr("hyperval.sensor_check.write.draw_datasheet", lambda check: [])
+    monkeypatch.setattr("hyperval.sensor_check.page.draw_datasheet", lambda check: [])
 
 
 class Outside(HTMLParser):

@@ -12,8 +12,7 @@ from hyperval.sensor.published import ReferenceScene
 from hyperval.sensor.specification import load_sensor
 from hyperval.sensor_check.bands import applied_moments, neighbour_ratio, unseen_widths
 from hyperval.sensor_check.numbers import numbers, scaled
-from hyperval.sensor_check.published import check_published
-from hyperval.sensor_check.reference import scene_radiance, sunlit_radiance
+from hyperval.sensor_check.reference import check_published, scene_radiance, sunlit_radiance
 from hyperval.sensor_check.suite import check_sensor
 from hyperval.sensor_check.throughput import electrons_from_energy, electrons_from_noise
 from hyperval.spectra.axis import SpectralAxis

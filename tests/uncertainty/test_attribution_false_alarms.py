@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare.exceedance import compare_exceedance
+from hyperval.compare.scores import compare_exceedance
 from hyperval.products import ExceedanceCurve, Observation, Prediction
 from hyperval.results import Result
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.uncertainty.attribution.false_alarms import AlarmRatio, alarm_ratios, reason_for
+from hyperval.uncertainty.attribution.what_ifs import AlarmRatio, alarm_ratios, reason_for
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
 P = np.geomspace(0.5, 1e-5, 200)

@@ -5,7 +5,7 @@ import pytest
 from scipy import optimize, stats
 
 from hyperval.errors import UsageError
-from hyperval.uncertainty.attribution.likelihood import Whitened, closing_change, explanation
+from hyperval.uncertainty.attribution.ranking import Whitened, closing_change, explanation
 
 
 def _world(rng, n=40, k=3):

@@ -19,10 +19,10 @@ from hyperval.results import Result
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.uncertainty.attribution.assumed import assumed_inputs
-from hyperval.uncertainty.attribution.model import Model, Truth
 from hyperval.uncertainty.attribution.residuals import few_objects
 from hyperval.uncertainty.attribution.rows import attribution_rows
 from hyperval.uncertainty.attribution.run import attribute
+from hyperval.uncertainty.attribution.what_ifs import Model, Truth
 
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600

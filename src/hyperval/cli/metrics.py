@@ -15,7 +15,7 @@ def metrics(
 ) -> int:
     """List the metrics: range, interval, how each is judged and what moves it."""
     from hyperval.metrics import metric_of
-    from hyperval.metrics.page import HEADER, entry, listed
+    from hyperval.metrics.table import HEADER, entry, listed
 
     if name is None:
         print_table(HEADER, [tuple(str(x) for x in row) for row in listed()])

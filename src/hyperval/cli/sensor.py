@@ -52,7 +52,7 @@ def sensor_check(
 ) -> int:
     """Run the acceptance suite on a sensor; with --output, write its datasheet."""
     from hyperval.report.verdict import gate_fails, limits_text
-    from hyperval.sensor_check.write import check_to_folder
+    from hyperval.sensor_check.page import check_to_folder
 
     check = check_to_folder(name, output, vary=vary / 100.0, show_progress=settings.show_progress)
     decided = [r for r in check.table if r.planned]

@@ -9,10 +9,9 @@ from typing import Any, TypeVar
 from hyperval.compare.abundance import compare_abundance, compare_area_errors
 from hyperval.compare.classification import compare_classification
 from hyperval.compare.covariance import compare_covariance, compare_distribution
-from hyperval.compare.exceedance import compare_exceedance
 from hyperval.compare.objects import compare_object_scores
 from hyperval.compare.roc import compare_roc
-from hyperval.compare.scores import compare_scores
+from hyperval.compare.scores import compare_exceedance, compare_scores
 from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import UsageError
 from hyperval.products import Products

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hyperval.metrics.metric import Evidence, Kind, Metric, of_unit
 
 _ATTRIBUTION = "uncertainty.attribution.rows.attribution_rows"
-_TEST = "uncertainty.attribution.likelihood.Whitened"
-_FREED = "uncertainty.attribution.likelihood.explanation"
+_TEST = "uncertainty.attribution.ranking.Whitened"
+_FREED = "uncertainty.attribution.ranking.explanation"
 _WHAT_IF = "uncertainty.attribution.what_ifs.Outcome"
 _VARIANTS = "scoreboard.variants.variant_rows"
 _RANKS = "scoreboard.ranks.ranked"

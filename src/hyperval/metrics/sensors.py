@@ -97,7 +97,7 @@ METRICS = (
     _exact("lowest_relative_growth_of_snr", "least growth of the ratio as an input grows", _NOISE,
            formula="min SNR(x_2) / SNR(x_1) - 1"),
     _exact("computed_over_published", "computed over published signal-to-noise ratio",
-           "sensor_check.published.check_published", formula="SNR / SNR_published"),
+           "sensor_check.reference.check_published", formula="SNR / SNR_published"),
     _exact("values_not_positive", "radiances or ratios that are not positive", _SCENARIO,
            formula="count [not x > 0]"),
     _exact("highest_snr_over_cap_of_c_r", "greatest ratio over its cap by calibration", _SCENARIO,

@@ -7,14 +7,14 @@ linearisation, attribution, what-ifs and planted errors are designs over inputs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.prediction.departure import Departure
+from hyperval.prediction.departure import Departure, combined
 from hyperval.prediction.forms import directions, form_in_words, number_directions, standardised, value_along
 from hyperval.prediction.input_paths import Given, input_path
 from hyperval.scenario_uncertainty import Distribution, SpectralForm, Spread
@@ -110,3 +110,27 @@ def spectral_input(given: Given, name: str, kind: Kind, path: str, sd: Array | f
     at = input_path(given, path)
     rows = directions(np.broadcast_to(sd, len(given.axis)), form, given.axis, given.sensor)
     return Input(name, kind, path, at.nominal, rows, at.to, form.distribution, form_in_words(form))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One direction of one input, one unit up and down, everything else as stated."""
+
+    item: Input
+    direction: int
+
+    @property
+    def truths(self) -> tuple[Departure, Departure]:
+        """Up, and down."""
+        return self.item.direction(self.direction, 1.0), self.item.direction(self.direction, -1.0)
+
+
+def one_at_a_time(inputs: Sequence[Input], most: int) -> list[Step]:
+    """Every input by itself, along its ``most`` leading directions."""
+    return [Step(item, k) for item in inputs for k in range(min(item.size, most))]
+
+
+def drawn_truths(inputs: Sequence[Input], count: int, seed: int) -> list[Departure]:
+    """Truths with every input drawn from its distribution, independently of the others."""
+    rng = np.random.default_rng(seed)
+    return [combined(*(item.drawn(rng) for item in inputs)) for _ in range(count)]

@@ -11,9 +11,8 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.prediction.designs import drawn_truths
 from hyperval.prediction.emulator import Emulator, emulator
-from hyperval.prediction.input import Input
+from hyperval.prediction.input import Input, drawn_truths
 from hyperval.prediction.propagation import (
     FALSE_ALARMS,
     SPECTRA,

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
 from hyperval.prediction.departure import Departure
-from hyperval.prediction.designs import one_at_a_time
-from hyperval.prediction.input import Input
+from hyperval.prediction.input import Input, one_at_a_time
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction, RocCurve
 

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from hyperval.results import Outcome, Result
-from hyperval.uncertainty.attribution.false_alarms import AlarmRatio, reason_for
-from hyperval.uncertainty.attribution.likelihood import closing_change
-from hyperval.uncertainty.attribution.ranking import ENOUGH, Ranking, in_words
+from hyperval.uncertainty.attribution.ranking import ENOUGH, Ranking, closing_change, in_words
 from hyperval.uncertainty.attribution.run import Attribution
+from hyperval.uncertainty.attribution.what_ifs import AlarmRatio, reason_for
 from hyperval.uncertainty.attribution.what_ifs import Outcome as Experiment
 
 _EVERYTHING = "every input"

@@ -14,7 +14,6 @@ from hyperval.prediction.departure import Departure, combined
 from hyperval.prediction.input import Input
 from hyperval.products import Products, background_of
 from hyperval.progress import track
-from hyperval.uncertainty.attribution.model import Model, Truth
 from hyperval.uncertainty.attribution.quantities import Quantity, quantities
 from hyperval.uncertainty.attribution.ranking import (
     Candidate,
@@ -27,7 +26,7 @@ from hyperval.uncertainty.attribution.ranking import (
 from hyperval.uncertainty.attribution.residuals import Stack, stacked
 from hyperval.uncertainty.attribution.schema import AttributionOptions
 from hyperval.uncertainty.attribution.sensitivity import Indices, quadratic_design, sensitivity_indices
-from hyperval.uncertainty.attribution.what_ifs import Outcome, run_what_ifs
+from hyperval.uncertainty.attribution.what_ifs import Model, Outcome, Truth, run_what_ifs
 
 Array = npt.NDArray[np.float64]
 

@@ -1,23 +1,26 @@
-"""Named experiments: the comparison repeated with something assumed otherwise, the gap before and after."""
+"""What-ifs: named experiments, each a run with something changed, and what each does to the false alarms."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from hyperval.compare.rows import scientific
 from hyperval.errors import UsageError
-from hyperval.products import Products
+from hyperval.prediction.departure import Departure
+from hyperval.processing.exceedance import LEAST_EXPECTED_ALARMS, false_alarm_ratio
+from hyperval.products import Products, background_of
 from hyperval.progress import track
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.uncertainty.attribution.false_alarms import AlarmRatio, alarm_ratios
-from hyperval.uncertainty.attribution.likelihood import Whitened
-from hyperval.uncertainty.attribution.model import Model
 from hyperval.uncertainty.attribution.quantities import Quantity
+from hyperval.uncertainty.attribution.ranking import Whitened
 from hyperval.uncertainty.attribution.residuals import Stack, stacked
 from hyperval.uncertainty.attribution.schema import WhatIf
 
@@ -161,3 +164,100 @@ def _there(q: Quantity, observed: Products) -> bool:
     except KeyError:
         return False
     return True
+
+
+Observe = Callable[[Mapping[str, Any]], Products]
+Truth = Sequence[Departure]  # one departure for each scenario
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Scenarios with what predicts them.
+
+    Attributes
+    ----------
+    scenarios : as they stand in the campaign
+    predict : (scenarios, truths) -> for each truth their products, merged as the campaign compares them
+    observe : measures the collection again with changed settings; None where that cannot be done
+    """
+
+    scenarios: Sequence[Scenario]
+    predict: Callable[[Sequence[Scenario], Sequence[Truth]], Iterator[Products]]
+    observe: Observe | None = None
+
+    def products_of(self, truths: Sequence[Truth]) -> Iterator[Products]:
+        """Products of the scenarios as they stand when the truth is another one."""
+        return self.predict(self.scenarios, truths)
+
+    def assuming(self, scenarios: Sequence[Scenario]) -> Products:
+        """Products of other scenarios."""
+        return next(self.predict(scenarios, [[Departure() for _ in scenarios]]))
+
+
+LEVELS = (1e-2, 1e-3)
+FACTOR = 2.0  # a ratio within it is good
+
+
+@dataclass(frozen=True)
+class AlarmRatio:
+    """P_FA predicted over measured at the threshold that was measured to give ``level``.
+
+    Attributes
+    ----------
+    subject, detector, metric : as the rows of the comparison have them
+    value : the ratio [1]
+    lower, upper : its interval, that of the measured P_FA [1]
+    """
+
+    subject: str
+    detector: str
+    metric: str
+    value: float
+    lower: float
+    upper: float
+
+    @property
+    def off(self) -> float:
+        """|ln ratio|: by how much it is wrong, either way."""
+        return abs(math.log(self.value)) if self.value > 0.0 else math.inf
+
+    @property
+    def good(self) -> bool:
+        """Within a factor of two."""
+        return self.off <= math.log(FACTOR)
+
+
+def alarm_ratios(predicted: Products, observed: Products) -> dict[tuple[str, str, str], AlarmRatio]:
+    """By (background, detector, metric), at P_FA 1e-2 and 1e-3 where ten alarms are expected."""
+    ratios = {}
+    for (name, detector), measured in observed.exceedance.items():
+        model = predicted.exceedance.get((name, detector))
+        for level in LEVELS if model is not None and (measured.n or 0) > 0 else ():
+            if level * (measured.n or 0) >= LEAST_EXPECTED_ALARMS and model is not None:
+                key = (background_of(name), detector, f"pfa_ratio@{scientific(level)}")
+                ratio = false_alarm_ratio(model, measured, level)
+                ratios[key] = AlarmRatio(*key, ratio.value, ratio.lower, ratio.upper)
+    return ratios
+
+
+def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> str:
+    """In words, which experiment explains a ratio that is off by more than a factor of two, or that none does.
+
+    Examples
+    --------
+    >>> r = [AlarmRatio("b", "cem", "m", v, v / 2, v * 2) for v in (6.0, 1.5, 4.0)]
+    >>> reason_for(r[0], [("local", r[1]), ("tails", r[2])])
+    "off by a factor of 6; 'local' leaves 1.5: it would explain it"
+    >>> reason_for(r[1], [("tails", r[2])])
+    'within a factor of two'
+    """
+    if before.good:
+        return "within a factor of two"
+    size = f"off by a factor of {math.exp(before.off):.2g}"
+    if before.lower <= FACTOR and before.upper >= 1.0 / FACTOR:
+        size += ", within what the measured interval allows"
+    best = min(tried, key=lambda item: item[1].off, default=None)
+    if best is None or best[1].off >= before.off:
+        return f"{size}; no what-if brings it nearer"
+    end = "it would explain it" if best[1].good else "the nearest, and not enough"
+    return f"{size}; {best[0]!r} leaves {best[1].value:.2g}: {end}"
