@@ -222,7 +222,7 @@ def test_validate_says_the_verdict_of_each_campaign_and_errors_even_when_quiet(c
     cli.run(["validate", "a.yaml", "-o", str(tmp_path)])
     out, err = capsys.readouterr()
     assert out == ""
-    assert "one: Agrees. 1 model gate agrees." in err
+    assert "one: Agrees. 1 model gate agrees (" in err
     assert "two: Does not agree. 1 model gate ended in an error" in err
     assert err.endswith("gates: 1 agree, 1 in error, 2 skipped\n")
     assert "two: error: turf.txt: no such file\n" in err

@@ -1,9 +1,12 @@
 """The verdict says "agrees" only where model gates agree and nothing else disagrees."""
 
+import csv
 import math
+import re
 
 import pytest
 
+from hyperval import cli
 from hyperval.metrics import Evidence, explained, metric_of
 from hyperval.report.verdict import (
     disagrees_without_gating,
@@ -43,23 +46,29 @@ def test_tone_follows_the_outcomes(outcomes, tone):
     tone_now, words = verdict([row(o) for o in outcomes])
     assert tone_now is tone
     assert words.startswith("Agrees.") == (tone is A)
-    assert ("Nothing was decided" in words) == (A not in outcomes and D not in outcomes and E not in outcomes)
+    assert ("Nothing was decided" in words) == bool(outcomes and not {A, D, E} & set(outcomes))
+    assert ("no comparison is a gate" in words) == (not outcomes)
 
 
 def test_checks_of_the_pipeline_are_counted_apart_and_are_no_agreement_of_the_model():
     checks = [row(A, evidence=Evidence.PIPELINE) for _ in range(18)]
-    assert "18 checks of the pipeline agree." in verdict(checks)[1]
+    assert "18 checks of the pipeline agree (radiance bias_ratio of grass)." in verdict(checks)[1]
     assert verdict(checks)[1].startswith("No comparison with the model was decided.")
     assert verdict(checks)[0] is U
     both = verdict([row(A) for _ in range(12)] + checks)
-    assert both == (A, "Agrees. 12 model gates agree. 18 checks of the pipeline agree.")
+    assert both == (
+        A,
+        "Agrees. 12 model gates agree (radiance bias_ratio of grass). "
+        "18 checks of the pipeline agree (radiance bias_ratio of grass).",
+    )
 
 
 def test_what_disagrees_fails_and_was_skipped_is_named():
     _, words = verdict([row(D, "lawn"), row(E, "turf"), row(U, "lot"), row(A)])
     assert words == (
         "Does not agree. 1 model gate disagrees (radiance bias_ratio of lawn), 1 ended in an error "
-        "(radiance bias_ratio of turf), 1 could not be decided (radiance bias_ratio of lot), 1 agrees."
+        "(radiance bias_ratio of turf), 1 could not be decided (radiance bias_ratio of lot), "
+        "1 agrees (radiance bias_ratio of grass)."
     )
 
 
@@ -146,3 +155,25 @@ def test_metrics_are_explained_in_words():
     words = metric_of("p_value_full").words
     assert explained(["p_value_full", "p_value_full"]) == [("p_value_full", words)]
     assert "predicted over measured variance" in metric_of("eigenvalue_ratio@3").words
+
+
+def test_the_sentence_of_a_page_says_what_the_table_says(small, tmp_path):
+    """Half a minute with the page: what agrees, what does not, what could not be told, counted anew."""
+    small.gate("radiance")["at_most"] = 0.002  # some of it does not hold, some cannot be told
+    cli.run(["-q", "validate", str(small.write()), "-o", str(tmp_path / "out")])
+    page = (tmp_path / "out" / "report.html").read_text()
+    (sentence,) = re.findall(r'<p class="verdict \w+">(.*?)</p>', page, re.DOTALL)
+    with (tmp_path / "out" / "results.csv").open(newline="") as stream:
+        gates = [r for r in csv.DictReader(stream) if r["role"] == "gate"]
+    model = [r for r in gates if r["evidence"] == "model"]
+    words = {"agrees": r"agrees?", "disagrees": r"disagrees?", "undecided": "could not be decided"}
+    seen = {r["outcome"] for r in model}
+    assert len(seen & set(words)) >= 2
+    said = re.search(r"\d+ model gates?.*?\)\.", sentence)[0]
+    for outcome, verb in words.items():
+        own = [r for r in model if r["outcome"] == outcome]
+        told = re.search(rf"(\d+)(?: model gates?)? {verb} \((.*?)\)", said)
+        assert (int(told[1]) if told else 0) == len(own), outcome
+        for product in {r["product"] for r in own}:
+            assert product in told[2], (outcome, product)
+    assert sentence.startswith("Does not agree.") == ("disagrees" in seen)

@@ -85,6 +85,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         tests=any(row.outcome is Outcome.UNDECIDED or row.outcome is Outcome.DISAGREES for row in planned),
         counts=v.outcome_words(rows),
         power=run.power,
+        gated=any(row.gates for row in rows),
         power_changed=run.power.changed_files(run.provenance.get("inputs", ())) if run.power else [],
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),

@@ -42,9 +42,12 @@ def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
     decided = any(row.outcome in (Outcome.AGREES, Outcome.DISAGREES) for row in gates)
     if overall in (Outcome.ERROR, Outcome.DISAGREES):
         words = ["Does not agree."]
+    elif not gates:
+        words = ["Nothing decides here: no comparison is a gate."]
+        overall = Outcome.UNDECIDED if telling else Outcome.NONE
     elif not decided:
         words = ["Nothing was decided."]
-        overall = Outcome.UNDECIDED if gates or telling else Outcome.NONE
+        overall = Outcome.UNDECIDED
     elif not any(row.outcome is Outcome.AGREES for row in model):
         words, overall = ["No comparison with the model was decided."], Outcome.UNDECIDED
     elif overall is Outcome.AGREES and not telling:
@@ -67,14 +70,13 @@ def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
 
 
 def _counted(gates: Sequence[Result], kind: Evidence) -> str:
-    """ "3 model gates disagree (radiance bias_ratio of lawn), 2 could not be decided, 5 agree." """
+    """ "1 model gate disagrees (radiance bias_ratio of lawn), 12 agree (12 of radiance)." """
     parts: list[str] = []
     for outcome, one, several in _VERBS:
         own = [row for row in gates if row.outcome is outcome]
         if own:
             noun = f" {_KINDS[kind][len(own) != 1]}" if not parts else ""
-            names = "" if outcome is Outcome.AGREES else f" ({_named(own)})"
-            parts.append(f"{len(own)}{noun} {one if len(own) == 1 else several}{names}")
+            parts.append(f"{len(own)}{noun} {one if len(own) == 1 else several} ({_named(own)})")
     return f"{', '.join(parts)}." if parts else ""
 
 
