@@ -109,11 +109,11 @@ def predict(
         from_here = replace(origins, engine=stand_in or engine)
         return predictions(scenario, (moved_on(truth, d) for d in truths), **vars(from_here))
 
-    found, changes = _prediction(case, steps, objects, object_curves)
-    found = _with_moves(found, changes, moved_predictions(inputs, again), _of_classes(found, given, again))
+    products, changes = _prediction(case, steps, objects, object_curves)
+    products = _with_moves(products, changes, moved_predictions(inputs, again), _of_classes(products, given, again))
     if scenario.uncertainty.method == "linear" or departure is not None:
-        return found
-    return _propagated(case, found, inputs_of(given), again, origins)
+        return products
+    return _propagated(case, products, inputs_of(given), again, origins)
 
 
 def predictions(
@@ -215,10 +215,10 @@ def _changes(detection: Detection, pairs: int) -> dict[RocKey, list[Change]]:
     out = {}
     for key, curves in detection.curves.items():
         z = probit(curves)
-        found = [(z[1 + k] - z[0], z[1 + pairs + k] - z[0]) for k in range(pairs)]
+        pairs_of = [(z[1 + k] - z[0], z[1 + pairs + k] - z[0]) for k in range(pairs)]
         if len(z) > 1 + 2 * pairs:
-            found.append((z[-2] - z[0], z[-1] - z[0]))
-        out[key] = found
+            pairs_of.append((z[-2] - z[0], z[-1] - z[0]))
+        out[key] = pairs_of
     return out
 
 
@@ -256,9 +256,9 @@ def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Dete
     )
 
 
-def _of_classes(found: Prediction, given: Given, again: Again) -> list[Moved]:
+def _of_classes(prediction: Prediction, given: Given, again: Again) -> list[Moved]:
     """Moved spectra of classes, which move the background; those of targets are in the curves already."""
-    if not found.roc:
+    if not prediction.roc:
         return []
     classes = {c.name for c in given.scenario.scene.classes}
     inputs = [i for i in spectrum_inputs(given) if i.subject in classes]
@@ -266,21 +266,24 @@ def _of_classes(found: Prediction, given: Given, again: Again) -> list[Moved]:
 
 
 def _with_moves(
-    found: Prediction, changes: Mapping[RocKey, list[Change]], moves: Sequence[Moved], of_classes: Sequence[Moved]
+    prediction: Prediction,
+    changes: Mapping[RocKey, list[Change]],
+    moves: Sequence[Moved],
+    of_classes: Sequence[Moved],
 ) -> Prediction:
     """The prediction with the errors by inputs that change surfaces, fills or bands, and limits of its curves."""
     spectra: dict[str, Any] = {
-        p: dict(getattr(found, p)) for p in ("radiance", "snr", "reflectance", "toa_reflectance")
+        p: dict(getattr(prediction, p)) for p in ("radiance", "snr", "reflectance", "toa_reflectance")
     }
     for product, estimates in spectra.items():
         with_moves(estimates, product, moves)
     pairs = [*moves, *of_classes]
     whole = {}
-    for key, curve in found.roc.items():
+    for key, curve in prediction.roc.items():
         z = probit(curve.pd)
         moved = [(probit(m.plus.roc[key].pd) - z, probit(m.minus.roc[key].pd) - z) for m in pairs]
         whole[key] = [*changes[key], *moved]
-    return replace(found, **spectra, roc=with_bands(found.roc, whole))
+    return replace(prediction, **spectra, roc=with_bands(prediction.roc, whole))
 
 
 def _propagated(
@@ -296,17 +299,17 @@ def _propagated(
     shifts = any(np.any(np.asarray(i.moved(1.0).wavelength_shift_nm) != 0.0) for i in inputs)
     bands = None if shifts else case.setup.used.true_axis
     u = scenario.uncertainty
-    found = propagate(
+    propagation = propagate(
         scenario, stated, inputs, again, samples=u.samples, seed=u.seed,
         engine=lambda state: origins.whole_terms(scenario, state), axis=bands,
         show_progress=origins.show_progress,
     )  # fmt: skip
-    return with_intervals(stated, found, u.method)
+    return with_intervals(stated, propagation, u.method)
 
 
 def _provenance(case: Case) -> dict[str, object]:
     scenario, sensor = case.setup.scenario, case.setup.used.sensor
-    found: dict[str, object] = {
+    record: dict[str, object] = {
         "scenario": scenario.name,
         "formulation": scenario.formulation,
         "atmosphere": case.terms.provenance if case.terms else None,
@@ -314,9 +317,9 @@ def _provenance(case: Case) -> dict[str, object]:
         "spectra": {name: s.source for name, s in case.setup.surfaces.items()},
     }
     if scenario.atmosphere is not None and scenario.atmosphere.time_utc is not None:
-        found["time_utc"] = scenario.atmosphere.time_utc
+        record["time_utc"] = scenario.atmosphere.time_utc
     if scenario.sensor_operation is not None:
-        found["sensor_operation"] = scenario.sensor_operation.model_dump(mode="json")
+        record["sensor_operation"] = scenario.sensor_operation.model_dump(mode="json")
     if scenario.sensor_changes is not None:
-        found["sensor_changes"] = scenario.sensor_changes.model_dump(mode="json")
-    return found
+        record["sensor_changes"] = scenario.sensor_changes.model_dump(mode="json")
+    return record

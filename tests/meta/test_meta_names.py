@@ -10,18 +10,6 @@ import pytest
 
 SOURCE = Path(__file__).parents[2] / "src" / "hyperval"
 AUTHORS_WORDS = {"found", "held", "told", "asked", "filled", "departed", "remembered"}
-# Still to be cleaned; the list only shrinks.
-WAITING = {
-    "observe/empirical_line.py": {"found"},
-    "observe/pipeline.py": {"found", "held"},
-    "predict.py": {"found"},
-    "prediction/background.py": {"filled"},
-    "prediction/inputs.py": {"found", "filled", "held"},
-    "prediction/monte_carlo.py": {"found", "held"},
-    "processing/wavelength_check.py": {"found"},
-    "report/charts.py": {"_held", "held"},
-    "spectra/readers.py": {"found", "held"},
-}
 
 
 def authors_names(text: str) -> set[str]:
@@ -33,8 +21,7 @@ def authors_names(text: str) -> set[str]:
 
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.relative_to(SOURCE).as_posix())
 def test_names_need_no_author(path):
-    name = path.relative_to(SOURCE).as_posix()
-    assert authors_names(path.read_text("utf-8")) <= WAITING.get(name, set())
+    assert authors_names(path.read_text("utf-8")) == set()
 
 
 def test_such_a_name_is_seen():

@@ -40,12 +40,12 @@ def drift(
             for d in days
         ],
     )
-    found = drift_of([d.year for d in days], [d.row.value for d in days])
-    words = f"{metric} changes by {found.per_year:+.3g} in a year, 95 % interval "
-    words += f"{found.lower:+.3g} to {found.upper:+.3g}"
+    trend = drift_of([d.year for d in days], [d.row.value for d in days])
+    words = f"{metric} changes by {trend.per_year:+.3g} in a year, 95 % interval "
+    words += f"{trend.lower:+.3g} to {trend.upper:+.3g}"
     if within is None:
-        note(f"{words} ({found.n} days)")
+        note(f"{words} ({trend.n} days)")
         return 0
-    outcome = found.outcome(*within)
-    note(f"{words} ({found.n} days): {outcome} with {within[0]:g} to {within[1]:g}")
+    outcome = trend.outcome(*within)
+    note(f"{words} ({trend.n} days): {outcome} with {within[0]:g} to {within[1]:g}")
     return {Outcome.AGREES: 0, Outcome.DISAGREES: 1}.get(outcome, 5)

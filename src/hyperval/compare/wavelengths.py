@@ -37,12 +37,12 @@ def wavelength_rows(
     at = np.flatnonzero(use)[np.argsort(axis.centre_nm[use], kind="stable")]
     w = axis.centre_nm[at]
     for feature in FEATURES:
-        found = []
+        centres = []
         for side in (predicted, observed):
             y, c = side.mean[at], side.error_covariance[np.ix_(at, at)]
             centre, _ = absorption_centre(w, y, feature)
-            found.append((centre, centre_uncertainty(w, y, c, feature, centre)))
-        (p, up), (o, uo) = found
+            centres.append((centre, centre_uncertainty(w, y, c, feature, centre)))
+        (p, up), (o, uo) = centres
         if math.isnan(p) or math.isnan(o):
             continue
         half = Z95 * math.hypot(up, uo) or math.nan

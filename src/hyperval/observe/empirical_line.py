@@ -63,11 +63,11 @@ def empirical_line(
     if source.darkest_pixel is not None:
         dark = source.darkest_pixel
         noise = np.full(len(cube.axis), dark.radiance_noise**2)
-        found = darkest_pixel_panel(darkest_values(cube), noise, dark.reflectance, dark.uncertainty)
-        panels.append(found)
+        darkest = darkest_pixel_panel(darkest_values(cube), noise, dark.reflectance, dark.uncertainty)
+        panels.append(darkest)
         # What the darkest surface truly reflects is one unknown for all bands; its noise is each band's own.
-        u = found.reflectance_sd
-        errors.append(PanelErrors(np.outer(u, u), np.diag(found.radiance_variance)))
+        u = darkest.reflectance_sd
+        errors.append(PanelErrors(np.outer(u, u), np.diag(darkest.radiance_variance)))
     return line_error(fit_elm if source.intercept else fit_gain, panels, errors)
 
 

@@ -137,7 +137,7 @@ def observe(
     unmixed = None
     if detection is not None and detection.unmixing is not None and detected is not None:
         unmixed = unmix(place, detection, measured, elm, detected.bands, resolve, show_progress=show_progress)
-    found = {
+    distributions = {
         name: pixel_distribution(place, masks[name], measured[name])
         for name in track(list(place.regions), "tails", show=show_progress)
     }
@@ -163,7 +163,7 @@ def observe(
         abundance={**(detected.abundance if detected else {}), **(unmixed.areas if unmixed else {})},
         object_scores=detected.object_scores if detected else {},
         exceedance=detected.exceedance if detected else {},
-        distribution={name: held for name, held in found.items() if held is not None},
+        distribution={name: law for name, law in distributions.items() if law is not None},
         classification=classification_errors(place, classification) if classification else {},
         notes=(*notes, *(detected.notes if detected else ())),
         provenance={"quantity": cube.quantity, "description": cube.description, **_rounding(measured)},

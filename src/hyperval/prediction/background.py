@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.prediction.inputs import SurfaceStatistics, cut, filled
+from hyperval.prediction.inputs import SurfaceStatistics, cut, without_gaps
 from hyperval.prediction.view import ClassLevels, View
 from hyperval.processing.elm_model import retrieved_reflectance
 from hyperval.processing.packed import packed
@@ -67,12 +67,12 @@ class Ground:
         """(B, B) Sigma_ave of (3.11)."""
         if self.origin is not None:
             return cut(self.origin[0].covariance, self.origin[1])
-        return mixture_covariance(self.fractions, [filled(m) for m in self.means], self.covariances)
+        return mixture_covariance(self.fractions, [without_gaps(m) for m in self.means], self.covariances)
 
     @cached_property
     def between(self) -> Array:
         """(M, B) how far the classes are from their average."""
-        return np.array([filled(m) for m in self.means]) - self.average
+        return np.array([without_gaps(m) for m in self.means]) - self.average
 
     def variances(self) -> Array:
         """(B,) the diagonal of Sigma_ave."""
@@ -110,7 +110,7 @@ def ground_of(
             other.surfaces[n].covariance is surfaces[n].covariance for n in names
         ):
             return Ground(surfaces, names, fractions, other.average, (other, np.arange(other.average.size)))
-    means = np.array([filled(surfaces[n].mean) for n in names])
+    means = np.array([without_gaps(surfaces[n].mean) for n in names])
     return Ground(surfaces, names, fractions, average_reflectance(fractions, means))
 
 

@@ -108,15 +108,21 @@ class Sources:
             flat = np.full(bands, source.constant)
             return SurfaceStatistics(name, flat, np.zeros((bands, bands)), "constant reflectance")
         if source.library is not None:
-            held = self._library(source.library, source.record, name, "spectrum")
+            record = self._library(source.library, source.record, name, "spectrum")
             return SurfaceStatistics(
-                name, held.mean, held.covariance, held.source or source.library, held.tail_dof, None, held.n
+                name,
+                record.mean,
+                record.covariance,
+                record.source or source.library,
+                record.tail_dof,
+                None,
+                record.n,
             )
         if source.replicates is not None:
-            found = self._replicates(source.replicates, name)
+            sample = self._replicates(source.replicates, name)
             return SurfaceStatistics(
-                name, found.mean, found.covariance, found.summary, None,
-                found.standard_deviation, found.n, found.mean_error,
+                name, sample.mean, sample.covariance, sample.summary, None,
+                sample.standard_deviation, sample.n, sample.mean_error,
             )  # fmt: skip
         return self._from_file(source, name)
 
@@ -131,8 +137,8 @@ class Sources:
         from hyperval.statistics_library import on_bands, read_statistics_library
 
         try:
-            found = read_statistics_library(self.resolve(file), None if record is None else str(record))
-            return on_bands(found, self.axis)
+            records = read_statistics_library(self.resolve(file), None if record is None else str(record))
+            return on_bands(records, self.axis)
         except UsageError as error:
             where = f"{key}.library of {name!r}: " + (error.where or file)
             raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
@@ -172,10 +178,10 @@ class Sources:
                 mend="run it from a campaign whose collection has that region "
                 f"(such as collection.regions: [{{name: {region}, whole_image: true}}]), or name another spectrum",
             )
-        found = self.measured[region]
-        if not found.axis.matches(self.nominal or self.axis):
+        estimate = self.measured[region]
+        if not estimate.axis.matches(self.nominal or self.axis):
             raise UsageError(f"the statistics of region {region!r} do not stand on the bands of the prediction")
-        return found
+        return estimate
 
     def _spread(self, source: CovarianceSource, base: SurfaceStatistics, name: str) -> tuple[Array, float | None]:
         """Covariance (B, B) and degrees of freedom of its tails, None where it has none."""
@@ -219,7 +225,7 @@ def cut(covariance: Array | None, bands: npt.NDArray[np.intp]) -> Array:
     return covariance if bands.size == covariance.shape[0] else covariance[np.ix_(bands, bands)]
 
 
-def filled(values: Array) -> Array:
+def without_gaps(values: Array) -> Array:
     """(B,) with NaN replaced by the nearest known values: for the scene average alone."""
     known = np.isfinite(values)
     if known.all():

@@ -92,7 +92,7 @@ def propagate(
     return Propagated(linear, draws, tuple(rows), stand_in)
 
 
-def with_intervals(stated: Prediction, found: Propagated, method: str) -> Prediction:
+def with_intervals(stated: Prediction, propagation: Propagated, method: str) -> Prediction:
     """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
 
     With ``method`` "monte-carlo" all curves take the limits of the draws, and the errors of a spectrum are the
@@ -100,13 +100,13 @@ def with_intervals(stated: Prediction, found: Propagated, method: str) -> Predic
     their standard deviation band by band, is too noisy to be inverted in a test.
     With "both" a curve takes the limits of the draws where P_D at 1e-2 or 1e-3 disagrees.
     """
-    differs = {a.key for a in found.agreements if a.key[0] == "P_D" and not a.agrees}
+    differs = {a.key for a in propagation.agreements if a.key[0] == "P_D" and not a.agrees}
     roc = dict(stated.roc)
     for key, curve in stated.roc.items():
         name = ("P_D", *key)
         if method == "monte-carlo" or name in differs:
-            roc[key] = _drawn_curve(curve, limits(found.draws.curves[key]))
-    notes = [_words(found)]
+            roc[key] = _drawn_curve(curve, limits(propagation.draws.curves[key]))
+    notes = [_words(propagation)]
     if method == "both" and differs:
         which = ", ".join(sorted({" ".join(k[1:]) for k in differs}))
         notes.append(
@@ -114,12 +114,17 @@ def with_intervals(stated: Prediction, found: Propagated, method: str) -> Predic
         )
     spectra = {}
     for product in SPECTRA:
-        held = getattr(stated, product)
+        estimates = getattr(stated, product)
         if method == "monte-carlo":
-            held = {s: _drawn_estimate(e, found.draws.sd((product, s))) for s, e in held.items()}
-        spectra[product] = held
-    table = [{**asdict(a), "agrees": a.agrees} for a in found.agreements]
-    record = {"method": method, "samples": found.draws.samples, "seed": found.draws.seed, "agreements": table}
+            estimates = {s: _drawn_estimate(e, propagation.draws.sd((product, s))) for s, e in estimates.items()}
+        spectra[product] = estimates
+    table = [{**asdict(a), "agrees": a.agrees} for a in propagation.agreements]
+    record = {
+        "method": method,
+        "samples": propagation.draws.samples,
+        "seed": propagation.draws.seed,
+        "agreements": table,
+    }
     return replace(
         stated,
         roc=roc,
@@ -152,11 +157,11 @@ def ratios(agreements: Sequence[Agreement]) -> Mapping[str, tuple[float, float, 
     return {k: (min(v), float(np.median(v)), max(v)) for k, v in out.items()}
 
 
-def _words(found: Propagated) -> str:
-    parts = [f"{k} {low:.2f}-{high:.2f}" for k, (low, _, high) in ratios(found.agreements).items()]
-    text = f"{found.draws.samples} draws of the budget (seed {found.draws.seed}): "
+def _words(propagation: Propagated) -> str:
+    parts = [f"{k} {low:.2f}-{high:.2f}" for k, (low, _, high) in ratios(propagation.agreements).items()]
+    text = f"{propagation.draws.samples} draws of the budget (seed {propagation.draws.seed}): "
     text += "standard uncertainty over the linearised one: " + ", ".join(parts)
-    e = found.emulator
+    e = propagation.emulator
     if e is not None and e.axes:
         text += (
             f"; atmosphere interpolated between {e.runs} engine runs, radiance within {100 * e.error[0]:.2g} % "

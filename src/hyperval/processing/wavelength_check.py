@@ -170,9 +170,9 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
         return
     w, y = axis.centre_nm[use], y[use]
     if reflectance:
-        found = red_edge(w, y)
-        if np.isfinite(found):
-            yield _shift(RED_EDGE, found, w)
+        edge = red_edge(w, y)
+        if np.isfinite(edge):
+            yield _shift(RED_EDGE, edge, w)
         return
     for feature in FEATURES:
         near = np.abs(w - feature.centre_nm) <= feature.half_nm

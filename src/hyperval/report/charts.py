@@ -126,7 +126,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = ()) -> Ch
         "reflectance": ("reflectance [1]", "Reflectance", False),
         "snr": ("signal-to-noise ratio [1]", "Signal-to-noise ratio", True),
     }[product]
-    predicted, collected = (_held(side, product) for side in sides)
+    predicted, collected = (_of_side(side, product) for side in sides)
     every = both_first(predicted, collected)
     pairs = [subject for subject in every if subject in predicted and subject in collected]
     if not pairs and None not in sides:
@@ -151,7 +151,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = ()) -> Ch
 
 def roc_chart(sides: Sides) -> Chart | None:
     """P_D against P_FA, a tab for each detector and unit, a name in the legend for each subject."""
-    predicted, measured = (_held(side, "roc") for side in sides)
+    predicted, measured = (_of_side(side, "roc") for side in sides)
     every = both_first(predicted, measured)
     pairs = [key for key in every if key in predicted and key in measured]
     kinds = list(dict.fromkeys(key[1:] for key in pairs or every))
@@ -176,7 +176,7 @@ def roc_chart(sides: Sides) -> Chart | None:
     )
 
 
-def _held(side: Products | None, product: str) -> Mapping[Any, Any]:
+def _of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
     return {} if side is None else getattr(side, product)
 
 
@@ -193,16 +193,16 @@ def subject_spectra(
     sides: Sides, predicted: SpectralEstimate | None, collected: SpectralEstimate | None, *, ratio: bool
 ) -> Spectra:
     """Means with their 95 % limits, and the difference (a ratio to the collected side, or not) with its own."""
-    held = [
+    estimates = [
         (name, side.axis, estimate)
         for name, side, estimate in (("predicted", sides[0], predicted), ("collected", sides[1], collected))
         if side is not None and estimate is not None
     ]
-    axis = held[0][1]
+    axis = estimates[0][1]
     w = axis.centre_nm
     keep = in_window(w) if in_window(w).any() else np.ones(w.shape, bool)
     bands: dict[str, tuple[Array, Array]] = {}
-    for name, own, estimate in held:
+    for name, own, estimate in estimates:
         if own.matches(axis):
             bands[name] = (estimate.mean, _COVERAGE * estimate.standard_uncertainty)
     if len(bands) == 2 and predicted is not None and collected is not None:
@@ -300,10 +300,10 @@ def _curves(
     for number, key in enumerate(keys):
         colour, seen = _CURVE_COLOURS[number % len(_CURVE_COLOURS)], number < FIRST_CURVES
         name = style.shortened(key[0], 30)
-        for side, held, dash in (("predicted", predicted, "dashed"), ("measured", measured, "solid")):
-            if key not in held:
+        for side, own, dash in (("predicted", predicted, "dashed"), ("measured", measured, "solid")):
+            if key not in own:
                 continue
-            source = ColumnDataSource(_curve_data(held[key], low))
+            source = ColumnDataSource(_curve_data(own[key], low))
             common: dict[str, Any] = {"source": source, "legend_label": name, "visible": seen}
             plot.varea("pfa", "low", "high", fill_color=colour, fill_alpha=0.12, **common)
             drawn = plot.line if side == "predicted" else plot.step
@@ -325,8 +325,8 @@ def _curve_data(curve: RocCurve, low: float) -> dict[str, Column]:
     if keep.size > _MOST_POINTS:
         wanted = np.geomspace(curve.pfa[keep[0]], curve.pfa[keep[-1]], _MOST_POINTS)
         keep = np.unique(np.clip(np.searchsorted(curve.pfa, wanted), keep[0], keep[-1]))
-    held = {"pfa": curve.pfa, "pd": curve.pd, "low": curve.pd_lower, "high": curve.pd_upper}
-    return {name: _column(values[keep]) for name, values in held.items()}
+    columns = {"pfa": curve.pfa, "pd": curve.pd, "low": curve.pd_lower, "high": curve.pd_upper}
+    return {name: _column(values[keep]) for name, values in columns.items()}
 
 
 def _plot(height: int, span: Range1d, label: str, absorption: ColumnDataSource | None = None, **more: Any) -> Any:
@@ -391,6 +391,6 @@ def _content(model: LayoutDOM, target: str, subjects: Sequence[Mapping[str, Any]
         return numbers.get(value, value) if isinstance(value, str) else value
 
     named(item["doc"])
-    held = {"item": renamed(item), "subjects": subjects}
+    content = {"item": renamed(item), "subjects": subjects}
     # "<" cannot end the script that holds it.
-    return json.dumps(held, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+    return json.dumps(content, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")

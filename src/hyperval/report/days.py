@@ -36,7 +36,7 @@ def days_of(folders: Sequence[Path], product: str, subject: str, metric: str) ->
     InputError : a folder without results.
     UsageError : a run with several times, or none of the runs has such a row.
     """
-    found: list[Day] = []
+    days: list[Day] = []
     for folder in _runs(folders):
         run = read_run(folder)
         rows = [r for r in run.table if (r.product, r.subject, r.metric) == (product, subject, metric)]
@@ -48,14 +48,14 @@ def days_of(folders: Sequence[Path], product: str, subject: str, metric: str) ->
             raise UsageError(
                 f"{len(times)} times in one run", where=str(folder), expected="scenarios of one time_utc"
             )
-        found.append(Day(times.pop(), rows[0]))
-    if not found:
+        days.append(Day(times.pop(), rows[0]))
+    if not days:
         raise UsageError(
             f"no run has the row {product}, {subject}, {metric}",
             expected="names as in results.csv",
             mend="hyperval drift FOLDER --product P --subject S --metric M",
         )
-    return sorted(found, key=lambda day: day.when)
+    return sorted(days, key=lambda day: day.when)
 
 
 def _runs(folders: Iterable[Path]) -> list[Path]:

@@ -147,13 +147,13 @@ def _wavelengths_beside(path: Path) -> Path | None:
     return fits[0] if len(fits) == 1 else None
 
 
-def _wanted(held: list[Record], wanted: Sequence[str | int] | None, where: str) -> list[Record]:
+def _wanted(candidates: list[Record], wanted: Sequence[str | int] | None, where: str) -> list[Record]:
     if wanted is None:
-        return held
+        return candidates
     numbers = {w for w in wanted if isinstance(w, int)}
-    if any(not 0 <= w < len(held) for w in numbers):
-        raise UsageError(f"no record {max(numbers)}", where=where, expected=f"0 to {len(held) - 1}")
-    return [r for i, r in enumerate(held) if i in numbers or r.name in wanted]
+    if any(not 0 <= w < len(candidates) for w in numbers):
+        raise UsageError(f"no record {max(numbers)}", where=where, expected=f"0 to {len(candidates) - 1}")
+    return [r for i, r in enumerate(candidates) if i in numbers or r.name in wanted]
 
 
 def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str) -> list[Record]:
@@ -239,8 +239,8 @@ def _chosen(records: list[Record], record: str | int | None, where: str) -> Reco
     exact = [r for r in records if r.name == record]
     if not exact and record == "mean":
         return mean_of(records)
-    found = exact or [r for r in records if record.lower() in r.name.lower()]
-    if len(found) != 1:
-        what = f"{len(found)} records match {record!r}" if found else f"no record {record!r}"
+    matches = exact or [r for r in records if record.lower() in r.name.lower()]
+    if len(matches) != 1:
+        what = f"{len(matches)} records match {record!r}" if matches else f"no record {record!r}"
         raise UsageError(what, where=where, expected=f"one of {names}")
-    return found[0]
+    return matches[0]
