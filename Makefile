@@ -16,7 +16,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check power scoreboard test test-slow test-data lint check-style format types lock clean coverage
+.PHONY: help setup validate check power scoreboard test test-slow test-data lint check-style format types lock clean coverage bill audit robustness
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -52,6 +52,16 @@ test-data: $(READY)  ## run the tests of real collections (HYPERVAL_DATA), slow 
 
 coverage: $(READY)  ## how often the 95 % intervals hold, over simulated collections (minutes)
 	$(BIN)/python validation/coverage/study.py --output reports/coverage
+
+robustness: $(READY)  ## a million damaged files through every reader (an hour; goes on where it ended)
+	$(BIN)/python validation/robustness/study.py --output reports/robustness
+
+bill: $(READY)  ## every package that hyperval needs, with version and licence; BILL_FLAGS=--cyclonedx for other tools
+	$(BIN)/python scripts/bill_of_materials.py $(BILL_FLAGS)
+
+audit: $(READY)  ## known weaknesses of the locked packages (needs pip-audit, and reaches its database)
+	@command -v pip-audit >/dev/null || { echo "make audit needs pip-audit: $(PYTHON) -m pip install pip-audit" >&2; exit 2; }
+	pip-audit --requirement requirements.lock --disable-pip --no-deps
 
 lint: $(READY)  ## check style, and which room imports which
 	$(BIN)/ruff check

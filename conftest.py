@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
-from collections.abc import Callable, Generator
+import socket
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest_plugins = ["pytester"]
 REQUIRED = "HYPERVAL_REQUIRE_DATA"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _nobody_else() -> Iterator[None]:
+    """No test reaches another machine: those that fetch do so from servers of their own on this one."""
+    right = socket.socket.connect
+
+    def connect(self: socket.socket, address: Any) -> None:
+        if self.family in (socket.AF_INET, socket.AF_INET6):
+            host = str(address[0])
+            if host != "localhost" and not ipaddress.ip_address(host).is_loopback:
+                raise OSError(f"a test would have reached {host}")
+        right(self, address)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(socket.socket, "connect", connect)
+        yield
 
 
 @pytest.fixture
