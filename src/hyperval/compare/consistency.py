@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize, stats
 
+from hyperval.compare.difference import Z95
 from hyperval.errors import UsageError
+from hyperval.processing.intervals import clopper_pearson
 from hyperval.products import EstimatedPart
 
 Array = npt.NDArray[np.float64]
@@ -66,6 +68,26 @@ def z_scores(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
     d = np.asarray(difference, dtype=float)
     variance = np.diag(np.asarray(covariance, dtype=float))
     return np.where(variance > 0, d, np.nan) / np.sqrt(np.where(variance > 0, variance, 1.0))
+
+
+def share_inside(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> tuple[float, tuple[float, float]]:
+    """Share of bands with |z| <= 1.96 and its 95 % interval, bands whose errors hang together counted as fewer.
+
+    Clopper and Pearson's limits for B^2 / sum rho^2 bands, rho being the correlation of the errors: whether two
+    bands lie inside hangs together by its square and higher powers, so that this counts too few, not too many.
+
+    Examples
+    --------
+    >>> share, (low, high) = share_inside([0.1, 0.1, 0.1, 0.3], 0.01 * np.eye(4))
+    >>> share, round(low, 3), round(high, 3)
+    (0.75, 0.194, 0.994)
+    """
+    c = np.asarray(covariance, dtype=float)
+    sd = np.sqrt(np.diag(c))
+    bands = float(sd.size**2 / np.sum((c / np.outer(sd, sd)) ** 2))
+    inside = float(np.mean(np.abs(z_scores(difference, c)) <= Z95))
+    low, high = clopper_pearson(inside * bands, bands)
+    return inside, (float(low), float(high))
 
 
 def chi_square_diagonal(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> ChiSquare:

@@ -13,6 +13,7 @@ from hyperval.compare.consistency import (
     chi_square_diagonal,
     chi_square_full,
     detectable_tilts,
+    share_inside,
     spectral_angle_degrees,
     z_scores,
 )
@@ -202,7 +203,7 @@ def _consistency(
         diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, cov, parts_here)
         parts = bias_and_shape(r, observed[window], cov, parts_here)
         tilts = detectable_tilts(observed[window], centre_nm[window], cov, parts_here)
-        z = np.abs(z_scores(r, cov))
+        inside, limits = share_inside(r, cov)
         bias, bias_sd = _mean_ratio(*relative, window)
         kept = f"{full.dof} of {int(window.sum())} directions kept" if full.dof < window.sum() else ""
         if math.isfinite(full.covariance_dof):
@@ -222,7 +223,7 @@ def _consistency(
             ),
             make.row(names[5], parts.shape.reduced, n=parts.shape.dof),
             make.row(names[6], parts.shape.p_value, n=parts.shape.dof, detectable=tilts[1]),
-            make.row(names[7], float(np.mean(z <= Z95)), n=int(z.size)),
+            make.row(names[7], inside, interval=limits, n=int(window.sum())),
         ]
     angle = spectral_angle_degrees(predicted[window], observed[window])
     return [*out, make.row(names[8], angle, unit="degree", n=int(window.sum()))]

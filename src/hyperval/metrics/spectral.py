@@ -78,9 +78,10 @@ METRICS = (
            "compare.consistency.bias_and_shape", "P(chi2_(n-1) >= shape)", low=0.0, high=1.0, kind=Kind.TEST,
            tolerance=_P, example="bias_and_shape([0.1, -0.1], [1.0, 1.0], np.eye(2) * 0.01).shape.p_value",
            gives=0.15729921, alternative=0.03, departure=_TILT, two_sided=True),
-    Metric("fraction_inside_95", "share of the bands with |z| <= 1.96", "compare.consistency.z_scores",
+    Metric("fraction_inside_95", "share of the bands with |z| <= 1.96", "compare.consistency.share_inside",
            "mean_b [|z| <= 1.96]", low=0.0, high=1.0, agreement=0.95, kind=Kind.STATISTIC, tolerance=of_unit(0.02),
-           example="np.mean(np.abs(z_scores([0.2, 0.0], np.eye(2) * 0.01)) <= 1.96)", gives=0.5),
+           interval="exact binomial of B^2 / sum rho^2 bands",
+           example="share_inside([0.2, 0.0], np.eye(2) * 0.01)[0]", gives=0.5),
     Metric("fraction_inside_stated*", "share of the bands whose difference is at most twice the standard "
            "uncertainty that the source of the observation states, what both sides share included; the suffix "
            "_windows takes the windows of the atmosphere alone", "compare.spectral.fraction_inside_stated",
