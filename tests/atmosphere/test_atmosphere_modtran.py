@@ -14,6 +14,7 @@ import pytest
 from hyperval.atmosphere import AtmosphericTerms, read_chn
 from hyperval.atmosphere.modtran_read import read_chn_blocks
 from hyperval.atmosphere.sixs import sixs_terms
+from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.errors import InputError, UsageError
 
 WIDTHS = (12, 3, 3, 13, 13, 8, 13, 9, 9, 9, 9, *([13] * 10), *([10] * 5), 11)
@@ -252,3 +253,13 @@ def test_the_document_holds_tables_that_the_script_writes():
     assert "| criterion | limit | median |" in between
     assert between.count("| met |") == len(CRITERIA)
     assert "MISSED" not in between
+
+
+@pytest.mark.data
+def test_a_white_diffuser_above_the_air_has_the_sunlight_of_another_source(data_dir):
+    """The sun of 2017-11-08T18:42Z over Pasadena, 52.4 deg from the zenith at 0.9906 au, by ASTM G173."""
+    terms = read_chn(data_dir("pasadena/lut_multi/AOT550-0.1000_H2OSTR-1.5000.chn"))
+    visible = (terms.wavelength_nm > 450.0) & (terms.wavelength_nm < 1000.0)
+    other = extraterrestrial_irradiance("astm-g173", terms.wavelength_nm, 0.9906) * np.cos(np.deg2rad(52.4)) / np.pi
+    assert terms.diffuser_radiance is not None
+    assert np.median(terms.diffuser_radiance[visible] / other[visible]) == pytest.approx(1.0, abs=0.02)

@@ -407,6 +407,7 @@ def test_a_table_of_the_embedded_engine_meets_it_at_the_nodes(engine_cache, tmp_
     exact = atmospheric_terms(other, cache_dir=engine_cache)
     got = there.terms(state(**clear, water_vapour_g_cm2=1.2, day_of_year=10))
     np.testing.assert_allclose(got.direct, exact.direct, rtol=1e-10)
+    np.testing.assert_allclose(got.diffuser_radiance, exact.diffuser_radiance, rtol=1e-10)
 
 
 def test_grids_that_cannot_be_built_are_refused():

@@ -191,6 +191,7 @@ def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] |
         },
         fwhm_nm=_FWHM_PER_WIDTH * black.width_nm,
         diffuse_fraction=_diffuse(share),
+        diffuser_radiance=black.unit_radiance,
     )
 
 
@@ -274,6 +275,7 @@ def read_chn(path: Path, albedos: Sequence[float] | None = None) -> AtmosphericT
         gas_transmittance=over_continuum(block.wavelength_nm, block.direct),
         provenance={"engine": "MODTRAN", "file": str(path), "blocks": len(blocks)},
         fwhm_nm=_FWHM_PER_WIDTH * block.width_nm,
+        diffuser_radiance=block.unit_radiance,
     )
 
 

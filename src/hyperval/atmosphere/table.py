@@ -126,6 +126,7 @@ class AtmosphericTable:
             },
             fwhm_nm=self.fwhm_nm,
             diffuse_fraction=values.get("diffuse"),
+            diffuser_radiance=unit,
             path_uncertainty=path_relative * unit * values["path"],
         )
 

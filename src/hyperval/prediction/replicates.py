@@ -137,12 +137,18 @@ def replicate_spectra(source: Replicates, resolve: Resolve) -> list[FieldSpectru
 def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: SpectralAxis | None = None) -> Array:
     """(B,) values in the bands: as they stand where they are sampled at the bands' centres, else band averages.
 
-    A library at the sensor's own bands was convolved when it was made; a second time would smooth it and lose its
-    first and last bands.  NaN in bands that the samples do not cover.  Where the samples stand at the bands
-    as they are labelled (``nominal``) but those truly stand elsewhere, a cubic spline leads from one to the other.
+    A library at the sensor's own bands, or at some of them, was convolved when it was made; a second time would
+    smooth it and lose its first and last bands. NaN in bands that the samples do not cover. Where the samples
+    stand at the bands as they are labelled (``nominal``) but those truly stand elsewhere, a cubic spline leads
+    from one to the other.
     """
     if _are_centres(wavelength_nm, axis):
         return np.array(values, dtype=float)
+    some = _some_centres(wavelength_nm, axis)
+    if some is not None:
+        out = np.full(len(axis), np.nan)
+        out[some] = values
+        return out
     known = np.isfinite(values)
     if known.sum() < 2:
         return np.full(len(axis), np.nan)
@@ -172,6 +178,15 @@ def band_error_covariance(
     u = np.nan_to_num(standard_deviation)
     together = np.exp(-0.5 * ((wavelength_nm[:, None] - wavelength_nm[None, :]) / correlation_nm) ** 2)
     return covariance_in_bands(wavelength_nm, np.outer(u, u) * together, axis)
+
+
+def _some_centres(wavelength_nm: Array, axis: SpectralAxis) -> npt.NDArray[np.intp] | None:
+    """Bands at whose centres the samples stand, where each stands at one of its own; None otherwise."""
+    if not 1 < wavelength_nm.size < len(axis):
+        return None
+    nearest = np.argmin(np.abs(wavelength_nm[:, None] - axis.centre_nm), axis=1)
+    apart = np.abs(axis.centre_nm[nearest] - wavelength_nm)
+    return nearest if np.all(apart <= SAME_BAND_NM) and np.unique(nearest).size == nearest.size else None
 
 
 def _are_centres(wavelength_nm: Array, axis: SpectralAxis) -> bool:
