@@ -13,7 +13,6 @@ import multiprocessing
 import os
 import pickle
 import signal
-import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
@@ -28,6 +27,7 @@ import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are c
 from threadpoolctl import ThreadpoolController
 
 from hyperval.errors import HypervalError, UsageError
+from hyperval.files import scratch_folder
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -94,8 +94,8 @@ def parcel(where: Workers | Executor, value: Any) -> Iterator[Parcel]:
     if not isinstance(where, Workers) or where.renew is None:
         yield Parcel(digest, content)
         return
-    with tempfile.TemporaryDirectory(prefix="hyperval-") as folder:
-        path = Path(folder, "parcel")
+    with scratch_folder("parcel") as folder:
+        path = folder / "parcel"
         path.write_bytes(content)
         yield Parcel(digest, path=path)
 

@@ -86,10 +86,13 @@ def spectral_products(
     engine : what is stated of the error of the atmosphere engine
     """
     out, setup = SpectralProducts(), case.setup
-    axis, scratch = setup.used.axis, np.empty_like(ground.covariance)
-    for subject in _subjects(setup, view, errors):
-        level = view.level(subject.rho)
-        seen = view.seen(level, subject.under_sky, subject.covariance, ground.covariance, subject.gain, scratch)
+    axis, subjects = setup.used.axis, _subjects(setup, view, errors)
+    # One piece of memory for all: new pages for each matrix take longer than the numbers in it.
+    *room, scratch = np.empty((1 + 2 * len(subjects), len(axis), len(axis)))
+    for number, subject in enumerate(subjects):
+        of_radiance, of_reflectance = room[2 * number : 2 * number + 2]
+        level, around = view.level(subject.rho), ground.covariance
+        seen = view.seen(level, subject.under_sky, subject.covariance, around, subject.gain, of_radiance, scratch)
         if view.terms is not None:
             changes = steps.changes(lambda v, rho=subject.rho: v.level(rho))  # type: ignore[misc]
             shapes = spectral_errors(view, subject.rho, axis, engine, subject.error, setup.used.sensor)
@@ -108,7 +111,7 @@ def spectral_products(
             shapes = spectral_errors(view, subject.rho, axis, None, subject.error) | _through(view, subject.others)
             shapes = {source: retrieved_covariance(line, c) for source, c in shapes.items()}
             total, budget = combined(changes, shapes, len(axis))
-            pixel = _known(seen if view.terms is None else retrieved_covariance(line, seen))
+            pixel = _known(seen if view.terms is None else retrieved_covariance(line, seen, of_reflectance))
             mean = retrieved_reflectance(line, level)
             out.reflectance[subject.name] = SpectralEstimate(mean, total, pixel, None, budget)
     return out

@@ -132,7 +132,7 @@ class View:
 
     def seen(
         self, level: Array, under_sky: Array, covariance: Array, around: Array, gain: float = 1.0,
-        scratch: Array | None = None,
+        out: Array | None = None, scratch: Array | None = None,
     ) -> Array:  # fmt: skip
         """Pixel covariance (B, B) of the signal with sensor noise (3.11, 3.16-3.19), of one setting.
 
@@ -142,7 +142,7 @@ class View:
             return covariance
         result = radiance_covariance(
             self.terms, under_sky, covariance, self.average, around, adjacency_gain=gain,
-            kappa=self.kappa, formulation=self.formulation, scratch=scratch,  # type: ignore[arg-type]
+            kappa=self.kappa, formulation=self.formulation, out=out, scratch=scratch,  # type: ignore[arg-type]
         )  # fmt: skip
         if self.noise is not None:
             result.flat[:: level.size + 1] += self.noise.variance(level)

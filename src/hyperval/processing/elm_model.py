@@ -69,10 +69,13 @@ def retrieved_reflectance(line: TwoPanelLine, radiance: npt.ArrayLike) -> Array:
     return np.asarray((np.asarray(radiance, dtype=float) - line.offset) / line.gain)
 
 
-def retrieved_covariance(line: TwoPanelLine, covariance: npt.ArrayLike) -> Array:
-    """Sigma^_ij = Sigma_L,ij / (k_i k_j), (B, B) [1] (before 3.21); the offset does not enter."""
+def retrieved_covariance(line: TwoPanelLine, covariance: npt.ArrayLike, out: Array | None = None) -> Array:
+    """Sigma^_ij = Sigma_L,ij / (k_i k_j), (B, B) [1] (before 3.21); the offset does not enter.
+
+    ``out`` : (B, B) memory for the result
+    """
     slope = 1.0 / line.gain
-    result = np.asarray(covariance, dtype=float) * slope[:, None]
+    result: Array = np.multiply(np.asarray(covariance, dtype=float), slope[:, None], out=out)
     result *= slope
     return result
 

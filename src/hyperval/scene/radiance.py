@@ -148,6 +148,7 @@ def radiance_covariance(
     adjacency_gain: float = 1.0,
     kappa: float = 0.0,
     formulation: Formulation = "corrected",
+    out: Array | None = None,
     scratch: Array | None = None,
 ) -> Array:
     """Pixel-to-pixel covariance of radiance before the sensor (3.11), also (3.12) with the target pixel's.
@@ -163,7 +164,7 @@ def radiance_covariance(
     adjacency_gain : g_B on the adjacency term
     kappa : 1/N_eff, the variance of the neighbourhood average as a part of that of one pixel; the
         printed form has 1, whatever is given here
-    scratch : (B, B) memory to work in, overwritten; None: fresh memory, which costs more than the numbers in it
+    out, scratch : (B, B) memory for the result and to work in; None: fresh memory
 
     Returns
     -------
@@ -172,7 +173,7 @@ def radiance_covariance(
     d_a = direct_slope(terms, average_reflectance, formulation)
     d_b = adjacency_slope(terms, reflectance, average_reflectance, formulation)
     weight = adjacency_gain * (kappa if formulation == "corrected" else 1.0)
-    result = np.asarray(covariance, dtype=float) * d_a[:, None]
+    result: Array = np.multiply(np.asarray(covariance, dtype=float), d_a[:, None], out=out)
     result *= d_a
     if weight:
         around = np.multiply(np.asarray(average_covariance, dtype=float), (weight * d_b)[:, None], out=scratch)
