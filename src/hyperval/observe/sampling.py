@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.observe.place import Place
-from hyperval.observe.spread import correlation_windows
+from hyperval.observe.spread import REACH, pixels_of_windows
 from hyperval.processing.few_pixels import factor_covariance
 from hyperval.processing.mean_error import (
     components,
@@ -24,7 +24,6 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 FEWEST_PIXELS = 50  # below it a correlation on the ground is not told from chance
-REACH, WINDOW = 24, 64  # [pixels]
 _SEED = 37
 
 
@@ -55,14 +54,7 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     along = components(inner, rng)
 
     def windows() -> Iterator[tuple[Array, Mask]]:
-        for corner in correlation_windows(region, rng):
-            rows, columns = (slice(a, a + WINDOW) for a in corner)
-            inside = region[rows, columns]
-            lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
-            at = lines.ravel(), samples.ravel()
-            values, valid = place.cube.marked_pixels(at)
-            pixels = values[:, known].reshape(*inside.shape, -1)
-            inside = inside & valid.reshape(inside.shape) & np.isfinite(pixels).all(axis=-1)
+        for pixels, inside in pixels_of_windows(place, region, known, rng):
             yield along.scores(np.where(inside[..., None], pixels, mean) - mean), inside
 
     reach = min(REACH, max(*region.shape) - 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -111,14 +112,7 @@ def _independence(
     count = min(COMPONENTS, directions.values.size)
 
     def quantities() -> Iterator[tuple[Array, Mask]]:
-        for corner in correlation_windows(region, rng):
-            rows, columns = (slice(a, a + WINDOW) for a in corner)
-            inside = region[rows, columns]
-            lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
-            at = lines.ravel(), samples.ravel()
-            pixels, valid = place.cube.marked_pixels(at)
-            values = pixels[:, bands].reshape(*inside.shape, -1)
-            inside = inside & valid.reshape(inside.shape) & np.isfinite(values).all(axis=-1)
+        for values, inside in pixels_of_windows(place, region, bands, rng):
             scores = (np.where(inside[..., None], values, mean) - mean) @ directions.vectors
             scores /= np.sqrt(directions.values)
             # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
@@ -131,6 +125,19 @@ def _independence(
     independent = np.array([independent_for_variance(n, rho, shares) for rho in correlation[:count]])
     parts = [independent_for_mean(n, rho, shares) / n for rho in correlation[count:]]
     return independent, (parts[0], parts[1])
+
+
+def pixels_of_windows(
+    place: Place, region: Mask, bands: npt.NDArray[Any], rng: np.random.Generator
+) -> Iterator[tuple[Array, Mask]]:
+    """Values (lines, samples, b) of some bands in each window of a region, and which pixels are in it and valid."""
+    for corner in correlation_windows(region, rng):
+        rows, columns = (slice(a, a + WINDOW) for a in corner)
+        inside = region[rows, columns]
+        lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
+        pixels, valid = place.cube.marked_pixels((lines.ravel(), samples.ravel()))
+        values = pixels[:, bands].reshape(*inside.shape, -1)
+        yield values, inside & valid.reshape(inside.shape) & np.isfinite(values).all(axis=-1)
 
 
 def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:

@@ -19,8 +19,7 @@ from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.study.atmosphere import FewStates, Table, few_states, table
-from hyperval.study.columns import Stage, batch_of_columns, stage_of
-from hyperval.study.levers import PFA, Lever, lever_of
+from hyperval.study.columns import PFA, Lever, Stage, batch_of_columns, lever_of, stage_of
 from hyperval.study.metrics import of_batch
 from hyperval.study.schema import Output
 
