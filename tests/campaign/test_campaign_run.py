@@ -355,3 +355,16 @@ def test_observe_needs_neither_scenario_nor_comparison_and_validate_both(lacking
     assert f"the campaign has no {lacking}" in said
     assert "hyperval observe needs neither" in said
     assert not (tmp_path / "v").exists()
+
+
+def test_a_halo_adds_the_curve_with_alarms_by_pixel_to_every_output(small, tmp_path):
+    small.data["detection"]["halo_pixels"] = 1
+    out = tmp_path / "out"
+    assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) in (0, 1)
+    methods = {r["method"] for r in rows_of(out) if r["product"] == "roc"}
+    assert {"cem/pixel", "cem/object", "cem/object-by-pixel"} <= methods
+    predicted = {
+        r["metric"] for r in rows_of(out) if r["method"] == "cem/object-by-pixel" and r["outcome"] != "skipped"
+    }
+    assert not any(metric.startswith("pd_difference") for metric in predicted)
+    assert "they favour detection" in (out / "report.html").read_text()

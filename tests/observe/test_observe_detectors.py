@@ -43,6 +43,20 @@ def test_a_halo_scores_background_and_objects_alike(world):
     assert seen.observation.roc["fill 0.8", "cem", "pixel"].n_background == LINES * SAMPLES - 5 * len(PLANTED)
     best = max(scores[9:12, 9:12].max(), scores[9:12, 19:22].max())
     assert curve.pd[curve.threshold < best].max() == 1
+    other = seen.observation.roc["fill 0.8", "cem", "object-by-pixel"]
+    halos = np.zeros_like(guarded)
+    for line, sample in ((10, 10), (10, 20)):
+        halos[line - 1 : line + 2, sample - 1 : sample + 2] = True
+    background = scores[guarded & ~halos]
+    assert (other.n_target, other.n_background) == (2, background.size)
+    at = np.flatnonzero(np.abs(other.pfa - 0.1) < 1e-9)[0]
+    threshold = np.sort(background)[::-1][round(0.1 * background.size)]
+    each = [scores[9:12, 9:12].max(), scores[9:12, 19:22].max()]
+    assert other.pd[at] == np.mean(np.array(each) > threshold)
+    both = [(i, j) for i, p in enumerate(curve.pfa) for j in np.flatnonzero(np.isclose(other.pfa, p, rtol=1e-9))]
+    assert len(both) > 20
+    assert all(other.pd[j] >= curve.pd[i] for i, j in both)  # a false alarm has fewer chances: it favours detection
+    assert any("they favour detection" in note for note in seen.detected.notes)
     world.detection["halo_pixels"] = 24
     with pytest.raises(UsageError, match=r"'t0' with a halo of 24 pixels is larger"):
         world.observe()

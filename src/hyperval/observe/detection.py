@@ -14,7 +14,7 @@ from hyperval.errors import InputError, UsageError
 from hyperval.imagery.truth import TargetMasks, TargetObject
 from hyperval.observe.areas import target_areas
 from hyperval.observe.filter_bank import FilterBank, filter_bank, map_name
-from hyperval.observe.object_roc import object_curve
+from hyperval.observe.object_roc import alarms_by_pixel, object_curve
 from hyperval.observe.place import IMAGE, SCENE, Place
 from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.prediction.inputs import Sources
@@ -29,6 +29,7 @@ from hyperval.processing.sample import SampleStatistics
 from hyperval.products import Abundance, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution, background_of
 from hyperval.progress import watch_lines
 
+BY_PIXEL = "object-by-pixel"  # objects by their halos, alarms by pixel
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
@@ -94,6 +95,11 @@ def detect(
         for detector in detection.detectors:
             scored.add(target, detector, groups)
     scored.add_pools()
+    if detection.halo_pixels:
+        remarks.append(
+            f"curves '{BY_PIXEL}' count every pixel as a false alarm and give an object the best of its halo, as "
+            "MUUFL's scoring does: they favour detection, those 'object' do not"
+        )
     areas, nominal = target_areas(place, detection, maps)
     return Detected(
         maps,
@@ -193,6 +199,16 @@ class _Curves:
             draws=self.detection.bootstrap.draws,
             seed=self.detection.bootstrap.seed,
         )
+        if self.detection.halo_pixels:
+            self.roc[subject, detector, BY_PIXEL] = alarms_by_pixel(
+                scores,
+                objects,
+                self.alarms,
+                self.detection.halo_pixels,
+                self.place.pixel_area_m2,
+                draws=self.detection.bootstrap.draws,
+                seed=self.detection.bootstrap.seed,
+            )
 
     def add_pools(self) -> None:
         """Curves of several subjects counted together."""

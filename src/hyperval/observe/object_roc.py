@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.processing.alarm_blocks import AlarmBlocks, block_side
-from hyperval.processing.objects import Placed, footprint, footprint_maxima, object_scores
+from hyperval.processing.objects import Placed, footprint, footprint_maxima, object_scores, placed_with_halo
 from hyperval.processing.roc import empirical_roc, with_summary
 from hyperval.products import RocCurve
 
@@ -56,6 +56,34 @@ def object_curve(
     noise = blocks.scores
     curve = empirical_roc(best, noise, unit="object", background_area_km2=area, blocks=blocks)
     return with_summary(curve, best, noise, draws=draws, rng=np.random.default_rng(seed), blocks=blocks)
+
+
+def alarms_by_pixel(
+    scores: Array,
+    objects: Mapping[str, Placed],
+    alarms: Mask,
+    halo: int,
+    pixel_area_m2: float | None,
+    *,
+    draws: int = 1000,
+    seed: int = 0,
+) -> RocCurve:
+    """ROC of objects by the greatest score in their halos, where every pixel outside the halos is a false alarm.
+
+    This is how the MUUFL Gulfport collection is scored (Bullwinkle).  It favours detection: an object has as many
+    chances as its halo has pixels, a false alarm one; :func:`object_curve` gives both the same.  Parameters as
+    there.
+    """
+    best = np.array(list(object_scores(scores, objects, halo).values()))
+    best = best[np.isfinite(best)]
+    counted = alarms.copy()
+    for placed in objects.values():
+        (line, sample), grown = placed_with_halo(placed, halo, scores.shape)
+        counted[line : line + grown.shape[0], sample : sample + grown.shape[1]] &= ~grown
+    blocks = AlarmBlocks.of_map(scores, counted)
+    area = None if pixel_area_m2 is None else int(np.count_nonzero(counted)) * pixel_area_m2 / 1e6
+    curve = empirical_roc(best, blocks.scores, unit="object", background_area_km2=area, blocks=blocks)
+    return with_summary(curve, best, blocks.scores, draws=draws, rng=np.random.default_rng(seed), blocks=blocks)
 
 
 def _placements(scores: Array, objects: Mapping[str, Placed], alarms: Mask, halo: int) -> tuple[AlarmBlocks, int]:
