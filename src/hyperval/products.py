@@ -304,8 +304,8 @@ class Products:
     through a target's filter under (:func:`background_of` (subject), detector); those of ``roc`` and
     ``abundance`` are (subject, detector) with the unit kept in the curve, so that (subject, detector,
     "pixel"|"object"|"object-by-pixel") names a curve; those of ``object_scores`` are (subject, detector), those
-    of ``exceedance`` (what is looked for, detector). ``distribution`` goes by subject, ``classification`` by (classes, features),
-    such as ("grass / asphalt", "2 bands").
+    of ``exceedance`` (what is looked for, detector). ``distribution`` goes by subject, ``classification`` by
+    (classes, features), such as ("grass / asphalt", "2 bands").
     """
 
     axis: SpectralAxis
