@@ -14,10 +14,10 @@ from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
 from hyperval.predict import predict, without_calibration_error
 from hyperval.prediction import filters
-from hyperval.prediction.bands import detection_bands
+from hyperval.prediction.batch import detection_bands
+from hyperval.prediction.cases import terms_in_memory
 from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.inputs import SurfaceStatistics
-from hyperval.prediction.terms import terms_in_memory
 from hyperval.processing.filters import LinearFilter, matched_filter_weights
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction, background_of

@@ -14,8 +14,7 @@ from hyperval.prediction.background import Settings, ground_of, seen_classes
 from hyperval.prediction.filters import Designer, class_scores, noise_of
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.prediction.responses import FILL_NODES, Material, lit_surface, responses, target_population
-from hyperval.prediction.stacks import stacked, stacked_noise
-from hyperval.prediction.view import View
+from hyperval.prediction.view import View, stacked, stacked_noise
 from hyperval.scenario import ElmPanels, Processing
 from hyperval.scene.fill import beta_fill
 from hyperval.sensor.noise import NoiseModel

@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.prediction.background import Seen, Settings, seen_classes
-from hyperval.prediction.bands import detection_bands
 from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills
 from hyperval.prediction.filters import Designer, Filters, Population, class_scores
 from hyperval.prediction.inputs import cut
@@ -28,6 +27,7 @@ from hyperval.processing.thresholds import ClassScores
 from hyperval.scenario import Scenario, Target, TargetSubject
 from hyperval.scene.fill import FillDistribution
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
 Made = TypeVar("Made")
@@ -321,3 +321,30 @@ def distinct(columns: Sequence[npt.NDArray[Any]], n: int) -> tuple[Index, Index]
         _, codes = np.unique(codes * (int(code.max(initial=0)) + 1) + code.reshape(-1), return_inverse=True)
     _, first = np.unique(codes, return_index=True)
     return first, codes.reshape(-1)
+
+
+def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+    """Indices of the bands that the detectors use (Psi of unit rows, 3.21).
+
+    ``usable`` (B,) is False where a spectrum or the light is lacking.  Raises UsageError when none is left.
+    """
+    choice = scenario.processing.bands
+    keep = usable.copy()
+    if choice.drop_bad:
+        keep &= axis.good
+    if choice.windows_only:
+        keep &= in_window(axis.centre_nm)
+    if choice.ranges:
+        keep &= np.any([(axis.centre_nm >= a) & (axis.centre_nm <= b) for a, b in choice.ranges], axis=0)
+    for name, listed in (("channels", choice.channels), ("bad_channels", choice.bad_channels)):
+        if listed and max(listed) >= keep.size:
+            raise UsageError(
+                f"processing.bands.{name}: band {max(listed)} of {keep.size}",
+                expected=f"numbers from 0 to {keep.size - 1}",
+            )
+        if listed:
+            here = np.isin(np.arange(keep.size), listed)
+            keep &= here if name == "channels" else ~here
+    if not keep.any():
+        raise UsageError("no band is left for detection", mend="widen processing: bands")
+    return np.flatnonzero(keep)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.errors import UsageError
+from hyperval.prediction.cases import terms_in_memory
 from hyperval.prediction.departure import Departure, StatisticsDeparture
 from hyperval.prediction.field_spectra import spectrum_error_sd
 from hyperval.prediction.forms import covariance_directions
@@ -18,7 +19,6 @@ from hyperval.prediction.input import Input, Kind, number_input, spectral_input
 from hyperval.prediction.input_paths import Given, input_path
 from hyperval.prediction.inputs import Resolve, Sources
 from hyperval.prediction.setup import instrument, with_sensor_blur
-from hyperval.prediction.terms import terms_in_memory
 from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import SampledStatistics, SpectralForm
 from hyperval.scene.statistics import ClassStatistics

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,9 +28,7 @@ from hyperval.prediction.departure import (
 from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills, stacked_fills
 from hyperval.prediction.inputs import Resolve, class_tail
 from hyperval.prediction.setup import Setup, instrument, setup_of, with_sensor_blur
-from hyperval.prediction.stacks import stacked, stacked_noise
-from hyperval.prediction.terms import terms_in_memory
-from hyperval.prediction.view import View
+from hyperval.prediction.view import View, stacked, stacked_noise
 from hyperval.scenario import Scenario
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.noise import NoiseModel
@@ -37,6 +37,38 @@ from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
+_KEPT: OrderedDict[tuple[object, ...], AtmosphericTerms] = OrderedDict()
+_MOST = 32
+# What decides which files an engine finds.
+_ENVIRONMENT = (
+    "HYPERVAL_CACHE", "HYPERVAL_DATA", "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
+)  # fmt: skip
+
+
+def terms_in_memory(
+    engine: Callable[..., AtmosphericTerms],
+    state: AtmosphericState,
+    axis: SpectralAxis,
+    *,
+    cache_dir: Path | None,
+    show_progress: bool | None,
+) -> AtmosphericTerms:
+    """The terms of ``engine`` at the bands of ``axis``; the latest 32 are kept in memory.
+
+    Engines are deterministic: the same engine, state, place of its files and bands give the same terms.
+    """
+    key = (
+        engine, state, cache_dir, *(os.environ.get(name) for name in _ENVIRONMENT),
+        axis.centre_nm.tobytes(), axis.fwhm_nm.tobytes(),
+    )  # fmt: skip
+    terms = _KEPT.get(key)
+    if terms is None:
+        terms = engine(state, cache_dir=cache_dir, show_progress=show_progress).at_bands(axis)
+        _KEPT[key] = terms
+        if len(_KEPT) > _MOST:
+            _KEPT.popitem(last=False)
+    _KEPT.move_to_end(key)
+    return terms
 
 
 @dataclass(frozen=True)

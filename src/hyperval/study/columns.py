@@ -19,8 +19,7 @@ from hyperval.prediction.departure import Departure
 from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills, stacked_fills
 from hyperval.prediction.filters import Designer
 from hyperval.prediction.setup import Setup
-from hyperval.prediction.stacks import on_arrays, stacked_noise
-from hyperval.prediction.view import View
+from hyperval.prediction.view import View, on_arrays, stacked_noise
 from hyperval.scenario import Adjacency, Fill, Scenario, TargetSubject
 from hyperval.sensor.changes import SensorChanges, changed_noise
 from hyperval.sensor.noise import NoiseModel

@@ -14,7 +14,7 @@ from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_
 from hyperval.datasets import resolve
 from hyperval.errors import UsageError
 from hyperval.prediction.batch import Batch
-from hyperval.prediction.terms import terms_in_memory
+from hyperval.prediction.cases import terms_in_memory
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
