@@ -202,6 +202,8 @@ class Uncertainty(Model):
     collected_reflectance: CollectedReflectance | None = None
 
     aot550: Spread | None = Field(None, description="absolute")
+    angstrom_exponent: Spread | None = Field(None, description="absolute")
+    aerosol_share_below: Spread | None = Field(None, description="absolute")
     meteorological_range_km: Spread | None = Field(None, description="absolute [km], in place of aot550")
     water_vapour_g_cm2: Spread | None = Field(None, description="absolute [g cm-2]")
     ozone_atm_cm: Spread | None = Field(None, description="absolute [atm cm]")
@@ -252,7 +254,10 @@ class Uncertainty(Model):
 
     def check_atmosphere(self, atmosphere: object) -> None:
         """Raise ValueError for an uncertainty of a number that the atmosphere leaves to the engine."""
-        for name in ("meteorological_range_km", "water_vapour_g_cm2", "ozone_atm_cm"):
+        for name in (
+            "meteorological_range_km", "water_vapour_g_cm2", "ozone_atm_cm", "angstrom_exponent",
+            "aerosol_share_below",
+        ):  # fmt: skip
             if getattr(self, name) is not None and getattr(atmosphere, name) is None:
                 raise ValueError(f"{name} is given, but atmosphere.{name} is not: state it there, too")
 

@@ -82,6 +82,13 @@ class AtmosphericState(Model):
         description="optical depth goes from aot550 as wavelength to the power of minus this; null: as the type of "
         "aerosol has it, whose absorption and phase function stay (engine sixs)",
     )
+    aerosol_share_below: float | None = Field(
+        None,
+        gt=0.0,
+        le=1.0,
+        description="share of the aerosol's depth between ground and an airborne sensor, 0-1; null: by the LOWTRAN "
+        "vertical profile (engine sixs)",
+    )
     meteorological_range_km: float | None = Field(
         None,
         ge=visibility.SHORTEST_KM,
@@ -150,6 +157,11 @@ class AtmosphericState(Model):
                 raise ValueError("angstrom_exponent needs aot550, the depth that it starts from")
             if self.engine != "sixs":
                 raise ValueError("angstrom_exponent: the engine sixs alone takes it")
+        if self.aerosol_share_below is not None:
+            if self.aerosol == "none" or self.in_space:
+                raise ValueError("aerosol_share_below is for a sensor within the air, over aerosol")
+            if self.engine != "sixs":
+                raise ValueError("aerosol_share_below: the engine sixs alone takes it")
 
     def _check_sun(self) -> None:
         angles = ("solar_zenith_deg", "solar_azimuth_deg")
@@ -212,10 +224,12 @@ class AtmosphericState(Model):
 
     @property
     def aerosol_fraction_below(self) -> float:
-        """Share of that optical depth between ground and sensor, by the LOWTRAN vertical profile [1]."""
+        """Share of that optical depth between ground and sensor, as stated or by the LOWTRAN profile [1]."""
         depth = self.aerosol_optical_depth
         if depth == 0.0 or self.in_space:
             return 1.0
+        if self.aerosol_share_below is not None:
+            return self.aerosol_share_below
         return visibility.fraction_below(depth, self.ground_altitude_km, self.sensor_altitude_km)
 
     @property

@@ -37,6 +37,8 @@ AEROSOL, WATER, SURROUNDINGS, BLUR = (
 _NUMBERS: tuple[tuple[str, Kind, str, str], ...] = (
     (AEROSOL, "atmosphere", "atmosphere.aot550", "aot550"),
     ("meteorological range", "atmosphere", "atmosphere.meteorological_range_km", "meteorological_range_km"),
+    ("Angstrom exponent", "atmosphere", "atmosphere.angstrom_exponent", "angstrom_exponent"),
+    ("share of aerosol below the sensor", "atmosphere", "atmosphere.aerosol_share_below", "aerosol_share_below"),
     (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", "water_vapour_g_cm2"),
     ("ozone", "atmosphere", "atmosphere.ozone_atm_cm", "ozone_atm_cm"),
     ("solar zenith angle", "atmosphere", "atmosphere.solar_zenith_deg", "solar_zenith_deg"),

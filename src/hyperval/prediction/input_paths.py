@@ -47,6 +47,8 @@ STATE_RANGES: dict[str, tuple[float, float]] = {
     "meteorological_range_km": (SHORTEST_KM, LONGEST_KM),
     "water_vapour_g_cm2": (0.01, 10.0),
     "ozone_atm_cm": (0.01, 1.0),
+    "angstrom_exponent": (-1.0, 3.0),
+    "aerosol_share_below": (1e-3, 1.0),
     "solar_zenith_deg": (0.0, MAX_SOLAR_ZENITH_DEG - 0.1),
     "solar_azimuth_deg": (-360.0, 360.0),
     "view_zenith_deg": (0.0, 70.0),
