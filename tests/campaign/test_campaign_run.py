@@ -5,6 +5,8 @@ from __future__ import annotations
 import collections
 import csv
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -368,3 +370,11 @@ def test_a_halo_adds_the_curve_with_alarms_by_pixel_to_every_output(small, tmp_p
     }
     assert not any(metric.startswith("pd_difference") for metric in predicted)
     assert "they favour detection" in (out / "report.html").read_text()
+
+
+def test_libraries_of_results_and_suns_are_not_loaded_before_they_are_needed():
+    """They take 130 MB and a second: an image is read without them."""
+    late = ("pandas", "xarray", "matplotlib", "pvlib", "requests")
+    code = f"import sys, hyperval.campaign.run; print([m for m in {late!r} if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
