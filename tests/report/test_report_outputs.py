@@ -292,7 +292,10 @@ def test_falsified_result_turns_the_page(run):
     rows[at] = dataclasses.replace(rows[at], value=9.0, outcome=Outcome.DISAGREES)
     before = Page(report_page(run, []))
     after = Page(report_page(dataclasses.replace(run, table=ResultTable(rows)), []))
-    assert "Agrees in part. 1 model gate was skipped (roc pd_difference of green planks), 5 agree (" in before.text
+    assert (
+        "Agrees in part. 1 model gate was skipped (probability of detection: green planks), 5 agree ("
+        in before.text
+    )
     assert "Agrees" not in after.text
     assert (
         "Does not agree. 1 model gate disagrees (radiance median_abs_difference_ratio_windows of grass)"

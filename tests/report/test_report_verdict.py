@@ -52,23 +52,23 @@ def test_tone_follows_the_outcomes(outcomes, tone):
 
 def test_checks_of_the_pipeline_are_counted_apart_and_are_no_agreement_of_the_model():
     checks = [row(A, evidence=Evidence.PIPELINE) for _ in range(18)]
-    assert "18 checks of the pipeline agree (radiance bias_ratio of grass)." in verdict(checks)[1]
+    assert "18 checks of the pipeline agree (mean level of the radiance: grass)." in verdict(checks)[1]
     assert verdict(checks)[1].startswith("No comparison with the model was decided.")
     assert verdict(checks)[0] is U
     both = verdict([row(A) for _ in range(12)] + checks)
     assert both == (
         A,
-        "Agrees. 12 model gates agree (radiance bias_ratio of grass). "
-        "18 checks of the pipeline agree (radiance bias_ratio of grass).",
+        "Agrees. 12 model gates agree (mean level of the radiance: grass). "
+        "18 checks of the pipeline agree (mean level of the radiance: grass).",
     )
 
 
 def test_what_disagrees_fails_and_was_skipped_is_named():
     _, words = verdict([row(D, "lawn"), row(E, "turf"), row(U, "lot"), row(A)])
     assert words == (
-        "Does not agree. 1 model gate disagrees (radiance bias_ratio of lawn), 1 ended in an error "
-        "(radiance bias_ratio of turf), 1 could not be decided (radiance bias_ratio of lot), "
-        "1 agrees (radiance bias_ratio of grass)."
+        "Does not agree. 1 model gate disagrees (mean level of the radiance: lawn), 1 ended in an error "
+        "(mean level of the radiance: turf), 1 could not be decided (mean level of the radiance: lot), "
+        "1 agrees (mean level of the radiance: grass)."
     )
 
 
@@ -83,7 +83,7 @@ def test_a_disagreement_that_does_not_decide_is_told_and_forbids_to_agree():
     tone, words = verdict([row(A), informing(D, "green planks")])
     assert tone is U
     assert words.startswith("Agrees in part.")
-    assert "1 comparison that does not decide disagrees (radiance bias_ratio of green planks)" in words
+    assert "1 comparison that does not decide disagrees (mean level of the radiance: green planks)" in words
 
 
 def test_the_reason_decides_nothing():

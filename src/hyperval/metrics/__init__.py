@@ -1,6 +1,6 @@
 """The table of metrics: comparisons, gates, baselines, reports, benchmark and documentation read it."""
 
 from hyperval.metrics.metric import Evidence, Kind, Metric
-from hyperval.metrics.table import base_name, explained, foreign, metric_of, table
+from hyperval.metrics.table import base_name, explained, foreign, metric_of, plain_words, table
 
-__all__ = ["Evidence", "Kind", "Metric", "base_name", "explained", "foreign", "metric_of", "table"]
+__all__ = ["Evidence", "Kind", "Metric", "base_name", "explained", "foreign", "metric_of", "plain_words", "table"]

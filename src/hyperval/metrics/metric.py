@@ -63,6 +63,7 @@ class Metric:
         value; empty where the example stands in the docstring of the function
     usual : range (of a test: level) by which a row is judged that no campaign plans; it informs
     alternative, departure : of a test, the departure against which it needs 80 % power before it agrees, in words
+    short : a few plain words for a sentence, in which ``{product}`` and ``{part}`` (of the spectrum) are filled in
     two_sided : a p-value near 1 says that the uncertainty is too wide, and counts as one near 0 does
     """
 
@@ -86,6 +87,7 @@ class Metric:
     alternative: float = math.nan
     departure: str = ""
     two_sided: bool = False
+    short: str = ""
 
     def fits(self, base: str) -> bool:
         """Whether this row is about a metric of that name."""

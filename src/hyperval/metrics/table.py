@@ -61,6 +61,24 @@ def metric_of(name: str) -> Metric:
     return row
 
 
+_PART_WORDS = {
+    "vnir": " in the VNIR", "swir1": " in SWIR 1", "swir2": " in SWIR 2", "absorption": " in absorption bands"
+}  # fmt: skip
+
+
+def plain_words(metric: str, product: str) -> str:
+    """What a metric of a product is about, for a sentence: "level of the radiance in the VNIR".
+
+    Examples
+    --------
+    >>> plain_words("p_value_shape", "radiance")
+    'shape of the radiance'
+    """
+    base = base_name(metric)
+    short = metric_of(metric).short
+    return short.format(product=product, part=_PART_WORDS.get(base.rpartition("_")[2], "")) or f"{product} {base}"
+
+
 _OF_SPECTRA = ("compare.difference", "compare.consistency", "compare.spectral", "compare.wavelengths")
 _SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 _SPREAD = ("covariance", "classification")

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from hyperval.metrics import Evidence, Kind, base_name, metric_of
+from hyperval.metrics import Evidence, Kind, metric_of, plain_words
 from hyperval.results import Outcome, Result
 
 _MOST_NAMED = 9
@@ -70,7 +70,7 @@ def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
 
 
 def _counted(gates: Sequence[Result], kind: Evidence) -> str:
-    """ "1 model gate disagrees (radiance bias_ratio of lawn), 12 agree (12 of radiance)." """
+    """ "1 model gate disagrees (mean level of the radiance: lawn), 12 agree (12 of radiance)." """
     parts: list[str] = []
     for outcome, one, several in _VERBS:
         own = [row for row in gates if row.outcome is outcome]
@@ -172,14 +172,14 @@ def _half_width(row: Result) -> float:
 
 
 def _named(rows: Sequence[Result]) -> str:
-    """Metric and subjects of rows, "radiance p_value_shape of lawn, turf"; many are counted by product."""
+    """What rows are about and their subjects, "shape of the radiance: lawn, turf"; many are counted by product."""
     several = len({row.campaign for row in rows}) > 1
     groups: dict[str, dict[str, None]] = {}
     for row in rows:
-        what = f"{row.campaign} " * several + f"{row.product} {base_name(row.metric)}"
+        what = f"{row.campaign}: " * several + plain_words(row.metric, row.product)
         name = row.subject if len(row.subject) <= _LONGEST_NAME else f"{row.subject[: _LONGEST_NAME - 1]}…"
         groups.setdefault(what, {})[name] = None
     if sum(map(len, groups.values())) <= _MOST_NAMED:
-        return "; ".join(f"{what} of {', '.join(names)}" for what, names in groups.items())
+        return "; ".join(f"{what}: {', '.join(names)}" for what, names in groups.items())
     kinds = Counter(row.campaign if several else row.product for row in rows)
     return ", ".join(f"{count} of {kind}" for kind, count in kinds.most_common())
