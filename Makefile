@@ -54,7 +54,7 @@ coverage: $(READY)  ## how often the 95 % intervals hold, over simulated collect
 	$(BIN)/python validation/coverage/study.py --output reports/coverage
 
 robustness: $(READY)  ## a million damaged files through every reader (an hour; goes on where it ended)
-	$(BIN)/python validation/robustness/study.py --output reports/robustness
+	$(BIN)/python validation/robustness/mutation_study.py --output reports/robustness
 
 bill: $(READY)  ## every package that hyperval needs, with version and licence; BILL_FLAGS=--cyclonedx for other tools
 	$(BIN)/python scripts/bill_of_materials.py $(BILL_FLAGS)

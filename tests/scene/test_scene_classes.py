@@ -12,8 +12,6 @@ from hyperval.scene.fill import (
     TargetGeometry,
     beta_fill,
     ranked_pixel_fill,
-    touched_counts,
-    touched_pixel_fill,
 )
 from hyperval.scene.mixture import average_reflectance
 from hyperval.scene.statistics import ClassStatistics
@@ -120,19 +118,3 @@ def test_impossible_geometry(bad):
 def test_impossible_moments():
     with pytest.raises(UsageError, match="no fill fraction"):
         beta_fill(0.1, 0.4)
-
-
-@pytest.mark.parametrize(("length", "width"), [(0.47, 0.47), (0.9, 0.3), (2.4, 1.1)])
-def test_pixels_that_a_target_touches_are_as_many_as_steiner_says(length, width):
-    """Mean number of unit squares that meet a convex figure: area + 1 + 2/pi of the perimeter where its
-    heading is any, (1 + a)(1 + b) along the grid.  The 377 places of the lattice know it to 1 %."""
-    along = TargetGeometry(length, width, 1.0, 0.0, 1.0)
-    anyhow = TargetGeometry(length, width, 1.0, None, 1.0)
-    assert np.mean(touched_counts(along)) == pytest.approx((1 + length) * (1 + width), rel=0.01)
-    steiner = 1 + length * width + (2 / np.pi) * 2 * (length + width)
-    assert np.mean(touched_counts(anyhow)) == pytest.approx(steiner, rel=0.01)
-    # The fullest pixel is among them, and blur puts a part of the area beside them all.
-    touched, best = touched_pixel_fill(anyhow), ranked_pixel_fill(anyhow, 1)
-    assert touched.values.max() == pytest.approx(best.values.max())
-    assert touched.mean < best.mean
-    assert touched.mean * np.mean(touched_counts(anyhow)) < length * width

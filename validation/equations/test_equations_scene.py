@@ -20,6 +20,8 @@ from hyperval.scene.fill import (
     object_fills,
     pixel_fills,
     ranked_pixel_fill,
+    touched_counts,
+    touched_pixel_fill,
 )
 from hyperval.scene.mixture import average_reflectance, mixture_covariance
 from hyperval.scene.radiance import (
@@ -263,3 +265,19 @@ def test_toa_reflectance_of_a_worked_sun():
     white = 0.5 * 180.0 / (np.pi * 1.01**2)
     assert toa_reflectance(7.0, white) == pytest.approx(7.0 * np.pi * 1.0201 / 90.0)
     assert toa_reflectance(white, white) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("length", "width"), [(0.47, 0.47), (0.9, 0.3), (2.4, 1.1)])
+def test_3_10_pixels_that_a_target_touches_are_as_many_as_steiner_says(length, width):
+    """Mean number of unit squares that meet a convex figure: area + 1 + 2/pi of the perimeter where its
+    heading is any, (1 + a)(1 + b) along the grid.  The 377 places of the lattice know it to 1 %."""
+    along = TargetGeometry(length, width, 1.0, 0.0, 1.0)
+    anyhow = TargetGeometry(length, width, 1.0, None, 1.0)
+    assert np.mean(touched_counts(along)) == pytest.approx((1 + length) * (1 + width), rel=0.01)
+    steiner = 1 + length * width + (2 / np.pi) * 2 * (length + width)
+    assert np.mean(touched_counts(anyhow)) == pytest.approx(steiner, rel=0.01)
+    # The fullest pixel is among them, and blur puts a part of the area beside them all.
+    touched, best = touched_pixel_fill(anyhow), ranked_pixel_fill(anyhow, 1)
+    assert touched.values.max() == pytest.approx(best.values.max())
+    assert touched.mean < best.mean
+    assert touched.mean * np.mean(touched_counts(anyhow)) < length * width

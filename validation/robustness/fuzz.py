@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 with atheris.instrument_imports(include=["hyperval.spectra", "hyperval.imagery", "hyperval.envi_header",
                                          "hyperval.atmosphere.modtran_read", "hyperval.config"]):  # fmt: skip
     from samples import samples
-from study import DEFECTS, UNFORESEEN, outcome
+from mutation_study import DEFECTS, UNFORESEEN, outcome
 
 
 def main() -> None:

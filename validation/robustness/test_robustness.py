@@ -12,10 +12,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 from mutants import DAMAGES, mutant
+from mutation_study import DEFECTS, READ, REFUSED, batch, outcome, table
 from samples import ImplausibleError, Sample, finite, increasing, samples
 
 from hyperval.errors import EngineError, HypervalError, InputError
-from study import DEFECTS, READ, REFUSED, batch, outcome, table
 
 MUTANTS = 60  # of each sample
 
@@ -81,7 +81,7 @@ def test_the_study_sees_crashes_memory_and_wrong_errors_and_goes_on():
 
 
 def test_what_takes_too_long_is_ended(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("study.SECONDS", 1)
+    monkeypatch.setattr("mutation_study.SECONDS", 1)
 
     def waits(path: Path) -> None:
         if len((path / "a").read_bytes()) != 3:

@@ -136,7 +136,7 @@ def touched_pixel_fill(geometry: TargetGeometry) -> FillDistribution:
 
 
 def touched_counts(geometry: TargetGeometry) -> npt.NDArray[np.intp]:
-    """(K,) number of pixels that the target's outline meets, for K equally likely positions."""
+    """(K,) number of pixels that the target's outline meets (f of 3.10), for K equally likely positions."""
     return np.asarray(_around(geometry)[1].sum(axis=(1, 2)))
 
 

@@ -1,4 +1,4 @@
-"""Damaged files through every reader: python validation/robustness/study.py --mutants 1000000 --output FOLDER
+"""Damaged files through every reader: python validation/robustness/mutation_study.py --mutants 1000000 -o FOLDER
 
 Each batch runs in a process of its own with limits of memory and time, so that a crash, a hang or a reader that
 takes all memory costs one mutant and is counted.  What is done is kept in FOLDER: the same command goes on there.
@@ -192,7 +192,7 @@ def main() -> int:
     """Run what is left of the mutants; exit code 1 where one shows a defect."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--mutants", type=int, default=1_000_000, help="of all samples together")
-    parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--only", default="", help="samples whose name holds this")
     options = parser.parse_args()
     state = options.output / "outcomes.json"
