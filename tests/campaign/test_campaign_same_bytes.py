@@ -38,7 +38,8 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def run(tmp_path: Path, name: str, paths: list[Path], **environment: str) -> dict[str, bytes]:
     (tmp_path / "script.py").write_text(SCRIPT)
-    places = [str(Path(hyperval.__file__).parents[1]), str(Path(__file__).parents[1])]
+    tests = Path(__file__).parents[1]
+    places = [str(Path(hyperval.__file__).parents[1]), str(tests), str(tests / "shared")]
     inherited = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
     command = [sys.executable, str(tmp_path / "script.py"), "-q", "validate", *map(str, paths), "-o", name]
     done = subprocess.run(
