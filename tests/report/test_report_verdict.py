@@ -39,7 +39,7 @@ def informing(outcome, subject="grass"):
 @pytest.mark.parametrize(
     ("outcomes", "tone"),
     [
-        ([A, A], A), ([A, S], U), ([A, U], U), ([A, D], D), ([D], D), ([A, E], E), ([S], U), ([U], U), ([], N),
+        ([A, A], A), ([A, S], U), ([A, U], U), ([A, D], D), ([D], D), ([A, E], E), ([S], S), ([U], U), ([], N),
     ],
 )  # fmt: skip
 def test_tone_follows_the_outcomes(outcomes, tone):

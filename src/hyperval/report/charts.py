@@ -49,6 +49,7 @@ Array = npt.NDArray[np.float64]
 Column = npt.NDArray[np.float32]
 
 _COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
+SPECTRA = ("radiance", "toa_reflectance", "snr", "reflectance")
 MOST_SUBJECTS = 24
 MOST_CURVES = 24
 FIRST_CURVES = 3  # that are seen before a name in the legend is clicked
@@ -114,7 +115,7 @@ def script_hashes() -> str:
 
 def draw_charts(sides: Sides, rows: Sequence[Result]) -> list[Chart]:
     """Every chart that the products allow; subjects about which more is amiss in ``rows`` come first."""
-    charts = [spectra_chart(sides, product, rows) for product in ("radiance", "snr", "reflectance")]
+    charts = [spectra_chart(sides, product, rows) for product in SPECTRA]
     charts.append(roc_chart(sides))
     return [chart for chart in charts if chart is not None]
 
@@ -124,6 +125,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = ()) -> Ch
     label, title, ratio = {
         "radiance": ("radiance [µW cm⁻² sr⁻¹ nm⁻¹]", "Radiance at the sensor", True),
         "reflectance": ("reflectance [1]", "Reflectance", False),
+        "toa_reflectance": ("reflectance [1]", "Reflectance at the top of the atmosphere", True),
         "snr": ("signal-to-noise ratio [1]", "Signal-to-noise ratio", True),
     }[product]
     predicted, collected = (_of_side(side, product) for side in sides)

@@ -45,6 +45,8 @@ def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
     elif not gates:
         words = ["Nothing decides here: no comparison is a gate."]
         overall = Outcome.UNDECIDED if telling else Outcome.NONE
+    elif all(row.outcome is Outcome.SKIPPED for row in gates):
+        words, overall = ["Nothing was decided: no gate was run."], Outcome.SKIPPED
     elif not decided:
         words = ["Nothing was decided."]
         overall = Outcome.UNDECIDED
