@@ -136,6 +136,7 @@ def test_intervals_of_areas_cover(m, d, unit):
     assert min(hits.values()) >= 180, hits
 
 
+@pytest.mark.slow
 def test_a_percentile_bootstrap_covers_too_little_near_one_and_these_intervals_do_not():
     """The trap: with 20 objects, nearly all found, resampling repeats what was seen and claims 95 %."""
     rng = np.random.default_rng(4)
