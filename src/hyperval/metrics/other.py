@@ -30,7 +30,8 @@ METRICS = (
     # Attribution and what-ifs.
     Metric("reduced_chi_square", "squared difference in units of its uncertainty over all products that the "
            "attribution joins, with the model's numerical error added: not the number of a single spectrum",
-           _TEST, "r^T C^-1 r / n", low=0.0, agreement=1.0, kind=Kind.STATISTIC),
+           _TEST, "r^T C^-1 r / n", low=0.0, agreement=1.0, kind=Kind.STATISTIC,
+           short="what the budget leaves unexplained"),
     Metric("p_value", "its p-value", _TEST, "P(chi2_n >= r^T C^-1 r)", low=0.0, high=1.0,
            kind=Kind.TEST, tolerance=of_unit(0.05)),
     Metric("p_value_explained", "its p-value with the leading inputs freed", _FREED, low=0.0, high=1.0,

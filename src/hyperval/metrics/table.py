@@ -66,6 +66,9 @@ _PART_WORDS = {
 }  # fmt: skip
 
 
+_PRODUCT_WORDS = {"toa_reflectance": "top-of-atmosphere reflectance", "snr": "signal-to-noise ratio"}
+
+
 def plain_words(metric: str, product: str) -> str:
     """What a metric of a product is about, for a sentence: "level of the radiance in the VNIR".
 
@@ -76,6 +79,7 @@ def plain_words(metric: str, product: str) -> str:
     """
     base = base_name(metric)
     short = metric_of(metric).short
+    product = _PRODUCT_WORDS.get(product, product)
     return short.format(product=product, part=_PART_WORDS.get(base.rpartition("_")[2], "")) or f"{product} {base}"
 
 
