@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import importlib
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -48,6 +49,22 @@ def test_every_function_is_there(metric):
     assert metric.words
     assert bool(metric.formula) == (metric.name not in MARKS)
     assert metric.low < metric.high
+
+
+def anchors(page: str) -> set[str]:
+    """The anchors of a page's headings, as the pages' readers make them."""
+    headings = re.findall(r"^#+ (.+)$", (ROOT / page).read_text("utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
+
+
+@pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)
+def test_every_metric_has_a_reference_that_leads_somewhere(metric):
+    assert re.search(r"\d{4}|docs/|e-Handbook", metric.reference), "a paper with its year, a standard, or a page"
+    for page, anchor in re.findall(r"(docs/[\w-]+\.md)#([\w-]+)", metric.reference):
+        assert anchor in anchors(page)
+    assert metric.reference.count("docs/") == metric.reference.count(".md#")
+    for number in re.findall(r"\(3\.(\d+)\)", metric.reference):
+        assert 1 <= int(number) <= 33
 
 
 # Rows that say that something could not be made: they have no number.

@@ -18,6 +18,9 @@ _OF_RUNS = {
         "hyperval sensor check hyperion",
     ),
 }
+_ACCEPTANCE = "defined here, docs/sensors.md#3-check-it"
+_ACCEPTED = "defined here, docs/regression.md#what-is-kept"
+_SENSOR = "(3.13)-(3.20), docs/model.md#sensor"
 _USUAL: tuple[Move, Move] = ((0.1, "interval"), (0.01, "value"))
 
 
@@ -28,6 +31,7 @@ def _exact(
     unit: str = "1",
     tolerance: tuple[Move, Move] = _USUAL,
     formula: str = "",
+    reference: str = "",
 ) -> Metric:
     """A number without sampling error."""
     return Metric(
@@ -38,6 +42,7 @@ def _exact(
         unit,
         kind=Kind.EXACT,
         tolerance=tolerance,
+        reference=reference or (_ACCEPTED if function == _NUMBERS else _ACCEPTANCE),
         example=_OF_RUNS.get(function, ""),
     )
 
@@ -45,19 +50,20 @@ def _exact(
 METRICS = (
     _exact("band_count", "bands", _NUMBERS, tolerance=of_unit(0.0), formula="B"),
     _exact("median_snr", "median signal-to-noise ratio over a region", _NUMBERS, tolerance=of_value(0.002),
-           formula="median_b L / sigma"),
+           formula="median_b L / sigma", reference=_SENSOR),
     _exact("median_noise_*", "median over a region of one term of the noise, as radiance", _NUMBERS,
-           "uW cm-2 sr-1 nm-1", of_value(0.002), formula="median_b sigma_i"),
+           "uW cm-2 sr-1 nm-1", of_value(0.002), formula="median_b sigma_i", reference=_SENSOR),
     _exact("median_bit_error_noise*", "median over a region of the noise of bit errors at a rate", _NUMBERS,
-           "uW cm-2 sr-1 nm-1", of_value(0.002), formula="median_b sigma_e (3.19)"),
+           "uW cm-2 sr-1 nm-1", of_value(0.002), formula="median_b sigma_e (3.19)", reference=_SENSOR),
     _exact("median_electrons_per_radiance", "median over a region of electrons per radiance (3.13)", _NUMBERS,
-           "electrons per uW cm-2 sr-1 nm-1", of_value(0.001), formula="median_b g (3.13)"),
+           "electrons per uW cm-2 sr-1 nm-1", of_value(0.001), formula="median_b g (3.13)", reference=_SENSOR),
     _exact("reference_radiance", "reference radiance in the band at a line", _NUMBERS, "uW cm-2 sr-1 nm-1",
            of_value(0.001), formula="rho E_0 cos(45 deg) / pi"),
     _exact("white_panel_radiance", "radiance of a white panel in the oxygen band", _NUMBERS, "uW cm-2 sr-1 nm-1",
-           of_value(0.001), formula="L of (3.7)"),
+           of_value(0.001), formula="L of (3.7)", reference="(3.7), docs/model.md#scene-and-atmosphere"),
     _exact("pd_at_pfa_*", "detection probability in a standard scenario", "processing.roc_reading.detection_at",
-           tolerance=of_unit(0.005), formula="P_D at the P_FA (3.33)"),
+           tolerance=of_unit(0.005), formula="P_D at the P_FA (3.33)",
+           reference="(3.33), docs/model.md#processing"),
     _exact("runs", "a standard scenario that does not run with this sensor", _NUMBERS),
     _exact("bands", "number of bands", _BANDS, formula="B"),
     _exact("first_band", "centre of the first band", _BANDS, "nm", formula="min w"),
