@@ -36,17 +36,17 @@ def models(content: str, kind: str) -> list[dict[str, Any]]:
     return found
 
 
-def columns(attributes: dict[str, Any]) -> dict[str, np.ndarray]:
-    """The columns of a source."""
-    entries = dict(attributes["data"]["entries"])
+def numbers(text: str) -> np.ndarray:
+    """A column as the page's script reads it."""
+    return np.frombuffer(base64.b64decode(text), "<f4")
+
+
+def curve_columns(content: str) -> dict[str, np.ndarray]:
+    """The columns of the first curve."""
+    sources = (dict(s["data"]["entries"]) for s in models(content, "ColumnDataSource"))
+    entries = next(entries for entries in sources if "pfa" in entries)
     packed = {k: base64.b64decode(v["array"]["data"]) for k, v in entries.items()}
     return {k: np.frombuffer(gzip.decompress(raw), entries[k]["dtype"]) for k, raw in packed.items()}
-
-
-def source(content: str, *names: str) -> dict[str, np.ndarray]:
-    """The columns of the first source that has all of these."""
-    held = map(columns, models(content, "ColumnDataSource"))
-    return next(h for h in held if set(names) <= set(h))
 
 
 @pytest.fixture(scope="module")
@@ -57,20 +57,31 @@ def run():
 def test_spectra_hold_both_sides_and_their_difference(run):
     chart = spectra_chart((run.prediction, run.observation), "radiance")
     assert chart.subjects == ("grass", "lawn")
-    held = source(chart.content, "predicted")
-    packed = json.loads(chart.content)["subjects"]
-    assert [list(one["ranges"]) for one in packed] == [["level", "gap"]] * 2
-    for name, column in held.items():
-        np.testing.assert_array_equal(np.frombuffer(base64.b64decode(packed[0]["columns"][name]), "<f4"), column)
-    other = np.frombuffer(base64.b64decode(packed[1]["columns"]["collected"]), "<f4")
-    np.testing.assert_allclose(other, run.observation.radiance["lawn"].mean, rtol=1e-6)
+    subjects = json.loads(chart.content)["subjects"]
+    assert [list(one["ranges"]) for one in subjects] == [["level", "gap"]] * 2
+    assert [list(one["columns"]) for one in subjects] == [["nm"], []], "one axis, once"
+    bands = {name: [numbers(text) for text in pair] for name, pair in subjects[0]["bands"].items()}
     predicted, collected = run.prediction.radiance["grass"], run.observation.radiance["grass"]
-    np.testing.assert_allclose(held["nm"], run.prediction.axis.centre_nm, rtol=1e-6)
-    np.testing.assert_allclose(held["predicted"], predicted.mean, rtol=1e-6)
-    np.testing.assert_allclose(held["collected"], collected.mean, rtol=1e-6)
-    value, u = difference_ratio(predicted, collected)
-    np.testing.assert_allclose(held["difference"], value, rtol=1e-5, atol=1e-7)
-    np.testing.assert_allclose(held["difference_high"] - held["difference_low"], 2 * 1.96 * u, rtol=1e-4)
+    ratio, u = difference_ratio(predicted, collected)
+    np.testing.assert_allclose(numbers(subjects[0]["columns"]["nm"]), run.prediction.axis.centre_nm, rtol=1e-6)
+    for name, value, u in (
+        ("predicted", predicted.mean, predicted.standard_uncertainty),
+        ("collected", collected.mean, collected.standard_uncertainty),
+        ("difference", ratio, u),
+    ):
+        np.testing.assert_allclose(bands[name][0], value, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(bands[name][1], 1.96 * u, rtol=1e-5)
+    other = numbers(subjects[1]["bands"]["collected"][0])
+    np.testing.assert_allclose(other, run.observation.radiance["lawn"].mean, rtol=1e-6)
+
+
+def test_subjects_have_their_columns_once(run):
+    """Value and half-width alone: limits follow, and a page of many subjects keeps room for its pictures."""
+    (content,) = (c.content for c in draw_charts((run.prediction, None), []) if c.section == "radiance")
+    sources = (dict(source["data"]["entries"]) for source in models(content, "ColumnDataSource"))
+    entries = next(entries for entries in sources if "predicted" in entries)
+    assert [values["shape"] for values in entries.values()] == [[0]] * 4
+    assert [len(one["bands"]["predicted"]) for one in json.loads(content)["subjects"]] == [2, 2]
 
 
 def test_the_same_run_gives_the_same_bytes_whatever_was_drawn_before(run):
@@ -92,9 +103,7 @@ def test_the_subject_that_disagrees_stands_first_and_their_number_is_bounded(run
 
 def test_one_side_alone_has_its_spectra_and_no_difference(run):
     chart = spectra_chart((run.prediction, None), "reflectance")
-    held = source(chart.content, "predicted")
-    assert "predicted" in held
-    assert "difference" not in held
+    assert [list(one["bands"]) for one in json.loads(chart.content)["subjects"]] == [["predicted"]] * 2
     assert spectra_chart((run.prediction, dataclasses.replace(run.observation, snr={})), "snr") is None
 
 
@@ -116,7 +125,7 @@ def test_long_curves_are_thinned_from_end_to_end(run):
     pfa = np.geomspace(1e-6, 1.0, 50_000)
     curve = RocCurve(pfa, *(np.sqrt(pfa),) * 3, pfa)
     one = dataclasses.replace(run.prediction, roc={("grass", "cem", "pixel"): curve})
-    held = source(roc_chart((one, None)).content, "pfa")
+    held = curve_columns(roc_chart((one, None)).content)
     assert held["pfa"].size <= 200
     np.testing.assert_allclose(held["pfa"][[0, -1]], [1e-6, 1.0], rtol=1e-3)
     np.testing.assert_allclose(held["pd"], np.sqrt(held["pfa"]), rtol=1e-5)

@@ -7,12 +7,9 @@ Figures for print are drawn by ``figures_*``.
 from __future__ import annotations
 
 import base64
-import functools
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -87,30 +84,29 @@ class Chart:
 
 @dataclass(frozen=True)
 class Spectra:
-    """What the chart of spectra shows of one subject: columns over wavelength, and the limits of its plots."""
+    """What the chart of spectra shows of one subject.
 
-    columns: dict[str, Column]
+    Attributes
+    ----------
+    nm : band centres
+    bands : "predicted", "collected", "difference" -> value, and half-width of its 95 % interval
+    ranges : limits of the plots
+    """
+
+    nm: Column
+    bands: dict[str, tuple[Column, Column]]
     ranges: dict[str, tuple[float, float]]
 
-    def packed(self) -> dict[str, Any]:
-        """As the script reads it."""
-        columns = {name: base64.b64encode(c.tobytes()).decode("ascii") for name, c in self.columns.items()}
-        return {"columns": columns, "ranges": self.ranges}
+    def packed(self, before: npt.NDArray[Any] | None = None) -> dict[str, Any]:
+        """As the script reads it; wavelengths that are those of ``before`` are not repeated."""
+        same = before is not None and np.array_equal(self.nm, before)
+        bands = {name: [_text(value), _text(half)] for name, (value, half) in self.bands.items()}
+        return {"columns": {} if same else {"nm": _text(self.nm)}, "bands": bands, "ranges": self.ranges}
 
 
-@functools.cache
-def scripts() -> tuple[str, str]:
-    """The library's script, and the one that draws the charts."""
-    library = resources.files("bokeh") / "server" / "static" / "js" / "bokeh.min.js"
-    starter = resources.files("hyperval.report") / "templates" / "charts.js"
-    return library.read_text("utf-8"), starter.read_text("utf-8")
-
-
-@functools.cache
-def script_hashes() -> str:
-    """The scripts as sources of a content security policy: these texts, and no other, may run."""
-    digests = (hashlib.sha256(text.encode("utf-8")).digest() for text in scripts())
-    return " ".join(f"'sha256-{base64.b64encode(digest).decode('ascii')}'" for digest in digests)
+def _text(values: Column) -> str:
+    """Little-endian float32 as base64."""
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
 
 
 def draw_charts(sides: Sides, rows: Sequence[Result]) -> list[Chart]:
@@ -146,7 +142,11 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = ()) -> Ch
         f"{title} against wavelength, a subject at a time: predicted (dashed) and collected (solid) with 95 % "
         f"intervals{', the difference below' if pairs else ''}. Subjects: {', '.join(shown)}.",
         f"{product}-pair",
-        _content(_spectra_plots(spectra[0], label, ratio), name, [one.packed() for one in spectra]),
+        _content(
+            _spectra_plots(spectra[0], label, ratio),
+            name,
+            [one.packed(spectra[0].nm if i else None) for i, one in enumerate(spectra)],
+        ),
         tuple(shown),
     )
 
@@ -214,13 +214,6 @@ def subject_spectra(
             value = predicted.mean - collected.mean
             u = np.hypot(predicted.standard_uncertainty, collected.standard_uncertainty)
         bands["difference"] = (value, _COVERAGE * u)
-    columns = {"nm": _column(w)}
-    for name, (value, half) in bands.items():
-        columns |= {
-            name: _column(value),
-            f"{name}_low": _column(value - half),
-            f"{name}_high": _column(value + half),
-        }
     limits = {
         "level": style.robust_limits(
             [v for k, b in bands.items() if k != "difference" for v in _edges(b, keep)], zero=True
@@ -230,7 +223,8 @@ def subject_spectra(
         else None,
     }
     ranges = {name: (float(pair[0]), float(pair[1])) for name, pair in limits.items() if pair is not None}
-    return Spectra(columns, ranges)
+    columns = {name: (_column(value), _column(half)) for name, (value, half) in bands.items()}
+    return Spectra(_column(w), columns, ranges)
 
 
 def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array]:
@@ -240,17 +234,20 @@ def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array
 
 def _spectra_plots(spectra: Spectra, label: str, ratio: bool) -> Any:
     """The plot of both sides, with that of their difference where there is one."""
-    source = ColumnDataSource(dict(spectra.columns), name="spectra")
+    # The script fills the columns of the first subject in: the page has them once.
+    empty = np.empty(0, np.float32)
+    names = [f"{name}{end}" for name in spectra.bands for end in ("", "_low", "_high")]
+    source = ColumnDataSource({name: empty for name in ("nm", *names)}, name="spectra")
     starts, ends, _ = zip(*ABSORPTION_BANDS_NM, strict=True)
     absorption = ColumnDataSource({"start": _column(np.array(starts)), "end": _column(np.array(ends))})
-    w = spectra.columns["nm"]
+    w = spectra.nm
     span = Range1d(start=float(w[0]), end=float(max(w[-1], w[0] + 1.0)))
     plots = []
     for height, range_name, axis_label, names in (
-        (300, "level", label, [name for name in ("predicted", "collected") if name in spectra.columns]),
+        (300, "level", label, [name for name in ("predicted", "collected") if name in spectra.bands]),
         (190, "gap", "difference ratio [1]" if ratio else "difference [1]", ["difference"]),
     ):
-        if names[0] not in spectra.columns:
+        if names[0] not in spectra.bands:
             continue
         plot = _plot(height, span, axis_label, absorption)
         start, end = spectra.ranges.get(range_name, (0.0, 1.0))

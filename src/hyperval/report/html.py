@@ -16,15 +16,17 @@ from markupsafe import Markup
 import hyperval
 from hyperval.metrics import Evidence, explained
 from hyperval.report import verdict as v
-from hyperval.report.charts import Chart, draw_charts, script_hashes, scripts
+from hyperval.report.charts import Chart, draw_charts
 from hyperval.report.matrix import LETTERS, anchor, matrix_of
 from hyperval.report.run import RunReport
+from hyperval.report.scripts import packed_library, script_hashes, starter
 from hyperval.report.style import Drawing
 from hyperval.report.tables import row_name
 from hyperval.results import Outcome, Result
 
 MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 2_100_000  # of that, for figures, charts and the script that draws these
+_FIRST_FIGURES = ("scene", "score-map-1", "radiance-budget")  # that are embedded whatever else there is no room for
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
 _MOST_ROWS = 60  # rows of one section that nothing was planned for
@@ -90,7 +92,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),
         sections=_sections(run, drawings, charts, rows),
-        scripts=scripts() if charts else (),
+        library=packed_library() if charts else "",
+        starter=starter() if charts else "",
         script_hashes=script_hashes() if charts else "",
         undone=_undone(rows),
         notes=_all_notes(run),
@@ -256,10 +259,13 @@ def _is_chart(drawing: Drawing, charts: Sequence[Chart]) -> bool:
 
 
 def _embedded(drawings: Sequence[Drawing], charts: Sequence[Chart]) -> dict[str, str]:
-    """Name of a figure -> its data URI, for as many as the page has room for; score maps come last."""
+    """Name of a figure -> its data URI, for as many as the page has room for.
+
+    What shows the most comes first: the scene, the first score map, the budget; the other score maps come last.
+    """
     sources: dict[str, str] = {}
-    room = _FIGURE_BYTES - sum(len(chart.content) for chart in charts) - sum(map(len, scripts() if charts else ()))
-    for drawing in sorted(drawings, key=lambda d: d.name.startswith("score-map")):
+    room = _FIGURE_BYTES - sum(len(chart.content) for chart in charts) - (len(packed_library()) if charts else 0)
+    for drawing in sorted(drawings, key=_rank):
         if _is_chart(drawing, charts):
             continue
         source = f"data:{_MEDIA[drawing.kind]};base64,{base64.b64encode(drawing.content).decode('ascii')}"
@@ -267,6 +273,12 @@ def _embedded(drawings: Sequence[Drawing], charts: Sequence[Chart]) -> dict[str,
             room -= len(source)
             sources[drawing.name] = source
     return sources
+
+
+def _rank(drawing: Drawing) -> int:
+    if drawing.name in _FIRST_FIGURES:
+        return _FIRST_FIGURES.index(drawing.name)
+    return len(_FIRST_FIGURES) + drawing.name.startswith("score-map")
 
 
 def _under_figure(run: RunReport, product: str) -> str:
