@@ -64,13 +64,13 @@ def test_spectra_hold_both_sides_and_their_difference(run):
     predicted, collected = run.prediction.radiance["grass"], run.observation.radiance["grass"]
     ratio, u = difference_ratio(predicted, collected)
     np.testing.assert_allclose(numbers(subjects[0]["columns"]["nm"]), run.prediction.axis.centre_nm, rtol=1e-6)
-    for name, value, u in (
+    for name, value, own_u in (
         ("predicted", predicted.mean, predicted.standard_uncertainty),
         ("collected", collected.mean, collected.standard_uncertainty),
         ("difference", ratio, u),
     ):
         np.testing.assert_allclose(bands[name][0], value, rtol=1e-5, atol=1e-7)
-        np.testing.assert_allclose(bands[name][1], 1.96 * u, rtol=1e-5)
+        np.testing.assert_allclose(bands[name][1], 1.96 * own_u, rtol=1e-5)
     other = numbers(subjects[1]["bands"]["collected"][0])
     np.testing.assert_allclose(other, run.observation.radiance["lawn"].mean, rtol=1e-6)
 

@@ -235,16 +235,17 @@ def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array
 def _spectra_plots(spectra: Spectra, label: str, ratio: bool) -> Any:
     """The plot of both sides, with that of their difference where there is one."""
     # The script fills the columns of the first subject in: the page has them once.
-    empty = np.empty(0, np.float32)
     names = [f"{name}{end}" for name in spectra.bands for end in ("", "_low", "_high")]
-    source = ColumnDataSource({name: empty for name in ("nm", *names)}, name="spectra")
+    empty: dict[str, Any] = dict.fromkeys(("nm", *names), np.empty(0, np.float32))
+    source = ColumnDataSource(empty, name="spectra")
     starts, ends, _ = zip(*ABSORPTION_BANDS_NM, strict=True)
     absorption = ColumnDataSource({"start": _column(np.array(starts)), "end": _column(np.array(ends))})
     w = spectra.nm
     span = Range1d(start=float(w[0]), end=float(max(w[-1], w[0] + 1.0)))
     plots = []
+    sides = [name for name in spectra.bands if name != "difference"]
     for height, range_name, axis_label, names in (
-        (300, "level", label, [name for name in ("predicted", "collected") if name in spectra.bands]),
+        (300, "level", label, sides),
         (190, "gap", "difference ratio [1]" if ratio else "difference [1]", ["difference"]),
     ):
         if names[0] not in spectra.bands:
