@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.files import whole_file
+from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
@@ -101,6 +102,7 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
         raise InputError(f"larger than {MAX_BYTES >> 20} MB", where=str(path), expected="a statistics library")
     import xarray as xr
 
+    check_hdf5(path)
     try:
         data = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
     except Exception as error:

@@ -20,6 +20,7 @@ from hyperval.campaign.schema import load_campaign as read_campaign
 from hyperval.compare import compare_products
 from hyperval.errors import InputError
 from hyperval.folders import whole_folder
+from hyperval.hdf5 import check_hdf5
 from hyperval.predict import predict as predict_scenario
 from hyperval.products import Products
 from hyperval.report.netcdf import dataset
@@ -209,6 +210,7 @@ def open(folder: Path | str) -> Run | Study:
     products = folder / "products.nc"
     sides: dict[str, xr.Dataset] = {}
     if products.is_file():
+        check_hdf5(products)
         try:
             with xr.open_datatree(products, engine="h5netcdf") as tree:
                 sides = {name: node.load().to_dataset() for name, node in tree.children.items()}
@@ -240,6 +242,7 @@ def _side(kind: type[Side], products: Products) -> Side:
 
 
 def _study(folder: Path) -> Study:
+    check_hdf5(folder / "table.nc")
     with xr.open_dataset(folder / "table.nc", engine="h5netcdf") as data:
         table = data.load()
     stored = read_run(folder)

@@ -23,6 +23,7 @@ from hyperval.atmosphere.modtran_template import read_modtran_json, stated_albed
 from hyperval.atmosphere.table import AXES, NAMED, OPTIONAL, QUANTITIES, AtmosphericTable, leave_one_out
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.files import sha256_of, whole_file
+from hyperval.hdf5 import check_hdf5
 
 Array = npt.NDArray[np.float64]
 
@@ -123,6 +124,7 @@ def _stamp(path: Path) -> _Stamp:
 def _from_netcdf(path: str, changed_ns: int, size: int) -> AtmosphericTable:
     import xarray as xr
 
+    check_hdf5(path)
     try:
         with xr.open_dataset(path, engine="h5netcdf") as data:
             return _table_of(data, path)

@@ -16,6 +16,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.hdf5 import check_hdf5
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.description import Description
 from hyperval.imagery.stores import MemoryStore, Store
@@ -66,6 +67,8 @@ def open_labelled(path: Path, variable: str | None = None, engine: str | None = 
 
 def _groups(path: Path, engine: str | None) -> list[tuple[str, xr.Dataset]]:
     """The groups of a file, their arrays not yet read."""
+    if path.is_file():  # whatever the engine, HDF5 is read by the one library
+        check_hdf5(path)
     try:
         try:
             tree = xr.open_datatree(path, engine=engine, cache=False, **as_stored(engine))

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import InputError
+from hyperval.hdf5 import check_hdf5
 
 Selection = tuple[slice, ...]
 MAX_CHUNK_BYTES = 256 << 20
@@ -73,7 +74,8 @@ class Hdf5Store(OpenedFile):
     """An HDF5 file, NetCDF-4 and HDF-EOS5 among them."""
 
     def open(self) -> h5py.File:
-        """The file; InputError when it is none, or cut short."""
+        """The file; InputError when it is none, cut short, or one that the library does not come back from."""
+        check_hdf5(self.path)
         try:
             return h5py.File(self.path, "r")
         except OSError as error:

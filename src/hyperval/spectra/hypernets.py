@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
 from hyperval.spectra.readers_record import MAX_BYTES, Record, SpectrumErrors
 
@@ -119,6 +120,7 @@ def read_hypernets(path: Path | str) -> HypernetsSequence:
     path = checked_file(path, what="HYPERNETS file")
     if path.stat().st_size > MAX_BYTES:
         raise InputError(f"larger than {MAX_BYTES} bytes", where=str(path), expected="one sequence")
+    check_hdf5(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the dimension that stands twice

@@ -1,0 +1,115 @@
+"""Whether the HDF5 library comes back from a file: tried in a process that can be ended.
+
+In a damaged file a list of variable-length text may lead back into itself.  The library then follows it for ever,
+inside one call that no signal, thread or exception ends.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import gc
+import os
+import signal
+import time
+import warnings
+from collections.abc import Callable
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+from hyperval.errors import InputError
+
+CPU_SECONDS = 3  # of one file; products of hundreds of arrays take hundredths of a second
+ENOUGH_SECONDS = 1.0  # after which the rest of a tree of many thousands is taken on trust
+MEMORY_BYTES = 1 << 30  # beyond what this process has
+SMALL_BYTES = 1 << 20  # arrays up to this size are read whole; of larger ones the list of their blocks
+
+
+def check_hdf5(path: Path | str) -> None:
+    """Raise InputError where the HDF5 library does not come back from a file, crashes or takes all memory.
+
+    Nothing is said of files that the library itself refuses, or on systems that cannot fork.
+    """
+    try:
+        status = os.stat(path)
+    except OSError:
+        return  # the reader has words for it
+    reason = _trial(str(path), status.st_mtime_ns, status.st_size)
+    if reason:
+        raise InputError(f"damaged: the HDF5 library {reason}", where=str(path), mend="copy the file again")
+
+
+@lru_cache(maxsize=256)
+def _trial(path: str, changed_ns: int, size: int) -> str:
+    """What the library does that it must not, empty where it comes back; once for a file as it stands."""
+    if not hasattr(os, "fork"):
+        return ""
+    import h5py  # before the fork: the limits are for the file
+
+    return trial(lambda: _walk(h5py, path))
+
+
+def trial(function: Callable[[], None]) -> str:
+    """What a function does that it must not, called in a process of its own; any other error is as good as none."""
+    with warnings.catch_warnings():
+        # A process with threads: the child calls this function alone, and ends without cleaning up.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child == 0:
+        _in_child(function)
+    _, status = os.waitpid(child, 0)
+    if os.WIFSIGNALED(status):
+        ended = os.WTERMSIG(status)
+        late = ended in (signal.SIGXCPU, signal.SIGKILL)
+        return f"does not come back within {CPU_SECONDS} s" if late else f"crashes (signal {ended})"
+    return f"asks for more than {MEMORY_BYTES >> 20} MiB" if os.WEXITSTATUS(status) else ""
+
+
+def _in_child(function: Callable[[], None]) -> None:
+    import resource
+
+    code = 0
+    try:
+        gc.disable()  # what the parent holds is not for the child to close
+        faulthandler.disable()  # a crash is an answer here
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: CPU_SECONDS}
+        memory = Path("/proc/self/statm")
+        if memory.is_file():
+            present = int(memory.read_text().split()[0]) * resource.getpagesize()
+            limits[resource.RLIMIT_AS] = present + MEMORY_BYTES
+        for kind, limit in limits.items():
+            most = resource.getrlimit(kind)[1]
+            lower = limit if most == resource.RLIM_INFINITY else min(limit, most)
+            resource.setrlimit(kind, (lower, lower))
+        function()
+    except MemoryError:
+        code = 1
+    finally:
+        os._exit(code)
+
+
+def _walk(h5py: Any, path: str) -> None:
+    """Meet every object of a file, its attributes, and its arrays so far as they are small."""
+
+    def look(_: str, item: Any) -> bool | None:
+        for name in item.attrs:
+            _attempt(partial(item.attrs.__getitem__, name))
+        if isinstance(item, h5py.Dataset):
+            small = item.size is not None and item.size * item.dtype.itemsize <= SMALL_BYTES
+            _attempt(lambda: item[()] if small else item.chunks and item.id.get_num_chunks())
+        return True if time.process_time() > ENOUGH_SECONDS else None  # whatever is returned ends the walk
+
+    with h5py.File(path, "r") as file:
+        if not look("/", file):
+            file.visititems(look)
+
+
+def _attempt(call: Callable[[], object]) -> None:
+    """Call; a part that the library refuses does not hide the next."""
+    try:
+        call()
+    except MemoryError:
+        raise
+    except Exception:  # noqa: S110 - the reader meets it too, and has words for it
+        pass

@@ -1,0 +1,106 @@
+"""Files that the HDF5 library does not come back from are refused before the library opens them for good."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+from pathlib import Path
+
+import h5py
+import pytest
+
+from hyperval import api, hdf5
+from hyperval.atmosphere.table_files import read_table
+from hyperval.errors import InputError
+from hyperval.hdf5 import check_hdf5, trial
+from hyperval.imagery.cube import open_cube
+from hyperval.imagery.observation_geometry import sun_of_observation
+from hyperval.spectra.hypernets import read_hypernets
+from hyperval.statistics_library import read_statistics_library
+
+HEAP_HEADER, OBJECT_SIZE = 16, 8  # bytes before the first object of a global heap, and before its size
+
+
+@pytest.fixture
+def looping(tmp_path: Path) -> Path:
+    """A file with two texts of variable length; the first says that the next begins where it begins itself."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["title"], file.attrs["history"] = "a" * 40, "b" * 30
+    check_hdf5(path)
+    raw = bytearray(path.read_bytes())
+    struct.pack_into("<Q", raw, raw.index(b"GCOL") + HEAP_HEADER + OBJECT_SIZE, 2**64 - 16)
+    path.write_bytes(raw)
+    return path
+
+
+def test_a_file_that_the_library_follows_for_ever_is_refused(looping, monkeypatch):
+    monkeypatch.setattr(hdf5, "CPU_SECONDS", 1)
+    with pytest.raises(InputError, match="does not come back within 1 s") as caught:
+        open_cube(looping, quantity="other")
+    assert str(looping) in str(caught.value)
+    # Once is enough for a file as it stands.
+    monkeypatch.setattr(hdf5, "trial", lambda function: pytest.fail("tried again"))
+    with pytest.raises(InputError, match="does not come back"):
+        check_hdf5(looping)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda path: open_cube(path, quantity="other"),
+        lambda path: open_cube(path, quantity="other", variable="a"),
+        lambda path: open_cube(path, quantity="other", engine="h5netcdf"),
+        lambda path: sun_of_observation(path, (2, 2)),
+        read_table,
+        lambda path: read_statistics_library(path, "grass"),
+        read_hypernets,
+    ],
+)
+def test_every_reader_of_hdf5_asks_first(read, tmp_path, monkeypatch):
+    path = tmp_path / "a.nc"
+    with h5py.File(path, "w") as file:
+        file["a"] = 1.0
+    monkeypatch.setattr(hdf5, "_trial", lambda *file: f"fails on {Path(file[0]).name}")
+    with pytest.raises(InputError, match=r"the HDF5 library fails on a\.nc"):
+        read(path)
+
+
+@pytest.mark.parametrize("name", ["products.nc", "table.nc"])
+def test_results_are_loaded_no_sooner(name, tmp_path, monkeypatch):
+    (tmp_path / name).write_bytes(b"\x89HDF\r\n\x1a\n")
+    monkeypatch.setattr(api.verbs, "read_run", lambda folder: None)
+    monkeypatch.setattr(hdf5, "_trial", lambda *file: "fails")
+    with pytest.raises(InputError, match="the HDF5 library fails"):
+        api.open(tmp_path)
+
+
+def test_a_crash_and_all_memory_are_refused_and_other_errors_left_to_the_reader():
+    assert trial(lambda: os.kill(os.getpid(), signal.SIGSEGV)) == "crashes (signal 11)"
+    assert trial(lambda: bytearray(hdf5.MEMORY_BYTES * 2) and None) == "asks for more than 1024 MiB"
+    assert trial(lambda: open("/nowhere").close()) == ""
+    assert trial(lambda: None) == ""
+
+
+def test_what_is_no_hdf5_or_not_there_is_left_to_the_reader(tmp_path):
+    (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    check_hdf5(tmp_path / "a.h5")
+    check_hdf5(tmp_path / "b.h5")
+
+
+def test_a_part_that_the_library_refuses_does_not_hide_one_it_does_not_come_back_from(tmp_path, monkeypatch):
+    monkeypatch.setattr(hdf5, "CPU_SECONDS", 1)
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["title"] = "a" * 40
+        file.create_dataset("b", data=1.0).attrs["history"] = "b" * 5000  # in a heap of its own
+    raw = bytearray(path.read_bytes())
+    first, second = (i for i in range(len(raw)) if raw.startswith(b"GCOL", i))
+    struct.pack_into("<Q", raw, first + HEAP_HEADER + OBJECT_SIZE, 2**64 - 1)
+    path.write_bytes(raw)
+    check_hdf5(path)
+    struct.pack_into("<Q", raw, second + HEAP_HEADER + OBJECT_SIZE, 2**64 - 16)
+    path.write_bytes(raw + b"\0")
+    with pytest.raises(InputError, match="does not come back"):
+        check_hdf5(path)
