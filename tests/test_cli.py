@@ -324,6 +324,20 @@ main()
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("date", ["", " "])
+def test_an_empty_date_is_none(date, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", date)
+    assert cli.run(["metrics"]) == 0
+    assert "SOURCE_DATE_EPOCH" not in os.environ
+
+
+@pytest.mark.parametrize("date", ["today", "-1", "1e9"])
+def test_a_date_that_is_no_number_is_a_mistake_of_the_user(date, monkeypatch, capsys):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", date)
+    assert cli.run(["metrics"]) == 2
+    assert f"SOURCE_DATE_EPOCH is {date!r}" in capsys.readouterr().err
+
+
 def test_a_name_too_long_for_a_file_is_a_mistake_of_the_user(tmp_path, capsys, monkeypatch):
     def check(*args: object, **options: object) -> None:
         (tmp_path / ("n" * 300)).write_text("x")
