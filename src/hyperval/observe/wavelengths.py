@@ -17,13 +17,17 @@ def collection_shifts(
     """The median shift of every feature over spectra (B,) of one axis, and how many of them show it.
 
     The uncertainty is that of where the feature lies, which the spectra share: it is not divided by their number.
+    Where it differs between spectra it is the median.
     """
     shifts: dict[str, list[Shift]] = {}
     for spectrum in spectra:
         for shift in wavelength_shifts(spectrum, axis, reflectance=reflectance):
             shifts.setdefault(shift.feature, []).append(shift)
     return [
-        (Shift(name, float(np.median([s.nm for s in each])), each[0].uncertainty_nm), len(each))
+        (
+            Shift(name, *(float(np.median(x)) for x in ([s.nm for s in each], [s.uncertainty_nm for s in each]))),
+            len(each),
+        )
         for name, each in shifts.items()
     ]
 
@@ -34,7 +38,9 @@ def wavelength_notes(
     """The shifts in words, a warning for each that is certain."""
     shifts = collection_shifts(spectra, axis, reflectance=reflectance)
     if not shifts:
-        feature = "a red edge of plants" if reflectance else "an absorption of oxygen or water vapour"
+        feature = "an absorption of oxygen or water vapour"
+        if reflectance:
+            feature = "a red edge of plants or a rest of the oxygen band"
         return [f"the wavelengths could not be checked: no spectrum shows {feature}"]
     parts = [
         f"{s.feature} {s.nm:+.1f} nm (standard uncertainty {s.uncertainty_nm:.1f}, {n} spectra)" for s, n in shifts

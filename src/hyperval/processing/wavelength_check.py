@@ -1,4 +1,5 @@
-"""Whether the wavelengths of a spectrum are right: by absorptions of the atmosphere, or the red edge of plants."""
+"""Whether the wavelengths of a spectrum are right: by absorptions of the atmosphere, what a compensation left of
+them, or the red edge of plants."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.processing.oxygen_residual import oxygen_residual
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -41,6 +43,7 @@ FEATURES = (
     Feature("vapour-940", "water vapour at 940 nm", 941.4, 1.0, 60.0, 20.0),
     Feature("vapour-1135", "water vapour at 1135 nm", 1135.5, 1.3, 50.0, 20.0),
 )
+OXYGEN_RESIDUAL = f"rest of the {FEATURES[0].name}"
 # Half of the rise from red to infrared: 710 to 724 nm for leaves, lawns and the built-in grass.
 RED_EDGE = Feature("red-edge", "red edge of plants", 717.0, 5.0, 50.0, 20.0)
 
@@ -161,7 +164,7 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
     """Shift of every feature that a spectrum (B,) shows.
 
     Radiance is looked at for absorptions of oxygen and water vapour, reflectance, from which they were taken out,
-    for the red edge.  Bands that are bad or unknown are left out.
+    for what was left of the oxygen band and for the red edge.  Bands that are bad or unknown are left out.
     """
     y = np.asarray(spectrum, dtype=float)
     order = np.argsort(axis.centre_nm, kind="stable")
@@ -170,6 +173,9 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
         return
     w, y = axis.centre_nm[use], y[use]
     if reflectance:
+        left = oxygen_residual(w, y, axis.fwhm_nm[use])
+        if left is not None:
+            yield Shift(OXYGEN_RESIDUAL, left.shift_nm, left.uncertainty_nm)
         edge = red_edge(w, y)
         if np.isfinite(edge):
             yield _shift(RED_EDGE, edge, w)
