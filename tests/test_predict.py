@@ -12,7 +12,7 @@ from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
-from hyperval.predict import predict, without_calibration_error
+from hyperval.predict import Origins, predict, without_calibration_error
 from hyperval.prediction import filters
 from hyperval.prediction.batch import detection_bands
 from hyperval.prediction.cases import terms_in_memory
@@ -74,7 +74,7 @@ def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
 
 
 def run(extra: str = ATMOSPHERE, **kwargs) -> Prediction:
-    return predict(scenario(extra), axis=AXIS, engine=engine, **kwargs)
+    return predict(scenario(extra), Origins(axis=AXIS, engine=engine), **kwargs)
 
 
 def test_subjects_of_every_product():
@@ -120,7 +120,7 @@ def test_closure_with_simulated_pixels():
     vary here; Poisson counts are drawn as normal numbers of the variance at the pixel's own radiance.
     """
     still = scenario(**{"scene:\n": "scene:\n  adjacency: {effective_neighbours: null}\n"})
-    p = predict(still, axis=AXIS, engine=engine)
+    p = predict(still, Origins(axis=AXIS, engine=engine))
     rng = np.random.default_rng(2014)
     terms = engine(scenario().atmosphere).at_bands(AXIS)
     noise = load_sensor("prospectir-vs").noise(AXIS)
@@ -189,7 +189,7 @@ def test_thesis_formulation_differs_and_is_named():
 def test_detection_on_radiance_scores_alike():
     """Without noise differences the empirical line is an affine map, which a matched filter does not see."""
     on_reflectance = run()
-    no_line = predict(scenario(**{"processing: {": "processing: {elm: none, "}), axis=AXIS, engine=engine)
+    no_line = predict(scenario(**{"processing: {": "processing: {elm: none, "}), Origins(axis=AXIS, engine=engine))
     assert not no_line.reflectance
     for key in (("tenth", "cem"), ("loose", "cem"), (background_of("full"), "cem")):
         assert no_line.scores[key].mean == pytest.approx(on_reflectance.scores[key].mean, abs=1e-9)
@@ -253,10 +253,10 @@ def test_measured_statistics_are_handed_in():
     data, lines = parse_yaml(text)
     s = validate(Scenario, data, lines, "text")
     court = builtin_class("soil", AXIS)
-    p = predict(s, measured={"court": court})  # the axis is that of the statistics
+    p = predict(s, Origins(measured={"court": court}))  # the axis is that of the statistics
     assert p.reflectance["asphalt"].mean == pytest.approx(court.mean)
     with pytest.raises(UsageError, match="region 'court', which were not handed in"):
-        predict(s, axis=AXIS)
+        predict(s, Origins(axis=AXIS))
 
 
 @pytest.mark.parametrize("mean", ["{builtin: asphalt}", "{constant: 0.2}"], ids=["builtin", "constant"])
@@ -269,7 +269,9 @@ def test_measured_tails_come_with_the_measured_covariance(mean):
 
     def dof(text):
         data, lines = parse_yaml(text)
-        p = predict(validate(Scenario, data, lines, "text"), measured={"court": court}, axis=AXIS, engine=engine)
+        p = predict(
+            validate(Scenario, data, lines, "text"), Origins(measured={"court": court}, axis=AXIS, engine=engine)
+        )
         return p.distribution["asphalt"].tail_dof
 
     assert dof(text) == 4.5
@@ -282,7 +284,7 @@ def test_spectrum_from_a_file_is_relative_to_the_scenario(tmp_path):
     (tmp_path / "plank.csv").write_text("wavelength_nm,reflectance\n" + rows + "\n")
     text = SCENE.replace("{builtin: yellow-paint-plank}", "{file: plank.csv, reflectance_unit: fraction}")
     (tmp_path / "s.yaml").write_text(text)
-    p = predict(load_scenario(tmp_path / "s.yaml"), axis=AXIS)
+    p = predict(load_scenario(tmp_path / "s.yaml"), Origins(axis=AXIS))
     assert p.reflectance["full"].mean == pytest.approx(0.1 + AXIS.centre_nm / 10000, abs=1e-5)
 
 
@@ -290,7 +292,7 @@ def test_scene_statistics_hold_the_targets():
     plain = run()
     s = scenario(**{"fill: {fixed: 0.1}": "fill: {fixed: 0.1}, scene_fraction: 0.05",
                           "{detectors:": "{filter_statistics: scene, detectors:"})  # fmt: skip
-    contaminated = predict(s, axis=AXIS, engine=engine)
+    contaminated = predict(s, Origins(axis=AXIS, engine=engine))
     # Targets in the statistics raise the filter's mean: the background then scores below zero on average.
     assert (
         contaminated.scores[background_of("tenth"), "cem"].mean < plain.scores[background_of("tenth"), "cem"].mean
@@ -301,7 +303,7 @@ def test_objects_are_found_more_often_than_their_pixels():
     s = scenario(ATMOSPHERE, **{
         "{mean: 0.15, sd: 0.05}": "{geometry: {side_m: 0.4, gsd_m: 1, psf_fwhm_pixels: 1, pixels: ranked, n: 4}}"
     })  # fmt: skip
-    p = predict(s, axis=AXIS, engine=engine)
+    p = predict(s, Origins(axis=AXIS, engine=engine))
     pixel, whole = (detection_at(p.roc["loose", "cem", u], 1e-3) for u in ("pixel", "object"))
     assert whole > 1.2 * pixel
 
@@ -334,7 +336,7 @@ def test_the_background_is_factorised_once_for_all_targets(monkeypatch):
     monkeypatch.setattr(filters, "factor", lambda *a, **k: built.append(1) or plain(*a, **k))
     more = "    - {name: green, spectrum: {builtin: green-paint-plank}, host: grass, fill: {fixed: 0.3}}\n"
     s = scenario(**{"processing:": more + "processing:", "[cem, cem-correlation]": "[cem, smf]"})
-    p = predict(s, axis=AXIS, engine=engine)
+    p = predict(s, Origins(axis=AXIS, engine=engine))
     assert len(p.roc) == 16
     assert len(built) == 1
 
@@ -366,7 +368,7 @@ def detector_of(p: Prediction) -> LinearFilter:
 def test_scores_hold_the_adjacency_term():
     """With neighbours that vary like one pixel, the variance of the score is that of the whole pixel covariance."""
     lively = scenario(**{"scene:\n": "scene:\n  adjacency: {effective_neighbours: 1}\n"})
-    p, still = predict(lively, axis=AXIS, engine=engine), run()
+    p, still = predict(lively, Origins(axis=AXIS, engine=engine)), run()
     f = detector_of(p)
     for name in ("tenth", "full"):
         assert p.scores[name, "cem"].sd ** 2 == pytest.approx(
@@ -381,7 +383,7 @@ def test_filter_over_the_whole_scene_is_that_of_the_mixture():
         "fill: {fixed: 0.1}": "fill: {fixed: 0.1}, scene_fraction: 0.05",
         "{detectors:": "{filter_statistics: scene, detectors:",
     })  # fmt: skip
-    p = predict(s, axis=AXIS, engine=engine)
+    p = predict(s, Origins(axis=AXIS, engine=engine))
     seen = [p.reflectance[n] for n in ("grass", "asphalt", "tenth")]
     f = [0.7 * 0.95, 0.3 * 0.95, 0.05]
     means, covs = [e.mean for e in seen], [e.pixel_covariance for e in seen]
@@ -395,7 +397,7 @@ def test_filter_over_the_whole_scene_is_that_of_the_mixture():
 def test_gains_multiply_the_covariances():
     flat = scenario("", **{"name: asphalt, fraction: 0.3,": "name: asphalt, gain: 4, fraction: 0.3,",
                            "host: asphalt": "host: asphalt\n      gain: 9"})  # fmt: skip
-    q = predict(flat, axis=AXIS)
+    q = predict(flat, Origins(axis=AXIS))
     asphalt, plank = (builtin_class(n, AXIS).covariance for n in ("asphalt", "yellow-paint-plank"))
     assert q.reflectance["asphalt"].pixel_covariance == pytest.approx(4 * asphalt)
     assert q.reflectance["full"].pixel_covariance == pytest.approx(9 * plank)
@@ -462,9 +464,10 @@ def test_gain_of_the_class_is_on_its_adjacency_term_too():
     """(3.11) with g_B = 4, kappa = 1: both terms carry it, in the products and in the scores."""
     s = scenario(**{"name: asphalt, fraction: 0.3,": "name: asphalt, gain: 4, fraction: 0.3,",
                     "scene:\n": "scene:\n  adjacency: {effective_neighbours: 1}\n"})  # fmt: skip
-    p = predict(s, axis=AXIS, engine=engine)
+    p = predict(s, Origins(axis=AXIS, engine=engine))
     one = predict(
-        scenario(**{"scene:\n": "scene:\n  adjacency: {effective_neighbours: 1}\n"}), axis=AXIS, engine=engine
+        scenario(**{"scene:\n": "scene:\n  adjacency: {effective_neighbours: 1}\n"}),
+        Origins(axis=AXIS, engine=engine),
     )
     noise = load_sensor("prospectir-vs").noise(AXIS).variance(p.radiance["asphalt"].mean)
     before = one.radiance["asphalt"].pixel_covariance - np.diag(noise)
@@ -477,7 +480,7 @@ def test_gain_of_the_class_is_on_its_adjacency_term_too():
 def test_heavy_tails_reach_the_roc():
     gauss, tail = (
         run(),
-        predict(scenario(**{"name: grass,": "name: grass, tail_dof: 4,"}), axis=AXIS, engine=engine),
+        predict(scenario(**{"name: grass,": "name: grass, tail_dof: 4,"}), Origins(axis=AXIS, engine=engine)),
     )
     key = ("loose", "cem", "pixel")
     assert tail.scores["loose", "cem"] == gauss.scores["loose", "cem"]  # the moments are the same
@@ -489,4 +492,4 @@ def test_relative_covariance():
     s = scenario("", **{"spectrum: {builtin: asphalt}": source})
     gap = AXIS.centre_nm[:, None] - AXIS.centre_nm[None, :]
     expected = 4e-4 * np.exp(-0.5 * (gap / 100) ** 2) + 1e-4 * np.eye(10)
-    assert predict(s, axis=AXIS).reflectance["asphalt"].pixel_covariance == pytest.approx(expected)
+    assert predict(s, Origins(axis=AXIS)).reflectance["asphalt"].pixel_covariance == pytest.approx(expected)

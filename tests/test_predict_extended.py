@@ -9,7 +9,7 @@ import pytest
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.prediction.fills import fill_distribution
 from hyperval.processing.elm_model import darkest_level
 from hyperval.processing.roc_reading import detection_at
@@ -36,7 +36,7 @@ def sky(state: AtmosphericState) -> AtmosphericTerms:
 
 
 def of(extra: str = ATMOSPHERE, use=sky, axis: SpectralAxis | None = AXIS, **replaced: str):
-    return predict(scenario(extra, **replaced), axis=axis, engine=use)
+    return predict(scenario(extra, **replaced), Origins(axis=axis, engine=use))
 
 
 # shade
@@ -109,7 +109,7 @@ def in_folder(tmp_path, **replaced: str):
 
 def test_a_class_from_a_library_is_that_class(tmp_path):
     library(tmp_path)
-    p = predict(in_folder(tmp_path, **FROM_LIBRARY), axis=AXIS, engine=engine)
+    p = predict(in_folder(tmp_path, **FROM_LIBRARY), Origins(axis=AXIS, engine=engine))
     q = run()
     assert p.reflectance["grass"].pixel_covariance == pytest.approx(q.reflectance["grass"].pixel_covariance)
     assert p.roc["tenth", "cem", "pixel"].pd == pytest.approx(q.roc["tenth", "cem", "pixel"].pd)
@@ -118,7 +118,7 @@ def test_a_class_from_a_library_is_that_class(tmp_path):
 def test_covariance_from_a_library_and_mean_from_elsewhere(tmp_path):
     library(tmp_path)
     text = "{constant: 0.3}, covariance: {library: statistics.nc, record: asphalt}"
-    p = predict(in_folder(tmp_path, **{"{builtin: grass}": text}), axis=AXIS, engine=engine)
+    p = predict(in_folder(tmp_path, **{"{builtin: grass}": text}), Origins(axis=AXIS, engine=engine))
     assert p.reflectance["grass"].mean == pytest.approx(np.full(10, 0.3))
 
 
@@ -140,13 +140,13 @@ def test_a_bad_covariance_of_a_library_is_refused_by_field(tmp_path, spoil, word
     path.unlink()
     held.to_netcdf(path, engine="h5netcdf")
     with pytest.raises(UsageError, match=f"spectrum.library of 'grass': .*statistics.nc: .*{words}"):
-        predict(in_folder(tmp_path, **FROM_LIBRARY), axis=AXIS, engine=engine)
+        predict(in_folder(tmp_path, **FROM_LIBRARY), Origins(axis=AXIS, engine=engine))
 
 
 def test_a_library_that_does_not_cover_the_bands(tmp_path):
     library(tmp_path, SpectralAxis(np.linspace(450.0, 1700.0, 30), np.full(30, 10.0)))
     with pytest.raises(UsageError, match=r"spectrum.library of 'grass'.*2 bands lie outside it \(first 2130 nm\)"):
-        predict(in_folder(tmp_path, **FROM_LIBRARY), axis=AXIS, engine=engine)
+        predict(in_folder(tmp_path, **FROM_LIBRARY), Origins(axis=AXIS, engine=engine))
 
 
 # sensor
@@ -333,7 +333,7 @@ def test_several_targets_are_independent_of_each_other():
     from hyperval.scenario import Scenario
 
     data, lines = parse_yaml(more + ATMOSPHERE)
-    p = predict(validate(Scenario, data, lines, "text"), axis=AXIS, engine=engine)
+    p = predict(validate(Scenario, data, lines, "text"), Origins(axis=AXIS, engine=engine))
     assert {k[0] for k in p.roc} == {"tenth", "loose", "full", "green"}
     assert np.array_equal(p.roc["tenth", "cem", "pixel"].pd, run().roc["tenth", "cem", "pixel"].pd)
 
@@ -369,9 +369,9 @@ def test_a_spectrum_that_does_not_cover_the_bands_is_refused_by_field(tmp_path):
     with pytest.raises(
         UsageError, match=r"scene\.classes\.0\.spectrum of 'grass' does not cover 2 usable bands \(first 2130"
     ):
-        predict(in_folder(tmp_path, **text), axis=AXIS, engine=engine)
+        predict(in_folder(tmp_path, **text), Origins(axis=AXIS, engine=engine))
     text = {k: v.replace("}", ", gaps: allowed}") for k, v in text.items()}
-    p = predict(in_folder(tmp_path, **text), axis=AXIS, engine=engine)
+    p = predict(in_folder(tmp_path, **text), Origins(axis=AXIS, engine=engine))
     assert np.isnan(p.reflectance["grass"].mean[-1])
     assert "detectors use 7 of 10 bands" in p.notes
 

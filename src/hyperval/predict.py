@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -14,14 +13,14 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.prediction.batch import Batch
-from hyperval.prediction.budget import inputs_of, spectrum_inputs
+from hyperval.prediction.budget import given_with, inputs_of, spectrum_inputs
 from hyperval.prediction.cases import Case, Engine, Origins, batch_of, case_of
 from hyperval.prediction.departure import Departure, moved_on
 from hyperval.prediction.detection import Detection, RocKey, detect
 from hyperval.prediction.field_spectra import spectrum_error_covariance
 from hyperval.prediction.input import Input
 from hyperval.prediction.input_paths import Given
-from hyperval.prediction.inputs import Resolve, class_tail
+from hyperval.prediction.inputs import class_tail
 from hyperval.prediction.notes import saturation_notes, sensor_notes, unstated_notes
 from hyperval.prediction.object_scores import predicted_object_scores
 from hyperval.prediction.setup import Setup
@@ -39,11 +38,8 @@ from hyperval.prediction.uncertainty import (
 from hyperval.products import PixelDistribution, Prediction
 from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import Uncertainty
-from hyperval.scene.statistics import ClassStatistics
-from hyperval.sensor.specification import Sensor
-from hyperval.spectra.axis import SpectralAxis
 
-__all__ = ["predict", "predictions", "without_calibration_error"]
+__all__ = ["Origins", "predict", "predictions", "without_calibration_error"]
 
 Array = npt.NDArray[np.float64]
 Again = Callable[[Iterable[Departure]], Iterator[Prediction]]
@@ -53,15 +49,9 @@ _MOST_OF_CLASSES = 8  # directions of a class's spectrum whose effect on the cur
 
 def predict(
     scenario: Scenario,
+    origins: Origins | None = None,
     *,
-    axis: SpectralAxis | None = None,
-    measured: Mapping[str, ClassStatistics] | None = None,
-    resolve: Resolve | None = None,
-    cache_dir: Path | None = None,
-    show_progress: bool | None = None,
-    engine: Engine | None = None,
     departure: Departure | None = None,
-    sensor: Sensor | None = None,
     objects: bool | int = False,
     object_curves: bool = True,
 ) -> Prediction:
@@ -70,13 +60,7 @@ def predict(
     Parameters
     ----------
     scenario : what to predict
-    axis : bands of all products; default: the sensor's own, or those of the measured statistics
-    measured : region -> reflectance statistics on ``axis``, for surfaces with ``measured:``
-    resolve : turns a file reference of the scenario into a path; default: relative to the scenario's
-        file, or ``data:`` for a registered data set
-    cache_dir, show_progress : of the atmosphere engine
-    engine : stands in for the atmosphere engine
-    sensor : stands in for the sensor that the scenario names
+    origins : bands, measured statistics, files, engine and sensor where they are not those that the scenario says
     departure : how the truth departs from the scenario; None: not at all
     objects : also draw the scores of whole objects, which takes a few seconds where there are many; a number is
         that of draws where no input is uncertain
@@ -95,19 +79,15 @@ def predict(
     InputError : a file that is missing or corrupt.
     EngineError : the atmosphere engine failed.
     """
-    origins = Origins(axis, measured, resolve, cache_dir, show_progress, engine, sensor)
-    truth = departure or Departure()
+    origins, truth = origins or Origins(), departure or Departure()
     case = case_of(scenario, origins, truth)
-    given = Given(
-        case.setup.scenario, case.setup.used.axis, case.setup.used.sensor, case.setup.surfaces,
-        lambda: cast(AtmosphericTerms, case.terms),
-    )  # fmt: skip
+    given = given_with(case.setup, lambda: cast(AtmosphericTerms, case.terms))
     inputs = inputs_of(given, shapes=False)
     steps = steps_of(case, origins, truth, inputs)
 
     def again(truths: Iterable[Departure], stand_in: Engine | None = None) -> Iterator[Prediction]:
-        from_here = replace(origins, engine=stand_in or engine)
-        return predictions(scenario, (moved_on(truth, d) for d in truths), **vars(from_here))
+        from_here = replace(origins, engine=stand_in or origins.engine)
+        return predictions(scenario, (moved_on(truth, d) for d in truths), from_here)
 
     products, changes = _prediction(case, steps, objects, object_curves)
     products = _with_moves(products, changes, moved_predictions(inputs, again), _of_classes(products, given, again))
@@ -119,17 +99,16 @@ def predict(
 def predictions(
     scenario: Scenario,
     truths: Iterable[Departure],
+    origins: Origins | None = None,
     *,
     objects: bool | int = False,
     object_curves: bool = True,
-    **origins: Any,
 ) -> Iterator[Prediction]:
     """Predictions of truths that depart from a scenario, in their order, each without a budget of its own.
 
-    The other parameters are those of :func:`predict`: axis, measured, resolve, cache_dir, show_progress, engine,
-    sensor.  Spectra are read once; truths are evaluated together.
+    Spectra are read once; truths are evaluated together.
     """
-    bare, source = scenario.model_copy(update={"uncertainty": Uncertainty()}), Origins(**origins)
+    bare, source = scenario.model_copy(update={"uncertainty": Uncertainty()}), origins or Origins()
     waiting, like = iter(truths), None
     while some := list(islice(waiting, _TOGETHER)):
         if like is None:

@@ -10,7 +10,7 @@ from hyperval.atmosphere import AtmosphericState
 from hyperval.atmosphere.cache import cache_folder
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.scenario import Scenario
 
 STATE = {
@@ -55,7 +55,7 @@ def test_both_are_inputs_of_the_budget():
         "processing": {"elm": "none", "detectors": []},
         "uncertainty": {"aerosol_share_below": 0.1, "angstrom_exponent": 0.2},
     })  # fmt: skip
-    found = predict(scenario, engine=terms).radiance["a"]
+    found = predict(scenario, Origins(engine=terms)).radiance["a"]
     assert set(found.budget) == {"share of aerosol below the sensor", "Angstrom exponent"}
     assert found.standard_uncertainty == pytest.approx(np.hypot(0.1, 0.1))
     with pytest.raises(ValidationError, match="aerosol_share_below is given, but atmosphere"):

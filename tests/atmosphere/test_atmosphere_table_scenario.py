@@ -12,7 +12,7 @@ from hyperval.atmosphere import AtmosphericTable, atmospheric_terms, read_table,
 from hyperval.atmosphere.table import QUANTITIES
 from hyperval.atmosphere.table_aerosol import PATH_ERROR
 from hyperval.errors import InputError, UsageError
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.scenario import load_scenario
 from hyperval.spectra.axis import SpectralAxis
 
@@ -60,7 +60,7 @@ def test_a_table_beside_the_scenario_gives_its_radiance(tmp_path):
     write_table(flat_table(np.arange(340.0, 2601.0, 2.5)), tmp_path / "lut.nc")
     asked = scenario(tmp_path, "lut.nc")
     axis = SpectralAxis(np.array([550.0, 1000.0, 1650.0]), np.full(3, 10.0))
-    found = predict(asked, axis=axis, show_progress=False)
+    found = predict(asked, Origins(axis=axis, show_progress=False))
     got = found.radiance["grey"].mean
     terms = atmospheric_terms(asked.atmosphere, resolve=lambda r: tmp_path / r).at_bands(axis)
     # 3.7 over uniform ground of 0.3.
@@ -77,19 +77,19 @@ def test_a_table_beside_the_scenario_gives_its_radiance(tmp_path):
     brighter = flat_table(np.arange(340.0, 2601.0, 2.5))
     brighter = replace(brighter, quantities={**brighter.quantities, "path": brighter.quantities["path"] * 2})
     write_table(brighter, tmp_path / "lut.nc")
-    assert np.all(predict(asked, axis=axis, show_progress=False).radiance["grey"].mean > got)
+    assert np.all(predict(asked, Origins(axis=axis, show_progress=False)).radiance["grey"].mean > got)
 
 
 def test_what_is_wrong_with_the_reference_is_said(tmp_path):
     axis = SpectralAxis(np.array([550.0]), np.array([10.0]))
     with pytest.raises(InputError, match=r"absent\.nc"):
-        predict(scenario(tmp_path, "absent.nc"), axis=axis, show_progress=False)
+        predict(scenario(tmp_path, "absent.nc"), Origins(axis=axis, show_progress=False))
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError, match=r"name the template: folder/NAME\.json"):
-        predict(scenario(tmp_path, "folder"), axis=axis, show_progress=False)
+        predict(scenario(tmp_path, "folder"), Origins(axis=axis, show_progress=False))
     write_table(flat_table(np.arange(340.0, 2601.0, 2.5)), tmp_path / "lut.nc")
     with pytest.raises(UsageError, match="lies outside the table"):
-        predict(scenario(tmp_path, "lut.nc", aot550=0.3), axis=axis, show_progress=False)
+        predict(scenario(tmp_path, "lut.nc", aot550=0.3), Origins(axis=axis, show_progress=False))
 
 
 @pytest.mark.data
@@ -98,11 +98,11 @@ def test_a_data_reference_to_real_runs_predicts_at_their_channels(tmp_path, data
     table = read_table(template)
     axis = SpectralAxis(table.wavelength_nm, table.fwhm_nm)
     asked = scenario(tmp_path, "data:modtran/modtran6_airborne_lut/modtran_template.json", aot550=0.2)
-    found = predict(asked, axis=axis, show_progress=False)
+    found = predict(asked, Origins(axis=axis, show_progress=False))
     terms = table.terms(asked.atmosphere)
     want = terms.path_radiance + (terms.direct + terms.adjacency) * 0.3 / (1 - terms.spherical_albedo * 0.3)
     np.testing.assert_allclose(found.radiance["grey"].mean, want, rtol=1e-9)
     json.dumps(found.provenance)  # it can be written down
     wide = SpectralAxis(np.array([550.0]), np.array([2.0]))
     with pytest.raises(UsageError, match="channels that do not suit the band"):
-        predict(asked, axis=wide, show_progress=False)
+        predict(asked, Origins(axis=wide, show_progress=False))

@@ -68,7 +68,6 @@ def overpasses(tmp_path, monkeypatch):
     monkeypatch.setenv("HYPERVAL_DATA", str(data))
     monkeypatch.setenv("HYPERVAL_WORKERS", "1")  # the stand-in for the engine lives in this process
     monkeypatch.setattr("hyperval.prediction.cases.atmospheric_terms", terms)
-    monkeypatch.setattr("hyperval.prediction.budget.atmospheric_terms", terms)
     campaign = shutil.copytree(FOLDER, tmp_path / "campaign") / "campaign.yaml"
     (text, *_) = read_texts(campaign)
     for mark in text.named.to_fill_in:

@@ -8,7 +8,7 @@ from small_world import AXIS, BACKGROUND, BANDS, TARGET, World, background_sprea
 
 from hyperval.compare.products import compare_products
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.scenario import Scenario
 
 LINES, SAMPLES, FILL, SPREAD = 96, 96, 0.12, 0.05
@@ -65,9 +65,7 @@ def rows_of(world, *, fill=FILL, uncertain="", tail=""):
     seen = world.observe()
     prediction = predict(
         validate(Scenario, data, lines, "world.yaml"),
-        axis=AXIS,
-        measured=seen.statistics,
-        resolve=world.resolve,
+        Origins(axis=AXIS, measured=seen.statistics, resolve=world.resolve),
         objects=True,
     )
     rows = compare_products(prediction, seen.observation, campaign="c")

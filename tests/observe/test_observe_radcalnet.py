@@ -18,7 +18,7 @@ from hyperval.collection_files import RadCalNetSource
 from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import InputError, UsageError
 from hyperval.observe.radcalnet import observe_radcalnet
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.prediction.departure import Departure
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import Scenario
@@ -53,22 +53,22 @@ def scenario(**changes) -> Scenario:
 
 
 def test_it_is_what_comes_back_of_the_light_outside():
-    found = predict(scenario(), axis=AXIS, engine=terms)
+    found = predict(scenario(), Origins(axis=AXIS, engine=terms))
     assert found.toa_reflectance["sand"].mean == pytest.approx(0.1 + 0.72 * 0.25 / (1.0 - 0.2 * 0.25))
     assert found.radiance["sand"].mean == pytest.approx(100.0 * found.toa_reflectance["sand"].mean)
     low = scenario(atmosphere={**STATE, "solar_zenith_deg": 60.0})
-    assert predict(low, axis=AXIS, engine=terms).toa_reflectance["sand"].mean == pytest.approx(
+    assert predict(low, Origins(axis=AXIS, engine=terms)).toa_reflectance["sand"].mean == pytest.approx(
         found.toa_reflectance["sand"].mean
     )
 
 
 def test_the_level_of_the_sunlight_cancels_and_the_path_does_not():
-    plain = predict(scenario(), axis=AXIS, engine=terms).toa_reflectance["sand"].mean
+    plain = predict(scenario(), Origins(axis=AXIS, engine=terms)).toa_reflectance["sand"].mean
     for d, gain in ((Departure(irradiance=1.05), 0.0), (Departure(path=1.1), 0.01)):
-        moved = predict(scenario(), axis=AXIS, engine=terms, departure=d).toa_reflectance["sand"].mean
+        moved = predict(scenario(), Origins(axis=AXIS, engine=terms), departure=d).toa_reflectance["sand"].mean
         assert moved - plain == pytest.approx(gain, abs=1e-12)
     budget = {"solar_irradiance_relative": 0.05, "engine": {"relative": 0.0, "path_relative": 0.1}}
-    found = predict(scenario(uncertainty=budget), axis=AXIS, engine=terms)
+    found = predict(scenario(uncertainty=budget), Origins(axis=AXIS, engine=terms))
     assert found.toa_reflectance["sand"].standard_uncertainty == pytest.approx(0.01)
     assert found.radiance["sand"].standard_uncertainty == pytest.approx(
         np.hypot(1.0, 0.05 * found.radiance["sand"].mean)
@@ -77,7 +77,7 @@ def test_the_level_of_the_sunlight_cancels_and_the_path_does_not():
 
 def test_only_from_above_the_atmosphere():
     airborne = scenario(atmosphere={**STATE, "sensor_altitude_km": 5.0}, sensor="aviris-ng")
-    assert predict(airborne, axis=AXIS, engine=terms).toa_reflectance == {}
+    assert predict(airborne, Origins(axis=AXIS, engine=terms)).toa_reflectance == {}
     with pytest.raises(ValidationError, match="needs a sensor"):
         scenario(atmosphere={**STATE, "sensor_altitude_km": 5.0})
 

@@ -9,6 +9,7 @@ import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.errors import UsageError
+from hyperval.predict import Origins
 from hyperval.prediction.budget import given_of, inputs_of
 from hyperval.prediction.forms import (
     covariance_directions,
@@ -55,7 +56,7 @@ uncertainty:
 
 
 def inputs(s: Scenario) -> dict[str, Input]:
-    found = inputs_of(given_of(s, axis=AXIS, engine=engine))
+    found = inputs_of(given_of(s, Origins(axis=AXIS, engine=engine)))
     assert len({i.name for i in found}) == len(found)
     return {i.name: i for i in found}
 

@@ -7,6 +7,7 @@ import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.errors import UsageError
+from hyperval.predict import Origins
 from hyperval.prediction.budget import given_of, inputs_of
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.input import drawn_truths, number_input, one_at_a_time, spectral_input
@@ -17,7 +18,7 @@ from hyperval.uncertainty.attribution.assumed import assumed_inputs
 
 B = len(AXIS)
 SCENE = scenario()
-GIVEN = given_of(SCENE, axis=AXIS, engine=engine)
+GIVEN = given_of(SCENE, Origins(axis=AXIS, engine=engine))
 KEY = ("tenth", "cem", "pixel")
 
 
@@ -89,7 +90,7 @@ def test_a_path_that_leads_nowhere_is_refused(path, words):
 
 def test_light_needs_an_atmosphere():
     with pytest.raises(UsageError, match="no atmosphere"):
-        input_path(given_of(scenario(""), axis=AXIS), "light.irradiance")
+        input_path(given_of(scenario(""), Origins(axis=AXIS)), "light.irradiance")
 
 
 def test_a_log_normal_factor_multiplies_and_a_normal_one_adds():
@@ -118,7 +119,7 @@ def test_one_at_a_time_goes_up_and_down_along_the_leading_directions():
 
 def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate():
     text = ATMOSPHERE + "uncertainty: {noise: {relative: 0.1}, fractions: [{subject: grass, absolute: 0.1}]}\n"
-    given = given_of(scenario(text), axis=AXIS, engine=engine)
+    given = given_of(scenario(text), Origins(axis=AXIS, engine=engine))
     assumed = {i.path for i in assumed_inputs(given)}
     assert not assumed & {i.path for i in inputs_of(given)}
     assert {"sensor.gain", "surfaces.[grass].mean", "surfaces.[panel].mean"} <= assumed

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
+from hyperval.predict import Origins
 from hyperval.prediction.budget import drawn_covariance, given_of, inputs_of
 from hyperval.prediction.departure import true_scenario
 from hyperval.prediction.emulator import emulator
@@ -59,7 +60,7 @@ def test_the_budget_that_predict_adds_up_is_that_of_a_prediction_for_every_direc
     s = with_method("linear", SMALL + "  sensor_gain: {relative: 0.01, correlation: random}\n")
     stated, plain = run(s), s.model_copy(update={"uncertainty": Uncertainty()})
     total = {(p, n): np.zeros(len(AXIS)) for p in ("radiance", "snr", "reflectance") for n in getattr(stated, p)}
-    for item in inputs_of(given_of(s, axis=AXIS, engine=engine)):
+    for item in inputs_of(given_of(s, Origins(axis=AXIS, engine=engine))):
         for k in range(item.size):
             up, down = (run(plain, departure=item.direction(k, z)) for z in (1.0, -1.0))
             for p, n in total:
@@ -129,7 +130,7 @@ def test_nothing_uncertain_needs_no_draw():
 
 def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
     s = scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, water_vapour_g_cm2: 0.5, solar_zenith_deg: 2}\n")
-    inputs = inputs_of(given_of(s, axis=AXIS, engine=engine))
+    inputs = inputs_of(given_of(s, Origins(axis=AXIS, engine=engine)))
     made = emulator(s, inputs, engine, AXIS)
     assert made.runs == 8  # stated, two for each of three fields, one check
     assert 0.0 < made.error[1] <= made.error[0] < 0.01
@@ -145,7 +146,7 @@ def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
 
 def test_an_input_at_the_end_of_its_range_is_interpolated_from_the_other_side():
     s = scenario((ATMOSPHERE + "uncertainty: {aot550: 0.1}\n").replace("aot550: 0.2,", "aot550: 0.0,"))
-    made = emulator(s, inputs_of(given_of(s, axis=AXIS, engine=engine)), engine, AXIS)
+    made = emulator(s, inputs_of(given_of(s, Origins(axis=AXIS, engine=engine))), engine, AXIS)
     assert made.runs == 3
     p = run(
         s.model_copy(update={"uncertainty": s.uncertainty.model_copy(update={"method": "both", "samples": 40})})

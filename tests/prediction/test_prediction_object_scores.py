@@ -7,7 +7,7 @@ import pytest
 
 from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.processing.filters import design_filter
 from hyperval.processing.thresholds import ClassScores, class_threshold, greatest_class_false_alarm
 from hyperval.scenario import Scenario
@@ -45,7 +45,7 @@ processing: {detectors: [cem], elm: none}
 def run(extra="", place="", there="", text=SCENE):
     text = text.replace("PLACE", place).replace("THERE", there) + extra
     data, lines = parse_yaml(text, "small.yaml")
-    return predict(validate(Scenario, data, lines, "small.yaml"), axis=AXIS, objects=True)
+    return predict(validate(Scenario, data, lines, "small.yaml"), Origins(axis=AXIS), objects=True)
 
 
 def filter_of():

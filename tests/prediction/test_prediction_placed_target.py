@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 
 from hyperval.compare.consistency import chi_square_full
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.prediction.placed_target import (
     HOST,
     PLACE,
@@ -98,8 +98,8 @@ def test_shares_are_those_of_squares_painted_finely():
 
 def test_an_object_alone_has_the_mean_of_its_fill_and_the_spread_of_its_host():
     found = shares(there="position_m: [0, 40],")
-    p = predict(scenario(there="position_m: [0, 40],"), axis=AXIS)
-    q = predict(scenario(place="", there="position_m: [0, 40],"), axis=AXIS)
+    p = predict(scenario(there="position_m: [0, 40],"), Origins(axis=AXIS))
+    q = predict(scenario(place="", there="position_m: [0, 40],"), Origins(axis=AXIS))
     np.testing.assert_allclose(p.reflectance["square"].mean, q.reflectance["square"].mean, rtol=2e-3)
     grass = builtin_class("grass", AXIS)
     u = p.reflectance["square"].budget
@@ -141,9 +141,9 @@ def test_true_worlds_pass_and_false_ones_do_not():
     # rate lies at or below 5 %: 8 % is 4 sd above, false failure below 1e-4.
     extra = "uncertainty: {position_m: 0.2, field_spectra: [{subject: plank, relative: 0.05}]}\n"
     told = {
-        "true": predict(scenario(extra=extra), axis=AXIS),
-        "of the neighbour's material": predict(scenario(paint="green", extra=extra), axis=AXIS),
-        "target too small": predict(scenario(side="0.6", extra=extra), axis=AXIS),
+        "true": predict(scenario(extra=extra), Origins(axis=AXIS)),
+        "of the neighbour's material": predict(scenario(paint="green", extra=extra), Origins(axis=AXIS)),
+        "target too small": predict(scenario(side="0.6", extra=extra), Origins(axis=AXIS)),
     }
     full = {n: builtin_class(f"{n}-paint-plank", AXIS).mean for n in ("yellow", "green")}
     grass, found = builtin_class("grass", AXIS), shares(position=0.2)

@@ -12,7 +12,7 @@ from scipy import stats
 
 from hyperval.config import validate
 from hyperval.errors import InputError, UsageError
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.prediction.inputs import Sources
 from hyperval.prediction.replicates import band_error_covariance, mean_error_covariance, replicate_statistics
 from hyperval.scenario import Scenario, SpectrumSource, Surface
@@ -195,12 +195,12 @@ def test_the_standard_error_is_the_uncertainty_unless_the_scenario_states_one(tm
     write(tmp_path, lawn(4))
     values = band_average(GRID, np.round(lawn(4), 9), AXIS)
     expected = stats.t.ppf(0.975, 3) / 1.959964 * values.std(axis=0, ddof=1) / 2.0
-    product = predict(scenario(tmp_path, []), axis=AXIS).reflectance
+    product = predict(scenario(tmp_path, []), Origins(axis=AXIS)).reflectance
     assert np.allclose(product["lawn"].standard_uncertainty, expected, rtol=1e-6)
     assert np.all(product["road"].standard_uncertainty == 0.0)
-    stated = predict(scenario(tmp_path, [{"subject": "lawn", "absolute": 0.01}]), axis=AXIS).reflectance
+    stated = predict(scenario(tmp_path, [{"subject": "lawn", "absolute": 0.01}]), Origins(axis=AXIS)).reflectance
     assert np.allclose(stated["lawn"].standard_uncertainty, 0.01)
-    spread = predict(scenario(tmp_path, [{"subject": "lawn", "from_file": True}]), axis=AXIS).reflectance
+    spread = predict(scenario(tmp_path, [{"subject": "lawn", "from_file": True}]), Origins(axis=AXIS)).reflectance
     assert np.allclose(spread["lawn"].standard_uncertainty, values.std(axis=0, ddof=1))
 
 

@@ -7,7 +7,7 @@ from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.products import Prediction
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
@@ -60,4 +60,4 @@ def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
 
 def run(s: Scenario, **kwargs) -> Prediction:
     """The prediction on the ten bands."""
-    return predict(s, axis=AXIS, engine=engine, **kwargs)
+    return predict(s, Origins(axis=AXIS, engine=engine), **kwargs)

@@ -198,7 +198,7 @@ def deaf_to(name: str) -> Callable[[Patch], None]:
 
 def predicted(change: Callable[[Any], Any]) -> Callable[[Patch], None]:
     predict = scenarios_module.predict
-    return lambda patch: patch.setattr(scenarios_module, "predict", lambda s, **k: change(predict(s, **k)))
+    return lambda patch: patch.setattr(scenarios_module, "predict", lambda s, *a: change(predict(s, *a)))
 
 
 def every(group: str, factor: float) -> Callable[[Any], Any]:

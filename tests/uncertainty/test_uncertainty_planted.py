@@ -7,7 +7,7 @@ import pytest
 from uncertain_scene import AXIS, engine, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.prediction.departure import Departure
 from hyperval.settings import with_settings
 from hyperval.uncertainty.planted import NotPlantable, PlantedError, planted_errors, planted_prediction
@@ -27,7 +27,7 @@ BASE = run(SCENE)
 
 
 def planted(name: str, s=SCENE):
-    return planted_prediction(s, BY_NAME[name], axis=AXIS, engine=engine)[0]
+    return planted_prediction(s, BY_NAME[name], Origins(axis=AXIS, engine=engine))[0]
 
 
 def ratio(name: str, product: str = "radiance", subject: str = "panel"):
@@ -82,12 +82,12 @@ def test_shifts_are_those_of_the_sensor_operation():
 def test_a_spectrum_may_end_before_a_shifted_band(tmp_path):
     w = np.arange(400.0, AXIS.centre_nm[-2] + 9.0, 2.0)
     (tmp_path / "panel.csv").write_text("wavelength_nm,reflectance\n" + "".join(f"{x:g},0.3\n" for x in w))
-    options = {"axis": AXIS, "engine": engine, "resolve": lambda name: name}
+    options = Origins(axis=AXIS, engine=engine, resolve=lambda name: name)
     s = with_settings(SCENE, {"scene.panels.panel.spectrum": {"file": str(tmp_path / "panel.csv")}})
-    predict(s, **options)  # one band at the end may lack
+    predict(s, options)  # one band at the end may lack
     with pytest.raises(UsageError, match="does not cover"):
-        predict(s, **options, departure=Departure(wavelength_shift_nm=5.0))
-    found, _ = planted_prediction(s, BY_NAME["wavelengths + 5 nm"], **options)
+        predict(s, options, departure=Departure(wavelength_shift_nm=5.0))
+    found, _ = planted_prediction(s, BY_NAME["wavelengths + 5 nm"], options)
     assert np.all(found.radiance["panel"].mean[:-2] > 0.0)
     assert np.all(found.radiance["grass"].mean > 0.0)
 
@@ -192,7 +192,7 @@ def test_without_an_atmosphere_light_is_not_planted_and_the_line_is_that_of_the_
 def test_an_error_of_a_path_that_leads_nowhere_names_it():
     lost = PlantedError("nothing", lambda given: {"surfaces.nobody.mean": 0.1})
     with pytest.raises(NotPlantable, match=r"surfaces\.nobody"):
-        planted_prediction(SCENE, lost, axis=AXIS, engine=engine)
+        planted_prediction(SCENE, lost, Origins(axis=AXIS, engine=engine))
 
 
 def test_an_input_of_the_budget_moves_from_where_it_was_planted():

@@ -10,7 +10,7 @@ from hyperval.campaign.one import SIMULATED
 from hyperval.campaign.schema import Campaign, load_campaign
 from hyperval.compare import compare_products
 from hyperval.observe import observe
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.results import ResultTable
 from hyperval.scenario import load_scenario
 from hyperval.simulate import SceneFile, load_scene, simulate
@@ -64,7 +64,7 @@ def run_twin(campaign_file: str, seed: int, folder: Path) -> ResultTable:
     scenario = load_scenario(TWIN / str(campaign.scenarios[0]))
     processing = scenario.processing.model_copy(update={"detectors": ["cem"]})
     scenario = scenario.model_copy(update={"processing": processing})
-    prediction = predict(scenario, axis=observed.observation.axis, show_progress=False)
+    prediction = predict(scenario, Origins(axis=observed.observation.axis, show_progress=False))
     return ResultTable(compare_products(prediction, observed.observation, campaign=campaign.name))
 
 

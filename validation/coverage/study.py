@@ -23,7 +23,7 @@ from world import B as BANDS
 from hyperval.compare import compare_products
 from hyperval.files import write_text
 from hyperval.observe.uncertainty import spectral_estimate
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import PanelErrors, line_error
 from hyperval.processing.intervals import clopper_pearson
@@ -53,7 +53,7 @@ LOOKED_FOR = builtin_class("yellow-paint-plank", AXIS).mean
 
 def predictions(samples: int) -> dict[str, Prediction]:
     """What is predicted, by both ways of propagation."""
-    return {m: predict(scenario(m, samples), axis=AXIS, engine=engine, objects=True) for m in METHODS}
+    return {m: predict(scenario(m, samples), Origins(axis=AXIS, engine=engine), objects=True) for m in METHODS}
 
 
 def observed(c: Collection) -> Observation:

@@ -23,7 +23,9 @@ MOST_REJECTED = 9
 
 @pytest.fixture(scope="module")
 def found():
-    predictions = {"linear": study.predict(study.scenario(), axis=study.AXIS, engine=study.engine, objects=True)}
+    predictions = {
+        "linear": study.predict(study.scenario(), study.Origins(axis=study.AXIS, engine=study.engine), objects=True)
+    }
     return study.outcomes(predictions, 30, 60, 7, show=False)
 
 

@@ -13,7 +13,7 @@ from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.products import background_of
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class
@@ -107,7 +107,7 @@ def scene() -> Scenario:
 @pytest.mark.parametrize(("subject", "fill"), [("tenth", 0.1), ("full", 1.0)])
 def test_3_26_and_3_28_scores_of_a_fill_by_plain_arithmetic(subject, fill):
     mean, variance = ByHand().moments(fill)
-    scores = predict(scene(), axis=AXIS, engine=engine).scores[subject, "cem"]
+    scores = predict(scene(), Origins(axis=AXIS, engine=engine)).scores[subject, "cem"]
     assert scores.mean == pytest.approx(mean, rel=1e-9)
     assert scores.sd**2 == pytest.approx(variance, rel=1e-6)
 
@@ -117,7 +117,7 @@ def test_3_28_scores_of_a_random_fill_by_the_law_of_total_variance():
     hand = ByHand()
     f = np.array([0.15 - 0.05, 0.15 + 0.05])  # the two points that have the fill's mean and variance
     means, variances = np.array([hand.moments(x) for x in f]).T
-    scores = predict(scene(), axis=AXIS, engine=engine).scores["loose", "cem"]
+    scores = predict(scene(), Origins(axis=AXIS, engine=engine)).scores["loose", "cem"]
     assert scores.mean == pytest.approx(means.mean(), rel=1e-6)
     assert scores.sd**2 == pytest.approx(variances.mean() + means.var(), rel=1e-4)
 
@@ -127,14 +127,14 @@ def test_3_27_and_3_29_scores_of_the_background_by_plain_arithmetic():
     theta = np.array([hand.score(hand.surfaces[n].mean) for n in SHARES])
     sigma2 = np.array([hand.weights @ hand.seen(n) @ hand.weights for n in SHARES])
     share = np.array(list(SHARES.values()))
-    scores = predict(scene(), axis=AXIS, engine=engine).scores[background_of("tenth"), "cem"]
+    scores = predict(scene(), Origins(axis=AXIS, engine=engine)).scores[background_of("tenth"), "cem"]
     assert scores.mean == pytest.approx(share @ theta, abs=1e-9)
     assert scores.sd**2 == pytest.approx(share @ (sigma2 + theta**2), rel=1e-6)
 
 
 def test_3_30_to_3_33_the_curve_by_plain_arithmetic():
     hand = ByHand()
-    curve = predict(scene(), axis=AXIS, engine=engine).roc["tenth", "cem", "pixel"]
+    curve = predict(scene(), Origins(axis=AXIS, engine=engine)).roc["tenth", "cem", "pixel"]
     mean, variance = hand.moments(0.1)
     pfa = sum(
         share * norm.sf(curve.threshold, hand.score(hand.surfaces[n].mean),
@@ -154,7 +154,7 @@ def test_scores_and_curve_of_drawn_pixels():
     Poisson counts are drawn as normal numbers of the variance at the pixel's own radiance.
     """
     hand, rng, n, m = ByHand(), np.random.default_rng(2014), 400_000, 100_000
-    p = predict(scene(), axis=AXIS, engine=engine)
+    p = predict(scene(), Origins(axis=AXIS, engine=engine))
 
     def draw(name: str, count: int) -> np.ndarray:
         c = hand.surfaces[name]

@@ -21,6 +21,7 @@ from hyperval.compare import compare_products
 from hyperval.errors import InputError
 from hyperval.folders import whole_folder
 from hyperval.hdf5 import check_hdf5
+from hyperval.predict import Origins
 from hyperval.predict import predict as predict_scenario
 from hyperval.products import Products
 from hyperval.report.netcdf import dataset
@@ -51,7 +52,9 @@ def load_campaign(path: Path | str) -> Job:
     return Job(read_campaign(Path(path)), Path(path))
 
 
-def predict(scenario: Scenario | Path | str, **options: Any) -> Prediction:
+def predict(
+    scenario: Scenario | Path | str, *, objects: bool | int = False, object_curves: bool = True, **origins: Any
+) -> Prediction:
     """What the model says of a scenario, a scenario file or a built-in name.
 
     >>> predict("scenario.yaml").radiance["grey-panel-35"].mean.shape
@@ -59,14 +62,16 @@ def predict(scenario: Scenario | Path | str, **options: Any) -> Prediction:
 
     Parameters
     ----------
-    options : of :func:`hyperval.predict.predict`
+    objects, object_curves : of :func:`hyperval.predict.predict`
+    origins : entries of :class:`hyperval.predict.Origins`, such as ``axis``
 
     Raises
     ------
     InputError, UsageError, EngineError : of the scenario.
     """
     known = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario))
-    return _side(Prediction, predict_scenario(known, **options))
+    products = predict_scenario(known, Origins(**origins), objects=objects, object_curves=object_curves)
+    return _side(Prediction, products)
 
 
 def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) -> Observation:

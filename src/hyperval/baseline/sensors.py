@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hyperval.baseline.metrics import Measured
 from hyperval.baseline.schema import key_of
 from hyperval.errors import HypervalError
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.processing.roc_reading import detection_at
 from hyperval.results import Outcome
 from hyperval.scenario import builtin_scenarios, load_scenario
@@ -95,7 +95,7 @@ def _scenarios(sensor: Sensor, engine: Engine | None) -> Iterator[tuple[str, Mea
     oxygen = _band_at(sensor.axis, LINES_NM[-1])
     for name in builtin_scenarios():
         try:
-            prediction = predict(load_scenario(name), sensor=sensor, engine=engine, show_progress=False)
+            prediction = predict(load_scenario(name), Origins(sensor=sensor, engine=engine, show_progress=False))
         except HypervalError as error:
             key = key_of("scenario", name, METHOD, "runs")
             yield key, Measured(np.nan, outcome=Outcome.SKIPPED, reason=str(error))

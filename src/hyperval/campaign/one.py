@@ -27,7 +27,7 @@ from hyperval.errors import MissingDataError, UsageError
 from hyperval.files import scratch_folder
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.prediction.departure import Departure
 from hyperval.products import Abundance, Observation, Prediction, Products
 from hyperval.report import RunReport
@@ -132,17 +132,10 @@ def run_campaign(
             predictions = []
             if predicts:
                 predictions = [
-                    predict(
-                        scenario,
-                        axis=side.observed.observation.axis,
-                        measured=side.observed.statistics,
-                        resolve=side.resolver(scenario),
-                        show_progress=show_progress,
-                        objects=True,
-                    )
+                    predict(scenario, side.origins(scenario, show_progress), objects=True)
                     for scenario in side.scenarios
                 ]
-            return _report(job, side.inputs, side.observed, side.scenarios, predictions, side.seed, show_progress)
+            return _report(job, side, predictions, show_progress)
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
@@ -159,8 +152,25 @@ class Collected:
     seed: int | None
 
     def resolver(self, scenario: Scenario) -> Callable[[str], Path]:
-        """Finds the files that a scenario names, and records them with the campaign's."""
-        return _resolver(scenario, self.inputs)
+        """Finds the files that a scenario names, and records them with the campaign's.
+
+        References of a scenario are relative to its own file.
+        """
+        folder, inputs = scenario.folder, self.inputs
+
+        def resolve(reference: str) -> Path:
+            if reference.startswith((SIMULATED, "data:")) or folder is None or folder == inputs.log.base:
+                return inputs.resolve(reference)
+            return inputs.log.add(InputLog(folder).resolve(reference))
+
+        return resolve
+
+    def origins(self, scenario: Scenario, show_progress: bool | None) -> Origins:
+        """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
+        observed = self.observed
+        return Origins(
+            observed.observation.axis, observed.statistics, self.resolver(scenario), show_progress=show_progress
+        )
 
 
 @contextmanager
@@ -216,29 +226,16 @@ def _with_every_set(job: Job, error: MissingDataError) -> str:
     return f"{error.where}: {error.what}\n  to mend it: hyperval data fetch {' '.join(sets)}"
 
 
-def _report(
-    job: Job,
-    inputs: Inputs,
-    observed: Observed,
-    scenarios: Sequence[Scenario],
-    predictions: Sequence[Prediction],
-    seed: int | None,
-    show_progress: bool | None,
-) -> RunReport:
-    campaign = job.campaign
+def _report(job: Job, side: Collected, predictions: Sequence[Prediction], show_progress: bool | None) -> RunReport:
+    campaign, inputs, scenarios, observed = job.campaign, side.inputs, side.scenarios, side.observed
     prediction = None
     if predictions:
-        prediction = predicted_side(job, inputs, observed, scenarios, predictions)
+        prediction = predicted_side(job, side, predictions)
         rows = outcomes(prediction, observed.observation, campaign, scenarios)
         rows += reasons(
-            campaign,
-            scenarios,
-            observed,
-            prediction,
-            inputs.resolve,
-            lambda scenario: _resolver(scenario, inputs),
+            campaign, scenarios, lambda s: side.origins(s, show_progress), observed, prediction, inputs.resolve,
             show_progress=show_progress,
-        )
+        )  # fmt: skip
         table = ResultTable(rows)
     else:
         table = ResultTable(product_rows(campaign.name, observed.observation, "observed"))
@@ -259,7 +256,7 @@ def _report(
         provenance=record_of(
             inputs.log,
             scenarios,
-            seed,
+            side.seed,
             {"campaign": campaign.model_dump(mode="json", by_alias=True)},
             [observed.observation, *predictions],
         ),
@@ -274,20 +271,15 @@ def _report(
 
 
 def predicted_side(
-    job: Job,
-    inputs: Inputs,
-    observed: Observed,
-    scenarios: Sequence[Scenario],
-    predictions: Sequence[Prediction],
-    truths: Sequence[Departure] | None = None,
+    job: Job, side: Collected, predictions: Sequence[Prediction], truths: Sequence[Departure] | None = None
 ) -> Prediction:
     """The predictions of a campaign's scenarios as the one side that is compared.
 
     ``truths`` : how the truth departs from each scenario, that of the predictions; None: not at all.
     """
-    campaign = job.campaign
+    campaign, scenarios, observed = job.campaign, side.scenarios, side.observed
     whole = with_errors_of_classes(merged(predictions), campaign.classification, observed.observation)
-    finders = [_resolver(scenario, inputs) for scenario in scenarios]
+    finders = [side.resolver(scenario) for scenario in scenarios]
     areas = predicted_unmixing(scenarios, predictions, finders, campaign.detection, observed, truths)
     nominal = observed.detected.nominal_area_m2 if observed.detected is not None else {}
     stated = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
@@ -344,18 +336,6 @@ def unfinished(job: Job | Waiting, outcome: Outcome, reason: str) -> RunReport:
         notes=[reason, *campaign.assumptions],
         references=campaign.references,
     )
-
-
-def _resolver(scenario: Scenario, inputs: Inputs) -> Callable[[str], Path]:
-    """References of a scenario are relative to its own file; what is read is recorded with the campaign's."""
-    folder = scenario.folder
-
-    def resolve(reference: str) -> Path:
-        if reference.startswith((SIMULATED, "data:")) or folder is None or folder == inputs.log.base:
-            return inputs.resolve(reference)
-        return inputs.log.add(InputLog(folder).resolve(reference))
-
-    return resolve
 
 
 def _simulate(reference: str, inputs: Inputs, scratch: Path, show_progress: bool | None) -> int:

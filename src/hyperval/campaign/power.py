@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import hyperval
 from hyperval.campaign.draft import Waiting
@@ -133,29 +132,23 @@ def power_table(
     errors = planted_errors() if errors is None else errors
     with collected(job, show_progress=show_progress) as here:
         observation, scenarios = here.observed.observation, here.scenarios
-        options: list[dict[str, Any]] = [
-            {
-                "axis": observation.axis, "measured": here.observed.statistics, "resolve": here.resolver(scenario),
-                "show_progress": show_progress, "objects": True,
-            }
-            for scenario in scenarios
-        ]  # fmt: skip
-        stated = [predict(s, **o) for s, o in zip(scenarios, options, strict=True)]
+        origins = [here.origins(scenario, show_progress) for scenario in scenarios]
+        stated = [predict(s, o, objects=True) for s, o in zip(scenarios, origins, strict=True)]
 
         def judged_with(error: PlantedError | None) -> list[Result]:
             predictions, truths, refused = [], [], []
-            for scenario, plain, own in zip(scenarios, stated, options, strict=True):
+            for scenario, plain, own in zip(scenarios, stated, origins, strict=True):
                 prediction, truth = plain, Departure()
                 if error is not None:
                     try:
-                        prediction, truth = planted_prediction(scenario, error, **own)
+                        prediction, truth = planted_prediction(scenario, error, own, objects=True)
                     except NotPlantable as why:  # of another scenario there may be something
                         refused.append(why)
                 predictions.append(prediction)
                 truths.append(truth)
             if len(refused) == len(scenarios):
                 raise refused[0]
-            side = predicted_side(job, here.inputs, here.observed, scenarios, predictions, truths)
+            side = predicted_side(job, here, predictions, truths)
             return outcomes(side, observation, job.campaign, scenarios)
 
         before = judged_with(None)

@@ -10,7 +10,7 @@ from hyperval.campaign.merge import merged, with_pools, without_circles
 from hyperval.campaign.schema import Campaign
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
-from hyperval.predict import predictions
+from hyperval.predict import Origins, predictions
 from hyperval.prediction.budget import given_of, inputs_of
 from hyperval.prediction.departure import Departure, departs
 from hyperval.prediction.inputs import Resolve
@@ -31,10 +31,10 @@ OBJECT_DRAWS = 1600
 def reasons(
     campaign: Campaign,
     scenarios: Sequence[Scenario],
+    origins_of: Callable[[Scenario], Origins],
     observed: Observed,
     prediction: Prediction,
     resolve: Resolve,
-    resolver_of: Callable[[Scenario], Resolve],
     *,
     show_progress: bool | None = None,
 ) -> list[Result]:
@@ -42,8 +42,9 @@ def reasons(
 
     Parameters
     ----------
+    origins_of : of the prediction of a scenario
     prediction : as it was compared
-    resolve, resolver_of : of the collection's references, and of those of each scenario
+    resolve : of the collection's references
     """
     if campaign.attribution is None:
         return []
@@ -53,16 +54,8 @@ def reasons(
     draws = OBJECT_DRAWS if whole else False
 
     def of_truths(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[Prediction]:
-        return predictions(
-            scenario,
-            truths,
-            axis=observation.axis,
-            measured=observed.statistics,
-            resolve=resolver_of(scenario),
-            objects=draws,
-            object_curves=False,  # scores and false alarms of pixels and draws of objects are looked at
-            show_progress=show_progress,
-        )
+        # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects.
+        return predictions(scenario, truths, origins_of(scenario), objects=draws, object_curves=False)
 
     as_stated: list[tuple[Scenario, Prediction]] = []  # predicted once, however often nothing is moved in it
 
@@ -92,16 +85,7 @@ def reasons(
             changed.collection, changed.detection, resolve, show_progress=show_progress
         ).observation
 
-    given = [
-        given_of(
-            scenario,
-            axis=observation.axis,
-            measured=observed.statistics,
-            resolve=resolver_of(scenario),
-            show_progress=show_progress,
-        )
-        for scenario in scenarios
-    ]
+    given = [given_of(scenario, origins_of(scenario)) for scenario in scenarios]
     attribution = attribute(
         Model(scenarios, predicted, measured_again),
         observation,

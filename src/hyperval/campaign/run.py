@@ -17,7 +17,7 @@ from hyperval.folders import partial_folder, whole_folder
 from hyperval.observe import Observed
 from hyperval.observe.reflectance_cube import Form
 from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.results import ResultTable
 from hyperval.scenario import load_scenario
@@ -109,7 +109,7 @@ def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | 
     scenario = load_scenario(name_or_path)
     log = InputLog(scenario.folder or Path())
     with whole_folder(output) as folder:  # first of all: it may not be writable
-        prediction = predict(scenario, resolve=log.resolve, show_progress=show_progress)
+        prediction = predict(scenario, Origins(resolve=log.resolve, show_progress=show_progress))
         run = RunReport(
             campaign=scenario.name,
             title=scenario.title or scenario.name,

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval import datasets
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
+from hyperval.atmosphere import AtmosphericTerms
 from hyperval.errors import UsageError
-from hyperval.prediction.cases import terms_in_memory
+from hyperval.prediction.cases import Origins
 from hyperval.prediction.departure import Departure, StatisticsDeparture
 from hyperval.prediction.field_spectra import spectrum_error_sd
 from hyperval.prediction.forms import covariance_directions
 from hyperval.prediction.input import Input, Kind, number_input, spectral_input
 from hyperval.prediction.input_paths import Given, input_path
-from hyperval.prediction.inputs import Resolve, Sources
-from hyperval.prediction.setup import instrument, with_sensor_blur
+from hyperval.prediction.setup import Setup
 from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import SampledStatistics, SpectralForm
-from hyperval.scene.statistics import ClassStatistics
-from hyperval.sensor.specification import Sensor
-from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 
@@ -75,40 +69,25 @@ def inputs_of(given: Given, *, shapes: bool = True) -> list[Input]:
     return [*_of_light(given, shapes), *_of_scene(given, shapes), *_of_sensor(given)]
 
 
-def given_of(
-    scenario: Scenario,
-    *,
-    axis: SpectralAxis | None = None,
-    measured: Mapping[str, ClassStatistics] | None = None,
-    resolve: Resolve | None = None,
-    cache_dir: Path | None = None,
-    show_progress: bool | None = None,
-    engine: Callable[[AtmosphericState], AtmosphericTerms] | None = None,
-    sensor: Sensor | None = None,
-) -> Given:
-    """What the inputs of a scenario are made of; parameters as those of ``predict``.
+def given_of(scenario: Scenario, origins: Origins | None = None) -> Given:
+    """What the inputs of a scenario are made of.
 
     The engine is run only where the error of the engine depends on the absorption of gases.
     """
-    find = resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
-    known = measured or {}
-    used = instrument(scenario, axis, next((s.axis for s in known.values()), None), find, sensor)
-    scenario = with_sensor_blur(scenario, used.sensor)
-    sources = Sources(used.true_axis, known, find, used.axis)
-    scene = scenario.scene
-    surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
+    source = origins or Origins()
+    setup = source.setup(scenario, Departure())
 
     def terms() -> AtmosphericTerms:
-        state = scenario.atmosphere
+        state = setup.scenario.atmosphere
         assert state is not None  # noqa: S101 - asked for by inputs of the light alone
-        if engine is not None:
-            return engine(state).at_bands(used.true_axis)
-        if state.engine == "table":
-            return atmospheric_terms(state, resolve=find).at_bands(used.true_axis)
-        call = atmospheric_terms
-        return terms_in_memory(call, state, used.true_axis, cache_dir=cache_dir, show_progress=show_progress)
+        return source.terms(setup, state)
 
-    return Given(scenario, used.axis, used.sensor, surfaces, terms)
+    return given_with(setup, terms)
+
+
+def given_with(setup: Setup, terms: Callable[[], AtmosphericTerms]) -> Given:
+    """What the inputs of a scenario that was read are made of."""
+    return Given(setup.scenario, setup.used.axis, setup.used.sensor, setup.surfaces, terms)
 
 
 def gas_depth(gas_transmittance: Array) -> Array:

@@ -73,7 +73,18 @@ def terms_in_memory(
 
 @dataclass(frozen=True)
 class Origins:
-    """Where the numbers of a scenario come from; the parameters of :func:`hyperval.predict.predict`."""
+    """Where the numbers of a scenario come from, besides what it says itself.
+
+    Attributes
+    ----------
+    axis : bands of all products; None: the sensor's own, or those of the measured statistics
+    measured : region -> reflectance statistics on ``axis``, for surfaces with ``measured:``
+    resolve : turns a file reference of the scenario into a path; None: relative to the scenario's file, or
+        ``data:`` for a registered data set
+    cache_dir, show_progress : of the atmosphere engine
+    engine : stands in for the atmosphere engine
+    sensor : stands in for the sensor that the scenario names
+    """
 
     axis: SpectralAxis | None = None
     measured: Mapping[str, ClassStatistics] | None = None

@@ -108,14 +108,8 @@ def variant_rows(
 
 
 def _predicted(one: Served, scenario: Scenario, collection: Collected) -> Prediction:
-    return predict(
-        one.scenario,
-        axis=collection.observed.observation.axis,
-        measured=collection.observed.statistics,
-        resolve=collection.resolver(scenario),
-        show_progress=False,
-        engine=one.terms_of,
-    )
+    origins = replace(collection.origins(scenario, False), engine=one.terms_of)
+    return predict(one.scenario, origins)
 
 
 def _compared(predicted: Prediction, observed: Observation, campaign: str, label: str) -> list[Result]:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import HypervalError
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
@@ -38,7 +38,7 @@ def run_scenarios(sensor: Sensor, ledger: Ledger, engine: Engine | None = None) 
     for name in builtin_scenarios():
         scenario = standard_scenario(name)
         try:
-            done[name] = predict(scenario, engine=engine, sensor=sensor, show_progress=False)
+            done[name] = predict(scenario, Origins(engine=engine, sensor=sensor, show_progress=False))
         except HypervalError as error:
             ledger.error(PRODUCT, "runs", f"{name}: {error}")
             continue

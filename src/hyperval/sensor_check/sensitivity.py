@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction
 from hyperval.progress import track
@@ -105,5 +105,5 @@ def _detection_change(
 ) -> float:
     if probe is None or scenario is None:
         return 0.0
-    prediction = predict(scenario, sensor=other, engine=engine, show_progress=False)
+    prediction = predict(scenario, Origins(sensor=other, engine=engine, show_progress=False))
     return float(detection_at(prediction.roc[probe.key], FALSE_ALARM)) - probe.value

@@ -17,6 +17,7 @@ from hyperval.campaign.provenance import command_without_output, package_version
 from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
 from hyperval.files import write_text
 from hyperval.folders import partial_folder, whole_folder
+from hyperval.predict import Origins
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.progress import track
 from hyperval.report.netcdf import write_products
@@ -157,7 +158,7 @@ def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | No
     from hyperval.predict import predict
 
     study = plan.study
-    prediction = predict(plan.scenario, show_progress=show_progress)
+    prediction = predict(plan.scenario, Origins(show_progress=show_progress))
     names = write_tables(table, folder, show_progress=show_progress)
     knees = knees_of(study, table)
     rows = result_rows(plan, table, knees)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.prediction.budget import given_of
 from hyperval.prediction.departure import Departure, combined, true_scenario
 from hyperval.prediction.input_paths import Given, input_path
@@ -89,20 +89,19 @@ def planted_errors() -> tuple[PlantedError, ...]:
     )
 
 
-def planted_prediction(scenario: Scenario, error: PlantedError, **options: Any) -> tuple[Prediction, Departure]:
+def planted_prediction(
+    scenario: Scenario, error: PlantedError, origins: Origins | None = None, *, objects: bool | int = False
+) -> tuple[Prediction, Departure]:
     """The prediction of a scenario with one error planted, its budget as stated; and the truth behind it.
-
-    ``options`` : those of ``predict``; of no use are ``departure`` and a method of propagation by draws.
 
     Raises
     ------
     NotPlantable : the scenario has nothing of the kind.
     """
-    names = ("axis", "measured", "resolve", "cache_dir", "show_progress", "engine", "sensor")
-    truth = error.departure(given_of(scenario, **{name: options[name] for name in names if name in options}))
+    truth = error.departure(given_of(scenario, origins))
     # Entries of the file differ in the scenario itself: the budget may move the same ones from there.
     planted = true_scenario(scenario, Departure(truth.settings))
-    prediction = predict(planted, departure=replace(truth, settings={}), **options)
+    prediction = predict(planted, origins, departure=replace(truth, settings={}), objects=objects)
     return _seen(prediction, scenario, error), truth
 
 
