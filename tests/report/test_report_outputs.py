@@ -24,7 +24,8 @@ from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.figures import draw_figures
 from hyperval.report.figures_detection import best_counted
 from hyperval.report.figures_spectra import pair_figures
-from hyperval.report.html import MAX_BYTES, report_page
+from hyperval.report.html import MAX_BYTES, index_page, report_page
+from hyperval.report.power import Planted, PowerTable
 from hyperval.report.style import Drawing, house_style, pages
 from hyperval.results import Outcome, Result, ResultTable, Role
 
@@ -284,12 +285,39 @@ def test_pages_of_one_side_do_not_call_themselves_validations():
     assert "One side alone: nothing is compared here." in text
 
 
-def test_a_choice_after_the_data_is_printed_with_what_it_was():
-    run = dataclasses.replace(make_run(curves=1), chosen_after=[("radiance: at most 0.06", "at most 0.05")])
-    assert (
-        "Chosen after the data were seen: radiance: at most 0.06. Before: at most 0.05"
-        in Page(report_page(run, [])).text
-    )
+def test_a_choice_after_the_data_is_printed_after_what_it_was_before():
+    choices = [("radiance: at most 0.06", "at most 0.05"), ("snr: at most 0.1", "none")]
+    text = Page(report_page(dataclasses.replace(make_run(curves=1), chosen_after=choices), [])).text
+    assert "Chosen after the data were seen. First: at most 0.05. Now: radiance: at most 0.06." in text
+    assert "First: none. Now: snr: at most 0.1." in text
+
+
+def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix():
+    """With many subjects the matrix is longer than a screen."""
+    planted = {"sunlight x 1.05": Planted(), "fill x 0.8": Planted(gates=("scores | all | cem | p",))}
+    table = PowerTable(schema=1, campaign="c", version="1", files={}, gates=3, disagreeing=0, errors=planted)
+    notes = ["warning: the panels do not lie on one line", "a note", *(f"warning: number {i}" for i in range(3))]
+    choices = [("at most 0.06", "at most 0.05")]
+    run = dataclasses.replace(make_run(curves=1), chosen_after=choices, power=table, notes=notes)
+    text = Page(report_page(run, [])).text
+    before = text[: text.index("Subject")]
+    assert "Warning: the panels do not lie on one line" in before
+    assert "1 more warning stands" in before
+    assert "First: at most 0.05" in before
+    assert "the gates see 1. Unseen: sunlight x 1.05." in before
+
+
+def test_a_computed_reference_is_no_collected_imagery():
+    runs = [
+        dataclasses.replace(make_run(curves=1, campaign=name), simulated=name == "twin", computed=name == "network")
+        for name in ("flight", "network", "twin")
+    ]
+    text = Page(index_page(runs, {run.campaign: run.campaign for run in runs})).text
+    parts = re.split("Collected imagery|Computed references|Simulated collections", text)
+    assert len(parts) == 4
+    for name, part in zip(("flight", "network", "twin"), parts[1:], strict=True):
+        assert name in part
+        assert not any(other in part for other in {"flight", "network", "twin"} - {name})
 
 
 def test_falsified_result_turns_the_page(run):

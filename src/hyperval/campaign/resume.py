@@ -58,6 +58,7 @@ class Finished:
                     title=campaign.title,
                     description=campaign.description,
                     simulated=campaign.simulated,
+                    computed=campaign.computed,
                     table=read_results(self.folder / campaign.name / "results.json"),
                 )
         self._record(job).unlink(missing_ok=True)

@@ -43,6 +43,11 @@ class Outline(Model):
         default_factory=list, description="what validate judges; observe alone needs none"
     )
 
+    @property
+    def computed(self) -> bool:
+        """Whether the reference is what another program computed, and no imagery."""
+        return False
+
     def every_choice(self) -> list[tuple[str, str]]:
         """What was chosen after the campaign's own data were seen, each with what it was before."""
         stated = [(choice.what, choice.before) for choice in self.chosen_after]
@@ -79,6 +84,11 @@ class Campaign(Outline):
     def run(self) -> Mapping[str, str]:
         """The words of this run that stand in braces in the campaign and its scenario files; often none."""
         return self._run
+
+    @property
+    def computed(self) -> bool:
+        """Whether the reference is what a network computed from its own measurements."""
+        return self.collection.radcalnet is not None
 
     @model_validator(mode="after")
     def _consistent(self) -> Campaign:

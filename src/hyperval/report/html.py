@@ -18,7 +18,7 @@ from hyperval.metrics import Evidence, explained
 from hyperval.report import verdict as v
 from hyperval.report.charts import Chart, draw_charts
 from hyperval.report.matrix import LETTERS, anchor, matrix_of
-from hyperval.report.run import RunReport
+from hyperval.report.run import WARNING, RunReport
 from hyperval.report.scripts import packed_library, script_hashes, starter
 from hyperval.report.style import Drawing
 from hyperval.report.tables import row_name
@@ -49,6 +49,12 @@ SECTIONS = {
 }
 # Gates that the model moves stand apart from checks that it does not.
 _MATRICES = (("Model and collection", (Evidence.MODEL,)), ("Checks of the pipeline", (Evidence.PIPELINE,)))
+# Heading of the index, and (simulated, computed) of the campaigns that stand there.
+_GROUPS = (
+    ("Collected imagery", (False, False)),
+    ("Computed references", (False, True)),
+    ("Simulated collections", (True, False)),
+)
 _REASONS = ("attribution", "what-if", "sensitivity")
 _COMPARED = {k: t for k, t in SECTIONS.items() if k not in (*_REASONS, "scene")}
 _MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
@@ -89,6 +95,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         power=run.power,
         gated=any(row.gates for row in rows),
         power_changed=run.power.changed_files(run.provenance.get("inputs", ())) if run.power else [],
+        warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),
         sections=_sections(run, drawings, charts, rows),
@@ -116,12 +123,13 @@ def _link(subject: str, rows: Sequence[Result]) -> str:
 def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str = "Validation") -> str:
     """The page of several campaigns; ``folders`` maps a campaign to its folder beside the page.
 
-    Collected imagery and simulated collections stand apart: agreement of the latter tests the software.
+    Collected imagery, references that were computed and simulated collections stand apart: agreement with the
+    second compares two programs, with the last it tests the software.
     """
     titles = {run.campaign: run.title for run in runs}
     groups = []
-    for heading, simulated in (("Collected imagery", False), ("Simulated collections", True)):
-        own = [run for run in runs if run.simulated == simulated]
+    for heading, kind in _GROUPS:
+        own = [run for run in runs if (run.simulated, run.computed) == kind]
         if not own:
             continue
         rows = [

@@ -28,7 +28,7 @@ def write_outputs(run: RunReport, folder: Path) -> None:
     write_tables(run.table, folder)
     write_text(
         folder / "provenance.json",
-        json.dumps(json_value({**run.provenance, "warnings": warnings(run)}), indent=1, ensure_ascii=False) + "\n",
+        json.dumps(json_value({**run.provenance, "warnings": run.warnings}), indent=1, ensure_ascii=False) + "\n",
     )
     sides = {"predicted": run.prediction, "observed": run.observation}
     write_products(folder / "products.nc", sides, title=run.title, simulated=run.simulated)
@@ -66,8 +66,3 @@ def write_tables(table: ResultTable, folder: Path) -> None:
 def campaign_folders(runs: Sequence[RunReport]) -> dict[str, str]:
     """Campaign name -> name of its folder."""
     return file_stems(run.campaign for run in runs)
-
-
-def warnings(run: RunReport) -> list[str]:
-    """The notes of a run that warn."""
-    return [note for note in run.notes if note.startswith("warning: ")]

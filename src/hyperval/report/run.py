@@ -14,6 +14,7 @@ from hyperval.report.power import PowerTable
 from hyperval.results import ResultTable
 
 Mask = npt.NDArray[np.bool_]
+WARNING = "warning: "  # what a note that warns begins with
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,7 @@ class RunReport:
     ----------
     campaign, title, description : name (also of the output folder), heading, a sentence or two
     simulated : True when the collection is simulated; every page and figure then says so
+    computed : True when the reference is what another program computed, and no imagery
     table : every planned comparison, one row each
     prediction, observation : the two sides, None where a side was not run
     score_maps : "TARGET-DETECTOR" -> map
@@ -156,3 +158,9 @@ class RunReport:
     power: PowerTable | None = None
     kind: str = "Campaign"
     sentence: str = ""
+    computed: bool = False
+
+    @property
+    def warnings(self) -> list[str]:
+        """Those of the notes that warn."""
+        return [note for note in self.notes if note.startswith(WARNING)]
