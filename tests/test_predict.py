@@ -16,7 +16,7 @@ from hyperval.predict import Origins, predict, without_calibration_error
 from hyperval.prediction import filters
 from hyperval.prediction.batch import detection_bands
 from hyperval.prediction.cases import terms_in_memory
-from hyperval.prediction.field_spectra import spectrum_error_covariance
+from hyperval.prediction.forms import spectrum_error_covariance
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.processing.filters import LinearFilter, matched_filter_weights
 from hyperval.processing.roc_reading import detection_at

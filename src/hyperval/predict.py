@@ -17,13 +17,12 @@ from hyperval.prediction.budget import given_with, inputs_of, spectrum_inputs
 from hyperval.prediction.cases import Case, Engine, Origins, batch_of, case_of
 from hyperval.prediction.departure import Departure, moved_on
 from hyperval.prediction.detection import Detection, RocKey, detect
-from hyperval.prediction.field_spectra import spectrum_error_covariance
+from hyperval.prediction.forms import spectrum_error_covariance
 from hyperval.prediction.input import Input
 from hyperval.prediction.input_paths import Given
 from hyperval.prediction.inputs import class_tail
-from hyperval.prediction.notes import saturation_notes, sensor_notes, unstated_notes
 from hyperval.prediction.object_scores import predicted_object_scores
-from hyperval.prediction.setup import Setup
+from hyperval.prediction.setup import Setup, saturation_notes, sensor_notes, unstated_notes
 from hyperval.prediction.spectra import spectral_products, without_calibration_error
 from hyperval.prediction.uncertainty import (
     Change,

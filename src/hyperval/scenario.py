@@ -21,8 +21,7 @@ from hyperval.scenario_sources import SpectrumSource as SpectrumSource
 from hyperval.scenario_sources import exactly_one
 from hyperval.scenario_uncertainty import SpectrumUncertainty as SpectrumUncertainty
 from hyperval.scenario_uncertainty import Uncertainty
-from hyperval.sensor.changes import SensorChanges
-from hyperval.sensor.operation import SensorOperation
+from hyperval.sensor.operation import SensorChanges, SensorOperation
 
 MODEL_DETECTORS = (*LINEAR_DETECTORS, *NUMERICAL_DETECTORS)
 

@@ -18,7 +18,7 @@ MODULES = (
     "hyperval.scene.builtin",
     "hyperval.sensor.response",
     "hyperval.sensor.noise",
-    "hyperval.sensor.mtf",
+    "hyperval.sensor.response",
     "hyperval.sensor.operation",
     "hyperval.processing.filters",
     "hyperval.processing.features",

@@ -9,7 +9,7 @@ from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 from hyperval.predict import Origins
 from hyperval.prediction.budget import drawn_covariance, given_of, inputs_of
 from hyperval.prediction.departure import true_scenario
-from hyperval.prediction.emulator import emulator
+from hyperval.prediction.monte_carlo import emulator
 from hyperval.prediction.propagation import auc_of, quantities, tolerance
 from hyperval.processing.roc_reading import detection_at
 from hyperval.scenario import FalseAlarmGrid, Scenario

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hyperval.atmosphere import AtmosphericState
-from hyperval.prediction.notes import unstated_notes
+from hyperval.prediction.setup import unstated_notes
 from hyperval.scenario_uncertainty import Uncertainty
 
 

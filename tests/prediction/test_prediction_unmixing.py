@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.prediction.classification import predicted_classification
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.inputs import Sources
-from hyperval.prediction.unmixing import UnmixedSubject, labelled, predicted_areas
+from hyperval.prediction.unmixing import UnmixedSubject, labelled, predicted_areas, predicted_classification
 from hyperval.products import PixelDistribution, Prediction, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis

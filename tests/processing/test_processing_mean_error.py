@@ -16,7 +16,7 @@ from hyperval.processing.mean_error import (
 )
 from hyperval.processing.spatial_correlation import neighbour_shares
 from hyperval.products import EstimatedPart
-from hyperval.simulate.fields import correlated_field
+from hyperval.simulate.surface import correlated_field
 
 SIDE, REACH = 40, 24
 

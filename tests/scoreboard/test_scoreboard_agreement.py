@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.results import Outcome, Result
-from hyperval.scoreboard import agreement as a
+from hyperval.scoreboard import variants as a
 
 BANDS = np.arange(400.0, 2400.0, 10.0)
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.scoreboard.measures import MEASURES
-from hyperval.scoreboard.ranks import fewest_objects, rank_sets, ranked
-from hyperval.scoreboard.shares import BlockCounts, counts_by_block
+from hyperval.scoreboard.ranks import MEASURES, BlockCounts, counts_by_block, fewest_objects, rank_sets, ranked
 
 
 def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 2000) -> BlockCounts:

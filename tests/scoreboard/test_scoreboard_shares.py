@@ -9,8 +9,15 @@ from hyperval.processing.alarms import alarms_at_detection
 from hyperval.processing.rank_counts import counts_of
 from hyperval.processing.roc import pd_at_pfa
 from hyperval.processing.roc_areas import AREAS, roc_area
-from hyperval.scoreboard.measures import LOG_AREA, MEASURES, goodness, measured
-from hyperval.scoreboard.shares import BlockCounts, blocks_of, counts_by_block
+from hyperval.scoreboard.ranks import (
+    LOG_AREA,
+    MEASURES,
+    BlockCounts,
+    blocks_of,
+    counts_by_block,
+    goodness,
+    measured,
+)
 
 
 def one_detector(targets: np.ndarray, background: np.ndarray, block: np.ndarray) -> BlockCounts:

@@ -12,8 +12,7 @@ from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState
 from hyperval.atmosphere.table import AtmosphericTable
 from hyperval.scenario import load_scenario
-from hyperval.scoreboard.engines import ENGINES, NotApplicable
-from hyperval.scoreboard.transport import OutOfReach, nearest_state, transported
+from hyperval.scoreboard.engines import ENGINES, NotApplicable, OutOfReach, nearest_state, transported
 from hyperval.spectra.axis import SpectralAxis
 from small_campaign import ATMOSPHERE, stand_in_atmosphere
 
@@ -50,7 +49,7 @@ def table(factor: float = 1.0) -> AtmosphericTable:
 @pytest.fixture(autouse=True)
 def flat_sun(monkeypatch):
     monkeypatch.setattr(
-        "hyperval.scoreboard.transport.solar.extraterrestrial_irradiance", lambda name, w, d: np.ones(w.size)
+        "hyperval.scoreboard.engines.solar.extraterrestrial_irradiance", lambda name, w, d: np.ones(w.size)
     )
 
 

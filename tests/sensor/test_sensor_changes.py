@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hyperval.sensor.changes import SensorChanges, changed_noise
+from hyperval.sensor.operation import SensorChanges, changed_noise
 from hyperval.sensor.specification import load_sensor
 
 NAMES = ["prospectir-vs", "emit"]  # one by its parts, one by its measured noise

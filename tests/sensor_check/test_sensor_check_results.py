@@ -10,11 +10,16 @@ from hyperval.errors import UsageError
 from hyperval.results import Outcome, Role
 from hyperval.sensor.published import ReferenceScene
 from hyperval.sensor.specification import load_sensor
-from hyperval.sensor_check.bands import applied_moments, neighbour_ratio, unseen_widths
+from hyperval.sensor_check.bands import (
+    applied_moments,
+    electrons_from_energy,
+    electrons_from_noise,
+    neighbour_ratio,
+    unseen_widths,
+)
+from hyperval.sensor_check.noise import check_published, scene_radiance, sunlit_radiance
 from hyperval.sensor_check.numbers import numbers, scaled
-from hyperval.sensor_check.reference import check_published, scene_radiance, sunlit_radiance
 from hyperval.sensor_check.suite import check_sensor
-from hyperval.sensor_check.throughput import electrons_from_energy, electrons_from_noise
 from hyperval.spectra.axis import SpectralAxis
 from small_campaign import stand_in_atmosphere
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import kurtosis
 
-from hyperval.simulate import fields
-from hyperval.simulate.footprint import pixel_weights
-from hyperval.simulate.layout import lay_out
+from hyperval.simulate import surface
+from hyperval.simulate.layout import lay_out, pixel_weights
 from hyperval.simulate.surface import SurfaceRenderer
 
 SIZE = 96
@@ -95,7 +94,7 @@ def test_an_admixture_moves_the_mean_towards_the_other_surface(make_scene, class
     share = {"host": "grass", "surface": "soil", "mean": 0.3, "sd": 0.15, "correlation_pixels": 3.0}
     cube = rendered(make_scene, classes, {"admixtures": [share]})
     scene = make_scene(**(FIELD | {"mode": "broken", "broken": {"admixtures": [share]}}))
-    field = fields.admixture_share(scene, scene.broken.admixtures[0], 0)
+    field = surface.admixture_share(scene, scene.broken.admixtures[0], 0)
     f = float(field[20:, :76].mean())
     expected = (1 - f) * classes["grass"].mean + f * classes["soil"].mean
     found = grass(cube).mean(axis=(0, 1))
@@ -112,7 +111,7 @@ def test_broken_reflectance_stays_between_0_and_1(make_scene, classes):
 
 @pytest.mark.parametrize("length", [4.0, 10.0])
 def test_a_field_has_the_asked_correlation(length):
-    field = fields.correlated_field((600, 600), length, np.random.default_rng(8)).astype(float)
+    field = surface.correlated_field((600, 600), length, np.random.default_rng(8)).astype(float)
     assert field.mean() == pytest.approx(0.0, abs=1e-5)
     assert field.std() == pytest.approx(1.0, abs=1e-5)
     lag = int(length)
@@ -126,7 +125,7 @@ def test_admixture_shares_have_the_moments_asked_for(make_scene):
     ground = [{"surface": "grass", "lines": [0, 400], "samples": [0, 400]}]
     size = {"lines": 400, "samples": 400, "layout": ground}
     scene = make_scene(**(FIELD | size | {"mode": "broken", "broken": {"admixtures": [wish]}}))
-    share = fields.admixture_share(scene, scene.broken.admixtures[0], 0).astype(float)
+    share = surface.admixture_share(scene, scene.broken.admixtures[0], 0).astype(float)
     assert 0.0 <= share.min() < share.max() <= 1.0
     assert share.mean() == pytest.approx(0.1, abs=5 * 0.07 / 400)
     assert share.std() == pytest.approx(0.07, rel=0.02)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hyperval.study.knees import knee
+from hyperval.study.summary import knee
 
 
 def test_exponential_saturation_by_hand():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.study.store import Store
+from hyperval.study.tables import Store
 
 
 def test_rows_come_back_with_their_reasons(tmp_path):

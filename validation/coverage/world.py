@@ -15,9 +15,9 @@ from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class
-from hyperval.simulate.fields import correlated_field
 from hyperval.simulate.inputs import SensorNumbers, sensor_numbers
 from hyperval.simulate.radiometry import Detector
+from hyperval.simulate.surface import correlated_field
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 

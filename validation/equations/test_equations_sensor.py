@@ -15,8 +15,8 @@ from hyperval.sensor.noise import (
     quantisation_variance,
     shot_variance,
     signal_to_noise,
+    with_signal,
 )
-from hyperval.sensor.recorded import with_signal
 from hyperval.sensor.response import (
     ELECTRONS_PER_UNIT,
     aperture_throughput,

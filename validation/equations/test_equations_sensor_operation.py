@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hyperval.scene.fill import TargetGeometry, pixel_fills
-from hyperval.sensor.mtf import modulation_transfer, mtf_at_nyquist, psf_fwhm_from_mtf
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.operation import SensorOperation, averaged_noise, binned_axis, binned_noise
+from hyperval.sensor.response import modulation_transfer, mtf_at_nyquist, psf_fwhm_from_mtf
 from hyperval.spectra.axis import SpectralAxis
 
 

@@ -18,7 +18,7 @@ from hyperval.baseline.store import (
     write_baseline,
 )
 from hyperval.errors import UsageError
-from hyperval.sensor_check.reference import Engine
+from hyperval.sensor_check.noise import Engine
 
 
 @dataclass(frozen=True)

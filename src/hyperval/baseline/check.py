@@ -16,7 +16,7 @@ from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.outputs import campaign_folders
 from hyperval.report.tables import junit_xml
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
-from hyperval.sensor_check.reference import Engine
+from hyperval.sensor_check.noise import Engine
 
 RUNS = "runs"
 

@@ -22,7 +22,7 @@ from hyperval.progress import track
 from hyperval.report.stored import read_run
 from hyperval.results import Outcome
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
-from hyperval.sensor_check.reference import Engine
+from hyperval.sensor_check.noise import Engine
 
 ALL = "all"
 

@@ -17,8 +17,7 @@ from hyperval.results import Outcome
 from hyperval.scenario import builtin_scenarios, load_scenario
 from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
 from hyperval.sensor.specification import Sensor
-from hyperval.sensor_check.noise import summary_regions
-from hyperval.sensor_check.reference import LEVELS, MIDDLE, Engine, sunlit_radiance
+from hyperval.sensor_check.noise import LEVELS, MIDDLE, Engine, summary_regions, sunlit_radiance
 from hyperval.sensor_check.scenarios import FALSE_ALARM
 from hyperval.spectra.axis import SpectralAxis
 

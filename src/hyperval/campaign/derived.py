@@ -9,10 +9,9 @@ from pathlib import Path
 from hyperval.collection import Classification, Detection
 from hyperval.observe import Observed
 from hyperval.observe.classification import class_sets
-from hyperval.prediction.classification import predicted_classification
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.inputs import Sources
-from hyperval.prediction.unmixing import predicted_areas
+from hyperval.prediction.unmixing import predicted_areas, predicted_classification
 from hyperval.products import Abundance, Observation, Prediction
 from hyperval.scenario import Scenario
 

@@ -24,7 +24,7 @@ def benchmark(
     ] = None,
 ) -> int:
     """Rank all detectors, and score all engines and formulations, on every campaign."""
-    from hyperval.scoreboard.run import benchmark as run
+    from hyperval.scoreboard.one import benchmark as run
 
     code = run(
         campaigns,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hyperval.metrics.metric import Kind, Metric, Move, of_unit, of_value
 
 _BANDS = "sensor_check.bands.check_bands"
-_THROUGHPUT = "sensor_check.throughput.check_throughput"
+_THROUGHPUT = "sensor_check.bands.check_throughput"
 _NOISE = "sensor_check.noise.check_noise"
 _SCENARIO = "sensor_check.scenarios.run_scenarios"
 _NUMBERS = "baseline.sensors.sensor_metrics"
@@ -103,7 +103,7 @@ METRICS = (
     _exact("lowest_relative_growth_of_snr", "least growth of the ratio as an input grows", _NOISE,
            formula="min SNR(x_2) / SNR(x_1) - 1"),
     _exact("computed_over_published", "computed over published signal-to-noise ratio",
-           "sensor_check.reference.check_published", formula="SNR / SNR_published"),
+           "sensor_check.noise.check_published", formula="SNR / SNR_published"),
     _exact("values_not_positive", "radiances or ratios that are not positive", _SCENARIO,
            formula="count [not x > 0]"),
     _exact("highest_snr_over_cap_of_c_r", "greatest ratio over its cap by calibration", _SCENARIO,

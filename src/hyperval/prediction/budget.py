@@ -11,8 +11,7 @@ from hyperval.atmosphere import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.prediction.cases import Origins
 from hyperval.prediction.departure import Departure, StatisticsDeparture
-from hyperval.prediction.field_spectra import spectrum_error_sd
-from hyperval.prediction.forms import covariance_directions
+from hyperval.prediction.forms import covariance_directions, spectrum_error_sd
 from hyperval.prediction.input import Input, Kind, number_input, spectral_input
 from hyperval.prediction.input_paths import Given, input_path
 from hyperval.prediction.setup import Setup

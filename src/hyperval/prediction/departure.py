@@ -19,8 +19,7 @@ from hyperval.errors import UsageError
 from hyperval.prediction.fills import fill_distribution
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.scenario import Fill, Geometry, Scenario
-from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.recorded import recorded_noise
+from hyperval.sensor.noise import NoiseModel, recorded_noise
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
 

@@ -24,8 +24,7 @@ from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.products import ObjectScores
 from hyperval.scenario import Target, TargetSubject
 from hyperval.scenario_uncertainty import Uncertainty
-from hyperval.scene.fill import PHASES, TargetGeometry
-from hyperval.scene.neighbour_fill import Neighbour, shared_pixel_fills
+from hyperval.scene.fill import PHASES, Neighbour, TargetGeometry, shared_pixel_fills
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from hyperval.prediction.fills import geometry_of, pixels_of_object
 from hyperval.prediction.object_scores import neighbours_of, placed_beside
 from hyperval.scenario import Target, TargetSubject
-from hyperval.scene.fill import PHASES
-from hyperval.scene.neighbour_fill import shared_pixel_fills
+from hyperval.scene.fill import PHASES, shared_pixel_fills
 
 Array = npt.NDArray[np.float64]
 

@@ -1,22 +1,26 @@
-"""Predicted area of targets by unmixing: pixels drawn from the statistics, unmixed as those of the image are."""
+"""Predicted areas by unmixing, and predicted errors of a Gaussian maximum-likelihood classifier."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure, true_scenario
 from hyperval.prediction.fills import fills_of_objects
 from hyperval.prediction.inputs import Sources, correlation, cut
+from hyperval.processing.class_features import class_features, feature_bands
 from hyperval.processing.filters import PositiveDefinite
-from hyperval.processing.gaussian_classifier import ClassLaw
+from hyperval.processing.gaussian_classifier import ClassLaw, predicted_error
 from hyperval.processing.unmixing import fully_constrained
-from hyperval.products import Abundance, Prediction
+from hyperval.products import Abundance, ClassificationError, Prediction
 from hyperval.scenario import Scenario, Target, TargetSubject
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
 
@@ -156,3 +160,58 @@ def _full_rank(covariance: Array) -> Array:
     """With a spread in every direction, too small to be seen, so that it has a Cholesky factor."""
     mean = float(np.trace(covariance)) / covariance.shape[0]
     return np.asarray(covariance + max(_SMALLEST * mean, 1e-18) * np.eye(covariance.shape[0]))
+
+
+class FeatureChoice(Protocol):
+    """Bands or components under a name."""
+
+    @property
+    def name(self) -> str:
+        """Stands in the table as the method."""
+
+    @property
+    def bands_nm(self) -> Sequence[float]:
+        """Wavelengths of the bands; empty: all."""
+
+    @property
+    def pca(self) -> int | None:
+        """Principal components; None: bands."""
+
+
+def predicted_classification(
+    prediction: Prediction,
+    sets: Sequence[Sequence[str]],
+    features: Sequence[FeatureChoice],
+    quantity: str,
+    seed: int = 0,
+) -> dict[tuple[str, str], ClassificationError]:
+    """Errors by (classes, features), for pixels as the prediction says they are, tails included.
+
+    The classifier is the same in radiance and in reflectance, as a line through each band leaves it as it is;
+    ``quantity`` is that of the image.  Sets with a class that the prediction lacks are left out.
+
+    Raises
+    ------
+    UsageError : a class without spread, which a Gaussian classifier cannot take.
+    """
+    axis = prediction.axis
+    spectra = getattr(prediction, quantity)
+    usable = in_window(axis.centre_nm) & axis.good
+    out = {}
+    for chosen in sets:
+        if not all(name in spectra for name in chosen):
+            continue
+        for choice in features:
+            bands = feature_bands(axis.centre_nm, usable, choice.bands_nm)
+            laws = []
+            for name in chosen:
+                estimate = spectra[name]
+                if estimate.pixel_covariance is None or not np.all(np.diag(estimate.pixel_covariance)[bands] > 0):
+                    raise UsageError(f"classification: the prediction of {name!r} has no spread in some band")
+                known = prediction.distribution.get(name)
+                tail = np.inf if known is None else known.tail_dof
+                laws.append(ClassLaw(estimate.mean[bands], cut(estimate.pixel_covariance, bands), tail))
+            psi = class_features(laws, choice.pca)
+            rng = np.random.default_rng([seed, bands.size])
+            out[" / ".join(chosen), choice.name] = predicted_error([law.project(psi) for law in laws], rng)
+    return out

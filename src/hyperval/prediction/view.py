@@ -26,8 +26,7 @@ from hyperval.scene.radiance import (
     mean_radiance,
     radiance_covariance,
 )
-from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.recorded import RecordedNoise
+from hyperval.sensor.noise import NoiseModel, RecordedNoise
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

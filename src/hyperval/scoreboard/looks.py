@@ -21,9 +21,16 @@ from hyperval.processing.objects import object_scores
 from hyperval.progress import track
 from hyperval.results import Cause, Result
 from hyperval.scenario import Scenario
-from hyperval.scoreboard.measures import MEASURES, Measure
-from hyperval.scoreboard.ranks import Ranked, fewest_objects, ranked
-from hyperval.scoreboard.shares import BlockCounts, blocks_of, counts_by_block
+from hyperval.scoreboard.ranks import (
+    MEASURES,
+    BlockCounts,
+    Measure,
+    Ranked,
+    blocks_of,
+    counts_by_block,
+    fewest_objects,
+    ranked,
+)
 from hyperval.settings import with_settings
 
 Array = npt.NDArray[np.float64]

@@ -1,19 +1,203 @@
-"""Ranks of detectors on one set of objects, with what is known of them."""
+"""Shares of background above each target, what a detector is ranked by, and ranks with their sets.
+
+All detectors see the same pixels, so blocks of the background and objects are resampled for all of them at once.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
+from hyperval.processing.alarm_blocks import block_side
 from hyperval.processing.intervals import zero_count_upper_limit
-from hyperval.processing.roc_areas import interval_of_mean
-from hyperval.scoreboard.measures import Measure, goodness, mean_of, measured, pfa_at_detection
-from hyperval.scoreboard.shares import BlockCounts
+from hyperval.processing.roc_areas import AREAS, LEAST_EXPECTED_ALARMS, interval_of_mean
 
 Array = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class BlockCounts:
+    """Background pixels above and level with each object's score, block by block.
+
+    P looks (an object through the filter of one target spectrum), D detectors, K blocks.
+
+    Attributes
+    ----------
+    detectors : names, in the order of the second dimension
+    over, tie : (P, D, K) background pixels above the object's score, and equal to it
+    pixels : (K,) background pixels of each block
+    item : (P,) number of the object on the ground that is looked at
+    group : name -> looks of a subject or of a pool
+    density_km2 : background pixels on a square kilometre; NaN when the ground area is not known
+    """
+
+    detectors: tuple[str, ...]
+    over: Counts
+    tie: Counts
+    pixels: Counts
+    item: npt.NDArray[np.intp]
+    group: Mapping[str, Sequence[int]]
+    density_km2: float = float("nan")
+
+    @property
+    def n(self) -> int:
+        """Background pixels."""
+        return int(self.pixels.sum())
+
+    @property
+    def orders(self) -> list[int]:
+        """(D,) number of the order in which each detector puts the pixels; those that order alike share it.
+
+        Told by the counts of every look: two detectors that agree in all blocks about all objects.
+        """
+        seen: dict[bytes, int] = {}
+        columns = [self.over[:, d].tobytes() + self.tie[:, d].tobytes() for d in range(len(self.detectors))]
+        return [seen.setdefault(column, len(seen)) for column in columns]
+
+    def shares(self, weights: Array | None = None) -> tuple[Array, Array]:
+        """Share of the background above each look's score and level with it, each (P, D) or (P, D, R).
+
+        Parameters
+        ----------
+        weights : (K, R) how often each block is drawn; None: once
+        """
+        if weights is None:
+            return self.over.sum(axis=2) / self.n, self.tie.sum(axis=2) / self.n
+        total = self.pixels @ weights
+        flat = (-1, self.pixels.size)
+        shape = (*self.over.shape[:2], weights.shape[1])
+        return (
+            (self.over.reshape(flat) @ weights / total).reshape(shape),
+            (self.tie.reshape(flat) @ weights / total).reshape(shape),
+        )
+
+
+def blocks_of(counted: Mask) -> npt.NDArray[np.intp]:
+    """(n,) number of the square block, of about 64, that holds each counted pixel, in the order of the image."""
+    lines, samples = np.nonzero(counted)
+    side = block_side(lines.size)
+    cell = lines // side * (counted.shape[1] // side + 1) + samples // side
+    return np.asarray(np.unique(cell, return_inverse=True)[1], dtype=np.intp)
+
+
+def counts_by_block(
+    scores: Array, background: Array, block: npt.NDArray[np.intp], blocks: int
+) -> tuple[Counts, Counts]:
+    """(P, K) background scores above, and equal to, each of the scores (P,), in each block.
+
+    Parameters
+    ----------
+    background, block : (n,) scores and the number of the block of each
+    """
+    value, place = np.unique(scores, return_inverse=True)
+    # A background score b lies above value[k] for k < left, on value[left] where it is equal.
+    left = np.searchsorted(value, background, side="left")
+    equal = (left < value.size) & (value[np.minimum(left, value.size - 1)] == background)
+    size = value.size + 1
+    cells = np.bincount(block[~equal] * size + left[~equal], minlength=blocks * size).reshape(blocks, size)
+    ties = np.bincount(block[equal] * size + left[equal], minlength=blocks * size).reshape(blocks, size)[:, :-1]
+    # Above value[k]: what is not tied and has left > k, and ties on the values after k.
+    above = cells[:, ::-1].cumsum(axis=1)[:, ::-1][:, 1:]
+    above[:, :-1] += ties[:, ::-1].cumsum(axis=1)[:, ::-1][:, 1:]
+    return above.T[place], ties.T[place]
+
+
+LOG_AREA = "log_auc@1e-3..1e-1"
+PD_OF_FAR = 0.5
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One metric.
+
+    Attributes
+    ----------
+    name, title : in the table, and on the page
+    of_look : the part each look has in the metric, from (over, tie); the metric is their mean.  None: the quantile
+        of false alarms at P_D = 0.5
+    better : whether more or less of it is better
+    least_pfa : P_FA that the background must resolve for it; 0: any
+    observed : name of the metric in the rows of one observed side
+    """
+
+    name: str
+    title: str
+    of_look: Callable[[Array, Array], Array] | None
+    better: Literal["high", "low"]
+    least_pfa: float
+    observed: str
+
+    def known_from(self, n: int) -> bool:
+        """Whether ``n`` background pixels resolve it (10 expected alarms)."""
+        return self.least_pfa * n >= LEAST_EXPECTED_ALARMS or self.least_pfa == 0.0
+
+
+def detected_at(pfa: float) -> Callable[[Array, Array], Array]:
+    """1 where the object lies above the threshold that lets at most ``pfa`` of the background through."""
+    return lambda over, tie: np.asarray(over + tie <= pfa * (1.0 + 1e-9), dtype=float)
+
+
+MEASURES: Mapping[str, Measure] = {
+    m.name: m
+    for m in (
+        Measure("auc", "AUC", AREAS["auc"].averaged, "high", 0.0, "auc_measured"),
+        Measure(
+            LOG_AREA, "log-weighted AUC, P_FA 1e-3 to 1e-1", AREAS[LOG_AREA].averaged, "high", 1e-3,
+            "log_auc_measured@1e-3..1e-1",
+        ),
+        Measure("pd@1e-2", "P_D at P_FA 1e-2", detected_at(1e-2), "high", 1e-2, "pd@1e-2"),
+        Measure("pd@1e-3", "P_D at P_FA 1e-3", detected_at(1e-3), "high", 1e-3, "pd@1e-3"),
+        Measure("far@pd0.5", "false alarms per km2 at P_D 0.5", None, "low", 0.0, "far_measured@pd0.5"),
+    )
+}  # fmt: skip
+
+
+def pfa_at_detection(over: Array, tie: Array, weight: Array, pd: float = PD_OF_FAR) -> Array:
+    """(D, R) P_FA at the highest threshold that finds a part ``pd`` of the looks.
+
+    Parameters
+    ----------
+    over, tie : (P, D, R) shares of the background
+    weight : (P, R) how often each look is drawn
+
+    Examples
+    --------
+    >>> over = np.array([[[0.1]], [[0.01]], [[0.2]]])  # share of the background above each of three objects
+    >>> pfa_at_detection(over, np.zeros((3, 1, 1)), np.ones((3, 1))).item()
+    0.1
+    """
+    s = over + tie
+    order = np.argsort(s, axis=0, kind="stable")
+    drawn = np.take_along_axis(np.broadcast_to(weight[:, None, :], s.shape), order, axis=0).cumsum(axis=0)
+    reached = np.argmax(drawn >= pd * drawn[-1] * (1.0 - 1e-9), axis=0)
+    return np.asarray(np.take_along_axis(np.take_along_axis(s, order, axis=0), reached[None], axis=0)[0])
+
+
+def measured(measure: Measure, over: Array, tie: Array, weight: Array) -> Array:
+    """(D, R) the metric in draws of looks and background; of false alarms the P_FA, not yet per km2."""
+    if measure.of_look is None:
+        return pfa_at_detection(over, tie, weight)
+    return mean_of(measure.of_look(over, tie), weight)
+
+
+def mean_of(parts: Array, weight: Array) -> Array:
+    """(D, R) weighted mean over looks of their parts (P, D, R), the weights (P, R)."""
+    return np.asarray(np.einsum("pdr,pr->dr", parts, weight) / weight.sum(axis=0))
+
+
+def goodness(measure: Measure, values: Array, n: int) -> Array:
+    """The metric so that more is better; of P_FA minus its logarithm, no less than half a pixel of ``n``."""
+    if measure.better == "high":
+        return values
+    return np.asarray(-np.log10(np.maximum(values, 0.5 / n)))
+
 
 LEVEL = 0.95
 _CHUNK_VALUES = 4_000_000  # of the largest array of a pass over draws
@@ -104,7 +288,7 @@ def ranked(
 
     Examples
     --------
-    >>> from hyperval.scoreboard.measures import MEASURES
+    >>> from hyperval.scoreboard.ranks import MEASURES
     >>> over = np.tile(np.array([[[0], [30]]]), (9, 1, 1))  # 9 objects, 2 detectors, 1 block of background
     >>> counts = BlockCounts(("a", "b"), over, 0 * over, np.array([100]), np.arange(9), {})
     >>> r = ranked(counts, list(range(9)), MEASURES["auc"], draws=50, rng=np.random.default_rng(0))

@@ -1,12 +1,14 @@
-"""Variants of the model on one collection: engines and formulations, each predicted once and scored."""
+"""Engines and formulations on one collection: each predicted once, how well it agrees, how two differ."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import get_args
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperval.campaign.merge import merged, without_circles
 from hyperval.campaign.one import Collected
@@ -15,13 +17,174 @@ from hyperval.compare.rows import RowMaker
 from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import HypervalError
 from hyperval.predict import predict
+from hyperval.processing.intervals import clopper_pearson
 from hyperval.products import Observation, Prediction
 from hyperval.progress import track
-from hyperval.results import Cause, Result
+from hyperval.results import Cause, Outcome, Result
 from hyperval.scenario import Scenario
-from hyperval.scoreboard import agreement as a
 from hyperval.scoreboard.engines import ENGINES, NotApplicable, Served
 from hyperval.settings import with_settings
+from hyperval.spectra.windows import in_window
+
+Array = npt.NDArray[np.float64]
+Span = tuple[float, float]
+
+LEVELS = ("1e-2", "1e-3")
+BLOCK_NM = 100.0  # bands that are drawn together: their errors are alike
+_NAN: Span = (math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class Spectral:
+    """Difference ratios of one subject in the windows.
+
+    Attributes
+    ----------
+    band_nm, ratio : (b,) band centres [nm] and predicted over collected less 1
+    chi2_reduced : of the full-covariance test; NaN where it could not be made
+    """
+
+    band_nm: Array
+    ratio: Array
+    chi2_reduced: float = math.nan
+
+    @property
+    def blocks(self) -> list[npt.NDArray[np.intp]]:
+        """Indices of the bands of each block of :data:`BLOCK_NM`."""
+        cell = (self.band_nm // BLOCK_NM).astype(int)
+        return [np.flatnonzero(cell == c) for c in np.unique(cell)]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """One variant on one campaign.
+
+    Attributes
+    ----------
+    spectra : quantity -> subject -> :class:`Spectral`
+    inside : level of P_FA -> 1 or 0 for each curve that has a verdict
+    differences : level -> |P_D predicted - measured| of each curve
+    """
+
+    spectra: Mapping[str, Mapping[str, Spectral]] = field(default_factory=dict)
+    inside: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    differences: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+
+def agreement_of(rows: Sequence[Result]) -> Agreement:
+    """What the rows of a comparison say, gathered."""
+    spectra: dict[str, dict[str, Spectral]] = {}
+    for quantity in ("radiance", "reflectance"):
+        by_subject: dict[str, list[Result]] = {}
+        for row in rows:
+            if row.product == quantity:
+                by_subject.setdefault(row.subject, []).append(row)
+        for subject, own in by_subject.items():
+            spectral = _spectral(own)
+            if spectral is not None:
+                spectra.setdefault(quantity, {})[subject] = spectral
+    curves = [r for r in rows if r.product == "roc" and r.outcome is not Outcome.SKIPPED and math.isfinite(r.value)]
+
+    def values(metric: str) -> dict[str, list[float]]:
+        return {x: [r.value for r in curves if r.metric == f"{metric}@{x}"] for x in LEVELS}
+
+    gaps = {x: [abs(v) for v in spectral] for x, spectral in values("pd_difference").items()}
+    return Agreement(spectra, values("pd_inside_interval"), gaps)
+
+
+def _spectral(rows: Sequence[Result]) -> Spectral | None:
+    at = [r for r in rows if r.metric == "difference_ratio" and math.isfinite(r.value) and in_window(r.band_nm)]
+    if not at:
+        return None
+    chi2 = next((r.value for r in rows if r.metric == "chi2_reduced_full"), math.nan)
+    return Spectral(np.array([r.band_nm for r in at]), np.array([r.value for r in at]), chi2)
+
+
+def median_abs(spectra: Mapping[str, Spectral]) -> float:
+    """Median |difference ratio| over the bands in windows of all subjects, each subject counted alike.
+
+    Examples
+    --------
+    >>> median_abs({"lawn": Spectral(np.array([500.0, 600.0]), np.array([-0.1, 0.3]))})
+    0.2
+    """
+    return float(np.median([float(np.median(np.abs(s.ratio))) for s in spectra.values()]))
+
+
+def median_abs_draws(variants: Sequence[Mapping[str, Spectral]], *, draws: int, rng: np.random.Generator) -> Array:
+    """(V, draws) :func:`median_abs` of variants in the same resamples of subjects and blocks of bands.
+
+    Subjects are drawn anew, then blocks of 100 nm within each: bands near each other err alike.  The spread says
+    how far the figure hangs on which subjects and bands were looked at.
+    """
+    names = [n for n in variants[0] if all(n in v for v in variants)]
+    out = np.empty((len(variants), draws))
+    blocks = {n: variants[0][n].blocks for n in names}
+    for i in range(draws):
+        parts = []
+        for k in rng.integers(len(names), size=len(names)):
+            own = blocks[names[k]]
+            bands = np.concatenate([own[j] for j in rng.integers(len(own), size=len(own))])
+            parts.append([float(np.median(np.abs(v[names[k]].ratio[bands]))) for v in variants])
+        out[:, i] = np.median(np.array(parts), axis=0)
+    return out
+
+
+def interval(draws: Array, value: float) -> Span:
+    """95 % percentiles of the draws, the value itself inside."""
+    low, high = (float(x) for x in np.quantile(draws, [0.025, 0.975]))
+    return min(low, value), max(high, value)
+
+
+def median_chi2(
+    spectra: Mapping[str, Spectral], *, draws: int, rng: np.random.Generator
+) -> tuple[float, Span, int]:
+    """Median over subjects of the reduced chi-square, with the percentiles of a bootstrap over them.
+
+    The median, as one subject whose budget leaves out a direction may give a thousand times the others'.
+
+    Examples
+    --------
+    >>> spectra = {"lawn": Spectral(np.array([500.0]), np.array([0.1]), 1.4)}
+    >>> median_chi2(spectra, draws=100, rng=np.random.default_rng(0))[0]
+    1.4
+    """
+    values = np.array([s.chi2_reduced for s in spectra.values() if math.isfinite(s.chi2_reduced)])
+    if values.size == 0:
+        return math.nan, _NAN, 0
+    middle = float(np.median(values))
+    if values.size == 1:
+        return middle, _NAN, 1
+    drawn = np.median(values[rng.integers(values.size, size=(draws, values.size))], axis=1)
+    return middle, interval(drawn, middle), int(values.size)
+
+
+def inside_share(inside: Sequence[float]) -> tuple[float, Span, int]:
+    """Share of curves with the predicted P_D inside the interval, with its Clopper-Pearson interval."""
+    n = len(inside)
+    if n == 0:
+        return math.nan, _NAN, 0
+    low, high = clopper_pearson(int(sum(inside)), n)
+    return sum(inside) / n, (float(low), float(high)), n
+
+
+def mean_gap(gaps: Sequence[float], *, draws: int, rng: np.random.Generator) -> tuple[float, Span, int]:
+    """Mean |P_D difference| over curves, with the percentiles of a bootstrap over them.
+
+    Examples
+    --------
+    >>> mean_gap([0.1, 0.3], draws=100, rng=np.random.default_rng(0))[0]
+    0.2
+    """
+    values = np.asarray(gaps, dtype=float)
+    if values.size == 0:
+        return math.nan, _NAN, 0
+    mean = float(values.mean())
+    if values.size == 1:
+        return mean, _NAN, 1
+    drawn = values[rng.integers(values.size, size=(draws, values.size))].mean(axis=1)
+    return mean, interval(drawn, mean), int(values.size)
+
 
 FORMULATIONS: tuple[str, ...] = get_args(Scenario.model_fields["formulation"].annotation)
 DRAWS = 1000
@@ -78,7 +241,7 @@ def variant_rows(
     campaign: str, collection: Collected, *, seed: int, show_progress: bool | None = None
 ) -> tuple[list[Result], list[Prediction]]:
     """Rows of every variant, and the predictions behind them for the provenance."""
-    agreements: list[tuple[Variant, a.Agreement | None]] = []
+    agreements: list[tuple[Variant, Agreement | None]] = []
     predictions: list[Prediction] = []
     for variant in track(variants_of(collection), f"{campaign}: variants", show=show_progress):
         if variant.reason:
@@ -97,7 +260,7 @@ def variant_rows(
         predictions += sides
         whole = without_circles(merged(sides), [s.scenario for s in variant.served])
         agreements.append(
-            (variant, a.agreement_of(_compared(whole, collection.observed.observation, campaign, variant.label)))
+            (variant, agreement_of(_compared(whole, collection.observed.observation, campaign, variant.label)))
         )
     base = next(x for v, x in agreements if v.own)
     assert base is not None  # noqa: S101 - what the campaign itself says was predicted or has raised
@@ -129,7 +292,7 @@ def _compared(predicted: Prediction, observed: Observation, campaign: str, label
     return rows
 
 
-def _rows(campaign: str, variant: Variant, score: a.Agreement | None, base: a.Agreement, seed: int) -> list[Result]:
+def _rows(campaign: str, variant: Variant, score: Agreement | None, base: Agreement, seed: int) -> list[Result]:
     make = RowMaker(campaign, PRODUCT, EVERY_SUBJECT, variant.label)
     if score is None:
         return [make.skipped(Cause.REFUSED, variant.reason, "agreement")]
@@ -139,12 +302,12 @@ def _rows(campaign: str, variant: Variant, score: a.Agreement | None, base: a.Ag
         rows += _spectral_rows(make, quantity, spectra, seed, words)
         if not variant.own:
             rows += _change_rows(make, quantity, spectra, base.spectra.get(quantity, {}), seed)
-    for level in a.LEVELS:
-        share, span, n = a.inside_share(score.inside[level])
+    for level in LEVELS:
+        share, span, n = inside_share(score.inside[level])
         if n:
             why = "curves by pixel of the campaign's own detectors; the interval takes them for independent"
             rows.append(make.row(f"pd_inside_interval@{level}", share, interval=span, n=n, reason=why))
-        gap, span, n = a.mean_gap(score.differences[level], draws=DRAWS, rng=np.random.default_rng(seed))
+        gap, span, n = mean_gap(score.differences[level], draws=DRAWS, rng=np.random.default_rng(seed))
         if n:
             why = "mean over curves by pixel; interval by drawing curves anew"
             rows.append(make.row(f"pd_mean_abs_difference@{level}", gap, interval=span, n=n, reason=why))
@@ -154,41 +317,41 @@ def _rows(campaign: str, variant: Variant, score: a.Agreement | None, base: a.Ag
 
 
 def _spectral_rows(
-    make: RowMaker, quantity: str, spectra: Mapping[str, a.Spectral], seed: int, words: str
+    make: RowMaker, quantity: str, spectra: Mapping[str, Spectral], seed: int, words: str
 ) -> list[Result]:
     """``radiance_median_abs_difference_ratio`` and the like: all subjects, each subject, and the chi-square."""
     metric = f"{quantity}_median_abs_difference_ratio"
     why = "windows; median over subjects of the median over bands; interval by drawing subjects and blocks of "
-    why += f"{a.BLOCK_NM:g} nm anew" + (f"; {words}" if words else "")
+    why += f"{BLOCK_NM:g} nm anew" + (f"; {words}" if words else "")
     value, span = _median(spectra, seed)
     rows = [make.row(metric, value, interval=span, n=len(spectra), reason=why)]
     for name, one in spectra.items():
         value, span = _median({name: one}, seed)
         rows.append(replace(make, subject=name).row(metric, value, interval=span, n=one.ratio.size))
-    chi2, span, n = a.median_chi2(spectra, draws=DRAWS, rng=np.random.default_rng(seed))
+    chi2, span, n = median_chi2(spectra, draws=DRAWS, rng=np.random.default_rng(seed))
     if n:
         why = "full covariance; median over subjects, interval by drawing subjects anew; 1 where the budget holds"
         rows.append(make.row(f"{quantity}_chi2_reduced", chi2, interval=span, n=n, reason=why))
     return rows
 
 
-def _median(spectra: Mapping[str, a.Spectral], seed: int) -> tuple[float, a.Span]:
-    value = a.median_abs(spectra)
-    drawn = a.median_abs_draws([spectra], draws=DRAWS, rng=np.random.default_rng(seed))[0]
-    return value, a.interval(drawn, value)
+def _median(spectra: Mapping[str, Spectral], seed: int) -> tuple[float, Span]:
+    value = median_abs(spectra)
+    drawn = median_abs_draws([spectra], draws=DRAWS, rng=np.random.default_rng(seed))[0]
+    return value, interval(drawn, value)
 
 
 def _change_rows(
-    make: RowMaker, quantity: str, spectra: Mapping[str, a.Spectral], base: Mapping[str, a.Spectral], seed: int
+    make: RowMaker, quantity: str, spectra: Mapping[str, Spectral], base: Mapping[str, Spectral], seed: int
 ) -> list[Result]:
     """The median less that of the campaign as it stands, on the subjects and bands that both have."""
     common = [n for n, s in base.items() if n in spectra and np.array_equal(s.band_nm, spectra[n].band_nm)]
     if not common:
         return []
     pair = [{n: side[n] for n in common} for side in (spectra, base)]
-    drawn = a.median_abs_draws(pair, draws=DRAWS, rng=np.random.default_rng(seed))
-    change = a.median_abs(pair[0]) - a.median_abs(pair[1])
+    drawn = median_abs_draws(pair, draws=DRAWS, rng=np.random.default_rng(seed))
+    change = median_abs(pair[0]) - median_abs(pair[1])
     why = "less the same of the campaign as it stands, in the same draws; below 0 it predicts better"
-    span = a.interval(drawn[0] - drawn[1], change)
+    span = interval(drawn[0] - drawn[1], change)
     metric = f"{quantity}_median_abs_difference_ratio_change"
     return [make.row(metric, change, interval=span, n=len(common), reason=why)]

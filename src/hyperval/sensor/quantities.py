@@ -9,8 +9,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from hyperval.config import Model
-from hyperval.sensor.mtf import psf_fwhm_from_mtf
-from hyperval.sensor.response import aperture_throughput, f_number_throughput
+from hyperval.sensor.response import aperture_throughput, f_number_throughput, psf_fwhm_from_mtf
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]

@@ -16,7 +16,7 @@ from hyperval.products import Prediction
 from hyperval.report import style
 from hyperval.report.style import Drawing
 from hyperval.sensor_check.bands import neighbour_ratio
-from hyperval.sensor_check.reference import LEVELS, MIDDLE, TOLERANCE, SnrPoint, sunlit_radiance
+from hyperval.sensor_check.noise import LEVELS, MIDDLE, TOLERANCE, SnrPoint, sunlit_radiance
 from hyperval.sensor_check.sensitivity import Probe, Swing
 from hyperval.sensor_check.suite import SensorCheck
 from hyperval.spectra.axis import SpectralAxis

@@ -21,8 +21,8 @@ from hyperval.report.tables import json_value
 from hyperval.results import Outcome, Result
 from hyperval.sensor.specification import Sensor, library_names
 from hyperval.sensor_check.figures import draw_datasheet
+from hyperval.sensor_check.noise import Engine
 from hyperval.sensor_check.numbers import numbers
-from hyperval.sensor_check.reference import Engine
 from hyperval.sensor_check.suite import SensorCheck, check_sensor
 
 SECTIONS = {

@@ -15,7 +15,7 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import Sensor
 from hyperval.sensor_check.ledger import Ledger
-from hyperval.sensor_check.reference import Engine
+from hyperval.sensor_check.noise import Engine
 from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]

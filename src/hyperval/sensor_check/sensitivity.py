@@ -14,8 +14,8 @@ from hyperval.progress import track
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import Sensor
 from hyperval.sensor_check.ledger import Ledger
+from hyperval.sensor_check.noise import MIDDLE, Engine, sunlit_radiance
 from hyperval.sensor_check.numbers import Number, numbers, scaled
-from hyperval.sensor_check.reference import MIDDLE, Engine, sunlit_radiance
 from hyperval.sensor_check.scenarios import FALSE_ALARM, standard_scenario
 from hyperval.spectra.windows import in_window
 

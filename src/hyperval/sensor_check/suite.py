@@ -9,13 +9,11 @@ from pathlib import Path
 from hyperval.products import Prediction
 from hyperval.results import ResultTable
 from hyperval.sensor.specification import Sensor, load_sensor
-from hyperval.sensor_check.bands import check_bands
+from hyperval.sensor_check.bands import check_bands, check_throughput
 from hyperval.sensor_check.ledger import Ledger
-from hyperval.sensor_check.noise import check_noise
-from hyperval.sensor_check.reference import Engine, SnrPoint, check_published
+from hyperval.sensor_check.noise import Engine, SnrPoint, check_noise, check_published
 from hyperval.sensor_check.scenarios import run_scenarios
 from hyperval.sensor_check.sensitivity import Probe, Swing, sensitivities
-from hyperval.sensor_check.throughput import check_throughput
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,8 @@ from hyperval.prediction.filters import Designer
 from hyperval.prediction.setup import Setup
 from hyperval.prediction.view import View, on_arrays, stacked_noise
 from hyperval.scenario import Adjacency, Fill, Scenario, TargetSubject
-from hyperval.sensor.changes import SensorChanges, changed_noise
 from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.operation import SensorOperation, binned_noise
+from hyperval.sensor.operation import SensorChanges, SensorOperation, binned_noise, changed_noise
 from hyperval.settings import path_parts
 
 PFA = "pfa"  # reserved: the false-alarm probability at which P_D is read, no entry of a scenario

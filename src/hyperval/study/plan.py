@@ -15,10 +15,9 @@ from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
-from hyperval.study.atmosphere import few_states
 from hyperval.study.columns import PFA, lever_of
 from hyperval.study.design import Column, Points, listed, moved
-from hyperval.study.evaluate import Evaluator, Sky, engine_on, make_ready
+from hyperval.study.evaluate import Evaluator, Sky, engine_on, few_states, make_ready
 from hyperval.study.metrics import check_outputs
 from hyperval.study.schema import Input, Move, Required, Study
 

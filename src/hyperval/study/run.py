@@ -28,9 +28,8 @@ from hyperval.study.plan import Plan, plan_study
 from hyperval.study.plots import draw
 from hyperval.study.required import answers
 from hyperval.study.schema import load_study
-from hyperval.study.store import Store
 from hyperval.study.summary import knees_of, result_rows
-from hyperval.study.tables import Field, StudyTable, input_fields, write_tables
+from hyperval.study.tables import Field, Store, StudyTable, input_fields, write_tables
 
 Array = npt.NDArray[np.float64]
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64

@@ -1,4 +1,4 @@
-"""All that a run compares as one vector: observed minus predicted, and how well the data know each entry.
+"""What is explained: the quantities that are compared, as one vector of residuals with its covariance.
 
 Radiance of every subject in the windows of the atmosphere (reflectance where there is none), SNR, moments of the
 scores, and the false-alarm rate at measured thresholds.  P_D is left out: it follows from the scores, and would
@@ -14,8 +14,75 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
+from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Products, RocCurve, ScoreDistribution, SpectralEstimate, background_of
 from hyperval.spectra.windows import in_window
+
+POINTS = (1e-2, 1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """One number of both sides.
+
+    Attributes
+    ----------
+    product, subject, method, metric : as in the results table
+    observed : what the collection says
+    read : the same of a prediction
+    """
+
+    product: str
+    subject: str
+    method: str
+    metric: str
+    observed: float
+    read: Callable[[Products], float]
+
+
+def quantities(predicted: Products, observed: Products) -> list[Quantity]:
+    """Predicted over observed mean in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3."""
+    items: list[Quantity] = []
+    for product in ("radiance", "reflectance", "snr", "toa_reflectance"):
+        left, right = getattr(predicted, product), getattr(observed, product)
+        for subject in right:
+            if subject not in left:
+                continue
+            use = observed.axis.good & in_window(observed.axis.centre_nm)
+            use &= np.isfinite(left[subject].mean) & np.isfinite(right[subject].mean)
+            if not use.any():
+                continue
+
+            level = float(np.mean(right[subject].mean[use]))
+            if not level > 0:
+                continue
+
+            def ratio(
+                p: Products,
+                product: str = product,
+                subject: str = subject,
+                use: npt.NDArray[np.bool_] = use,
+                level: float = level,
+            ) -> float:
+                estimate: SpectralEstimate = getattr(p, product)[subject]
+                return float(np.mean(estimate.mean[use])) / level
+
+            items.append(Quantity(product, subject, "", "ratio_windows", 1.0, ratio))
+    for key, curve in observed.roc.items():
+        there = predicted.roc.get(key)
+        if there is None or key[2] != "pixel":
+            continue
+        for pfa in POINTS:
+            if pfa < max(curve.pfa[0], there.pfa[0]):
+                continue
+
+            def pd(p: Products, key: tuple[str, str, str] = key, at: float = pfa) -> float:
+                return float(detection_at(p.roc[key], at))
+
+            name = f"pd@{pfa:.0e}".replace("e-0", "e-")
+            items.append(Quantity("roc", key[0], f"{key[1]}/{key[2]}", name, pd(observed), pd))
+    return items
+
 
 Array = npt.NDArray[np.float64]
 

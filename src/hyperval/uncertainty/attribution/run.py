@@ -14,7 +14,6 @@ from hyperval.prediction.departure import Departure, combined
 from hyperval.prediction.input import Input
 from hyperval.products import Products, background_of
 from hyperval.progress import track
-from hyperval.uncertainty.attribution.quantities import Quantity, quantities
 from hyperval.uncertainty.attribution.ranking import (
     Candidate,
     Ranking,
@@ -23,7 +22,7 @@ from hyperval.uncertainty.attribution.ranking import (
     groups_of,
     ranking,
 )
-from hyperval.uncertainty.attribution.residuals import Stack, stacked
+from hyperval.uncertainty.attribution.residuals import Quantity, Stack, quantities, stacked
 from hyperval.uncertainty.attribution.schema import AttributionOptions
 from hyperval.uncertainty.attribution.sensitivity import Indices, quadratic_design, sensitivity_indices
 from hyperval.uncertainty.attribution.what_ifs import Model, Outcome, Truth, run_what_ifs

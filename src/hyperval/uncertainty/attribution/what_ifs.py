@@ -19,9 +19,8 @@ from hyperval.products import Products, background_of
 from hyperval.progress import track
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.uncertainty.attribution.quantities import Quantity
 from hyperval.uncertainty.attribution.ranking import Whitened
-from hyperval.uncertainty.attribution.residuals import Stack, stacked
+from hyperval.uncertainty.attribution.residuals import Quantity, Stack, stacked
 from hyperval.uncertainty.attribution.schema import WhatIf
 
 Array = npt.NDArray[np.float64]
