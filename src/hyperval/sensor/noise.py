@@ -251,7 +251,7 @@ def recorded_noise(
 
 
 def with_signal(noise: NoiseModel, factor: float | Array) -> NoiseModel:
-    """The noise with ``factor`` (scalar or (B,)) on the electrons per radiance; the well stays as large as it is.
+    """The noise with ``factor`` (scalar or (B,)) on the electrons per radiance (3.13); the well stays as it is.
 
     Measured noise |a sqrt(b + L) + c| follows from g = 1/a^2 electrons per radiance and b g electrons^2 of
     fixed noise.
