@@ -13,6 +13,7 @@ from scipy.special import ndtr
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.scene.builtin import _SURFACES, builtin_class
 from hyperval.scene.fill import (
+    Neighbour,
     TargetGeometry,
     beta_fill,
     fixed_fill,
@@ -20,6 +21,7 @@ from hyperval.scene.fill import (
     object_fills,
     pixel_fills,
     ranked_pixel_fill,
+    shared_pixel_fills,
     touched_counts,
     touched_pixel_fill,
 )
@@ -281,3 +283,12 @@ def test_3_10_pixels_that_a_target_touches_are_as_many_as_steiner_says(length, w
     assert touched.values.max() == pytest.approx(best.values.max())
     assert touched.mean < best.mean
     assert touched.mean * np.mean(touched_counts(anyhow)) < length * width
+
+
+def test_3_10_two_targets_share_a_pixel():
+    # Two squares of one pixel side by side are a strip of two by one, whose fill is the sum of theirs.
+    square = TargetGeometry(1.0, 1.0, 1.0, 0.0, 0.8, "centred")
+    own, others = shared_pixel_fills(square, 9, [Neighbour(square, (0.0, 1.0))])
+    strip = pixel_fills(TargetGeometry(1.0, 2.0, 1.0, 0.0, 0.8), [[0.5, 0.0]], [0.0])[0]
+    assert np.max(own + others[..., 0]) == pytest.approx(np.max(strip), abs=2e-4)
+    assert own[0, 0] == pytest.approx(np.max(pixel_fills(square, [[0.0, 0.0]], [0.0])), abs=2e-4)

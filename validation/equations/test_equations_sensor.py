@@ -13,6 +13,7 @@ from hyperval.sensor.noise import (
     detector_variance,
     measured_noise_variance,
     quantisation_variance,
+    recorded_noise,
     shot_variance,
     signal_to_noise,
     with_signal,
@@ -151,6 +152,14 @@ def test_3_13_more_signal_by_hand():
     measured = (np.array([0.02]), np.array([3.0]), np.zeros(1))
     found = with_signal(physical(measured=measured), 2.0).measured
     assert measured_noise_variance([5.0], *found) == pytest.approx([0.0004 * (5 / 2 + 3 / 4)])
+
+
+def test_3_16_recorded_with_a_gain_and_an_offset_by_hand():
+    # L' = 1.1 L + 0.5 = 6: L = 5, whose variance is multiplied by 1.21; half of the noise, a quarter of that.
+    off = recorded_noise(physical(), gain=1.1, offset=0.5, factor=0.5)
+    assert off.variance([6.0]) == pytest.approx(1.21 * 0.25 * physical().variance([5.0]), rel=1e-12)
+    assert off.breakdown([6.0]).shot == pytest.approx([1.21 * 0.25 * 2.25 * 5000 / 1e6])
+    assert recorded_noise(physical(), signal_factor=2.0).breakdown([5.0]).shot == pytest.approx([2.25 * 2500 / 1e6])
 
 
 def test_measured_noise_is_the_physical_model():

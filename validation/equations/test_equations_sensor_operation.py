@@ -7,7 +7,14 @@ import pytest
 
 from hyperval.scene.fill import TargetGeometry, pixel_fills
 from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.operation import SensorOperation, averaged_noise, binned_axis, binned_noise
+from hyperval.sensor.operation import (
+    SensorChanges,
+    SensorOperation,
+    averaged_noise,
+    binned_axis,
+    binned_noise,
+    changed_noise,
+)
 from hyperval.sensor.response import modulation_transfer, mtf_at_nyquist, psf_fwhm_from_mtf
 from hyperval.spectra.axis import SpectralAxis
 
@@ -86,6 +93,15 @@ def test_binned_bands_by_hand():
     assert noise.lsb_electrons**2 == pytest.approx([7200.0, 7200.0])
     # C_R of independent bands: 0.5 % sqrt((1/3)^2 + (2/3)^2) = 0.37268 %.
     assert noise.calibration_percent[0] == pytest.approx(0.372678, rel=1e-5)
+
+
+def test_other_numbers_than_the_files_by_hand():
+    # Twice the light, half the fixed noise: 20^2 / 2000^2 of fixed noise. Two bits less: steps of 4 x 60 electrons.
+    found = changed_noise(model(), SensorChanges(signal_factor=2, fixed_noise_factor=0.5, bits=10))
+    assert found.breakdown(np.full(4, 8.0)).fixed[0] == pytest.approx(20**2 / 2000**2)
+    assert found.breakdown(np.full(4, 8.0)).quantisation[0] == pytest.approx(240**2 / 12 / 2000**2)
+    other = changed_noise(model(), SensorChanges(calibration_error_percent=2))
+    assert other.breakdown(np.full(4, 8.0)).calibration == pytest.approx(np.full(4, 0.16**2))
 
 
 def test_binned_bands_by_a_simulated_detector():
