@@ -29,7 +29,7 @@ def own_atmosphere(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def figures() -> None:
-    """Reports of the small campaign with figures, which it has for a test that asks for this alone."""
+    """Reports of the small campaign with figures, charts and arrays: for a test that asks for this alone."""
 
 
 @pytest.fixture
@@ -41,8 +41,10 @@ def make_small(
     monkeypatch: pytest.MonkeyPatch,
 ) -> Callable[..., SmallCampaign]:
     """Make copies of the small campaign, each in a folder of its own."""
-    if "figures" not in request.fixturenames:  # drawing is most of a small run's time
+    if "figures" not in request.fixturenames:  # they are most of a small run's time
         monkeypatch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+        monkeypatch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+        monkeypatch.setattr("hyperval.report.netcdf.write_products", lambda path, *sides, **words: path.touch())
 
     def make(name: str = "small") -> SmallCampaign:
         shutil.copytree(small_collection, tmp_path / name)

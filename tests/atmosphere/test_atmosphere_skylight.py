@@ -10,6 +10,8 @@ from test_atmosphere_sixs import AIRBORNE, at, state
 
 from hyperval.spectra.axis import SpectralAxis
 
+pytestmark = pytest.mark.slow  # two states of the engine that no other test asks for
+
 
 @pytest.fixture(scope="module")
 def pair(terms_of):

@@ -68,6 +68,7 @@ def test_independent_objects_give_the_exact_tests():
     assert found.count.p_value == pytest.approx(stats.binom.cdf(inside, 25, 0.95), abs=0.04)
 
 
+@pytest.mark.slow
 def test_right_predictions_with_common_errors_pass_at_the_stated_rate():
     # 100 worlds whose common error is as large as the rest: a 5 % test rejects 5 of them (sd 2.2); limit at 4 sd.
     # The customary test, which takes objects for independent, rejects most.
@@ -136,6 +137,7 @@ def test_a_drift_over_the_objects_is_seen_where_the_sum_of_all_hides_it():
     assert sound.joint.detectable <= 2.0
 
 
+@pytest.mark.slow
 def test_the_joint_distance_and_the_drift_reject_right_models_at_their_level():
     # 100 worlds at 5 %: 5 rejected, sd 2.2; limit at four of them.
     rng = np.random.default_rng(12)

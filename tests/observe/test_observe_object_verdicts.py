@@ -72,6 +72,7 @@ def rows_of(world, *, fill=FILL, uncertain="", tail=""):
     return {r.metric: r for r in rows if r.subject in ("all objects", "paint background") and r.product == "scores"}
 
 
+@pytest.mark.slow
 def test_a_true_model_is_uniform_and_covers(tmp_path):
     # 12 worlds of 60 objects. Each test fails a true model in 1 of 100; twice or more in 12: 0.6 %.
     inside, low_pit, low_inside = [], 0, 0

@@ -76,6 +76,7 @@ def test_true_means_are_rejected_as_often_as_stated_at_most(n, amplitude):
     assert plain == 100 or n > 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [16, 40, 200])
 def test_p_values_of_true_means_are_uniform_where_bands_hang_together(n):
     """Pixels of asphalt in 163 bands with noise, 300 means each: what a scene's small regions are.

@@ -124,6 +124,7 @@ def test_a_panel_of_the_line_keeps_the_error_of_its_reflectance_alone():
     np.testing.assert_allclose(c, (0.02 * 0.6) ** 2, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_line_through_three_panels_against_draws():
     # 4,000 draws of panels with errors common to all bands; a variance is known to 2.2 %, 4.5 of that is 10 %.  The
     # covariance of two bands is a third of their variances: known to 7 %, and 4.5 of that is 32 %.

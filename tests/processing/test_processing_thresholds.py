@@ -1,5 +1,7 @@
 """Thresholds and P_FA of many evaluations against plain sums."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -23,13 +25,13 @@ def test_thresholds_by_a_root_finder_on_the_plain_sum(tails):
     pfa = false_alarm_grid(1e-9, 4)
     found = thresholds_at(np.broadcast_to(pfa, (12, pfa.size)), scores)
     for r in range(12):
+        laws = [
+            (f, norm(m, s) if np.isinf(d) else t(d, m, s * np.sqrt((d - 2.0) / d)))
+            for f, m, s, d in zip(*(a[r] for a in vars(scores).values()), strict=True)
+        ]
 
-        def excess(x: float, p: float, row: int = r) -> float:
-            total = 0.0
-            for f, m, s, d in zip(*(a[row] for a in vars(scores).values()), strict=True):
-                law = norm(m, s) if np.isinf(d) else t(d, m, s * np.sqrt((d - 2.0) / d))
-                total += f * law.sf(x)
-            return float(np.log(total + 1e-300) - np.log(p))
+        def excess(x: float, p: float, laws: list[tuple[float, Any]] = laws) -> float:
+            return float(np.log(sum(f * law.sf(x) for f, law in laws) + 1e-300) - np.log(p))
 
         for p, x in zip(pfa[::6], found[r, ::6], strict=True):
             assert x == pytest.approx(brentq(excess, -2.0, x + 1.0, args=(p,), xtol=1e-13), abs=1e-9)

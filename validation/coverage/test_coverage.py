@@ -20,6 +20,8 @@ LEAST = {60: 51, 30: 24}
 # Greatest number rejected of 60 at 5 %: P(X > 9) = 7e-4.
 MOST_REJECTED = 9
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def found():

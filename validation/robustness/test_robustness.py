@@ -36,6 +36,7 @@ def test_every_sample_is_read_as_it_stands(every: list[Sample], tmp_path: Path):
         assert outcome(sample, folder) == (READ, ""), sample.name
 
 
+@pytest.mark.slow
 def test_damaged_files_are_read_or_refused_with_one_clear_error(every: list[Sample]):
     bad = {s.name: found["examples"] for s in every if (found := batch(s, range(MUTANTS)))["examples"]}
     assert bad == {}
