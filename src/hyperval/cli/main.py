@@ -21,6 +21,7 @@ from hyperval.cli import (  # noqa: F401  (each adds its commands to the applica
     compare,
     data,
     drift,
+    figures,
     init,
     metrics,
     power,

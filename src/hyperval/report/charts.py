@@ -68,7 +68,6 @@ class Chart:
     Attributes
     ----------
     name, section, title, alt : as of a :class:`Drawing`
-    prints : beginning of the names of the drawings that show the same
     content : JSON that the script draws
     subjects : those that a reader may choose among, the one that is shown at first before the others; maybe none
     """
@@ -77,7 +76,6 @@ class Chart:
     section: str
     title: str
     alt: str
-    prints: str
     content: str
     subjects: tuple[str, ...] = ()
 
@@ -141,7 +139,6 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = ()) -> Ch
         f"{title}: {words} (grey: absorption){style.left_out([shown], pairs or every)}",
         f"{title} against wavelength, a subject at a time: predicted (dashed) and collected (solid) with 95 % "
         f"intervals{', the difference below' if pairs else ''}. Subjects: {', '.join(shown)}.",
-        f"{product}-pair",
         _content(
             _spectra_plots(spectra[0], label, ratio),
             name,
@@ -173,7 +170,6 @@ def roc_chart(sides: Sides) -> Chart | None:
         f"{style.left_out(shown, pairs or every)}",
         f"Probability of detection against probability of false alarm (logarithmic), predicted dashed and measured "
         f"in steps, with 95 % intervals, a tab for each detector. Subjects: {names}.",
-        "roc",
         _content(Tabs(tabs=tabs, sizing_mode="stretch_width"), "chart-roc"),
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hyperval.report.figures_attribution import attribution_figures
 from hyperval.report.figures_covariance import sampled_eigenvalue_figures, tail_figures
 from hyperval.report.figures_detection import abundance_figures, roc_figures, score_figures
@@ -13,24 +15,23 @@ from hyperval.report.figures_scores import (
     roc_difference_figures,
     transform_figures,
 )
-from hyperval.report.figures_spectra import budget_figures, eigenvalue_figures, pair_figures
+from hyperval.report.figures_spectra import Sides, budget_figures, eigenvalue_figures, pair_figures
 from hyperval.report.run import RunReport
-from hyperval.report.style import Drawing, house_style
+from hyperval.report.style import Drawing, Print, house_style
 
 
 def draw_figures(run: RunReport) -> list[Drawing]:
-    """Every figure that the products of ``run`` allow; the number is bounded whatever their size."""
+    """The figures of a run's page; the number is bounded whatever its size.
+
+    Spectra and ROC curves are charts there (``charts``); :func:`print_figures` draws them.
+    """
     sides = (run.prediction, run.observation)
     simulated = run.simulated
     with house_style():
         drawings: list[Drawing] = []
         if run.quicklook is not None:
             drawings.append(quicklook_figure(run.quicklook, simulated=simulated))
-        drawings += pair_figures(sides, "radiance", simulated=simulated)
         drawings += budget_figures(sides, simulated=simulated)
-        drawings += pair_figures(sides, "snr", simulated=simulated)
-        drawings += pair_figures(sides, "reflectance", simulated=simulated)
-        drawings += pair_figures(sides, "toa_reflectance", simulated=simulated)
         if not run.eigenvalues:  # one side alone: no band of chance to judge by
             drawings += eigenvalue_figures(sides, simulated=simulated)
         drawings += sampled_eigenvalue_figures(run.eigenvalues, simulated=simulated)
@@ -41,12 +42,28 @@ def draw_figures(run: RunReport) -> list[Drawing]:
         drawings += transform_figures(sides, simulated=simulated)
         drawings += exceedance_figures(sides, simulated=simulated)
         drawings += score_map_figures(run.score_maps, simulated=simulated)
-        drawings += roc_figures(sides, simulated=simulated)
         drawings += roc_difference_figures(sides, _equivalence_margin(run), simulated=simulated)
         drawings += abundance_figures(sides, simulated=simulated)
         drawings += unmixing_figures(sides, list(run.table.where(product="abundance")), simulated=simulated)
         drawings += attribution_figures(run.table, simulated=simulated)
     return drawings
+
+
+def print_figures(sides: Sides, *, simulated: bool, print_as: Print) -> list[Drawing]:
+    """Every figure that products allow, spectra and ROC curves first."""
+    with house_style(print_as):
+        drawings: list[Drawing] = []
+        for product in ("radiance", "snr", "reflectance", "toa_reflectance"):
+            drawings += pair_figures(sides, product, simulated=simulated)
+        drawings += roc_figures(sides, simulated=simulated)
+        drawings += budget_figures(sides, simulated=simulated)
+        drawings += eigenvalue_figures(sides, simulated=simulated)
+        drawings += class_error_figures(sides, simulated=simulated)
+        drawings += score_figures(sides, simulated=simulated)
+        drawings += exceedance_figures(sides, simulated=simulated)
+        drawings += roc_difference_figures(sides, None, simulated=simulated)
+        drawings += abundance_figures(sides, simulated=simulated)
+    return [replace(drawing, kind=print_as.format) for drawing in drawings]
 
 
 def _equivalence_margin(run: RunReport) -> float | None:

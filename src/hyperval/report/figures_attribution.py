@@ -77,7 +77,9 @@ def _bars(rows: Sequence[Result], table: ResultTable, simulated: bool) -> Drawin
     alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
     alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
     legend = "a number in brackets is one of several independent shapes of an error" if _numbered(names) else ""
-    return Drawing("attribution-inputs", "attribution", title, alt, style.svg_bytes(figure), "svg", legend=legend)
+    return Drawing(
+        "attribution-inputs", "attribution", title, alt, style.vector_bytes(figure), "svg", legend=legend
+    )
 
 
 def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing | None:
@@ -120,7 +122,9 @@ def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing | None:
         legend += f"; {quiet} subjects have nothing to explain"
     if len(every) > len(subjects):
         legend += f"; {len(subjects)} of {len(every)} are drawn, all are in results.csv"
-    return Drawing("attribution-subjects", "attribution", title, alt, style.svg_bytes(figure), "svg", legend=legend)
+    return Drawing(
+        "attribution-subjects", "attribution", title, alt, style.vector_bytes(figure), "svg", legend=legend
+    )
 
 
 def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
@@ -166,7 +170,9 @@ def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
     legend = "one unit: the stated standard uncertainty of an input, or a usual step where none is stated; "
     legend += "gap: predicted less measured; spectra as a part of the collected mean, P_D as it stands; "
     legend += "the largest gaps are shown"
-    return Drawing("attribution-effects", "sensitivity", title, alt, style.svg_bytes(figure), "svg", legend=legend)
+    return Drawing(
+        "attribution-effects", "sensitivity", title, alt, style.vector_bytes(figure), "svg", legend=legend
+    )
 
 
 def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
@@ -202,7 +208,7 @@ def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
         ],
     )
     alt = "Reduced chi-square of all residuals before and after each what-if: " + "; ".join(reversed(words)) + "."
-    return Drawing("what-ifs", "what-if", title, alt, style.svg_bytes(figure), "svg")
+    return Drawing("what-ifs", "what-if", title, alt, style.vector_bytes(figure), "svg")
 
 
 def _short(gain: float) -> str:

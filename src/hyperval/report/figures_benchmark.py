@@ -63,7 +63,7 @@ def detector_figures(
         axes.tick_params(axis="x", labelsize=7.5)
     title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set], filled where it may be first"
     alt = f"Metrics of each detector on all objects of {name}. {'; '.join(captions)}."
-    return [Drawing(f"{name}-detectors", name, title, alt, style.svg_bytes(figure), "svg")]
+    return [Drawing(f"{name}-detectors", name, title, alt, style.vector_bytes(figure), "svg")]
 
 
 def rank_figures(
@@ -115,7 +115,7 @@ def rank_figures(
     more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
     title = f"{name}: rank [95 % set] by {measures[metric]}, subjects of two objects and more{more}"
     alt = f"Rank of each detector by subject. {'; '.join(captions)}."
-    return [Drawing(f"{name}-ranks", name, title, alt, style.svg_bytes(figure), "svg")]
+    return [Drawing(f"{name}-ranks", name, title, alt, style.vector_bytes(figure), "svg")]
 
 
 def agreement_figures(name: str, rows: Sequence[Result], *, simulated: bool) -> list[Drawing]:
@@ -142,7 +142,7 @@ def agreement_figures(name: str, rows: Sequence[Result], *, simulated: bool) -> 
         axes.set_xlim(0.0, 1.05 * axes.get_xlim()[1])  # a dot on the border would be cut in half
     title = f"{name}: how well engines and formulations predict, with 95 % intervals"
     return [
-        Drawing(f"{name}-variants", name, title, f"{title}. {'; '.join(words)}.", style.svg_bytes(figure), "svg")
+        Drawing(f"{name}-variants", name, title, f"{title}. {'; '.join(words)}.", style.vector_bytes(figure), "svg")
     ]
 
 

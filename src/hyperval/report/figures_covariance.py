@@ -74,7 +74,7 @@ def sampled_eigenvalue_figures(
                 "covariance",
                 f"{title} (band: 95 % of samples of as many independent pixels drawn from the prediction)",
                 alt,
-                style.svg_bytes(figure),
+                style.vector_bytes(figure),
                 "svg",
             )
         )
@@ -130,7 +130,7 @@ def tail_figures(tails: Mapping[str, TailCurve], *, simulated: bool) -> list[Dra
             "covariance",
             "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)",
             alt,
-            style.svg_bytes(figure),
+            style.vector_bytes(figure),
             "svg",
         )
     ]

@@ -59,7 +59,7 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
                 "roc",
                 f"ROC: predicted and measured{style.left_out(pages, every)}",
                 alt,
-                style.svg_bytes(figure),
+                style.vector_bytes(figure),
                 "svg",
             ),
         )
@@ -94,7 +94,7 @@ def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     )  # fmt: skip
     title = f"Score distributions: predicted and measured{style.left_out([keys], every)}"
     alt = f"Mean and standard deviation of the detector scores. {words}."
-    return [Drawing("scores", "scores", title, alt, style.svg_bytes(figure), "svg")]
+    return [Drawing("scores", "scores", title, alt, style.vector_bytes(figure), "svg")]
 
 
 def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
@@ -133,7 +133,7 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         for s, d in keys
     )  # fmt: skip
     title = f"Target area from the sum of abundances: predicted and measured{style.left_out([keys], every)}"
-    return [Drawing("abundance", "abundance", title, f"Target areas. {words}.", style.svg_bytes(figure), "svg")]
+    return [Drawing("abundance", "abundance", title, f"Target areas. {words}.", style.vector_bytes(figure), "svg")]
 
 
 def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None, low: float) -> None:

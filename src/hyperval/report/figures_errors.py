@@ -69,7 +69,9 @@ def class_error_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         for key in keys
     )
     title = f"Error of a Gaussian maximum-likelihood classifier{style.left_out([keys], every)}"
-    return [Drawing("class-error", "classification", title, f"{title}: {words}.", style.svg_bytes(figure), "svg")]
+    return [
+        Drawing("class-error", "classification", title, f"{title}: {words}.", style.vector_bytes(figure), "svg")
+    ]
 
 
 def unmixing_figures(sides: Sides, rows: Sequence[Result], *, simulated: bool) -> list[Drawing]:
@@ -109,7 +111,7 @@ def unmixing_figures(sides: Sides, rows: Sequence[Result], *, simulated: bool) -
         f"{'; '.join(words)}."
     )
     title = "Target areas by unmixing against nominal areas, and their error by size"
-    return [Drawing("unmixing-areas", "abundance", title, alt, style.svg_bytes(figure), "svg")]
+    return [Drawing("unmixing-areas", "abundance", title, alt, style.vector_bytes(figure), "svg")]
 
 
 def _error_floor(errors: Sequence[ClassificationError]) -> float:

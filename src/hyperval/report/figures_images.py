@@ -19,7 +19,7 @@ from hyperval.report.style import Drawing
 
 _MOST_PIXELS = 1200  # along the longer side of a picture
 _MOST_MAPS = 6
-_MOST_NAMED = 60
+_MOST_NUMBERED = 40  # outlines; more are drawn without numbers, and counted
 _LONGEST_STRIP = 2.5  # ratio of the sides beyond which an image is cut to its regions
 _OUTLINE_COLOURS = ("#FFD700", "#00E5FF", "#FF4FD8", "#7CFC00", "#FF8C00", "#FFFFFF")
 
@@ -155,22 +155,31 @@ def block_maximum(values: npt.NDArray[np.float64], most: int) -> tuple[npt.NDArr
 
 def outline_segments(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
     """(S, 2, 2) pixel edges, as (sample, line) pairs, that part the mask from what is not in it."""
-    padded = np.pad(np.asarray(mask, bool), 1)
+    mask = np.asarray(mask, bool)
+    lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    if not lines.size:
+        return np.empty((0, 2, 2))
+    corner = samples[0], lines[0]
+    padded = np.pad(mask[lines[0] : lines[-1] + 1, samples[0] : samples[-1] + 1], 1)
     row, column = np.nonzero(padded[1:-1, 1:] != padded[1:-1, :-1])
     upright = np.stack([np.stack([column, row], -1), np.stack([column, row + 1], -1)], axis=1)
     row, column = np.nonzero(padded[1:, 1:-1] != padded[:-1, 1:-1])
     level = np.stack([np.stack([column, row], -1), np.stack([column + 1, row], -1)], axis=1)
-    return np.concatenate([upright, level]).astype(float)
+    return np.asarray(np.concatenate([upright, level]) + corner, dtype=float)
 
 
 def _outlines(axes: Axes, regions: Mapping[str, Any]) -> None:
-    for number, mask in enumerate(regions.values()):
-        segments = outline_segments(mask)
-        if not len(segments):
-            continue
-        colour = _OUTLINE_COLOURS[number % len(_OUTLINE_COLOURS)]
-        axes.add_collection(LineCollection(list(segments), colors="black", linewidths=2.0))
-        axes.add_collection(LineCollection(list(segments), colors=colour, linewidths=1.1))
+    drawn = [(n, s) for n, mask in enumerate(regions.values()) if len(s := outline_segments(mask))]
+    if not drawn:
+        return
+    colours = [_OUTLINE_COLOURS[n % len(_OUTLINE_COLOURS)] for n, _ in drawn]
+    every = np.concatenate([segments for _, segments in drawn])
+    each = [colour for colour, (_, segments) in zip(colours, drawn, strict=True) for _ in segments]
+    axes.add_collection(LineCollection(list(every), colors="black", linewidths=2.0), autolim=False)
+    axes.add_collection(LineCollection(list(every), colors=each, linewidths=1.1), autolim=False)
+    if len(drawn) > _MOST_NUMBERED:
+        return  # numbers would hide what they stand beside
+    for colour, (number, segments) in zip(colours, drawn, strict=True):
         right, top = segments[..., 0].max(), segments[..., 1].min()
         axes.annotate(
             str(number + 1), (right, top), (2, 1), textcoords="offset points", fontsize=7.5, color="black",
@@ -228,10 +237,9 @@ def _cut(shape: tuple[int, ...], view: Window) -> str:
 
 
 def _numbered_names(regions: Mapping[str, Any]) -> str:
-    names = [f"{number} {name}" for number, name in enumerate(regions, start=1)]
-    if len(names) > _MOST_NAMED:
-        names = [*names[:_MOST_NAMED], f"and {len(names) - _MOST_NAMED} more"]
-    return "; ".join(names)
+    if len(regions) > _MOST_NUMBERED:
+        return f"{len(regions)} outlines"
+    return "; ".join(f"{number} {name}" for number, name in enumerate(regions, start=1))
 
 
 def _figure_size(view: Window) -> tuple[float, float]:

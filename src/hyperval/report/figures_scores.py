@@ -65,7 +65,7 @@ def object_score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     )
     title = f"Score of each object: predicted interval and measured value{_part(len(shown), len(pairs))}"
     alt = f"Measured score of each object beside its predicted 95 % interval. {'; '.join(words)}."
-    return [Drawing("object-scores", "scores", title, alt, style.svg_bytes(figure), "svg")]
+    return [Drawing("object-scores", "scores", title, alt, style.vector_bytes(figure), "svg")]
 
 
 def transform_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
@@ -97,7 +97,7 @@ def transform_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         "95 % band for independent objects, and their histogram with that of a uniform sample. Objects share "
         f"errors of the inputs, which the band leaves out. {'; '.join(words)}."
     )
-    return [Drawing("object-transforms", "scores", title, alt, style.svg_bytes(figure), "svg")]
+    return [Drawing("object-transforms", "scores", title, alt, style.vector_bytes(figure), "svg")]
 
 
 def exceedance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
@@ -129,7 +129,7 @@ def exceedance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         )
         alt = f"Part of the background above each score, predicted (dashed) and measured. {' '.join(words)}"
         title = f"False-alarm probability against the threshold{_part(len(keys), len(every))}"
-        drawings.append(Drawing("exceedance", "scores", title, alt, style.svg_bytes(figure), "svg"))
+        drawings.append(Drawing("exceedance", "scores", title, alt, style.vector_bytes(figure), "svg"))
     return drawings
 
 
@@ -166,7 +166,7 @@ def roc_difference_figures(sides: Sides, margin: float | None, *, simulated: boo
         style.add_legend(figure, entries)
         alt = f"Predicted minus measured probability of detection. {' '.join(words)}"
         title = f"ROC: predicted minus measured P_D{style.left_out(pages, every)}"
-        drawings.append(Drawing("roc-difference", "roc", title, alt, style.svg_bytes(figure), "svg"))
+        drawings.append(Drawing("roc-difference", "roc", title, alt, style.vector_bytes(figure), "svg"))
     return drawings
 
 

@@ -82,7 +82,7 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
                 product,
                 f"{title}: predicted and collected{style.left_out(pages, every)}",
                 alt,
-                style.svg_bytes(figure),
+                style.vector_bytes(figure),
                 "svg",
             )
         )
@@ -131,7 +131,7 @@ def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     )
     title = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
     title += style.left_out([panels], every)
-    return [Drawing("radiance-budget", "radiance", title, alt, style.svg_bytes(figure), "svg")]
+    return [Drawing("radiance-budget", "radiance", title, alt, style.vector_bytes(figure), "svg")]
 
 
 def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
@@ -174,7 +174,7 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     )
     title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
     title += style.left_out([subjects], every)
-    return [Drawing("radiance-eigenvalues", "covariance", title, alt, style.svg_bytes(figure), "svg")]
+    return [Drawing("radiance-eigenvalues", "covariance", title, alt, style.vector_bytes(figure), "svg")]
 
 
 def eigenvalues(estimate: SpectralEstimate) -> Array:

@@ -243,7 +243,7 @@ def _sections(
         figures = [
             {"drawing": d, "source": embedded.get(d.name), "from": _under_figure(run, name)}
             for d in drawings
-            if d.section == name and not _is_chart(d, charts)
+            if d.section == name
         ]
         own = [row for row in rows if row.product == name]
         made = (row for row in own if row.planned and row.outcome is not Outcome.SKIPPED)
@@ -261,11 +261,6 @@ def _sections(
     return sections
 
 
-def _is_chart(drawing: Drawing, charts: Sequence[Chart]) -> bool:
-    """Whether a chart shows what a drawing shows."""
-    return any(re.fullmatch(rf"{re.escape(chart.prints)}(-[0-9]+)?", drawing.name) for chart in charts)
-
-
 def _embedded(drawings: Sequence[Drawing], charts: Sequence[Chart]) -> dict[str, str]:
     """Name of a figure -> its data URI, for as many as the page has room for.
 
@@ -274,8 +269,6 @@ def _embedded(drawings: Sequence[Drawing], charts: Sequence[Chart]) -> dict[str,
     sources: dict[str, str] = {}
     room = _FIGURE_BYTES - sum(len(chart.content) for chart in charts) - (len(packed_library()) if charts else 0)
     for drawing in sorted(drawings, key=_rank):
-        if _is_chart(drawing, charts):
-            continue
         source = f"data:{_MEDIA[drawing.kind]};base64,{base64.b64encode(drawing.content).decode('ascii')}"
         if len(source) <= room:
             room -= len(source)

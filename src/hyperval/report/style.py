@@ -11,6 +11,7 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -24,6 +25,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 from PIL import Image
 
+from hyperval.report.layout import lay_out
 from hyperval.spectra.windows import ABSORPTION_BANDS_NM
 
 RADIANCE_LABEL = "radiance\n[µW cm⁻² sr⁻¹ nm⁻¹]"
@@ -55,6 +57,22 @@ _RC: dict[str, Any] = {
     "svg.fonttype": "path",
     "path.simplify": True,
 }
+
+
+_JOURNAL_RC: dict[str, Any] = {
+    "font.family": "DejaVu Serif",
+    "font.size": 7.0,
+    "axes.titlesize": 7.0,
+    "axes.labelsize": 7.0,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "legend.fontsize": 7.0,
+    "lines.linewidth": 1.0,
+    "axes.grid": False,
+    "pdf.fonttype": 42,
+}
+_JOURNAL_SCALE = 0.72  # of 10 in: 183 mm, two columns
+_PRINT_DPI = 300.0
 
 
 @dataclass(frozen=True)
@@ -89,7 +107,7 @@ class Drawing:
     title: str
     alt: str
     content: bytes
-    kind: Literal["svg", "png"]
+    kind: Literal["svg", "png", "pdf"]
     width_px: int | None = None
     legend: str = ""
 
@@ -99,34 +117,55 @@ class Drawing:
         return f"{self.name}.{self.kind}"
 
 
+@dataclass(frozen=True)
+class Print:
+    """How figures are drawn for print.
+
+    Attributes
+    ----------
+    format : of the files
+    journal : as wide as two columns of a journal, in its letters, without a title: the caption has it
+    """
+
+    format: Literal["svg", "pdf", "png"] = "svg"
+    journal: bool = False
+
+
+_SCREEN = Print()
+_PRINT: ContextVar[Print] = ContextVar("_PRINT", default=_SCREEN)
+
+
 @contextmanager
-def house_style() -> Iterator[None]:
+def house_style(print_as: Print | None = None) -> Iterator[None]:
     """The settings of this module, whatever the user's own matplotlib settings are."""
-    with matplotlib.style.context(["default", _RC]), warnings.catch_warnings():
+    print_as = print_as or _SCREEN
+    sheets: list[str | dict[str, Any]] = ["default", _RC, *([_JOURNAL_RC] if print_as.journal else [])]
+    token = _PRINT.set(print_as)
+    with matplotlib.style.context(sheets), warnings.catch_warnings():
         # A subject may be named in a script that the font lacks; the figure is still of use.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        yield
+        try:
+            yield
+        finally:
+            _PRINT.reset(token)
 
 
 def new_figure(width_in: float, height_in: float, title: str, simulated: bool) -> Figure:
     """An empty figure with its title, which says so when the collection is simulated."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    journal = _PRINT.get().journal
+    scale = _JOURNAL_SCALE if journal else 1.0
+    figure = Figure(figsize=(scale * width_in, scale * height_in))
     FigureCanvasAgg(figure)
-    figure.suptitle(plain(title) + (" (simulated collection)" if simulated else ""), fontsize=10.5)
+    if journal:
+        return figure
+    words = plain(title) + (" (simulated collection)" if simulated else "")
+    figure.suptitle(words, fontsize=10.5, y=1.0 - 0.08 / height_in, va="top")
     return figure
-
-
-def _lay_out(figure: Figure) -> None:
-    """Place the axes once; left on, the layout engine would measure and draw everything a second time."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-        figure.set_layout_engine(None)  # a placeholder would still draw everything once for nothing
 
 
 def svg_bytes(figure: Figure) -> bytes:
     """The figure as SVG, coordinates rounded to 0.1 of a point (a seventh of a pixel), not indented."""
-    _lay_out(figure)
+    lay_out(figure)
     out = io.BytesIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue().decode("utf-8")
@@ -135,15 +174,27 @@ def svg_bytes(figure: Figure) -> bytes:
     return re.sub(r"\n\s+", "\n", text).encode("utf-8")
 
 
+def vector_bytes(figure: Figure) -> bytes:
+    """The figure as SVG, or in the format that figures are printed in."""
+    kind = _PRINT.get().format
+    if kind == "svg":
+        return svg_bytes(figure)
+    if kind == "png":
+        return png_bytes(figure, dpi=_PRINT_DPI)
+    lay_out(figure)
+    out = io.BytesIO()
+    figure.savefig(out, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
+    return out.getvalue()
+
+
 def png_bytes(figure: Figure, dpi: float = 120.0) -> bytes:
     """The figure as PNG of 256 colours, without the writer's version in it."""
-    _lay_out(figure)
+    lay_out(figure)
     drawn, out = io.BytesIO(), io.BytesIO()
     figure.savefig(drawn, format="png", dpi=dpi)
     with Image.open(drawn) as image:
-        image.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
-            out, format="png", optimize=True
-        )
+        colours = image.convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        colours.save(out, format="png")
     return out.getvalue()
 
 

@@ -1,0 +1,41 @@
+"""Figures of a finished run, drawn again for print from ``products.nc``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import xarray as xr
+
+from hyperval.errors import UsageError
+from hyperval.folders import whole_folder
+from hyperval.report.figures import print_figures
+from hyperval.report.netcdf_read import read_products
+from hyperval.report.style import Drawing, Print
+
+
+def figures_to_folder(run: Path, output: Path, print_as: Print) -> int:
+    """Draw what the products of ``run`` allow into a new folder.
+
+    Raises
+    ------
+    InputError : no products.nc, or a damaged one.
+    UsageError : products of which nothing can be drawn.
+    """
+    drawings = drawings_of(run, print_as)
+    if not drawings:
+        raise UsageError(
+            "there is nothing to draw", where=str(run), expected="spectra or ROC curves in products.nc"
+        )
+    with whole_folder(output) as folder:
+        for drawing in drawings:
+            (folder / drawing.file_name).write_bytes(drawing.content)
+    return 0
+
+
+def drawings_of(run: Path, print_as: Print) -> list[Drawing]:
+    """The figures of the products of a folder."""
+    path = Path(run) / "products.nc"
+    sides = read_products(path)
+    with xr.open_dataset(path, engine="h5netcdf") as head:
+        simulated = head.attrs.get("simulated") == "yes"
+    return print_figures(sides, simulated=simulated, print_as=print_as)
