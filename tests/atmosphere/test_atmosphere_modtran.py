@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericTerms, read_chn
+from hyperval.atmosphere import AtmosphericTerms, read_chn, read_modtran_runs
 from hyperval.atmosphere.modtran_read import read_chn_blocks
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError
 
 WIDTHS = (12, 3, 3, 13, 13, 8, 13, 9, 9, 9, 9, *([13] * 10), *([10] * 5), 11)
 
@@ -73,11 +73,7 @@ def test_several_runs_and_packed_files(tmp_path):
         stream.write(made_up(ROWS, 0.5) + made_up(ROWS, 0.0) + made_up(ROWS, 0.1))
     assert [round(b.reflectance(), 4) for b in read_chn_blocks(path)] == [0.5, 0.0, 0.1]
     np.testing.assert_allclose(read_chn(path).path_radiance, [2.0, 1.0, 0.2], rtol=2e-6)
-    fitted = read_chn(path, [0.5, 0.0, 0.1])
-    np.testing.assert_allclose(fitted.adjacency, read_chn(path).adjacency, rtol=1e-4)
-    for wrong in ([0.0, 0.5], [0.1, 0.2, 0.5], [0.0, 0.0, 0.0], [0.0, 0.5, 1.5]):
-        with pytest.raises(UsageError, match="albedos"):
-            read_chn(path, wrong)
+    np.testing.assert_allclose(read_modtran_runs([path]).adjacency, read_chn(path).adjacency, rtol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +124,7 @@ REAL = [
 def test_real_file_gives_back_its_own_radiance(data_dir, relative):
     path = data_dir(relative)
     albedos = (0.0, 0.1, 0.5)
-    terms = read_chn(path, albedos)
+    terms = read_modtran_runs([path], albedos)
     for block, rho in zip(read_chn_blocks(path), albedos, strict=True):
         np.testing.assert_allclose(block.thermal + block.path + block.ground, block.radiance, rtol=1e-4)
         radiance = terms.path_radiance + (terms.direct + terms.adjacency) * rho / (1 - terms.spherical_albedo * rho)

@@ -119,35 +119,18 @@ def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None
         total = sum((case.column(name) for name in names), np.zeros(nu.size))
         return radiance_per_wavelength(total, nu)[::-1]
 
-    solution = solve_coefficients(
+    black, bright = cases[rho.index(0.0)], cases[rho.index(max(rho))]
+    return _terms(
         rho,
         [per_wavelength(case, "GRND_RFLT") for case in cases],
         [per_wavelength(case, "SOL_SCAT") for case in cases],
-    )
-    black, bright = cases[rho.index(0.0)], cases[rho.index(max(rho))]
-    emission = per_wavelength(black, "PTH_THRML", "SURF_EMIS")
-    transmittance = black.column("TOT_TRANS")[::-1]
-    sun = per_wavelength(black, "TOA_SUN")
-    wavelength = 1e7 / nu[::-1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = per_wavelength(bright, "DRCT_RFLT") / max(rho) / solution.direct
-        efficiency = np.where(sun > 0.0, solution.direct / sun, 0.0)
-    return AtmosphericTerms(
-        wavelength_nm=wavelength,
-        path_radiance=per_wavelength(black, "SOL_SCAT") + emission,
-        direct=solution.direct,
-        adjacency=solution.adjacency,
-        spherical_albedo=solution.spherical_albedo,
-        ground_irradiance=_ground_irradiance(solution.direct, transmittance),
-        gas_transmittance=over_continuum(wavelength, efficiency, _LINES_NM),
-        provenance={
-            "engine": "MODTRAN",
-            "solved_from": [case.where for case in cases],
-            "albedos": rho,
-            "solar_spectrum": "of the MODTRAN run",
-            "emission": "of the black run, part of the path radiance",
-        },
-        diffuse_fraction=_diffuse(share),
+        1e7 / nu[::-1],
+        emission=per_wavelength(black, "PTH_THRML", "SURF_EMIS"),
+        sun=per_wavelength(black, "TOA_SUN"),
+        sunlit=per_wavelength(bright, "DRCT_RFLT"),
+        transmittance=black.column("TOT_TRANS")[::-1],
+        reach_nm=_LINES_NM,
+        solved_from=[case.where for case in cases],
     )
 
 
@@ -168,30 +151,51 @@ def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] |
     rho = checked_albedos([round(b.reflectance(), 2) for b in blocks] if albedos is None else albedos)
     if len(rho) != len(blocks):
         raise UsageError(f"{len(rho)} albedos for {len(blocks)} runs")
-    black = blocks[rho.index(0.0)]
-    solution = solve_coefficients(rho, [b.ground for b in blocks], [b.path for b in blocks], black.spherical_albedo)
+    black, bright = blocks[rho.index(0.0)], blocks[rho.index(max(rho))]
+    terms = _terms(
+        rho,
+        [b.ground for b in blocks],
+        [b.path for b in blocks],
+        black.wavelength_nm,
+        emission=black.thermal,
+        sun=black.unit_radiance,
+        sunlit=bright.ground_of_sun,
+        transmittance=black.path_transmittance,
+        spherical_albedo=black.spherical_albedo,
+    )
+    return replace(terms, fwhm_nm=_FWHM_PER_WIDTH * black.width_nm, diffuser_radiance=black.unit_radiance)
+
+
+def _terms(
+    rho: list[float], ground: Sequence[Array], path: Sequence[Array], wavelength_nm: Array, *,
+    emission: Array, sun: Array, sunlit: Array, transmittance: Array, spherical_albedo: Array | None = None,
+    reach_nm: float = 0.0, **record: object,
+) -> AtmosphericTerms:  # fmt: skip
+    """Terms that reproduce runs.
+
+    ``emission``, ``sun`` and ``transmittance`` are those of the black run, ``sunlit`` is the part of the brightest
+    ground's radiance that the sun lights; ``record`` goes into the provenance.
+    """
+    solution = solve_coefficients(rho, ground, path, spherical_albedo)
     with np.errstate(divide="ignore", invalid="ignore"):
-        efficiency = np.where(black.unit_radiance > 0.0, solution.direct / black.unit_radiance, 0.0)
-    bright = blocks[rho.index(max(rho))]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = bright.ground_of_sun / max(rho) / solution.direct
+        efficiency = np.where(sun > 0.0, solution.direct / sun, 0.0)
+        share = sunlit / max(rho) / solution.direct
     return AtmosphericTerms(
-        wavelength_nm=black.wavelength_nm,
-        path_radiance=black.thermal + black.path,
+        wavelength_nm=wavelength_nm,
+        path_radiance=path[rho.index(0.0)] + emission,
         direct=solution.direct,
         adjacency=solution.adjacency,
         spherical_albedo=solution.spherical_albedo,
-        ground_irradiance=_ground_irradiance(solution.direct, black.path_transmittance),
-        gas_transmittance=over_continuum(black.wavelength_nm, efficiency),
+        ground_irradiance=_ground_irradiance(solution.direct, transmittance),
+        gas_transmittance=over_continuum(wavelength_nm, efficiency, reach_nm),
         provenance={
             "engine": "MODTRAN",
+            **record,
             "albedos": rho,
             "solar_spectrum": "of the MODTRAN run",
             "emission": "of the black run, part of the path radiance",
         },
-        fwhm_nm=_FWHM_PER_WIDTH * black.width_nm,
         diffuse_fraction=_diffuse(share),
-        diffuser_radiance=black.unit_radiance,
     )
 
 
@@ -241,13 +245,11 @@ def _diffuse(sun_share: Array) -> Array:
 
 
 @reader
-def read_chn(path: Path, albedos: Sequence[float] | None = None) -> AtmosphericTerms:
-    """Terms at the channels of a MODTRAN ``.chn`` (or ``.chn.gz``) file.
+def read_chn(path: Path) -> AtmosphericTerms:
+    """Terms at the channels of a MODTRAN ``.chn`` (or ``.chn.gz``) file, from the coefficients that it prints.
 
-    Without ``albedos`` the coefficients are those that the file prints.  Over bright ground they fall
-    short of the radiance in the same file by up to 1 % in all (A 0.1-0.6 %, B 2-9 %).  A file of
-    several runs can do better: with the ground reflectance of each run in ``albedos`` the path radiance is
-    taken from the darkest and A and B from the brightest run, which they then reproduce to 1e-4.
+    Over bright ground they fall short of the radiance in the same file by up to 1 % in all (A 0.1-0.6 %, B 2-9 %):
+    of three runs and more :func:`read_modtran_runs` gives terms that reproduce them.
 
     The run with the darkest ground gives the path radiance.  The terms are channel averages; the file
     holds no gas transmittance apart from scattering, so ``gas_transmittance`` is the coefficient A over
@@ -257,43 +259,21 @@ def read_chn(path: Path, albedos: Sequence[float] | None = None) -> AtmosphericT
     Raises
     ------
     InputError : missing, not a channel file, a row that does not fit its columns (with file:line).
-    UsageError : ``albedos`` does not fit the runs of the file.
     """
     blocks = read_chn_blocks(path)
     block = min(blocks, key=ChannelBlock.reflectance)
-    if albedos is not None:
-        block = _fitted(blocks, albedos, str(path))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        down = np.where(block.path_transmittance > 1e-4, block.direct / block.path_transmittance, np.nan)
+    direct = block.unit_radiance * block.direct
     return AtmosphericTerms(
         wavelength_nm=block.wavelength_nm,
         path_radiance=block.path_over_black(),
-        direct=block.unit_radiance * block.direct,
+        direct=direct,
         adjacency=block.unit_radiance * block.diffuse,
         spherical_albedo=block.spherical_albedo,
-        ground_irradiance=np.pi * block.unit_radiance * down,
+        ground_irradiance=_ground_irradiance(direct, block.path_transmittance),
         gas_transmittance=over_continuum(block.wavelength_nm, block.direct),
         provenance={"engine": "MODTRAN", "file": str(path), "blocks": len(blocks)},
         fwhm_nm=_FWHM_PER_WIDTH * block.width_nm,
         diffuser_radiance=block.unit_radiance,
-    )
-
-
-def _fitted(blocks: list[ChannelBlock], albedos: Sequence[float], where: str) -> ChannelBlock:
-    """The darkest block with A and B from the radiance of the brightest; S is the printed one."""
-    if len(albedos) != len(blocks) or min(albedos) != 0.0 or not 0.0 < max(albedos) <= 1.0:
-        raise UsageError(
-            f"albedos {list(albedos)} for {len(blocks)} runs",
-            where=where,
-            expected="one ground reflectance for each run: one of them 0, the largest above 0 and at most 1",
-        )
-    black = blocks[list(albedos).index(0.0)]
-    bright, rho = blocks[int(np.argmax(albedos))], max(albedos)
-    to_coefficient = (1.0 - black.spherical_albedo * rho) / (rho * np.maximum(black.unit_radiance, 1e-30))
-    return replace(
-        black,
-        direct=bright.ground * to_coefficient,
-        diffuse=(bright.path - black.path) * to_coefficient,
     )
 
 

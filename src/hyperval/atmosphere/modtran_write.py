@@ -7,11 +7,10 @@ to SOLCON there, and real decks have a flag in it.
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -45,48 +44,7 @@ HAZES = {
 
 Curve = tuple[tuple[float, float], ...]  # (wavelength [um], reflectance)
 
-Value = str | int | float | bool
 ALBEDO_FILE = "albedos.dat"
-
-# The cards by version: fields name:format in Fortran's terms, A text, I integer, F fixed point (F10.3: ten columns,
-# three decimals), L logical, X blank.
-_CARD_1 = (
-    "MODEL:I1 T_BEST:A1 ITYPE:I4 IEMSCT:I5 IMULT:I5 M1:I5 M2:I5 M3:I5 M4:I5 M5:I5 M6:I5 MDEF:I5 I_RD2C:I5 "
-    "NOPRNT:I5 TPTEMP:F8.3 SURREF:A7"
-)
-_COMMON = {
-    "2": (
-        "APLUS:A2 IHAZE:I3 CNOVAM:A1 ISEASN:I4 ARUSS:A3 IVULCN:I2 ICSTL:I5 ICLD:I5 IVSA:I5 VIS:F10.4 WSS:F10.3 "
-        "WHH:F10.3 RAINRT:F10.3 GNDALT:F10.4"
-    ),
-    "3A1": "IPARM:I5 IPH:I5 IDAY:I5 ISOURC:I5",
-    "3A2": "PARM1:F10.4 PARM2:F10.4 PARM3:F10.3 PARM4:F10.3 TIME:F10.4 PSIPO:F10.3 ANGLEM:F10.3 G:F10.3",
-    "4A": "NSURF:I1 AATEMP:F9.3",
-    "5": "IRPT:I5",
-}
-CARDS: Final[dict[int, dict[str, str]]] = {
-    4: {
-        "1": "MODTRN:A1 SPEED:A1 _:X2 " + _CARD_1,
-        "1A": (
-            "DIS:L1 DISAZM:L1 NSTR:I3 LSUN:L1 ISUN:I4 CO2MX:F10.3 H2OSTR:A10 O3STR:A10 _:X1 LSUNFL:L1 _:X1 "
-            "LBMNAM:L1 _:X1 LFLTNM:L1 _:X1 H2OAER:L1 _:X2 SOLCON:F10.3"
-        ),
-        "3": "H1:F10.3 H2:F10.3 ANGLE:F10.3 RANGE:F10.3 BETA:F10.3 RO:F10.3 LENN:I5 _:X5 PHI:F10.3",
-        "4": "V1:F10.3 V2:F10.3 DV:F10.3 FWHM:F10.3 YFLAG:A1 XFLAG:A1 DLIMIT:A8 FLAGS:A7",
-        **_COMMON,
-    },
-    5: {
-        "1": "MODTRN:A1 SPEED:A1 BINARY:L1 LYMOLC:A1 " + _CARD_1,
-        "1A": (
-            "DIS:L1 DISAZM:L1 DISALB:L1 NSTR:I3 SFWHM:F4.0 CO2MX:F10.3 H2OSTR:A10 O3STR:A10 C_PROF:A1 LSUNFL:L1 "
-            "_:X1 LBMNAM:L1 _:X1 LFLTNM:L1 _:X1 H2OAER:L1 _:X1 CDTDIR:L1 FLAG51:A1 SOLCON:F9.6 CDASTM:A1 "
-            "ASTMC:F9.3 ASTMX:F10.3 ASTMO:F10.3 AERRH:F10.3 NSSALB:I10"
-        ),
-        "3": "H1:F10.3 H2:F10.3 ANGLE:F10.3 RANGE:F10.3 BETA:F10.3 RO:F10.3 LENN:I5 _:X5 PHI:F10.3 CKRANG:F10.3",
-        "4": "V1:F10.3 V2:F10.3 DV:F10.3 FWHM:F10.3 YFLAG:A1 XFLAG:A1 DLIMIT:A8 FLAGS:A7 MLFLX:I3 VRFRAC:F10.3",
-        **_COMMON,
-    },
-}
 
 
 @dataclass(frozen=True)
@@ -203,59 +161,6 @@ def _day(state: AtmosphericState) -> int:
     return min(range(4, 186), key=lambda day: abs(solar.distance_on_day(day) - distance))
 
 
-@dataclass(frozen=True)
-class Field:
-    """One field of a card: columns start+1 to start+width."""
-
-    name: str
-    kind: str
-    start: int
-    width: int
-    decimals: int
-
-
-def card_fields(version: int, card: str) -> list[Field]:
-    """The fields of a card, blanks left out."""
-    fields, start = [], 0
-    for item in CARDS[version][card].split():
-        name, form = item.split(":")
-        kind, width, decimals = re.findall(r"[A-Z]|\d+", f"{form}.0")[:3]
-        if kind != "X":
-            fields.append(Field(name, kind, start, int(width), int(decimals)))
-        start += int(width)
-    return fields
-
-
-def format_card(version: int, card: str, values: Mapping[str, Value]) -> str:
-    """One line of a deck; numbers that are not given are 0, logicals F, text blank.
-
-    Raises
-    ------
-    UsageError : an unknown field, or a value that does not fit its columns.
-    """
-    fields = card_fields(version, card)
-    unknown = set(values) - {f.name for f in fields}
-    if unknown:
-        raise UsageError(f"card {card} of MODTRAN {version} has no {', '.join(sorted(unknown))}")
-    line = ""
-    for f in fields:
-        text = _text(f, values.get(f.name, "" if f.kind == "A" else 0))
-        if len(text) != f.width:
-            raise UsageError(f"{f.name} = {values[f.name]!r} does not fit {f.width} columns of card {card}")
-        line = line.ljust(f.start) + text
-    return line.rstrip()
-
-
-def _text(f: Field, value: Value) -> str:
-    if f.kind == "A":
-        return str(value).ljust(f.width)
-    if f.kind == "L":
-        return ("T" if value else "F").rjust(f.width)
-    if f.kind == "I":
-        return f"{int(value):{f.width}d}"
-    return f"{float(value):{f.width}.{f.decimals}f}" if f.decimals else f"{float(value):{f.width - 1}.0f}."
-
-
 def tape5(state: AtmosphericState, runs: Sequence[Run], version: int = 5) -> str:
     """The deck: one case for each run, radiance with the sun, from the ground to the sensor.
 
@@ -275,7 +180,7 @@ def tape5(state: AtmosphericState, runs: Sequence[Run], version: int = 5) -> str
     """
     if not runs:
         raise UsageError("no runs")
-    if version not in CARDS:
+    if version not in (4, 5):
         raise UsageError(f"no cards of MODTRAN {version}", expected="version 4 or 5")
     case = modtran_case(state)
     lines: list[str] = []
@@ -283,7 +188,7 @@ def tape5(state: AtmosphericState, runs: Sequence[Run], version: int = 5) -> str
     for number, run in enumerate(runs):
         lines += _cards(case, run, version, curve)
         curve += 2 if run.background is not None else 0
-        lines.append(format_card(version, "5", {"IRPT": 1 if number + 1 < len(runs) else 0}))
+        lines.append(f"{1 if number + 1 < len(runs) else 0:5d}")  # card 5: another case follows
     return "\n".join(lines) + "\n"
 
 
@@ -303,27 +208,29 @@ def albedo_curves(runs: Sequence[Run]) -> str:
 
 
 def _cards(case: ModtranCase, run: Run, version: int, curves_before: int) -> list[str]:
-    uniform = run.background is None
-    depth = -case.aot550 if case.haze[0] else 0.0
-    values: dict[str, dict[str, Value]] = {
-        "1": {
-            "MODTRN": "C", "SPEED": "M", "MODEL": case.model[0], "ITYPE": 2, "IEMSCT": 2, "IMULT": -1, "NOPRNT": 1,
-            "SURREF": f"{run.albedo:7.4f}" if uniform else "LAMBER",
-        },
-        "1A": {
-            "DIS": True, "DISAZM": True, "NSTR": STREAMS, "CO2MX": CO2_PPM,
-            "H2OSTR": _amount("g", case.water_g_cm2), "O3STR": _amount("a", case.ozone_atm_cm),
-        },
-        "2": {"IHAZE": case.haze[0], "VIS": depth if version == 5 else case.range_km, "GNDALT": case.ground_km},
-        "3": {"H1": case.sensor_km, "H2": case.ground_km, "ANGLE": case.observer_zenith_deg},
-        "3A1": {"IPARM": 12, "IPH": 2, "IDAY": case.day_of_year},
-        "3A2": {"PARM1": case.relative_azimuth_deg, "PARM2": case.solar_zenith_deg},
-        "4": {"V1": FIRST_CM, "V2": LAST_CM, "DV": STEP_CM, "FWHM": STEP_CM, "YFLAG": "R", "XFLAG": "W"},
-    }  # fmt: skip
-    cards = [format_card(version, card, fields) for card, fields in values.items()]
-    if not uniform:
-        curves = (str(curves_before + 1), str(curves_before + 2))
-        cards += [format_card(version, "4A", {"NSURF": 2}), ALBEDO_FILE, *curves]
+    five, zero, none = version == 5, "     0.000", "    0"
+    surface = f"{run.albedo:7.4f}" if run.background is None else "LAMBER"
+    amount = (-case.aot550 if case.haze[0] else 0.0) if five else case.range_km
+    gases = f"{CO2_PPM:10.3f}{_amount('g', case.water_g_cm2)}{_amount('a', case.ozone_atm_cm)}"
+    end_1a = " F F F F F  0.000000" + 4 * zero + "         0" if five else " F F F F       0.000"
+    cards = [
+        # 1: MODTRN SPEED (BINARY LYMOLC) MODEL ITYPE IEMSCT IMULT M1-M6 MDEF I_RD2C NOPRNT TPTEMP SURREF
+        f"CM{'F ' if five else '  '}{case.model[0]}    2    2   -1{8 * none}    1   0.000{surface}",
+        # 1A: DIS DISAZM (DISALB) NSTR (SFWHM, or LSUN ISUN) CO2MX H2OSTR O3STR, flags, SOLCON and what follows it
+        f"TT{'F' if five else ''}{STREAMS:3d}{'  0.' if five else 'F   0'}{gases}{end_1a}",
+        # 2: IHAZE ISEASN IVULCN ICSTL ICLD IVSA VIS WSS WHH RAINRT GNDALT
+        f"{case.haze[0]:5d}{5 * none}{amount:10.4f}{3 * zero}{case.ground_km:10.4f}",
+        # 3: H1 H2 ANGLE RANGE BETA RO LENN PHI (CKRANG)
+        f"{case.sensor_km:10.3f}{case.ground_km:10.3f}{case.observer_zenith_deg:10.3f}{3 * zero}{none}     {zero}"
+        + (zero if five else ""),
+        # 3A1: IPARM IPH IDAY ISOURC; 3A2: PARM1-PARM4 TIME PSIPO ANGLEM G
+        f"   12    2{case.day_of_year:5d}{none}",
+        f"{case.relative_azimuth_deg:10.4f}{case.solar_zenith_deg:10.4f}{2 * zero}    0.0000{3 * zero}",
+        # 4: V1 V2 DV FWHM YFLAG XFLAG DLIMIT FLAGS (MLFLX VRFRAC)
+        f"{FIRST_CM:10.3f}{LAST_CM:10.3f}{STEP_CM:10.3f}{STEP_CM:10.3f}RW" + (f"{'0':>18}{zero}" if five else ""),
+    ]
+    if run.background is not None:  # 4A: NSURF AATEMP; the file of the curves, and their numbers in it
+        cards += ["2    0.000", ALBEDO_FILE, str(curves_before + 1), str(curves_before + 2)]
     return cards
 
 
