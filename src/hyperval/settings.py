@@ -58,10 +58,10 @@ def _set(data: dict[str, Any], parts: list[str], value: Any, path: str) -> None:
     at: Any = data
     for i, part in enumerate(parts[:-1]):
         if isinstance(at, dict):
-            if at.get(part) is None:
-                at[
-                    part
-                ] = {}  # an optional part that the file leaves out; unknown keys are found when it is checked
+            if at.get(part) is None:  # an optional part that the file leaves out
+                at[part] = {}  # unknown keys are found when it is checked
+            elif isinstance(at[part], tuple) and all(isinstance(item, dict) for item in at[part]):
+                at[part] = list(at[part])  # a list of the file, of which one item differs
             at = at[part]
         elif isinstance(at, list | tuple):
             at = at[_index(at, part, path)]

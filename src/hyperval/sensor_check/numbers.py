@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from hyperval.errors import UsageError
 from hyperval.sensor.quantities import Bands, Quantity, Throughput
-from hyperval.sensor.specification import Arm, SensorSpecification
+from hyperval.sensor.specification import SensorSpecification
+from hyperval.settings import with_settings
 
 ARM_QUANTITIES = (
     "optical_transmittance", "quantum_efficiency", "degradation", "integration_time_s", "fixed_noise_electrons",
@@ -70,42 +72,32 @@ def scaled(spec: SensorSpecification, factors: Mapping[str, float]) -> SensorSpe
     known = {n.name for n in numbers(spec) if n.varies}
     if unknown := sorted(set(factors) - known):
         raise UsageError(f"no number {unknown[0]!r}", expected="one of " + ", ".join(sorted(known)))
-    update: dict[str, object] = {"arms": tuple(_scaled_arm(arm, factors) for arm in spec.arms)}
-    if (factor := factors.get("calibration_error_percent")) is not None:
-        update["calibration_error_percent"] = _scaled_quantity(spec.calibration_error_percent, factor)
-    if (factor := factors.get("bands.fwhm")) is not None:
-        update["bands"] = _scaled_bands(spec.bands, factor)
-    return spec.model_copy(update=update)
+    changes: dict[str, Any] = {}
+    for name, factor in factors.items():
+        changes |= _moved(spec, name, factor)
+    return with_settings(spec, changes) if changes else spec
 
 
-def _scaled_arm(arm: Arm, factors: Mapping[str, float]) -> Arm:
-    update: dict[str, object] = {}
-    if (factor := factors.get(f"{arm.name}.throughput")) is not None:
-        value = factor * arm.throughput.value_cm2_sr
-        update["throughput"] = Throughput.model_validate(
-            {"convention": "value", "cm2_sr": value, "source": arm.throughput.source}
-        )
-    for name in ARM_QUANTITIES:
-        if (factor := factors.get(f"{arm.name}.{name}")) is not None:
-            update[name] = _scaled_quantity(getattr(arm, name), factor)
-    return arm.model_copy(update=update)
-
-
-def _scaled_quantity(quantity: Quantity, factor: float) -> Quantity:
+def _moved(spec: SensorSpecification, name: str, factor: float) -> dict[str, Any]:
+    """Dotted path -> value, of a number times a factor; each entry of a table is multiplied."""
+    if name == "bands.fwhm":
+        bands = spec.bands
+        if bands.table is not None:
+            return {"bands.table": [(w, factor * f, good) for w, f, good in bands.table]}
+        if bands.parts is not None:
+            return {f"bands.parts.{i}.fwhm_nm": factor * p.fwhm_nm for i, p in enumerate(bands.parts)}
+        assert bands.regular is not None  # noqa: S101 - the validator has seen to it
+        return {"bands.regular.fwhm_nm": factor * bands.regular.fwhm_nm}
+    of_arm, _, key = name.rpartition(".")
+    path = f"arms.[{of_arm}].{key}" if of_arm else key
+    holder = next(a for a in spec.arms if a.name == of_arm) if of_arm else spec
+    if key == "throughput":
+        old: Throughput = getattr(holder, key)
+        return {path: {"convention": "value", "cm2_sr": factor * old.value_cm2_sr, "source": old.source}}
+    quantity: Quantity = getattr(holder, key)
     if quantity.table is None:
-        return quantity.model_copy(update={"value": factor * float(quantity.value or 0.0)})
-    return quantity.model_copy(update={"table": [(w, factor * v) for w, v in quantity.table]})
-
-
-def _scaled_bands(bands: Bands, factor: float) -> Bands:
-    if bands.table is not None:
-        return bands.model_copy(update={"table": [(w, factor * f, good) for w, f, good in bands.table]})
-    if bands.parts is not None:
-        parts = [p.model_copy(update={"fwhm_nm": factor * p.fwhm_nm}) for p in bands.parts]
-        return bands.model_copy(update={"parts": parts})
-    assert bands.regular is not None  # noqa: S101 - the validator has seen to it
-    part = bands.regular.model_copy(update={"fwhm_nm": factor * bands.regular.fwhm_nm})
-    return bands.model_copy(update={"regular": part})
+        return {path: {"value": factor * float(quantity.value or 0.0), "source": quantity.source}}
+    return {path: {"table": [(w, factor * v) for w, v in quantity.table], "source": quantity.source}}
 
 
 def _quantity_text(quantity: Quantity) -> str:
