@@ -7,7 +7,7 @@ number from 0: ``atmosphere.aot550``, ``scene.classes.grass.gain``, ``scene.targ
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
@@ -112,12 +112,22 @@ def _index(items: list[Any] | tuple[Any, ...], part: str, path: str) -> int:
     names = [
         next((item[k] for k in _LABELS if k in item), None) if isinstance(item, dict) else None for item in items
     ]
+    return item_number(names, part, path)
+
+
+def item_number(names: Sequence[Any], part: str, path: str) -> int:
+    """Number of the item of a list that a part of a path names, by its name or by its number from 0.
+
+    Raises
+    ------
+    UsageError : there is none.
+    """
     if part in names:
         return names.index(part)
-    if part.isdecimal() and int(part) < len(items):
+    if part.isdecimal() and int(part) < len(names):
         return int(part)
     there = ", ".join(str(n) for n in names if n is not None)
     raise UsageError(
         f"setting {path!r}: no item {part!r}",
-        expected=f"a number below {len(items)}" + (f" or one of {there}" if there else ""),
+        expected=f"a number below {len(names)}" + (f" or one of {there}" if there else ""),
     )

@@ -1,4 +1,4 @@
-"""Columns of numbers against ``predict`` of single scenarios, lever by lever."""
+"""Columns of numbers against ``predict`` of single scenarios, entry by entry."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def difference_from_predict(scenario, changes) -> float:
     The first point is the scenario as it stands, the others have the changes; what is no number is read anew.
     """
     evaluator = evaluator_of(scenario)
-    anew = {p: v for p, v in changes.items() if evaluator.lever(p).needs_preparation}
+    anew = {p: v for p, v in changes.items() if evaluator.column(p).kind == "anew"}
     ready = evaluator.variant(anew)
     moved = {p: v for p, v in changes.items() if p not in anew}
     stated = {p: setting(ready.scenario, p) if has(ready.scenario, p) else None for p in moved}
@@ -82,7 +82,7 @@ def has(scenario, path) -> bool:
     ],
     ids=lambda c: next(iter(c)),
 )
-def test_each_lever_gives_what_predict_gives(scenario, changes):
+def test_each_column_gives_what_predict_gives(scenario, changes):
     assert difference_from_predict(scenario, changes) < EQUAL
 
 

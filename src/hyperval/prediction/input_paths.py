@@ -14,7 +14,8 @@
     fraction.NAME                area fraction of a class; the others give way in proportion [1]
     blur                         widths of the blur wherever a fill follows from geometry [pixels]
 
-Any other path is that of an entry of the scenario's file.
+Any other path is that of an entry of the scenario's file.  Those that a batch has numbers for are columns of it:
+:func:`batch_column`.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from hyperval.prediction.fills import fill_distribution
 from hyperval.prediction.inputs import SurfaceStatistics, class_tail
 from hyperval.scenario import ElmPanels, Scenario
 from hyperval.sensor.specification import Sensor
-from hyperval.settings import path_parts, setting
+from hyperval.settings import item_number, path_parts, setting
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -133,6 +134,64 @@ def input_path(given: Given, path: str) -> InputPath:
         case ["blur"]:
             return _blur(scenario)
     return InputPath(setting(scenario, path), lambda v: Departure(settings={path: np.asarray(v).ravel()[0].item()}))
+
+
+PFA = "pfa"  # of studies alone: the false-alarm probability at which P_D is read
+_OPERATION = ("frames_averaged", "averaged", "spatial_binning")
+_OF_A_TARGET = {"gain": "target_gain", "illumination.beam": "beam", "illumination.sky_view": "sky"}
+
+
+@dataclass(frozen=True)
+class BatchColumn:
+    """Where an entry of a scenario stands in a batch of the model, which may have other numbers in each evaluation.
+
+    Attributes
+    ----------
+    kind : atmosphere, changes, operation, fraction, gain, tail, kappa, target_gain, beam, sky, fill, pfa; or
+        anew, for entries after whose change everything is read anew
+    item : number of the class or target that it belongs to
+    subject : number of the target's population
+    key : the entry, for atmosphere, changes, operation and fill
+    """
+
+    kind: str
+    item: int = 0
+    subject: int = 0
+    key: str = ""
+
+
+def batch_column(scenario: Scenario, path: str) -> BatchColumn:
+    """What the entry at ``path`` is in a batch.
+
+    Raises
+    ------
+    UsageError : no dotted path.
+    """
+    if path == PFA:
+        return BatchColumn("pfa")
+    lit, scene = scenario.atmosphere is not None, scenario.scene
+    match path_parts(path):
+        case ["atmosphere", key] if lit and key not in ("engine", "table"):
+            return BatchColumn("atmosphere", key=key)
+        case ["sensor_changes", key] if lit:
+            return BatchColumn("changes", key=key)
+        case ["sensor_operation", key] if lit and key in _OPERATION:
+            return BatchColumn("operation", key=key)
+        case ["scene", "adjacency", "effective_neighbours"]:
+            return BatchColumn("kappa")
+        case ["scene", "classes", name, key] if key in ("fraction", "gain", "tail_dof"):
+            item = item_number([c.name for c in scene.classes], name, path)
+            return BatchColumn("tail" if key == "tail_dof" else key, item)
+        case ["scene", "targets", name, *rest]:
+            item = item_number([t.name for t in scene.targets], name, path)
+            subjects = [s.name for s in scene.targets[item].subjects]
+            if ".".join(rest) in _OF_A_TARGET:
+                return BatchColumn(_OF_A_TARGET[".".join(rest)], item)
+            if len(rest) > 1 and rest[0] == "fill" and not subjects:
+                return BatchColumn("fill", item, 0, ".".join(rest[1:]))
+            if len(rest) > 3 and (rest[0], rest[2]) == ("subjects", "fill") and subjects:
+                return BatchColumn("fill", item, item_number(subjects, rest[1], path), ".".join(rest[3:]))
+    return BatchColumn("anew", key=path)
 
 
 def state_value(state: AtmosphericState, name: str) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -18,92 +18,15 @@ from hyperval.prediction.cases import Case, Origins, points_of
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills, stacked_fills
 from hyperval.prediction.filters import Designer
+from hyperval.prediction.input_paths import BatchColumn
 from hyperval.prediction.setup import Setup
 from hyperval.prediction.view import View, on_arrays, stacked_noise
 from hyperval.scenario import Adjacency, Fill, Scenario, TargetSubject
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.operation import SensorChanges, SensorOperation, binned_noise, changed_noise
-from hyperval.settings import path_parts
-
-PFA = "pfa"  # reserved: the false-alarm probability at which P_D is read, no entry of a scenario
-_OPERATION = ("frames_averaged", "averaged", "spatial_binning")
-_SHADE = {"beam": "beam", "sky_view": "sky"}
-
-
-@dataclass(frozen=True)
-class Lever:
-    """What a dotted path moves.
-
-    Attributes
-    ----------
-    kind : atmosphere, changes, operation, fraction, gain, tail, kappa, target_gain, beam, sky, fill, pfa; or
-        prepare, for entries after whose change everything is read anew
-    item : number of the class or target that it belongs to
-    subject : number of the target's population
-    key : the entry, for atmosphere, changes, operation and fill
-    """
-
-    kind: str
-    item: int = 0
-    subject: int = 0
-    key: str = ""
-
-    @property
-    def needs_preparation(self) -> bool:
-        """True where the scenario has to be prepared anew for each value."""
-        return self.kind == "prepare"
-
-
-def lever_of(scenario: Scenario, path: str) -> Lever:
-    """What ``path`` moves in ``scenario``.
-
-    Raises
-    ------
-    UsageError : no dotted path.
-    """
-    if path == PFA:
-        return Lever("pfa")
-    match path_parts(path):
-        case ["atmosphere", key] if scenario.atmosphere is not None and key != "engine" and key != "table":
-            return Lever("atmosphere", key=key)
-        case ["sensor_changes", key] if scenario.atmosphere is not None:
-            return Lever("changes", key=key)
-        case ["sensor_operation", key] if scenario.atmosphere is not None and key in _OPERATION:
-            return Lever("operation", key=key)
-        case ["scene", "adjacency", "effective_neighbours"]:
-            return Lever("kappa")
-        case ["scene", "classes", name, key] if key in ("fraction", "gain", "tail_dof"):
-            item = _number([c.name for c in scenario.scene.classes], name, path)
-            return Lever("tail" if key == "tail_dof" else key, item)
-        case ["scene", "targets", name, *rest]:
-            return _of_target(scenario, _number([t.name for t in scenario.scene.targets], name, path), rest, path)
-    return Lever("prepare", key=path)
-
-
-def _of_target(scenario: Scenario, item: int, rest: Sequence[str], path: str) -> Lever:
-    target = scenario.scene.targets[item]
-    match list(rest):
-        case ["gain"]:
-            return Lever("target_gain", item)
-        case ["illumination", key] if key in _SHADE:
-            return Lever(_SHADE[key], item)
-        case ["fill", *keys] if keys and not target.subjects:
-            return Lever("fill", item, 0, ".".join(keys))
-        case ["subjects", name, "fill", *keys] if keys and target.subjects:
-            return Lever("fill", item, _number([s.name for s in target.subjects], name, path), ".".join(keys))
-    return Lever("prepare", key=path)
-
-
-def _number(names: Sequence[str], part: str, path: str) -> int:
-    if part in names:
-        return list(names).index(part)
-    if part.isdecimal() and int(part) < len(names):
-        return int(part)
-    raise UsageError(f"setting {path!r}: no item {part!r}", expected="one of " + ", ".join(names))
-
 
 Array = npt.NDArray[np.float64]
-Columns = Mapping[Lever, npt.NDArray[Any]]
+Columns = Mapping[BatchColumn, npt.NDArray[Any]]
 # The terms (U, 1, B) at U values of the inputs of the atmosphere; one row where nothing of it moves.
 TermsAt = Callable[[Mapping[str, npt.NDArray[Any]], int], AtmosphericTerms]
 _OF_A_SETTING = ("atmosphere", "changes", "operation", "fraction", "gain", "kappa")
@@ -198,9 +121,11 @@ def batch_of_columns(stage: Stage, columns: Columns, n: int, terms_at: TermsAt |
     """
     setup = stage.setup
     whole = setup.scenario.processing.filter_statistics == "scene"
-    shared = [lever for lever in columns if lever.kind in _OF_A_SETTING or (whole and lever.kind in _OF_TARGETS)]
-    first, setting = distinct([columns[lever] for lever in shared], n)
-    settings = _settings(stage, {lever: columns[lever][first] for lever in shared}, first.size, terms_at)
+    shared = [
+        column for column in columns if column.kind in _OF_A_SETTING or (whole and column.kind in _OF_TARGETS)
+    ]
+    first, setting = distinct([columns[column] for column in shared], n)
+    settings = _settings(stage, {column: columns[column][first] for column in shared}, first.size, terms_at)
     points = _points(setup, columns, setting)
     return Batch(setup.scenario, setup.used.axis, setup.signatures, settings, points, designers=stage.designers)
 
@@ -212,15 +137,15 @@ def _settings(stage: Stage, columns: Columns, count: int, terms_at: TermsAt | No
     gains = np.tile([c.gain for c in scene.classes], (count, 1))
     kappa = np.full(count, scene.adjacency.kappa)
     of: dict[str, dict[str, npt.NDArray[Any]]] = {"atmosphere": {}, "changes": {}, "operation": {}}
-    for lever, values in columns.items():
-        if lever.kind == "fraction":
-            fractions[:, lever.item] = values
-        elif lever.kind == "gain":
-            gains[:, lever.item] = values
-        elif lever.kind == "kappa":
+    for column, values in columns.items():
+        if column.kind == "fraction":
+            fractions[:, column.item] = values
+        elif column.kind == "gain":
+            gains[:, column.item] = values
+        elif column.kind == "kappa":
             kappa = np.array([Adjacency(effective_neighbours=v).kappa for v in values.tolist()])
-        elif lever.kind in of:
-            of[lever.kind][lever.key] = values
+        elif column.kind in of:
+            of[column.kind][column.key] = values
     terms, noise = None, None
     if scenario.atmosphere is not None:
         assert terms_at is not None  # noqa: S101 - given with every atmosphere
@@ -255,11 +180,11 @@ def _points(setup: Setup, columns: Columns, setting: npt.NDArray[np.intp]) -> Po
     base = points_of([Case(setup, None, None)], np.zeros(1, int))
     changed: dict[str, Array] = {"dof": base.dof, "gain": base.gain, "beam": base.beam, "sky": base.sky}
     names = {"tail": "dof", "target_gain": "gain", "beam": "beam", "sky": "sky"}
-    for lever, values in columns.items():
-        if lever.kind in names:
-            name = names[lever.kind]
+    for column, values in columns.items():
+        if column.kind in names:
+            name = names[column.kind]
             whole = np.array(np.broadcast_to(changed[name], (n, changed[name].shape[1])))
-            whole[:, lever.item] = values
+            whole[:, column.item] = values
             changed[name] = whole
 
     def fills(target: int, population: int, objects: bool) -> Fills | None:

@@ -21,11 +21,12 @@ from hyperval.datasets import resolve
 from hyperval.errors import UsageError
 from hyperval.prediction.batch import Batch
 from hyperval.prediction.cases import terms_in_memory
+from hyperval.prediction.input_paths import PFA, BatchColumn, batch_column
 from hyperval.progress import track
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.study.columns import PFA, Lever, Stage, batch_of_columns, lever_of, stage_of
+from hyperval.study.columns import Stage, batch_of_columns, stage_of
 from hyperval.study.metrics import of_batch
 from hyperval.study.schema import Output
 
@@ -217,7 +218,7 @@ class Evaluator:
     ----------
     base : the scenario with the study's settings
     sky : states of the atmosphere, for variants whose bands differ
-    anew : entries after whose change everything is read anew, besides those that :func:`lever_of` knows
+    anew : entries after whose change everything is read anew, besides those that :func:`batch_column` knows
     """
 
     base: Ready
@@ -231,9 +232,9 @@ class Evaluator:
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k != "_variants"}
 
-    def lever(self, path: str) -> Lever:
+    def column(self, path: str) -> BatchColumn:
         """What a path moves in this scenario."""
-        return Lever("prepare", key=path) if path in self.anew else lever_of(self.base.scenario, path)
+        return BatchColumn("anew", key=path) if path in self.anew else batch_column(self.base.scenario, path)
 
     def values(self, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
         """Outputs (n, O) at n points, NaN where there is none, and why, by the number of the point.
@@ -260,7 +261,7 @@ class Evaluator:
 
     def _groups(self, columns: Columns, n: int) -> list[tuple[Column, dict[str, Any], list[str]]]:
         """Points that share what is read anew, and of which the same entries move: rows, changes, moving paths."""
-        anew = [p for p in columns if self.lever(p).needs_preparation]
+        anew = [p for p in columns if self.column(p).kind == "anew"]
         if not anew and all(c.dtype != object for c in columns.values()):
             return [(np.arange(n), {}, list(columns))]
         groups: dict[str, tuple[list[int], dict[str, Any], list[str]]] = {}
@@ -300,7 +301,7 @@ class Evaluator:
 
     def batch(self, ready: Ready, columns: Columns, n: int) -> Batch:
         """The points as a batch of the model."""
-        return batch_of_columns(ready.stage, {self.lever(p): c for p, c in columns.items()}, n, ready.terms)
+        return batch_of_columns(ready.stage, {self.column(p): c for p, c in columns.items()}, n, ready.terms)
 
 
 def _tidy(column: Column) -> Column:

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from hyperval.atmosphere.interpolation import spaced
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
+from hyperval.prediction.input_paths import PFA, batch_column
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
-from hyperval.study.columns import PFA, lever_of
 from hyperval.study.design import Column, Points, listed, moved
 from hyperval.study.evaluate import Evaluator, Sky, engine_on, few_states, make_ready
 from hyperval.study.metrics import check_outputs
@@ -137,9 +137,9 @@ def _sky(study: Study, scenario: Scenario) -> tuple[Sky, frozenset[str]]:
     items: list[Input | Required] = [*study.inputs, *study.required]
     for item in items:
         for move in item.targets:
-            lever = lever_of(scenario, move.path)
-            if lever.kind == "atmosphere":
-                moving.append((item, move, lever.key))
+            column = batch_column(scenario, move.path)
+            if column.kind == "atmosphere":
+                moving.append((item, move, column.key))
     if not moving:
         return Sky(), frozenset()
     alone = study.design.kind == "one-at-a-time"
@@ -203,7 +203,7 @@ def _notes(plan: Plan) -> list[str]:
     notes = []
     items: list[Input | Required] = [*plan.study.inputs, *plan.study.required]
     paths = [m.path for i in items for m in i.targets]
-    anew = [p for p in paths if plan.evaluator.lever(p).needs_preparation]
+    anew = [p for p in paths if plan.evaluator.column(p).kind == "anew"]
     if anew:
         notes.append(f"read anew for each value, as in predict: {', '.join(anew)}")
     for key, nodes in plan.evaluator.sky.nodes.items():
@@ -260,7 +260,7 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     for question in study.required:
         middle = 0.5 * sum(question.between)
         for m in question.targets:
-            if evaluator.lever(m.path).kind != "atmosphere":
+            if evaluator.column(m.path).kind != "atmosphere":
                 columns[m.path] = np.full(count, m.offset + m.factor * middle)
     a, _ = evaluator.values(columns, study.outputs)
     b, _ = replace(evaluator, base=replace(base, terms=exact)).values(columns, study.outputs)
