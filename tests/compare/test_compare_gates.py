@@ -1,0 +1,166 @@
+"""What a planned comparison may say, and what each kind of row concludes about a range."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from pydantic import ValidationError
+
+from hyperval.compare import Gate, judged
+from hyperval.compare.outcomes import detectable_departure, detectable_share, outcome_of, tail_probability
+from hyperval.compare.rows import COMPARISON
+from hyperval.results import Cause, Outcome, Result, Role
+
+RADIANCE = {"product": "radiance", "metric": "median_difference_ratio_windows", "reason": "r"}
+
+
+def row(metric="median_difference_ratio_windows", value=0.0, lower=math.nan, upper=math.nan, **more):
+    product = more.pop("product", "radiance")
+    return Result("c", product, "field", "radiance", metric, value=value, lower=lower, upper=upper, **more)
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        ({"at_most": 0.1, "at_least": 0.0}, "one limit only, got at_most and at_least"),
+        ({}, "a limit is missing"),
+        ({"within": [0.1, 0.1]}, "within [0.1, 0.1] holds no range"),
+        ({"within": [-0.1, 0.1], "bands_nm": [900, 800]}, "bands_nm [900, 800] holds no range"),
+        ({"within": [-0.1, 0.1], "chosen_after": True}, "stand together"),
+        ({"within": [-0.1, 0.1], "before": "0.05"}, "stand together"),
+        ({"metric": "no_such_metric", "at_most": 0.1}, "no_such_metric"),
+        ({"metric": "fraction_inside_95", "at_least": 0.0}, "lies between 0 and 1: at least 0 can never fail"),
+        ({"metric": "fraction_inside_95", "at_most": 1.0}, "at most 1 can never fail"),
+        ({"at_most": math.inf}, "finite"),
+        ({"within": [-0.1, 1.0]}, "on a ratio is 100 % or more"),
+        ({"metric": "bias_ratio", "within": [-5.0, 5.0]}, "on a ratio is 100 % or more"),
+        ({"metric": "chi2_reduced_full", "at_most": 100.0}, "on a reduced chi-square accepts anything"),
+        ({"metric": "p_value_full", "at_most": 0.05}, "is a p-value: its level is 'at_least'"),
+    ],
+)
+def test_a_range_that_cannot_fail_or_says_nothing_is_refused(entries, words):
+    with pytest.raises(ValidationError) as caught:
+        Gate(**{**RADIANCE, **entries})
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("entries", "limits", "text"),
+    [
+        ({"at_most": 0.1}, (-math.inf, 0.1), "at most 0.1"),
+        ({"at_least": -0.1}, (-0.1, math.inf), "at least -0.1"),
+        ({"within": [-0.1, 0.2]}, (-0.1, 0.2), "within -0.1 to 0.2"),
+        ({"metric": "fraction_inside_95", "at_least": 0.9}, (0.9, math.inf), "at least 0.9"),
+        ({"metric": "chi2_reduced_full", "at_most": 99.0}, (-math.inf, 99.0), "at most 99"),
+        ({"product": "roc", "metric": "pd_inside_interval@1e-2", "fraction_at_least": 0.9}, (1.0, math.inf),
+         "at least 1"),
+    ],
+)  # fmt: skip
+def test_limits_and_their_words(entries, limits, text):
+    gate = Gate(**{**RADIANCE, **entries})
+    assert (gate.limits, gate.limit_text) == (limits, text)
+
+
+def test_the_rows_that_a_gate_is_about():
+    gate = Gate(**{**RADIANCE, "metric": "difference_ratio", "within": [-0.1, 0.1], "bands_nm": [500, 600]})
+    assert gate.covers(row("difference_ratio", band_nm=500.0))
+    assert gate.covers(row("difference_ratio", band_nm=600.0))
+    assert not gate.covers(row("difference_ratio", band_nm=600.1))
+    assert not gate.covers(row("difference_ratio", band_nm=499.9))
+    assert not gate.covers(row("difference_ratio", product="reflectance", band_nm=550.0))
+    assert gate.covers(row(COMPARISON))  # a skipped comparison has no band
+    only = Gate(**{**RADIANCE, "at_most": 0.1, "subjects": ["court*"], "method": "rad*"})
+    assert not only.covers(row())
+    at = Gate(product="roc", metric="pd_difference", within=(-0.1, 0.1), reason="r")
+    assert at.covers(row("pd_difference@1e-2", product="roc"))
+
+
+@pytest.mark.parametrize(
+    ("row_", "outcome", "cause"),
+    [
+        (row(value=0.0, lower=-0.1, upper=0.1), Outcome.AGREES, Cause.NONE),  # the ends belong to the range
+        (row(value=0.05, lower=-0.0, upper=0.11), Outcome.UNDECIDED, Cause.WIDE_INTERVAL),
+        (row(value=0.2, lower=0.1, upper=0.3), Outcome.UNDECIDED, Cause.WIDE_INTERVAL),
+        (row(value=0.2, lower=0.11, upper=0.3), Outcome.DISAGREES, Cause.NONE),
+        (row(value=-0.2, lower=-0.3, upper=-0.11), Outcome.DISAGREES, Cause.NONE),
+        (row(value=0.0), Outcome.UNDECIDED, Cause.NO_INTERVAL),
+        (row(value=0.0, lower=-0.1), Outcome.UNDECIDED, Cause.NO_INTERVAL),
+        (row(value=math.nan), Outcome.ERROR, Cause.NOT_A_NUMBER),
+        (row(value=0.0, lower=0.1, upper=-0.1), Outcome.ERROR, Cause.BAD_INTERVAL),
+        (row(value=0.2, lower=-0.1, upper=0.1), Outcome.ERROR, Cause.BAD_INTERVAL),
+        (row(value=-0.2, lower=-0.1, upper=0.1), Outcome.ERROR, Cause.BAD_INTERVAL),
+        (row(outcome=Outcome.SKIPPED, cause=Cause.NO_BANDS, reason="s"), Outcome.SKIPPED, Cause.NO_BANDS),
+        (row(outcome=Outcome.ERROR, cause=Cause.ABSENT, reason="s"), Outcome.ERROR, Cause.ABSENT),
+    ],
+)
+def test_an_interval_against_a_range(row_, outcome, cause):
+    assert outcome_of(row_, -0.1, 0.1)[:2] == (outcome, cause)
+
+
+@pytest.mark.parametrize(
+    ("value", "detectable", "outcome", "cause", "words"),
+    [
+        (0.2, 0.0, Outcome.AGREES, Cause.NONE, ""),
+        (0.2, math.inf, Outcome.UNDECIDED, Cause.NO_POWER, "no 80 % power"),
+        (0.001, 0.0, Outcome.DISAGREES, Cause.NONE, ""),
+        (0.9999, 0.0, Outcome.DISAGREES, Cause.NONE, "the stated uncertainty is too wide"),
+    ],
+)
+def test_a_test_of_both_tails_against_its_level(value, detectable, outcome, cause, words):
+    judgement = outcome_of(row("p_value_full", value, detectable=detectable), 0.01, math.inf)
+    assert judgement[:2] == (outcome, cause)
+    assert words in judgement[2]
+    assert (words == "") == (judgement[2] == "")
+    assert tail_probability(row("p_value_full", value)) == pytest.approx(2 * min(value, 1 - value))
+
+
+def test_the_smallest_p_value_alone_has_the_whole_part_of_holm():
+    # Three tests at 3 %: parts of 1, 1.5 and 3 %.  Two-sided values of 0.9, 2 and 2.5 %: the second stops the rest.
+    gate = Gate(product="radiance", metric="p_value_full", at_least=0.03, reason="r")
+    rows = [row("p_value_full", p / 2, detectable=0.0) for p in (0.025, 0.009, 0.02)]
+    out = judged(rows, [gate], "c")
+    assert [r.outcome for r in out] == [Outcome.UNDECIDED, Outcome.DISAGREES, Outcome.UNDECIDED]
+    assert [r.cause for r in out] == [Cause.MULTIPLICITY, Cause.NONE, Cause.MULTIPLICITY]
+    assert "its part of the level is 0.015, one of 3 tests" in out[2].reason
+    assert [r.role for r in out] == [Role.GATE] * 3
+
+
+def test_departures_that_a_range_would_see():
+    reach = 1.0 + 0.8416212335729143 / 1.959963984540054
+    both = row(value=0.01, lower=-0.01, upper=0.02)  # 0.02 below, 0.01 above
+    assert detectable_departure(both, -0.1, math.inf) == pytest.approx(0.1 + 0.01 * reach)
+    assert detectable_departure(both, -math.inf, 0.1) == pytest.approx(0.1 + 0.02 * reach)
+    assert detectable_departure(both, -0.1, 0.05) == pytest.approx(0.05 + 0.02 * reach)
+    assert math.isnan(detectable_departure(row(value=0.0), -0.1, 0.1))
+    # A size cut at 0 says nothing of its width: the upper half stands for it.
+    size = row("median_abs_difference_ratio_windows", 0.01, 0.0, 0.05)
+    assert detectable_departure(size, -math.inf, 0.1) == pytest.approx(0.1 + 0.04 * reach)
+    assert detectable_departure(row("p_value_full", 0.5, detectable=0.3), 0.01, math.inf) == 0.3
+    assert math.isnan(detectable_share(5, 0.1))  # even none of five leaves the share of 0.1 possible
+
+
+def test_what_is_planned_and_not_there_is_an_error_with_what_comes_near():
+    gate = Gate(**{**RADIANCE, "within": (-0.1, 0.1), "subjects": ("court",), "method": "radiance"})
+    (_, absent) = judged([row()], [gate], "c")
+    assert (absent.outcome, absent.cause, absent.role) == (Outcome.ERROR, Cause.ABSENT, Role.GATE)
+    assert "no radiance row of subject 'court'" in absent.reason
+    assert "and method 'radiance'; rows with it: 'field' (radiance)" in absent.reason
+    near = Gate(
+        product="radiance", metric="median_difference_ratio_vnir", within=(-0.1, 0.1), reason="r", gate=False
+    )
+    (_, absent) = judged([row()], [near], "c")
+    assert absent.role is Role.INFORM
+    assert "did you mean 'median_difference_ratio_windows'?" in absent.reason
+    (alone,) = judged([], [near], "c")
+    assert (alone.campaign, alone.outcome) == ("c", Outcome.ERROR)
+
+
+@pytest.mark.parametrize("cause", [Cause.NO_PREDICTION, Cause.NO_OBSERVATION, Cause.NO_BANDS])
+@pytest.mark.parametrize(("decides", "outcome"), [(True, Outcome.ERROR), (False, Outcome.SKIPPED)])
+def test_a_comparison_without_a_side_is_an_error_under_a_gate_alone(cause, decides, outcome):
+    gate = Gate(**RADIANCE, within=(-0.1, 0.1), gate=decides)
+    (judgement,) = judged([row(value=math.nan, outcome=Outcome.SKIPPED, cause=cause, reason="s")], [gate], "c")
+    assert judgement.outcome is outcome
+    (usual,) = judged([row(value=math.nan, outcome=Outcome.SKIPPED, cause=cause, reason="s")], [], "c")
+    assert (usual.outcome, usual.reason) == (Outcome.NONE, "not compared: s")
