@@ -18,7 +18,7 @@ from hyperval.report import Quicklook, ScoreMap
 
 # Wavelength [nm] of red, green, blue and the solar irradiance there relative to green (ASTM G173, rounded).
 COLOURS = ((650.0, 0.84), (550.0, 1.0), (470.0, 1.07))
-MOST_PIXELS = 4_000_000  # of the picture: of larger images every second, third ... line and sample is shown
+MOST_PIXELS = 2_000_000  # of the picture: of larger images every second, third ... line and sample is shown
 STRETCH_PIXELS = 250_000  # that the stretch is taken from, at least
 LINES_TOGETHER = 64
 GAMMA = 0.6  # lifts the dark part of the scene, where most surfaces are
@@ -69,10 +69,10 @@ def quicklook(observed: Observed) -> Quicklook | None:
         shown = spectral.get_rgb(np.nan_to_num(part), (0, 1, 2), bounds=[(0.0, high)] * 3)
         colours[first : first + LINES_TOGETHER] = img_as_ubyte(adjust_gamma(np.clip(shown, 0.0, 1.0), GAMMA))
     size = observed.place.pixel_area_m2
-    masks = {n: mask for n, mask in observed.place.regions.items() if n not in observed.place.by_rule}
+    shown_regions = [n for n in observed.place.regions if n not in observed.place.by_rule]
+    outlines = {name: observed.place.region(name)[::step, ::step].copy() for name in shown_regions}
     if observed.place.targets:
-        masks["targets"] = all_pixels(observed.place.targets, cube.shape)
-    outlines = {name: mask[::step, ::step].copy() for name, mask in masks.items()}
+        outlines["targets"] = all_pixels(observed.place.targets, cube.shape)[::step, ::step].copy()
     return Quicklook(
         colours,
         outlines,

@@ -1,7 +1,6 @@
 """One file per product: prediction against observation."""
 
-from hyperval.compare.gates import Gate
-from hyperval.compare.outcomes import judged
-from hyperval.compare.products import compare_products
+import lazy_loader
 
-__all__ = ["Gate", "compare_products", "judged"]
+# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

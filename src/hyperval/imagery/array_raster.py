@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from hyperval.imagery.stores import Store
 
 Index = npt.NDArray[np.intp]
 AXES = "lsb"  # lines, samples, bands
-SLAB_BYTES = 24 << 20  # of lines that are read together, where they are stored in blocks
+SLAB_BYTES = 16 << 20  # of lines that are read together, where they are stored in blocks
 
 
 @dataclass(frozen=True)
@@ -109,10 +110,12 @@ class ArrayRaster:
         """The files that were read."""
         return (self.path, *self.other_files)
 
-    def kept_open(self) -> AbstractContextManager[object]:
-        """Inside, the file is opened once for all reads."""
-        inside: AbstractContextManager[object] = self.store.kept_open()
-        return inside
+    @contextmanager
+    def kept_open(self) -> Iterator[object]:
+        """Inside, the file is opened once for all reads; the lines that this thread holds are given back after."""
+        with self.store.kept_open() as opened:
+            yield opened
+        self._slabs.last = (0, None)
 
     def read_lines(self, first: int, count: int) -> npt.NDArray[Any]:
         """(count, samples, bands) values of consecutive lines."""

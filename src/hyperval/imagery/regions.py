@@ -205,7 +205,11 @@ def guard(mask: Mask, radius_pixels: float) -> Mask:
         raise UsageError(f"a guard radius of {radius_pixels} pixels", expected="0 or more")
     if not mask.any():
         return mask.copy()
-    return np.asarray(ndimage.distance_transform_edt(~mask) <= radius_pixels)
+    out, reach = np.zeros(mask.shape, bool), int(radius_pixels)
+    lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    near = tuple(slice(max(int(at[0]) - reach, 0), int(at[-1]) + reach + 1) for at in (lines, samples))
+    out[near] = ndimage.distance_transform_edt(~mask[near]) <= radius_pixels  # of all pixels: 16 bytes for each
+    return out
 
 
 def _by_value(names: Mapping[str | int, str] | Sequence[str] | None) -> bool:

@@ -1,5 +1,6 @@
 """The empirical pipeline: from a collection to its products."""
 
-from hyperval.observe.pipeline import Observed, observe
+import lazy_loader
 
-__all__ = ["Observed", "observe"]
+# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

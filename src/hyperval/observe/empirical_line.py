@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import special
 
 from hyperval.collection import EmpiricalLineSource, PanelReference
 from hyperval.errors import UsageError
@@ -110,7 +110,7 @@ def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
         out.append(f"the empirical line can be used in {usable} of {good} good bands only")
     chi2 = elm.reduced_chi2[np.isfinite(elm.reduced_chi2)]
     freedom = len(elm.panels) - elm.parameters
-    if chi2.size and np.median(chi2) > stats.chi2.ppf(0.99, freedom) / freedom:
+    if chi2.size and np.median(chi2) > 2.0 * special.gammaincinv(freedom / 2.0, 0.99) / freedom:
         out.append(
             "the panels of the empirical line do not lie on one line within their stated errors: reduced "
             f"chi-square {np.median(chi2):.3g} (median over bands)"

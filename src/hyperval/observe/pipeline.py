@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from dataclasses import field as attribute
 from pathlib import Path
@@ -27,9 +27,11 @@ from hyperval.observe.unmixing import Unmixed, unmix
 from hyperval.observe.wavelengths import wavelength_notes
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.elm_error import LineError
+from hyperval.processing.mask_bits import PackedMasks
 from hyperval.processing.region_statistics import region_statistics
 from hyperval.processing.sample import SCENE, SampleStatistics
 from hyperval.processing.snr import snr_decorrelated
+from hyperval.processing.spatial_correlation import nth_pixels
 from hyperval.products import EstimatedPart, Observation, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.scene.statistics import ClassStatistics
@@ -94,15 +96,13 @@ def observe(
         return Observed(observe_spectra(collection, resolve))
     place = open_place(collection, resolve, show_progress=show_progress)
     cube = place.cube
-    masks: dict[str, Mask] = {
-        name: mask if not (counted := place.pixels_of(name)).any() else counted
-        for name, mask in place.regions.items()
-    }
-    populations: dict[str, Mask] = {}
+    masks = PackedMasks(_counted_pixels(place))
+    populations: Mapping[str, Mask] = {}
     if detection is not None:
-        masks[BACKGROUND] = place.background(detection.background)
-        populations = _target_pixels(place, detection, taken=set(masks))
-        masks |= populations
+        masks.add(BACKGROUND, place.background(detection.background))
+        populations = PackedMasks(_target_pixels(place, detection, taken=set(masks)))
+        for item in populations.items():
+            masks.add(*item)
     refuse_saturated(collection.empirical_line, masks, cube)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
     measured = region_statistics(cube, masks, place.left_out, precision=collection.precision, watch=watch)
@@ -178,6 +178,13 @@ def observe(
     return Observed(observation, classes, place, detected, elm, unmixed)
 
 
+def _counted_pixels(place: Place) -> Iterator[tuple[str, Mask]]:
+    """The pixels of each region that count; all of them where none would be left."""
+    for name in place.regions:
+        counted = place.pixels_of(name)
+        yield name, counted if counted.any() else place.region(name)
+
+
 def _with_rounding(place: Place, sample: SampleStatistics, sampling: EstimatedPart) -> EstimatedPart:
     """The error of a mean with that of values which are stored as whole steps."""
     cube = place.cube
@@ -206,12 +213,11 @@ def _population_notes(place: Place, detection: Detection, masks: Mapping[str, Ma
     return notes
 
 
-def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[str, Mask]:
+def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> Iterator[tuple[str, Mask]]:
     """Pixels of every target subject with at least two of them, for its mean spectrum.
 
     Several spectra may stand for one material; their subjects hold the same pixels, and the first one counts.
     """
-    out: dict[str, Mask] = {}
     materials: set[str] = set()
     for target in detection.targets:
         if target.material in materials:
@@ -223,8 +229,7 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> dict[
                 (line, sample), part = scored_pixels(item, place)
                 union[line : line + part.shape[0], sample : sample + part.shape[1]] |= part
             if subject not in taken and np.count_nonzero(union) > 1:
-                out[subject] = union
-    return out
+                yield subject, union
 
 
 def _radiance(
@@ -275,9 +280,9 @@ def _sampled(sample: SampleStatistics, sampling: EstimatedPart) -> SpectralEstim
 
 def _some_pixels(place: Place, name: str) -> Array:
     """Valid pixels (n, B) of a region, evenly thinned to what memory should hold."""
-    lines, samples = np.nonzero(place.region(name))
-    step = -(-lines.size // MAX_SNR_PIXELS)
-    return place.cube.spectra((lines[::step], samples[::step]))
+    region = place.region(name)
+    count = int(np.count_nonzero(region))
+    return place.cube.spectra(nth_pixels(region, np.arange(0, count, -(-count // MAX_SNR_PIXELS))))
 
 
 def _shrunk(sample: SampleStatistics, intensity: float) -> SampleStatistics:

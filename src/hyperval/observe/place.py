@@ -32,6 +32,7 @@ from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.regions import Region, guard, holes, overlaps, read_regions, rectangle_region
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.site_spectra import read_band_table
+from hyperval.processing.mask_bits import PackedMasks
 from hyperval.progress import track
 from hyperval.units import RADIANCE_UNIT
 
@@ -48,7 +49,7 @@ class Place:
     Attributes
     ----------
     cube : the image
-    regions : name -> mask, as drawn
+    regions : name -> mask, as drawn; each is handed out as an array of its own
     targets : the target objects of the truth
     near_targets : target pixels with their guard ring
     left_out : pixels that count as neither background nor false alarm (targets with guard, named regions)
@@ -86,8 +87,10 @@ class Place:
             return np.ones(self.cube.shape, bool)
         if SCENE in names:
             return ~self.left_out
-        counted = [np.zeros(self.cube.shape, bool), *(self.pixels_of(name) for name in names)]
-        return np.asarray(np.logical_or.reduce(counted))
+        out = np.zeros(self.cube.shape, bool)
+        for name in names:
+            out |= self.pixels_of(name)
+        return out
 
     def pixels_of(self, name: str) -> Mask:
         """Pixels of a region that count: without targets, their guard and other regions that are left out."""
@@ -136,7 +139,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     notes += target_overlaps(regions.values(), targets, near)
     return Place(
         cube,
-        {name: region.mask for name, region in regions.items()},
+        PackedMasks((name, region.mask) for name, region in regions.items()),
         targets,
         near,
         left_out,
@@ -271,7 +274,7 @@ def _regions(
 ) -> dict[str, Region]:
     regions: dict[str, Region] = {}
     for source in sources:
-        new: dict[str, Region]
+        name, new = str(source.name), dict[str, Region]()
         if source.file is not None:
             path = resolve(source.file)
             only = [] if source.name is None else [escape(source.name)]
@@ -285,15 +288,12 @@ def _regions(
                     raise InputError(f"no region {source.name!r} among {', '.join(new)}", where=str(path))
         elif source.rectangle is not None:
             line, sample, lines, samples = source.rectangle
-            name = str(source.name)
             new = {
                 name: rectangle_region(name, (line, line + lines - 1), (sample, sample + samples - 1), cube.shape)
             }
         elif source.whole_image:
-            name = str(source.name)
-            new = {name: Region(name, np.ones(cube.shape, bool), "the whole image")}
+            new = {name: Region(name, np.broadcast_to(np.True_, cube.shape), "the whole image")}
         else:
-            name = str(source.name)
             rule = source.normalized_difference
             assert rule is not None  # noqa: S101 - one of the four is given
             new = {name: Region(name, normalized_difference(cube, rule, show=show), "normalised difference")}

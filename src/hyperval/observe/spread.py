@@ -12,10 +12,12 @@ from hyperval.observe.place import Place
 from hyperval.processing.covariance_sampling import Directions
 from hyperval.processing.sample import SampleStatistics
 from hyperval.processing.spatial_correlation import (
+    drawn_pixels,
     independent_for_mean,
     independent_for_variance,
     lag_correlation,
     neighbour_shares,
+    nth_pixels,
 )
 from hyperval.processing.tails import TailFit, fit_tail_dof, left_out_distances, squared_mahalanobis
 from hyperval.products import PixelDistribution
@@ -31,6 +33,7 @@ PIXELS_PER_BAND = 10  # fewer, and distances are taken in fewer components
 COMPONENTS = 6  # leading ones whose correlation on the ground is measured
 LEADING_SHARE = 0.99  # of the variance, in the leading components that tails are measured in as well
 FEWEST_LEADING = 2
+TOGETHER = 4096  # pixels that are held at once
 WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
 QUANTILES = 160
 _SEED = 31
@@ -64,12 +67,16 @@ def pixel_distribution(place: Place, region: Mask, statistics: SampleStatistics)
 
     independent, part = _independence(place, region, statistics.n, bands, mean, directions, leading, rng)
     most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS)
-    pixels = _some(place, region, most, rng)[:, bands]
-    pixels = pixels[np.isfinite(pixels).all(axis=1)]
-    if pixels.shape[0] < FEWEST_PIXELS:
+    distances = []
+    for spectra in _some(place, region, most, rng):
+        pixels = spectra[:, bands]
+        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+        every = squared_mahalanobis(pixels, mean, directions.vectors, directions.values)
+        few = squared_mahalanobis(pixels, mean, directions.vectors[:, :leading], directions.values[:leading])
+        distances.append((every, few))
+    every, few = (np.concatenate(parts) for parts in zip(*distances, strict=True))
+    if every.size < FEWEST_PIXELS:
         return None
-    every = squared_mahalanobis(pixels, mean, directions.vectors, directions.values)
-    few = squared_mahalanobis(pixels, mean, directions.vectors[:, :leading], directions.values[:leading])
     whole = _fit(every, dimension, statistics.n, part[0])
     lead = _fit(few, leading, statistics.n, part[1])
     distance, exceedance = exceedance_curve(left_out_distances(few, statistics.n))
@@ -90,12 +97,13 @@ def _fit(distances: Array, dimension: int, n: int, part: float) -> TailFit:
     return fit_tail_dof(distances, dimension, estimated_on=n, independent=part * distances.size)
 
 
-def _some(place: Place, region: Mask, most: int, rng: np.random.Generator) -> Array:
-    lines, samples = np.nonzero(region)
-    if lines.size > most:
-        chosen = np.sort(rng.choice(lines.size, most, replace=False))
-        lines, samples = lines[chosen], samples[chosen]
-    return place.cube.spectra((lines, samples))
+def _some(place: Place, region: Mask, most: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Valid pixels (n, B) of a region drawn at random, in the order of the lines, some at a time."""
+    lines, samples = drawn_pixels(region, most, rng)
+    order = np.lexsort((samples, lines))
+    for start in range(0, order.size, TOGETHER):
+        some = order[start : start + TOGETHER]
+        yield place.cube.spectra((lines[some], samples[some]))
 
 
 def _independence(
@@ -145,11 +153,10 @@ def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[in
     lines, samples = region.shape
     if lines <= WINDOW and samples <= WINDOW:
         return [(0, 0)]
-    at = np.flatnonzero(region)
-    chosen = rng.choice(at, min(WINDOWS, at.size), replace=False)
+    count = int(np.count_nonzero(region))
+    chosen = nth_pixels(region, rng.choice(count, min(WINDOWS, count), replace=False))
     corners = []
-    for place in chosen.tolist():
-        line, sample = divmod(place, samples)
+    for line, sample in zip(*(part.tolist() for part in chosen), strict=True):
         corners.append(
             (
                 int(np.clip(line - WINDOW // 2, 0, max(lines - WINDOW, 0))),

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
-from scipy.interpolate import CubicSpline
+from scipy import special
 
 from hyperval.errors import UsageError
 from hyperval.file_names import MAX_MATCHES, matching
@@ -108,7 +107,7 @@ def mean_error_covariance(covariance: Array, n: int) -> Array:
     Few spectra know their own spread badly; with this +-1.96 u is the 95 % interval of the mean.
     Source: JCGM 100:2008 (GUM), 4.2.3 and G.3.
     """
-    wider = float(stats.t.ppf(0.975, n - 1)) / Z95
+    wider = float(special.stdtrit(n - 1, 0.975)) / Z95
     return np.asarray(wider**2 * covariance / n)
 
 
@@ -153,6 +152,8 @@ def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: S
     if known.sum() < 2:
         return np.full(len(axis), np.nan)
     if nominal is not None and _are_centres(wavelength_nm, nominal):
+        from scipy.interpolate import CubicSpline  # 10 MB
+
         at = np.clip(axis.centre_nm, wavelength_nm[known][0], wavelength_nm[known][-1])
         moved = CubicSpline(wavelength_nm[known], values[known])(at)
         return np.where(known, moved, np.nan)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
 from hyperval.errors import UsageError
 from hyperval.processing.intervals import clopper_pearson
@@ -43,6 +42,8 @@ def alarms_at_detection(
     def greatest(rank: int) -> int:
         """Place of the ``rank``-th greatest target among the different target scores."""
         return int(np.flatnonzero(reached >= rank)[-1])
+
+    from scipy import stats  # 25 MB with what it loads, which runs without detection do not need
 
     out = []
     for q in pd:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import special
 
 from hyperval.processing.spatial_correlation import lag_correlation
 
@@ -105,7 +105,7 @@ def small_sample_factor(independent: npt.ArrayLike) -> Array:
     pixels ask for (docs/statistics.md).  Source of the form: JCGM 100:2008 (GUM), G.3.
     """
     dof = np.maximum(0.5 * np.asarray(independent, dtype=float) - 1.0, 1.0)
-    return np.asarray((stats.t.ppf(0.975, dof) / Z95) ** 2)
+    return np.asarray((special.stdtrit(dof, 0.975) / Z95) ** 2)
 
 
 def mean_error_covariance(covariance: Array, components: Components, independent: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.executors import single_blas_thread
 from hyperval.processing.gram import Directions, Sums
+from hyperval.processing.mask_bits import MaskBits
 from hyperval.processing.passes import (
     StoredCube,
     Workspace,
@@ -226,7 +227,7 @@ class _Regions:
     """
 
     names: tuple[str, ...]
-    masks: tuple[Mask | None, ...]
+    masks: tuple[MaskBits | None, ...]
     plain: Mask
 
     @classmethod
@@ -234,14 +235,18 @@ class _Regions:
         if SCENE in masks:
             raise UsageError(f"the region name {SCENE!r} is kept for the whole image")
         shape, plain = (cube.lines, cube.samples), np.ones(cube.lines, bool)
-        for name, mask in (*masks.items(), *([(SCENE, exclude)] if exclude is not None else [])):
+
+        def packed(name: str, mask: Mask) -> MaskBits:
             if np.shape(mask) != shape or np.asarray(mask).dtype != bool:
                 raise UsageError(
                     f"the mask of {name!r} has shape {np.shape(mask)} of {np.asarray(mask).dtype}",
                     expected=f"{shape} of bool",
                 )
-            plain &= ~mask.any(axis=1)
-        return cls((SCENE, *masks), (exclude, *masks.values()), plain)
+            np.logical_and(plain, ~mask.any(axis=1), out=plain)
+            return MaskBits.of(mask)
+
+        scene = None if exclude is None else packed(SCENE, exclude)
+        return cls((SCENE, *masks), (scene, *(packed(*item) for item in masks.items())), plain)
 
     def kinds(self, rows: slice, usable: Mask) -> tuple[list[tuple[bytes, Mask]], npt.NDArray[np.int64]]:
         """The usable pixels (lines, samples) by the regions they lie in, and how many others each region holds.

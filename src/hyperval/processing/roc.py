@@ -11,7 +11,6 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from hyperval.errors import UsageError
 from hyperval.processing.alarm_blocks import AlarmBlocks, same_scores
@@ -88,6 +87,8 @@ def pd_at_pfa(
     p = np.atleast_1d(np.asarray(pfa, dtype=float))
     if not (np.all(p > 0) and np.all(p <= 1)):
         raise UsageError("a preset false-alarm probability must lie in (0, 1]")
+    from scipy import stats  # 25 MB with what it loads, which runs without detection do not need
+
     k = np.minimum(np.floor(p * b.size * (1.0 + 1e-12)).astype(np.int64), b.size)
     tail = (1.0 - level) / 2.0
     # The greatest r with P(fewer than r scores above the true threshold) <= tail: the r-th greatest bounds it

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special, stats
+from scipy import special
 
 from hyperval.errors import UsageError
 from hyperval.processing.alarm_blocks import AlarmBlocks
@@ -177,7 +177,7 @@ def logit_interval(value: float, variance: float, m: int, n: float, level: float
         low, high = (float(x) for x in clopper_pearson(round(value * trials), trials, level))
         return min(low, value), max(high, value)
     tail = 0.5 + level / 2.0
-    quantile = float(stats.t.ppf(tail, trials - 1)) if trials > 1 else float(special.ndtri(tail))
+    quantile = float(special.stdtrit(trials - 1, tail)) if trials > 1 else float(special.ndtri(tail))
     half = quantile * np.sqrt(variance) / (value * (1.0 - value))
     centre = special.logit(value)
     return float(special.expit(centre - half)), float(special.expit(centre + half))

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import fftconvolve
+from scipy import fft
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.intp]
 
 # A correlation within so many standard errors of 0 counts as none: their squares would add up over many lags.
 _SIGNIFICANT = 3.5
@@ -60,20 +61,48 @@ def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> LagCor
 
 def _lagged(z: Array, reach: int) -> Array:
     """sum_x z(x) z(x + h) for lags h up to ``reach``."""
-    padded = np.pad(z, reach)
-    return np.asarray(fftconvolve(padded, z[::-1, ::-1], mode="valid"))
+    size = [fft.next_fast_len(n + 2 * reach, real=True) for n in z.shape]
+    spectrum = fft.rfft2(z, size)
+    lags = np.arange(-reach, reach + 1)
+    return np.asarray(fft.irfft2(np.abs(spectrum) ** 2, size)[np.ix_(lags, lags)])
 
 
 def neighbour_shares(mask: Mask, reach: int, rng: np.random.Generator, most: int = 2000) -> Array:
     """(2R + 1, 2R + 1) share of the pixels of a region whose neighbour at each lag belongs to it as well."""
-    lines, samples = np.nonzero(mask)
-    if lines.size > most:
-        chosen = rng.choice(lines.size, most, replace=False)
-        lines, samples = lines[chosen], samples[chosen]
-    padded = np.pad(mask, reach)
-    steps = np.arange(2 * reach + 1)
-    neighbours = padded[lines[:, None, None] + steps[:, None], samples[:, None, None] + steps]
-    return np.asarray(neighbours.mean(axis=0))
+    lines, samples = drawn_pixels(mask, most, rng)
+    counted = np.zeros((2 * reach + 1, 2 * reach + 1))
+    for line, sample in zip(lines.tolist(), samples.tolist(), strict=True):
+        top, left = max(line - reach, 0), max(sample - reach, 0)
+        near = mask[top : line + reach + 1, left : sample + reach + 1]
+        at = top - line + reach, left - sample + reach
+        counted[at[0] : at[0] + near.shape[0], at[1] : at[1] + near.shape[1]] += near
+    return counted / max(lines.size, 1)
+
+
+def drawn_pixels(mask: Mask, most: int, rng: np.random.Generator) -> tuple[Index, Index]:
+    """Lines and samples of the pixels of a mask, of ``most`` drawn at random where there are more.
+
+    Line by line: the places of all pixels of a large image would take 16 bytes for each.
+    """
+    until = np.cumsum(np.count_nonzero(mask, axis=1))
+    count = int(until[-1]) if until.size else 0
+    return nth_pixels(mask, rng.choice(count, most, replace=False) if count > most else np.arange(count), until)
+
+
+def nth_pixels(mask: Mask, numbers: Index, until: Index | None = None) -> tuple[Index, Index]:
+    """Lines and samples of the pixels of a mask that bear these numbers, counted line by line from 0.
+
+    ``until`` : pixels of the mask up to the end of each line, where they are counted already
+    """
+    until = np.cumsum(np.count_nonzero(mask, axis=1)) if until is None else until
+    lines = np.searchsorted(until, numbers, side="right")
+    samples = np.empty(lines.size, np.intp)
+    order = np.argsort(lines, kind="stable")
+    for some in np.split(order, np.flatnonzero(np.diff(lines[order])) + 1) if lines.size else ():
+        line = int(lines[some[0]])
+        before = int(until[line - 1]) if line else 0
+        samples[some] = np.flatnonzero(mask[line])[numbers[some] - before]
+    return lines, samples
 
 
 def independent_for_mean(n: int, correlation: Array, shares: Array) -> float:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
-from scipy.special import gammaln, ndtr
-from scipy.stats import chi2, f
+from scipy.special import chdtrc, fdtrc, gammaln, ndtr
 
 from hyperval.errors import UsageError
 
@@ -153,8 +152,8 @@ def exceedance_of_distance(squared_distance: npt.ArrayLike, dimension: int, dof:
     """Probability that a pixel of a normal (dof inf) or t law lies farther out than this, of any shape."""
     d = np.asarray(squared_distance, dtype=float)
     if np.isinf(dof):
-        return np.asarray(chi2.sf(d, dimension))
-    return np.asarray(f.sf(d * dof / (dof - 2.0) / dimension, dimension, dof))
+        return np.asarray(chdtrc(dimension, d))
+    return np.asarray(fdtrc(dimension, dof, d * dof / (dof - 2.0) / dimension))
 
 
 def squared_mahalanobis(pixels: npt.ArrayLike, mean: npt.ArrayLike, vectors: Array, values: Array) -> Array:

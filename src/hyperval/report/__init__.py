@@ -1,14 +1,6 @@
 """Figures, HTML, CSV, JSON, JUnit and NetCDF: views of one results table."""
 
-from hyperval.report.outputs import campaign_folders, write_index, write_outputs, write_tables
-from hyperval.report.run import Quicklook, RunReport, ScoreMap
+import lazy_loader
 
-__all__ = [
-    "Quicklook",
-    "RunReport",
-    "ScoreMap",
-    "campaign_folders",
-    "write_index",
-    "write_outputs",
-    "write_tables",
-]
+# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,14 @@
+"""Figures, HTML, CSV, JSON, JUnit and NetCDF: views of one results table."""
+
+from .outputs import campaign_folders, write_index, write_outputs, write_tables
+from .run import Quicklook, RunReport, ScoreMap
+
+__all__ = [
+    "Quicklook",
+    "RunReport",
+    "ScoreMap",
+    "campaign_folders",
+    "write_index",
+    "write_outputs",
+    "write_tables",
+]
