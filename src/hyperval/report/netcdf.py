@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 import hyperval
 from hyperval.products import Prediction, Products, SpectralEstimate
+from hyperval.report.labelled_arrays import LabelledArrays, write_groups
 from hyperval.report.netcdf_detection import add_detection, add_entries, ragged
 from hyperval.units import RADIANCE_UNIT
 
@@ -54,7 +54,6 @@ _CLASS_ERROR = (
     ("bound_lower", "lower limit of the least error of normal classes with these distances"),
     ("bound_upper", "upper limit of the least error of normal classes with these distances"),
 )
-_PACKED = {"zlib": True, "complevel": 4, "shuffle": True, "dtype": "float32"}
 
 
 def write_products(path: Path, sides: Mapping[str, Products | None], *, title: str, simulated: bool) -> None:
@@ -65,19 +64,14 @@ def write_products(path: Path, sides: Mapping[str, Products | None], *, title: s
         "source": f"hyperval {hyperval.__version__}",
         "simulated": "yes" if simulated else "no",
     }
-    xr.Dataset(attrs=attributes).to_netcdf(path, mode="w", engine="h5netcdf")
-    for group, products in sides.items():
-        if products is None:
-            continue
-        data = dataset(products)
-        encoding = {name: dict(_PACKED) for name in data.data_vars if str(name).endswith("_covariance")}
-        data.to_netcdf(path, mode="a", group=group, engine="h5netcdf", encoding=encoding)
+    groups = {group: labelled_arrays(products) for group, products in sides.items() if products is not None}
+    write_groups(path, groups, attributes)
 
 
-def dataset(products: Products) -> xr.Dataset:
-    """One side as a dataset: dims band, band_2, <product>_subject, roc_curve, roc_point, ..."""
+def labelled_arrays(products: Products) -> LabelledArrays:
+    """One side as arrays: axes band, band_2, <product>_subject, roc_curve, roc_point, ..."""
     axis = products.axis
-    data = xr.Dataset(
+    data = LabelledArrays(
         coords={
             "wavelength": ("band", axis.centre_nm, {"units": "nm", "standard_name": "radiation_wavelength"}),
             "wavelength_2": ("band_2", axis.centre_nm, {"units": "nm", "long_name": "wavelength, second index"}),
@@ -103,7 +97,7 @@ def dataset(products: Products) -> xr.Dataset:
 
 
 def _add_spectra(
-    data: xr.Dataset,
+    data: LabelledArrays,
     name: str,
     long_name: str,
     unit: str,
@@ -123,7 +117,7 @@ def _add_spectra(
     add("_standard_uncertainty", ("band",), u, unit, f"standard uncertainty of {name}")
     add("_n", (), _counts([e.n for e in each]), "1", "samples behind the mean; NaN when it has none")
     for source in sorted({source for e in each for source in e.budget}):
-        empty = np.full(len(data["band"]), np.nan)
+        empty = np.full(len(each[0].mean), np.nan)
         part = np.stack([np.asarray(e.budget.get(source, empty), dtype=float) for e in each])
         add(
             f"_uncertainty_from_{_identifier(source)}", ("band",), part, unit, f"standard uncertainty from {source}"
@@ -138,13 +132,13 @@ def _add_spectra(
             add("_pixel_covariance", square, np.stack(spread), squared, f"covariance of {name} from pixel to pixel")
 
 
-def _add_noise(data: xr.Dataset, prediction: Prediction) -> None:
+def _add_noise(data: LabelledArrays, prediction: Prediction) -> None:
     """Variance by source of noise, and the part of full scale, by subject."""
     if prediction.noise:
         noise = prediction.noise
         data.coords["noise_subject"] = ("noise_subject", _names(noise), {"long_name": "subjects of noise"})
         for source in sorted({source for parts in noise.values() for source in parts}):
-            empty = np.full(len(data["band"]), np.nan)
+            empty = np.full(len(prediction.axis), np.nan)
             values = np.stack([np.asarray(parts.get(source, empty), dtype=float) for parts in noise.values()])
             text = f"variance of a pixel's radiance from {source.replace('_', ' ')}"
             data[f"noise_variance_{_identifier(source)}"] = (
@@ -159,7 +153,7 @@ def _add_noise(data: xr.Dataset, prediction: Prediction) -> None:
         )  # fmt: skip
 
 
-def _add_tails(data: xr.Dataset, products: Products) -> None:
+def _add_tails(data: LabelledArrays, products: Products) -> None:
     """How the pixels of each class are distributed about their mean."""
     distributions = {(subject,): distribution for subject, distribution in products.distribution.items()}
     add_entries(data, "distribution", distributions, [(name, "1", text) for name, text in _TAILS], ("subject",))

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from hyperval.products import Products
+from hyperval.report.labelled_arrays import LabelledArrays
 
 # A predicted object score is a law; its quantiles say what its draws do.
 OBJECT_QUANTILES = (0.001, 0.005, 0.01, 0.025, 0.05, *np.round(np.arange(0.1, 0.95, 0.1), 1).tolist(),
@@ -62,7 +62,7 @@ _ABUNDANCE = (
 )
 
 
-def add_detection(data: xr.Dataset, products: Products) -> None:
+def add_detection(data: LabelledArrays, products: Products) -> None:
     """Everything about scores, detection and false alarms of one side."""
     _add_roc(data, products)
     entries = [(key, range_, area) for key, c in products.roc.items() for range_, area in c.areas.items()]
@@ -86,7 +86,7 @@ def add_detection(data: xr.Dataset, products: Products) -> None:
 
 
 def add_entries(
-    data: xr.Dataset,
+    data: LabelledArrays,
     name: str,
     entries: Mapping[Any, Any],
     attributes: Sequence[tuple[str, str, str]],
@@ -112,7 +112,7 @@ def ragged(rows: Sequence[Any], length: int = 0) -> Any:
     return out
 
 
-def _add_roc(data: xr.Dataset, products: Products) -> None:
+def _add_roc(data: LabelledArrays, products: Products) -> None:
     if not products.roc:
         return
     curves = list(products.roc.values())
@@ -125,7 +125,7 @@ def _add_roc(data: xr.Dataset, products: Products) -> None:
     _add_each(data, "roc", dim, curves, _ROC_COUNTS)
 
 
-def _add_scores(data: xr.Dataset, products: Products) -> None:
+def _add_scores(data: LabelledArrays, products: Products) -> None:
     add_entries(data, "score", products.scores, _SCORE)
     scores = list(products.scores.values())
     if any(score.grid is not None for score in scores):
@@ -134,7 +134,7 @@ def _add_scores(data: xr.Dataset, products: Products) -> None:
             data[f"score_{name}"] = (("score_entry", "score_point"), values, {"units": "1", "long_name": text})
 
 
-def _add_object_scores(data: xr.Dataset, products: Products) -> None:
+def _add_object_scores(data: LabelledArrays, products: Products) -> None:
     """Measured: one score for each object; predicted: quantiles of the law of an object's score."""
     measured = {key: scores for key, scores in products.object_scores.items() if np.ndim(scores.values) == 1}
     predicted = {key: scores for key, scores in products.object_scores.items() if np.ndim(scores.values) == 2}
@@ -155,7 +155,7 @@ def _add_object_scores(data: xr.Dataset, products: Products) -> None:
         data["object_score_quantile"] = ((dim, lower), values, attributes)
 
 
-def _add_exceedance(data: xr.Dataset, products: Products) -> None:
+def _add_exceedance(data: LabelledArrays, products: Products) -> None:
     if not products.exceedance:
         return
     dim = _name_entries(data, "exceedance", list(products.exceedance), ("subject", "detector"))
@@ -172,7 +172,7 @@ def _add_exceedance(data: xr.Dataset, products: Products) -> None:
 
 
 def _name_entries(
-    data: xr.Dataset, name: str, keys: Sequence[Any], parts: Sequence[str], dim: str | None = None
+    data: LabelledArrays, name: str, keys: Sequence[Any], parts: Sequence[str], dim: str | None = None
 ) -> str:
     dim = dim or f"{name}_entry"
     for i, part in enumerate(parts):
@@ -181,7 +181,7 @@ def _name_entries(
 
 
 def _add_each(
-    data: xr.Dataset, name: str, dim: str, items: Sequence[Any], attributes: Sequence[tuple[str, str, str]]
+    data: LabelledArrays, name: str, dim: str, items: Sequence[Any], attributes: Sequence[tuple[str, str, str]]
 ) -> None:
     for attribute, unit, text in attributes:
         values = [getattr(item, attribute) for item in items]
