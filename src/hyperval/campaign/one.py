@@ -6,34 +6,31 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hyperval.campaign.curves import eigenvalue_spectra, tail_curves
 from hyperval.campaign.day_scenarios import scenarios_of
-from hyperval.campaign.derived import predicted_unmixing, with_errors_of_classes
 from hyperval.campaign.draft import Waiting, read_texts
 from hyperval.campaign.header_check import scenario_notes
 from hyperval.campaign.merge import merged, with_pools, without_circles
-from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import command_without_output, provenance
-from hyperval.campaign.reasons import reasons
 from hyperval.campaign.references import check_names, missing_sets
 from hyperval.campaign.schema import Campaign
 from hyperval.campaign.truth_check import truth_notes
-from hyperval.compare import compare_products, judged
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError, UsageError
 from hyperval.files import scratch_folder
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
-from hyperval.predict import Origins, predict
 from hyperval.prediction.departure import Departure
 from hyperval.products import Abundance, Observation, Prediction, Products
 from hyperval.report import RunReport
 from hyperval.report.power import accepted_table
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.scenario import Scenario
+
+if TYPE_CHECKING:
+    from hyperval.predict import Origins
 
 SIMULATED = "simulated:"
 
@@ -131,6 +128,8 @@ def run_campaign(
                 with_observed(side.observed)
             predictions = []
             if predicts:
+                from hyperval.predict import predict
+
                 predictions = [
                     predict(scenario, side.origins(scenario, show_progress), objects=True)
                     for scenario in side.scenarios
@@ -168,6 +167,8 @@ class Collected:
     def origins(self, scenario: Scenario, show_progress: bool | None) -> Origins:
         """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
         observed = self.observed
+        from hyperval.predict import Origins
+
         return Origins(
             observed.observation.axis, observed.statistics, self.resolver(scenario), show_progress=show_progress
         )
@@ -229,6 +230,11 @@ def _with_every_set(job: Job, error: MissingDataError) -> str:
 def _report(job: Job, side: Collected, predictions: Sequence[Prediction], show_progress: bool | None) -> RunReport:
     campaign, inputs, scenarios, observed = job.campaign, side.inputs, side.scenarios, side.observed
     prediction = None
+    # What compares takes 30 MB: not before the imagery is done with.
+    from hyperval.campaign.curves import eigenvalue_spectra, tail_curves
+    from hyperval.campaign.one_side import product_rows
+    from hyperval.campaign.reasons import reasons
+
     if predictions:
         prediction = predicted_side(job, side, predictions)
         rows = outcomes(prediction, observed.observation, campaign, scenarios)
@@ -278,6 +284,8 @@ def predicted_side(
 
     ``truths`` : how the truth departs from each scenario, that of the predictions; None: not at all.
     """
+    from hyperval.campaign.derived import predicted_unmixing, with_errors_of_classes
+
     campaign, scenarios, observed = job.campaign, side.scenarios, side.observed
     whole = with_errors_of_classes(merged(predictions), campaign.classification, observed.observation)
     finders = [side.resolver(scenario) for scenario in scenarios]
@@ -302,6 +310,8 @@ def outcomes(
     prediction : of :func:`predicted_side`
     scenarios : name the engine in the rows
     """
+    from hyperval.compare import compare_products, judged
+
     engine = "+".join(sorted({s.atmosphere.engine for s in scenarios if s.atmosphere})) or "statistics"
     rows = compare_products(
         prediction,

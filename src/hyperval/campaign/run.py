@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from hyperval.campaign.jobs import run_jobs
-from hyperval.campaign.one import Job, jobs_of, record_of, run_campaign
+from hyperval.campaign.one import jobs_of, record_of, run_campaign
 from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.resume import Finished
-from hyperval.campaign.schema import load_campaign
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.folders import partial_folder, whole_folder
-from hyperval.observe import Observed
-from hyperval.observe.reflectance_cube import Form
-from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
 from hyperval.predict import Origins, predict
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.results import ResultTable
@@ -64,44 +59,6 @@ def validate(
     finished.remove()
     first_error = next((code for _, code in done if code is not None), None)
     return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
-
-
-def observe(
-    path: Path, output: Path, *, write_reflectance: Form | None = None, show_progress: bool | None = None
-) -> int:
-    """Run the empirical pipeline alone and write what the collection says.
-
-    Parameters
-    ----------
-    write_reflectance : write the cube after the empirical line as well, to ``reflectance/`` in the folder
-
-    Raises
-    ------
-    UsageError : a reflectance cube is asked for and the collection has no empirical line.
-    """
-    job = Job(load_campaign(path), Path(path))
-    if write_reflectance and job.campaign.collection.empirical_line is None:
-        raise UsageError(
-            "there is no empirical line that would make a reflectance cube",
-            where=str(path),
-            mend="add collection.empirical_line, or leave --write-reflectance out",
-        )
-    with whole_folder(output) as folder:
-        notes: list[str] = []
-
-        def cube(observed: Observed) -> None:
-            if observed.place is not None and write_reflectance:
-                written = reflectance_cube(
-                    folder / "reflectance", "reflectance", observed.place.cube, observed.elm, write_reflectance,
-                    show_progress=show_progress,
-                )  # fmt: skip
-                notes.append(written[1])
-
-        run = run_campaign(
-            job, predicts=False, show_progress=show_progress, with_observed=cube if write_reflectance else None
-        )
-        write_outputs(replace(run, notes=[*run.notes, *notes]), folder)
-    return 0
 
 
 def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | None = None) -> int:

@@ -42,7 +42,7 @@ def observe(
     ] = None,
 ) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
-    from hyperval.campaign.run import observe as run
+    from hyperval.campaign.observing import observe as run
 
     code = run(campaign, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
     say_warnings(output)

@@ -44,6 +44,7 @@ Resolve = Callable[[str], Path]
 CIRCULAR = "the empirical line goes through this panel whatever it reflects: no degree of freedom is left"
 # At most this many pixels of a region are held in memory for its SNR.
 MAX_SNR_PIXELS = 20_000
+MAX_SNR_NUMBERS = 2_000_000  # pixels times bands
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,7 +283,8 @@ def _some_pixels(place: Place, name: str) -> Array:
     """Valid pixels (n, B) of a region, evenly thinned to what memory should hold."""
     region = place.region(name)
     count = int(np.count_nonzero(region))
-    return place.cube.spectra(nth_pixels(region, np.arange(0, count, -(-count // MAX_SNR_PIXELS))))
+    step = -(-count // min(MAX_SNR_PIXELS, MAX_SNR_NUMBERS // place.cube.bands))
+    return place.cube.spectra(nth_pixels(region, np.arange(0, count, step)))
 
 
 def _shrunk(sample: SampleStatistics, intensity: float) -> SampleStatistics:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import ExceedanceCurve, RocCurve
@@ -195,7 +195,7 @@ def _ordered(axes: Axes, u: Array, title: str) -> None:
     n = u.size
     rank = np.arange(1, n + 1)
     at = (rank - 0.5) / n
-    low, high = (beta.ppf(q, rank, n + 1 - rank) for q in (0.025, 0.975))
+    low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
     axes.fill_between(at, low, high, color=PREDICTED.colour, alpha=0.25, linewidth=0)
     axes.plot([0, 1], [0, 1], color=_GREY, linestyle=":")
     axes.plot(at, u, color=COLLECTED.colour, marker="." if n <= 60 else None)

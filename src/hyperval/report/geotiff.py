@@ -8,15 +8,16 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning
-from rasterio.transform import Affine
+from affine import Affine
 
 from hyperval.report.run import ScoreMap
 
 
 def write_score_map(path: Path, name: str, score_map: ScoreMap) -> None:
     """Write one map; NaN is nodata; georeferenced where the map knows its transform."""
+    import rasterio  # 20 MB, which runs without score maps do not need
+    from rasterio.errors import NotGeoreferencedWarning
+
     values = np.asarray(score_map.values, dtype=np.float32)
     profile = {
         "driver": "GTiff", "height": values.shape[0], "width": values.shape[1], "count": 1, "dtype": "float32",

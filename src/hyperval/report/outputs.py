@@ -19,7 +19,7 @@ def write_outputs(run: RunReport, folder: Path) -> None:
     results.csv, summary.csv, results.json, junit.xml, provenance.json, products.nc, figures/, scores/ (where there
     are score maps) and report.html.  The same run gives the same bytes.
     """
-    # matplotlib, pandas and xarray take 120 MB: not before the imagery is done with.
+    # matplotlib and bokeh take 80 MB: not before the imagery is done with.
     from hyperval.report.figures import draw_figures
     from hyperval.report.html import report_page
     from hyperval.report.netcdf import write_products
