@@ -69,7 +69,13 @@ class CalibrationUncertainty(Model):
     relative: float | None = Field(None, ge=0, lt=1)
     file: str | None = Field(None, description="text table: wavelength nm, relative standard uncertainty")
     correlation_nm: float | None = Field(
-        None, gt=0, description="correlation length between bands; None: fully correlated"
+        None,
+        gt=0,
+        description="correlation length between bands; None: one error for all bands, but one for each where a "
+        "file states it band by band",
+    )
+    uncorrelated: float | None = Field(
+        None, gt=0, lt=1, description="besides: a relative standard uncertainty of each band by itself"
     )
 
     @model_validator(mode="after")
@@ -98,6 +104,11 @@ class Collection(Model):
     )
     empirical_line: EmpiricalLineSource | None = None
     calibration: CalibrationUncertainty | None = None
+    detector: str | None = Field(
+        None,
+        description="with spectra: sensor of the library, or file, whose noise over the pixels of a site is "
+        "an error of its mean",
+    )
     precision: Literal["auto", "fast", "exact"] = Field(
         "auto",
         description="arithmetic of the covariances: 'fast' multiplies in float32 (scores differ by about 1e-6 of "
@@ -109,6 +120,8 @@ class Collection(Model):
     def _one_source(self) -> Collection:
         if bool(self.cube) + bool(self.spectra) + bool(self.radcalnet) != 1:
             raise ValueError("give exactly one of cube, spectra, radcalnet")
+        if self.detector is not None and not (self.spectra and all(site.pixels for site in self.spectra)):
+            raise ValueError("detector is for spectra, each of which states its pixels: a cube shows its own noise")
         if self.simulate and self.cube is None:
             raise ValueError("a simulated collection is a cube: give cube.path as simulated:NAME_rad.img")
         cube = self.cube

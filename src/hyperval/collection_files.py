@@ -44,7 +44,7 @@ class SpectrumCollection(Model):
     record: str | int | None = Field(None, description="which spectrum of a file of several, as for reflectances")
     unit: RadianceUnit | None = Field(None, description="of the radiance; None: the file's, else uW cm-2 sr-1 nm-1")
     wavelength_unit: Literal["nm", "um"] = "nm"
-    pixels: int | None = Field(None, ge=1, description="pixels averaged, when known")
+    pixels: int | None = Field(None, ge=1, description="pixels averaged (integrations), when known")
 
 
 class RadCalNetSource(Model):

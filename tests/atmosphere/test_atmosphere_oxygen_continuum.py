@@ -104,8 +104,8 @@ def test_layers_add_up_and_an_empty_path_has_no_depth():
 
 
 def test_terms_are_dimmed_by_beers_law_along_the_slanted_paths(engine_cache):
-    with_it = sixs_terms(OFF_NADIR, engine_cache, False)
-    without = sixs_terms(OFF_NADIR, engine_cache, False, oxygen_continuum=False)
+    with_it = sixs_terms(OFF_NADIR, engine_cache, False, ratio=None)
+    without = sixs_terms(OFF_NADIR, engine_cache, False, oxygen_continuum=False, ratio=None)
     nm = with_it.wavelength_nm
 
     def squared(z):

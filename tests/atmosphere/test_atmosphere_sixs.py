@@ -59,8 +59,8 @@ def solver_reflectance(st, nm, rho, folder):
 
 @cache
 def as_the_solver(st, folder):
-    """Terms without the absorption by colliding oxygen, which the solver does not have."""
-    return sixs.sixs_terms(st, folder, False, oxygen_continuum=False)
+    """Terms without what the solver does not have: absorption by colliding oxygen, the ratio of MODTRAN to it."""
+    return sixs.sixs_terms(st, folder, False, oxygen_continuum=False, ratio=None)
 
 
 def slowly(*values):
@@ -192,7 +192,8 @@ def test_more_water_absorbs_more_and_leaves_windows_alone(terms_of):
     dry, wet = (terms_of(state(water_vapour_g_cm2=w)) for w in (1.0, 3.0))
     assert np.all(wet.gas_transmittance <= dry.gas_transmittance + 1e-4)
     assert wet.gas_transmittance[at(wet, 940.0)] < 0.75 * dry.gas_transmittance[at(dry, 940.0)]
-    assert wet.gas_transmittance[at(wet, 550.0)] == pytest.approx(dry.gas_transmittance[at(dry, 550.0)], abs=2e-3)
+    # 557.5 nm: water has a weak band at 543 nm.
+    assert wet.gas_transmittance[at(wet, 557.5)] == pytest.approx(dry.gas_transmittance[at(dry, 557.5)], abs=2e-3)
     np.testing.assert_array_equal(wet.spherical_albedo, dry.spherical_albedo)  # scattering comes from the cache
 
 

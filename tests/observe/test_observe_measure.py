@@ -11,9 +11,10 @@ from small_world import AXIS, BANDS, PLANTED, SAMPLES, World
 from hyperval.collection import CalibrationUncertainty, Collection
 from hyperval.errors import InputError, UsageError
 from hyperval.observe import observe
-from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
+from hyperval.observe.uncertainty import calibration_covariance, detector_covariance, spectral_estimate
 from hyperval.processing.few_pixels import factor_covariance
 from hyperval.processing.mean_error import small_sample_factor
+from hyperval.sensor.specification import load_sensor
 
 
 def test_mean_and_covariance_of_a_region_equal_numpy(world):
@@ -217,6 +218,31 @@ def test_calibration_with_a_correlation_length_and_from_a_table(tmp_path):
     gap = w[:, None] - w[None, :]
     assert found == pytest.approx(np.outer(2 * relative, 2 * relative) * np.exp(-0.5 * (gap / 50.0) ** 2))
     assert np.sqrt(found[7, 7]) == pytest.approx(0.02)
+
+
+def test_errors_stated_band_by_band_are_independent_and_an_uncorrelated_part_adds_to_each(tmp_path):
+    (tmp_path / "error.txt").write_text("400 0.04\n1000 0.01\n1400 0.01\n")
+    level = np.linspace(10.0, 1.0, BANDS)
+    relative = np.interp(AXIS.centre_nm, [400, 1000, 1400], [0.04, 0.01, 0.01])
+    by_band = CalibrationUncertainty(file="error.txt", uncorrelated=0.02)
+    found = calibration_covariance(level, AXIS, by_band, lambda r: tmp_path / r)
+    assert found == pytest.approx(np.diag((relative**2 + 0.02**2) * level**2))
+    common = calibration_covariance(
+        level, AXIS, CalibrationUncertainty(relative=0.03, uncorrelated=0.01), lambda r: r
+    )
+    assert common[0, 1] == pytest.approx(0.03**2 * level[0] * level[1])
+    assert common[0, 0] == pytest.approx((0.03**2 + 0.01**2) * level[0] ** 2)
+
+
+def test_noise_of_the_detector_goes_with_the_pixels_averaged():
+    sensor = load_sensor("aviris-ng")
+    level = np.full(BANDS, 5.0)
+    one, many = (detector_covariance(level, AXIS, sensor, n) for n in (1, 100))
+    assert many * 100 == pytest.approx(one)
+    a, b, c = (x[3] for x in sensor.noise(AXIS).measured)
+    assert np.sqrt(one[3, 3]) == pytest.approx(abs(a * np.sqrt(b + 5.0) + c))
+    with pytest.raises(ValueError, match="each of which states its pixels"):
+        Collection(spectra=[{"subject": "a", "path": "a.txt"}], detector="aviris-ng")
 
 
 def test_calibration_stands_in_the_budget_of_the_radiance(make_radiance):

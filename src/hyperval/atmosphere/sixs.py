@@ -10,7 +10,8 @@ for one by one without gas, gas transmittance in a table, and the terms are form
 
 (Vermote et al., IEEE TGRS 35, 1997, 675-686, equations 2 and 5-7; 6S user guide part 1.)
 
-To each Tg comes the absorption by colliding oxygen molecules, which 6S lacks (module oxygen_continuum).
+To each Tg comes the absorption by colliding oxygen molecules, which 6S lacks (module oxygen_continuum), and what
+MODTRAN 6 has over 6S otherwise (module engine_ratio).
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from os import cpu_count
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.cache import Arrays, cached
+from hyperval.atmosphere.engine_ratio import EngineRatio, engine_ratio, ways
 from hyperval.atmosphere.oxygen_continuum import continuum_depth
 from hyperval.atmosphere.profiles import air_column, altitude_of_air_column, scaled_profile, standard_profile
 from hyperval.atmosphere.sixs_process import run_sixs, sixs_fingerprint
@@ -79,7 +82,12 @@ class _Setting:
 
 
 def sixs_terms(
-    state: AtmosphericState, folder: Path, show_progress: bool | None = None, *, oxygen_continuum: bool = True
+    state: AtmosphericState,
+    folder: Path,
+    show_progress: bool | None = None,
+    *,
+    oxygen_continuum: bool = True,
+    ratio: EngineRatio | Literal["shipped"] | None = "shipped",
 ) -> AtmosphericTerms:
     """The terms of a state on the 2.5 nm grid 340-2600 nm.
 
@@ -89,6 +97,7 @@ def sixs_terms(
     folder : cache folder
     show_progress : None follows the terminal
     oxygen_continuum : False leaves out the collision-induced absorption, as 6S itself does
+    ratio : what MODTRAN has over 6S; None leaves it out
 
     Raises
     ------
@@ -106,11 +115,17 @@ def sixs_terms(
     gas = _gas(state, setting, folder, show_progress)
     if oxygen_continuum:
         gas = _with_oxygen_continuum(gas, state, setting)
-    terms = _assemble(state, setting, scattering, gas)
-    return replace(terms, provenance={**terms.provenance, "oxygen_continuum": oxygen_continuum})
+    factors = engine_ratio() if ratio == "shipped" else ratio
+    if factors is not None:
+        gas = _with_ratio(gas, state, factors)
+    terms = _assemble(state, setting, scattering, gas, factors)
+    said = {"oxygen_continuum": oxygen_continuum, "engine_ratio": factors is not None}
+    return replace(terms, provenance={**terms.provenance, **said})
 
 
-def _assemble(state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arrays) -> AtmosphericTerms:
+def _assemble(
+    state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arrays, ratio: EngineRatio | None
+) -> AtmosphericTerms:
     mu0 = np.cos(np.deg2rad(setting.geometry.solar_zenith))
     mu_v = np.cos(np.deg2rad(setting.geometry.view_zenith))
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
@@ -122,13 +137,17 @@ def _assemble(state: AtmosphericState, setting: _Setting, node: Arrays, gas: Arr
     beam = np.exp(-_whole_depth(state, setting, value) / mu0)
     # Molecules and aerosol follow different powers of the wavelength, so each is interpolated by itself: their sum,
     # which 6S interpolates, comes out up to 2 % too large between distant nodes.
-    path = value["reflectance_rayleigh"] * gas["dry"] + value.get("reflectance_aerosol", 0.0) * gas["half"]
+    aerosol_path, albedo = value.get("reflectance_aerosol", np.zeros(GRID_NM.size)), value["spherical_albedo"]
+    if ratio is not None and _is_rural(state):
+        aerosol_path = aerosol_path * ratio.aerosol_path(GRID_NM)
+        albedo = ratio.spherical_albedo(GRID_NM, albedo, state.aerosol_optical_depth)
+    path = value["reflectance_rayleigh"] * gas["dry"] + aerosol_path * gas["half"]
     return AtmosphericTerms(
         wavelength_nm=GRID_NM.copy(),
         path_radiance=unit_radiance * path,
         direct=unit_radiance * value["down"] * direct_up * gas["full"],
         adjacency=unit_radiance * value["down"] * diffuse_up * gas["full"],
-        spherical_albedo=value["spherical_albedo"],
+        spherical_albedo=albedo,
         ground_irradiance=mu0 * solar_irradiance * value["down"] * gas["ground"],
         gas_transmittance=gas["full"],
         diffuse_fraction=np.clip(1.0 - beam / value["down"], 0.0, 1.0),
@@ -324,6 +343,21 @@ def _with_oxygen_continuum(gas: Arrays, state: AtmosphericState, setting: _Setti
     both = down * np.exp(-continuum_depth(GRID_NM, profile, ground, sensor) / mu_v)
     way = {"full": both, "half": both, "dry": both, "ground": down}
     return {name: values * way[name] for name, values in gas.items()}
+
+
+def _with_ratio(gas: Arrays, state: AtmosphericState, ratio: EngineRatio) -> Arrays:
+    """Gas transmittances times what MODTRAN has over 6S on the same ways."""
+    down, both = ways(state)
+    here = ratio.within(GRID_NM, both, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
+    way = {"full": (both, 1.0), "half": (both, 0.5), "dry": (both, 0.0), "ground": (down, 1.0)}
+    return {
+        name: gas[name] * here.gas(GRID_NM, at.air_atm, at.water_g_cm2 * share) for name, (at, share) in way.items()
+    }
+
+
+def _is_rural(state: AtmosphericState) -> bool:
+    """Whether the aerosol is the one whose path and albedo were compared, with the colour that its type has."""
+    return state.aerosol == "rural" and state.angstrom_exponent is None
 
 
 def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> list[str]:

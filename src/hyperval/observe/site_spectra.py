@@ -11,9 +11,10 @@ import numpy.typing as npt
 from hyperval.collection import Collection
 from hyperval.collection_files import BandTable
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.observe.uncertainty import calibration_covariance, spectral_estimate
+from hyperval.observe.uncertainty import calibration_covariance, detector_covariance, spectral_estimate
 from hyperval.observe.wavelengths import wavelength_notes
 from hyperval.products import Observation
+from hyperval.sensor.specification import load_sensor
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 from hyperval.spectra.readers import FieldSpectrum, read_spectrum
 from hyperval.spectra.response import band_average
@@ -25,7 +26,7 @@ SAME_BAND_NM = 0.5
 
 
 def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> Observation:
-    """Radiance of every site with its calibration uncertainty.
+    """Radiance of every site with the uncertainty of its calibration and of its detector's noise.
 
     Raises
     ------
@@ -35,6 +36,9 @@ def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> O
         raise UsageError("collected spectra need a band table")
     axis = read_band_table(resolve(collection.bands.path), collection.bands)
     radiance, notes = {}, []
+    detector = None
+    if (name := collection.detector) is not None:
+        detector = load_sensor(resolve(name) if name.endswith((".yaml", ".yml")) else name)
     if collection.bands.fwhm_column is None:
         notes.append(
             "the band table's widths are not named (fwhm_column): band widths are taken as the band spacing"
@@ -54,6 +58,8 @@ def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> O
         parts = {}
         if collection.calibration is not None:
             parts["calibration"] = calibration_covariance(mean, axis, collection.calibration, resolve)
+        if detector is not None and site.pixels is not None:
+            parts["detector noise"] = detector_covariance(mean, axis, detector, site.pixels)
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
     notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
     return Observation(axis=axis, radiance=radiance, notes=tuple(notes), provenance={"quantity": "radiance"})

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hyperval.collection import CalibrationUncertainty
 from hyperval.prediction.inputs import correlation
 from hyperval.products import EstimatedPart, SpectralEstimate
+from hyperval.sensor.specification import Sensor
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.readers import read_spectrum
 
@@ -24,14 +25,26 @@ def calibration_covariance(
     resolve: Callable[[str], Path],
 ) -> Array:
     """Error covariance (B, B) of a radiance (B,) whose calibration is known to a relative uncertainty."""
+    level = np.asarray(radiance, dtype=float)
     if calibration.relative is not None:
         relative = np.full(len(axis), calibration.relative)
     else:
         table = read_spectrum(resolve(str(calibration.file)), quantity="other", wavelength_unit="nm")
         # The table is smooth; a band of the axis outside it takes the value at its end.
         relative = np.interp(axis.centre_nm, table.wavelength_nm, table.values)
-    sigma = relative * np.asarray(radiance, dtype=float)
-    return np.outer(sigma, sigma) * correlation(axis, calibration.correlation_nm)
+    sigma = relative * level
+    by_band = calibration.file is not None and calibration.correlation_nm is None
+    shape = np.eye(len(axis)) if by_band else correlation(axis, calibration.correlation_nm)
+    covariance = np.outer(sigma, sigma) * shape
+    if calibration.uncorrelated is not None:
+        covariance[np.diag_indices(len(axis))] += (calibration.uncorrelated * level) ** 2
+    return np.asarray(covariance)
+
+
+def detector_covariance(radiance: npt.ArrayLike, axis: SpectralAxis, sensor: Sensor, pixels: int) -> Array:
+    """Error covariance (B, B) of a mean radiance (B,) over so many pixels, by the sensor's noise without C_R."""
+    level = np.clip(np.asarray(radiance, dtype=float), 0.0, None)
+    return np.diag(sensor.noise(axis).variance(level, calibration=False) / pixels)
 
 
 def rounding_variance(step: npt.ArrayLike, standard_deviation: npt.ArrayLike) -> Array:

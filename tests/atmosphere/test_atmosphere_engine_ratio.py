@@ -1,0 +1,160 @@
+"""What MODTRAN 6 has over the embedded engine: the form of the correction, and how it predicts other states."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperval.atmosphere import AtmosphericState, sixs
+from hyperval.atmosphere.engine_ratio import (
+    GREATEST_WATER_G_CM2,
+    THINNEST_AOT,
+    EngineRatio,
+    engine_ratio,
+    ways,
+)
+
+STATE = AtmosphericState(
+    water_vapour_g_cm2=2.0, ozone_atm_cm=0.3, aot550=0.1, ground_altitude_km=0.4, sensor_altitude_km=2.3,
+    solar_zenith_deg=45.0, solar_azimuth_deg=150.0, day_of_year=180, view_zenith_deg=0.0,
+)  # fmt: skip
+NM = np.array([400.0, 500.0, 600.0])
+FLAT = EngineRatio(NM, np.full(3, 0.1), np.full(3, 0.2), np.full(3, 0.9), np.full(3, 0.01), np.full(3, 0.02))
+
+
+def test_transmittances_go_with_the_amounts_and_beyond_the_states_with_their_root():
+    assert FLAT.gas(NM, 1.5, 2.0) == pytest.approx(np.exp(-0.1 * 1.5 - 0.2 * 2.0))
+    depth = lambda u: -np.log(FLAT.gas(NM, 0.0, u)[0]) / 0.2  # noqa: E731
+    edge = GREATEST_WATER_G_CM2
+    assert depth(edge + 1e-6) == pytest.approx(edge + 1e-6, abs=1e-9)  # neither a jump nor a kink
+    assert depth(4.0 * edge) == pytest.approx(3.0 * edge)
+
+
+def test_spherical_albedo_is_lower_in_proportion_to_thin_aerosol_and_never_negative():
+    own = np.full(3, 0.1)
+    assert FLAT.spherical_albedo(NM, own, 0.2) == pytest.approx(0.1 - 0.01 - 0.02 * 0.2)
+    half = FLAT.spherical_albedo(NM, own, THINNEST_AOT / 2)
+    assert half == pytest.approx(0.1 - 0.5 * (0.01 + 0.02 * THINNEST_AOT / 2))
+    assert np.all(FLAT.spherical_albedo(NM, own, 0.0) == own)
+    assert np.all(FLAT.spherical_albedo(NM, np.zeros(3), 0.2) == 0.0)
+
+
+def test_ways_of_the_light():
+    low = STATE.model_copy(update={"solar_zenith_deg": 60.0})
+    down, both = ways(low)
+    assert down.water_g_cm2 == pytest.approx(4.0)  # 2 g cm-2 with the sun at 60 degrees
+    assert 0.0 < both.water_g_cm2 - down.water_g_cm2 < 2.0
+    space = ways(low.model_copy(update={"sensor_altitude_km": 700.0}))[1]
+    assert space.water_g_cm2 == pytest.approx(6.0)
+    assert space.air_atm == pytest.approx(1.5 * down.air_atm)
+
+
+@pytest.fixture
+def engine(monkeypatch, tmp_path):
+    """The engine with made-up air in the place of what 6S prints: nothing is run."""
+    n = sixs.NODES_NM.size
+
+    def scattering(state, *_):
+        haze = {"reflectance_aerosol": np.full(n, 0.01), "depth_aerosol": np.full(n, 0.04)}
+        clear = {
+            "reflectance_rayleigh": 0.02,
+            "down": 0.9,
+            "up": 0.95,
+            "spherical_albedo": 0.1,
+            "depth_rayleigh": 0.05,
+        }
+        return {k: np.full(n, v) for k, v in clear.items()} | (haze if state.aerosol_optical_depth else {})
+
+    gas = {"dry": 0.9, "half": 0.8, "full": 0.7, "ground": 0.8}
+    monkeypatch.setattr(sixs, "_scattering", scattering)
+    monkeypatch.setattr(sixs, "_gas", lambda *_: {k: np.full(sixs.GRID_NM.size, v) for k, v in gas.items()})
+    monkeypatch.setattr(sixs, "sixs_fingerprint", lambda: "none")
+    return lambda state, ratio="shipped": sixs.sixs_terms(state, tmp_path, False, ratio=ratio)
+
+
+def test_the_engine_dims_each_part_of_the_light_by_its_own_way(engine):
+    plain = engine(STATE, None)
+    one = np.ones(3)
+    flat = EngineRatio(NM, 0.1 * one, 0.02 * one, one, 0.0 * one, 0.0 * one)
+    dimmed = engine(STATE, flat)
+    down, both = ways(STATE)
+    expected = np.exp(-0.1 * both.air_atm - 0.02 * both.water_g_cm2)
+    for name in ("direct", "adjacency", "gas_transmittance"):
+        np.testing.assert_allclose(getattr(dimmed, name), getattr(plain, name) * expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        dimmed.ground_irradiance,
+        plain.ground_irradiance * np.exp(-0.1 * down.air_atm - 0.02 * down.water_g_cm2),
+        rtol=1e-12,
+    )
+    inside = dimmed.path_radiance / plain.path_radiance  # between dry light and light through half of the water
+    assert np.all(inside <= np.exp(-0.1 * both.air_atm) * (1 + 1e-12))
+    assert np.all(inside >= np.exp(-0.1 * both.air_atm - 0.01 * both.water_g_cm2) * (1 - 1e-12))
+    assert (dimmed.provenance["engine_ratio"], plain.provenance["engine_ratio"]) == (True, False)
+
+
+def test_no_more_than_half_of_the_absorption_is_taken_back(engine):
+    one = np.ones(3)
+    bright = EngineRatio(NM, -9.0 * one, -9.0 * one, one, 0.0 * one, 0.0 * one)
+    at_600_nm = engine(STATE, bright).gas_transmittance[104]
+    assert at_600_nm == pytest.approx(np.sqrt(0.9))  # half of all and half of the water: the dry gas has half left
+
+
+def test_clear_air_keeps_its_albedo_and_aerosol_of_a_stated_colour_its_path(engine):
+    clear = STATE.model_copy(update={"aerosol": "none", "aot550": None})
+    for state in (clear, STATE.model_copy(update={"angstrom_exponent": 1.3})):
+        np.testing.assert_array_equal(engine(state).spherical_albedo, engine(state, None).spherical_albedo)
+    one = np.ones(3)
+    path = EngineRatio(NM, 0.0 * one, 0.0 * one, 0.5 * one, 0.0 * one, 0.0 * one)
+    less = engine(STATE, path).path_radiance / engine(STATE, None).path_radiance
+    assert less == pytest.approx((0.02 * 0.9 + 0.5 * 0.01 * 0.8) / (0.02 * 0.9 + 0.01 * 0.8))
+
+
+def test_shipped_numbers_are_those_of_the_document():
+    ratio = engine_ratio()
+    assert ratio.wavelength_nm.shape == (425,)
+    assert np.all(np.diff(ratio.wavelength_nm) > 0.0)
+    at = lambda values, nm: float(np.interp(nm, ratio.wavelength_nm, values))  # noqa: E731
+    assert at(ratio.water, 1128.0) > 0.2  # the water band that 6S has least of
+    assert at(ratio.dry, 948.0) < 0.0 < at(ratio.dry, 762.0)
+    assert np.all(ratio.path[ratio.wavelength_nm <= 600.0] == 1.0)
+
+
+@pytest.fixture(scope="module")
+def scripts():
+    """The scripts that made the numbers and their errors."""
+    folder, modules = Path(__file__).parents[2] / "validation/atmosphere", []
+    for name in ("modtran_cases", "compare_modtran", "engine_ratio", "fine_structure"):
+        spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+        modules.append(module)
+    return modules[2:]
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_each_flight_is_predicted_from_the_other_and_the_budget_is_what_is_left(
+    data_dir, scripts, engine_cache, monkeypatch
+):
+    monkeypatch.setenv("HYPERVAL_CACHE", str(engine_cache))
+    made, fine = scripts
+    pairs = [p for p in made.pairs_of(data_dir) if p.case.albedos]  # the states that were run with DISORT
+    multi = [p for p in pairs if p.flight == "pasadena"]
+    ratio = made.fitted([p for p in pairs if p.flight == "topoflux"])
+    error = made.differences([(p.ours(ratio), p.theirs) for p in multi])
+    for low, high, limit, least in ((0.85, 1.01, 0.05, 0.99), (0.7, 0.85, 0.05, 0.9), (0.5, 0.7, 0.1, 0.9)):
+        here = error.transmitting(low, high)
+        assert np.mean(np.abs(error.total[here]) <= limit) >= least
+    clear = (error.gas > made.WINDOW) & error.window(500.0, 1700.0)
+    assert np.mean(np.abs(error.albedo[clear]) <= 0.1) > 0.8
+    rest, depth = fine.residuals(pairs[:1] + multi)[1:]
+    for low, high in pairwise(fine.DEPTHS):
+        here = np.isfinite(rest) & (depth >= low) & (depth < high)
+        budget = np.sqrt(np.mean(fine.RELATIVE**2 + (fine.PER_OPTICAL_DEPTH * depth[here]) ** 2))
+        assert 0.4 < np.sqrt(np.mean(rest[here] ** 2)) / budget < 2.0

@@ -1,0 +1,238 @@
+"""What MODTRAN 6 has over the embedded engine, as numbers that the package ships, and how well they predict.
+
+    HYPERVAL_DATA=... python validation/atmosphere/engine_ratio.py [--write] [--document docs/atmosphere.md]
+
+``--write`` puts the numbers into ``src/hyperval/atmosphere/engine_ratio.csv``.  Made from eleven airborne states
+of two flights, whose coefficient A (sun to ground to sensor) is divided by its own continuum, a line through the
+windows, so that scattering stays out.  Channel by channel the logarithm of 6S over MODTRAN is a straight line in
+the air and in the water on the way.  Path of the aerosol and spherical albedo come from the states that were run
+with DISORT.
+
+Each state is predicted from numbers made without it, without its amount of water, haze, or without its whole flight
+(another sun, height, band model): what is left then is the error that a budget holds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from compare_modtran import CLASSES, differences
+from modtran_cases import Case, cases, matched
+
+from hyperval.atmosphere import AtmosphericTerms
+from hyperval.atmosphere.cache import cache_folder
+from hyperval.atmosphere.engine_ratio import FILE, THINNEST_AOT, EngineRatio, ways
+from hyperval.atmosphere.sixs import sixs_terms
+
+# Channels where gases absorb next to nothing in both codes: the continuum of the ratio goes through them.
+CONTINUUM_NM = (
+    377, 407, 437, 452, 557, 617, 677, 752.5, 782.6, 872.7, 1008, 1038, 1053, 1248.4, 1563.9, 1624, 2134.9, 2240.1
+)  # fmt: skip
+LEAST_TRANSMITTANCE = 0.02  # below it MODTRAN prints too few digits, and nothing can be seen
+WINDOW = 0.95
+SMOOTH_NM = 30.0
+PATH_NM = (600.0, 700.0, 1700.0)  # scalar and vector Rayleigh light differ below; emission counts beyond
+LEAST_AOT = 0.1  # for the path: thinner haze is mostly above the aircraft
+PASSES = 2
+BEGIN, END = "<!-- engine_ratio.py: begin -->", "<!-- engine_ratio.py: end -->"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A state, its MODTRAN terms and the ways of its light."""
+
+    case: Case
+    theirs: AtmosphericTerms
+    air_atm: float
+    water_g_cm2: float
+
+    @property
+    def flight(self) -> str:
+        """The first word of the name."""
+        return self.case.name.split()[0]
+
+    def ours(self, ratio: EngineRatio | None) -> AtmosphericTerms:
+        """The embedded engine at MODTRAN's channels, under its sun."""
+        return matched(self.case, sixs_terms(self.case.state, cache_folder(None), False, ratio=ratio))[0]
+
+
+def pairs_of(locate: Callable[[str], Path]) -> list[Pair]:
+    """All states."""
+    pairs = []
+    for case in cases(locate):
+        _, theirs = matched(case, sixs_terms(case.state, cache_folder(None), False, ratio=None))
+        _, both = ways(case.state)
+        pairs.append(Pair(case, theirs, both.air_atm, both.water_g_cm2))
+    return pairs
+
+
+def fitted(pairs: Sequence[Pair]) -> EngineRatio:
+    """The numbers from some states."""
+    nm = pairs[0].theirs.wavelength_nm
+    none, one = np.zeros(nm.size), np.ones(nm.size)
+    ratio = EngineRatio(nm, none, none, one, none, none)
+    for _pass in range(PASSES):  # the second mends what the average over a channel left of the first
+        dry, water = _gas(pairs, ratio)
+        ratio = EngineRatio(nm, ratio.dry + dry, ratio.water + water, one, none, none)
+    path = _path(pairs, ratio)
+    albedo, per_depth = _albedo(pairs, ratio)
+    return EngineRatio(nm, ratio.dry, ratio.water, path, albedo, per_depth)
+
+
+def _gas(pairs: Sequence[Pair], ratio: EngineRatio) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) optical depth that MODTRAN has over ours, per air and per water."""
+    nm = pairs[0].theirs.wavelength_nm
+    rows, seen = [], []
+    anchors = [int(np.argmin(np.abs(nm - x))) for x in CONTINUUM_NM]
+    for pair in pairs:
+        ours, theirs = pair.ours(ratio), pair.theirs
+        known = (theirs.direct > 0.0) & (theirs.gas_transmittance > LEAST_TRANSMITTANCE)
+        log = np.log(np.where(known, ours.direct, 1.0) / np.where(known, theirs.direct, 1.0))
+        rows.append(log - np.interp(np.log(nm), np.log(nm[anchors]), log[anchors]))
+        seen.append(known)
+    y, known = np.array(rows), np.array(seen)
+    design = np.array([[p.air_atm, p.water_g_cm2] for p in pairs])
+    solution = np.full((2, nm.size), np.nan)
+    for i in range(nm.size):
+        here = known[:, i]
+        if np.linalg.matrix_rank(design[here]) == 2:
+            solution[:, i] = np.linalg.lstsq(design[here], y[here, i], rcond=None)[0]
+    there = np.isfinite(solution[0])
+    return np.interp(nm, nm[there], solution[0, there]), np.interp(nm, nm[there], solution[1, there])
+
+
+def _smooth(nm: np.ndarray, values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Gaussian mean over SMOOTH_NM of straight lines through the known values."""
+    line = np.interp(nm, nm[known], values[known])
+    weights = np.exp(-0.5 * ((nm[:, None] - nm) / SMOOTH_NM) ** 2)
+    return (weights @ line) / weights.sum(axis=1)
+
+
+def _path(pairs: Sequence[Pair], ratio: EngineRatio) -> np.ndarray:
+    """(n,) what the aerosol's part of the path is to be multiplied by; 1 in the visible."""
+    nm = pairs[0].theirs.wavelength_nm
+    factors, window = [], np.ones(nm.size, dtype=bool)
+    for pair in pairs:
+        if pair.case.albedos is None or pair.case.state.aot550 < LEAST_AOT:
+            continue
+        twice = EngineRatio(nm, ratio.dry, ratio.water, 2.0 * ratio.path, ratio.albedo, ratio.albedo_per_depth)
+        once = pair.ours(ratio).path_radiance
+        aerosol = pair.ours(twice).path_radiance - once
+        factors.append(1.0 + (pair.theirs.path_radiance - once) / np.maximum(aerosol, 1e-9))
+        window &= pair.theirs.gas_transmittance > WINDOW
+    if not factors:
+        return np.ones(nm.size)
+    window &= (nm >= PATH_NM[0]) & (nm <= PATH_NM[2])
+    level = _smooth(nm, np.mean(factors, axis=0), window)
+    share = np.clip((nm - PATH_NM[0]) / (PATH_NM[1] - PATH_NM[0]), 0.0, 1.0)
+    return 1.0 + share * (level - 1.0)
+
+
+def _albedo(pairs: Sequence[Pair], ratio: EngineRatio) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) what the spherical albedo is lower by, a straight line in the aerosol depth."""
+    nm = pairs[0].theirs.wavelength_nm
+    known = [p for p in pairs if p.case.albedos is not None]
+    depth = np.array([p.case.state.aot550 for p in known])
+    window = np.all([p.theirs.gas_transmittance > WINDOW for p in known], axis=0)
+    lower = np.array([p.ours(ratio).spherical_albedo - p.theirs.spherical_albedo for p in known])
+    levels = np.unique(depth)  # each amount of haze counts once, however many amounts of water it has
+    lower = np.array([lower[depth == level].mean(axis=0) for level in levels])
+    design = np.stack([np.ones(levels.size), levels], axis=1)
+    line = np.linalg.lstsq(design, lower, rcond=None)[0]
+    return _smooth(nm, line[0], window), _smooth(nm, line[1], window)
+
+
+LEAVE_OUT: dict[str, Callable[[Pair, Pair], bool]] = {
+    "nothing": lambda a, b: True,
+    "the state": lambda a, b: a is not b,
+    "its water": lambda a, b: (
+        (a.flight, a.case.state.water_vapour_g_cm2) != (b.flight, b.case.state.water_vapour_g_cm2)
+    ),
+    "its haze": lambda a, b: a.case.state.aot550 != b.case.state.aot550,
+    "its flight": lambda a, b: a.flight != b.flight,
+}
+
+
+def table(pairs: Sequence[Pair]) -> str:
+    """The tables in Markdown."""
+    lines = [
+        f"{len(pairs)} states; what is left of total radiance (rho = 0.3) by two-way transmittance of the gases,",
+        "of path radiance below 1.1 um and of the spherical albedo at 500-1700 nm, both in windows (transmittance",
+        "above 0.95) of the states with DISORT: median, percent (channels within 5 %; within 10 % where the",
+        "transmittance is below 0.7, and for the albedo).",
+        "",
+        "| numbers made without | " + " | ".join(f"{a:g}-{min(b, 1):g}" for a, b in CLASSES) + " | path | albedo |",
+        "| --- |" + " --- |" * (len(CLASSES) + 2),
+    ]
+    rows: list[tuple[str, list[EngineRatio | None]]] = [("6S as it is", [None] * len(pairs))]
+    made: dict[tuple[int, ...], EngineRatio] = {}
+    for name, keeps in LEAVE_OUT.items():
+        ratios: list[EngineRatio | None] = []
+        for a in pairs:
+            kept = tuple(i for i, b in enumerate(pairs) if keeps(b, a))
+            if kept not in made:
+                made[kept] = fitted([pairs[i] for i in kept])
+            ratios.append(made[kept])
+        rows.append((name, ratios))
+    for name, ratios in rows:
+        every = differences([(p.ours(r), p.theirs) for p, r in zip(pairs, ratios, strict=True)])
+        solved = differences([(p.ours(r), p.theirs) for p, r in zip(pairs, ratios, strict=True) if p.case.albedos])
+        window = solved.gas > WINDOW
+        cells = [_share(every.total[every.transmitting(a, b)], 0.05 if a >= 0.7 else 0.1) for a, b in CLASSES]
+        cells.append(_share(solved.path[window & solved.window(400.0, 1100.0)], 0.05))
+        cells.append(_share(solved.albedo[window & solved.window(500.0, 1700.0)], 0.1))
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _share(x: np.ndarray, limit: float) -> str:
+    return f"{100 * np.median(x):+.1f} ({np.mean(np.abs(x) <= limit):.0%})"
+
+
+def text_of(ratio: EngineRatio) -> str:
+    """The numbers as CSV."""
+    lines = [
+        "# What MODTRAN 6 has over 6S V2.1, by validation/atmosphere/engine_ratio.py from airborne channel files:",
+        "# isofit/isofit examples/topoflux/lut and isofit/isofit-tutorials 20171108_Pasadena (Apache-2.0).",
+        "# dry: optical depth per slanted atm; water: per slanted g cm-2; path: factor on rural aerosol;",
+        "# albedo: S is lower by this and by albedo_per_depth times the depth at 550 nm",
+        f"# (from {THINNEST_AOT:g} on; below in proportion).",
+        ",".join(f.name for f in fields(EngineRatio)),
+    ]
+    columns = [getattr(ratio, f.name) for f in fields(EngineRatio)]
+    lines += [",".join(f"{x:.5g}" for x in row) for row in zip(*columns, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Print the tables; write the numbers, or the tables into a document."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="the numbers that the package ships, and no table")
+    parser.add_argument("--document", type=Path, help="document with the marks between which the table stands")
+    chosen = parser.parse_args()
+    root = os.environ.get("HYPERVAL_DATA")
+    if not root:
+        sys.exit("set HYPERVAL_DATA to the data directory")
+    pairs = pairs_of(lambda relative: Path(root) / relative)
+    if chosen.write:
+        place = Path(__file__).parents[2] / "src" / "hyperval" / "atmosphere" / FILE
+        place.write_text(text_of(fitted(pairs)), "utf-8")
+        return
+    text = table(pairs)
+    print(text)
+    if chosen.document:
+        document = chosen.document.read_text("utf-8")
+        if document.count(BEGIN) != 1 or document.count(END) != 1:
+            sys.exit(f"{chosen.document} lacks the marks {BEGIN} and {END}")
+        before, rest = document.split(BEGIN)
+        chosen.document.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
