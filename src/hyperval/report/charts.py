@@ -49,6 +49,7 @@ _COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
 SPECTRA = ("radiance", "toa_reflectance", "snr", "reflectance")
 MOST_SUBJECTS = 24
 MOST_CURVES = 24
+FIRST = "the first few"  # of the subjects of curves
 FIRST_CURVES = 3  # that are seen before a name in the legend is clicked
 _MOST_POINTS = 200
 _GREY = "#7a7f87"  # legible on white and on dark paper
@@ -162,15 +163,16 @@ def roc_chart(sides: Sides) -> Chart | None:
         keys = best_counted(keys, measured, MOST_CURVES // len(kinds) or 1)
         shown.append(keys)
         tabs.append(TabPanel(title=f"{detector}, by {unit}", child=_curves(keys, predicted, measured)))
-    names = ", ".join(dict.fromkeys(key[0] for keys in shown for key in keys))
+    names = tuple(dict.fromkeys(key[0] for keys in shown for key in keys))
     return Chart(
         "chart-roc",
         "roc",
         "ROC: predicted (dashed) and measured; a click on a name shows or hides it"
         f"{style.left_out(shown, pairs or every)}",
         f"Probability of detection against probability of false alarm (logarithmic), predicted dashed and measured "
-        f"in steps, with 95 % intervals, a tab for each detector. Subjects: {names}.",
+        f"in steps, with 95 % intervals, a tab for each detector. Subjects: {', '.join(names)}.",
         _content(Tabs(tabs=tabs, sizing_mode="stretch_width"), "chart-roc"),
+        (FIRST, *names) if len(names) > 1 else (),
     )
 
 
@@ -306,6 +308,8 @@ def _curves(
             more = {} if side == "predicted" else {"mode": "after"}
             look = {"color": colour, "line_dash": dash, "line_width": 1.6, "name": f"{name}, {side}"}
             lines.append(drawn("pfa", "pd", **look, **more, **common))
+            for curve in plot.renderers[-2:]:
+                curve.tags = [key[0], seen]
     tips = [("", "$name"), ("P_FA", "@pfa"), ("P_D", "@pd{0.000} (@low{0.000} to @high{0.000})")]
     plot.add_tools(HoverTool(tooltips=tips, renderers=lines, mode="mouse"))
     if counted:

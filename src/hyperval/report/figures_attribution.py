@@ -1,4 +1,4 @@
-"""Figures of the reasons: which input explains the residuals, what moves what, what-ifs before and after."""
+"""Figures of the reasons: which input explains the residuals, sensitivities, what-ifs before and after."""
 
 from __future__ import annotations
 

@@ -19,14 +19,16 @@ from hyperval.report import verdict as v
 from hyperval.report.charts import Chart, draw_charts
 from hyperval.report.matrix import LETTERS, anchor, matrix_of
 from hyperval.report.run import WARNING, RunReport
-from hyperval.report.scripts import packed_library, script_hashes, starter
+from hyperval.report.scripts import packed_library, page_script, page_script_hash, script_hashes, starter
 from hyperval.report.style import Drawing
 from hyperval.report.tables import row_name
 from hyperval.results import Outcome, Result
 
 MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
-_FIRST_FIGURES = ("scene", "score-map-1", "radiance-budget")  # that are embedded whatever else there is no room for
+_PICTURES = ("scene", "score-map-1")  # beside each other, before everything else
+_BUDGET = "radiance-budget"
+_FIRST_FIGURES = (*_PICTURES, _BUDGET)  # that are embedded whatever else there is no room for
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
 _MOST_ROWS = 60  # rows of one section that nothing was planned for
@@ -35,8 +37,7 @@ _INPUTS_UNDER_FIGURE = 3
 SECTIONS = {
     "attribution": "Why they differ",
     "what-if": "What-ifs",
-    "sensitivity": "What moves what",
-    "scene": "Scene",
+    "sensitivity": "Sensitivity to the inputs",
     "radiance": "Radiance",
     "toa_reflectance": "Reflectance at the top of the atmosphere",
     "snr": "Signal-to-noise ratio",
@@ -56,16 +57,16 @@ _GROUPS = (
     ("Simulated collections", (True, False)),
 )
 _REASONS = ("attribution", "what-if", "sensitivity")
-_COMPARED = {k: t for k, t in SECTIONS.items() if k not in (*_REASONS, "scene")}
+_COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
 _MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
 
 
 @dataclass(frozen=True)
 class Section:
-    """One product's part of the page: its figures, what decides, what informs, and what nothing was planned for."""
+    """One product's part of the page: figures, what decides, what does not, what nothing was planned for."""
 
+    name: str
     title: str
-    charts: list[Chart]
     figures: list[dict[str, Any]]
     gates: list[Result]
     informing: list[Result]
@@ -75,7 +76,9 @@ class Section:
 def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
     rows = list(run.table)
-    charts = draw_charts((run.prediction, run.observation), rows)
+    charts = _worst_first(draw_charts((run.prediction, run.observation), rows), rows)
+    embedded = _embedded(drawings, charts)
+    sections = _sections(run, drawings, embedded, rows)
     tone, words = v.verdict(rows)
     compared = [row for row in rows if row.product not in _REASONS]
     matrices = []
@@ -98,7 +101,11 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),
-        sections=_sections(run, drawings, charts, rows),
+        charts=charts,
+        pictures=_figures(run, [d for d in drawings if d.name in _PICTURES], embedded),
+        budget=_figures(run, [d for d in drawings if d.name == _BUDGET], embedded),
+        sections=[section for section in sections if section.name not in _REASONS],
+        reasons=[section for section in sections if section.name in _REASONS],
         library=packed_library() if charts else "",
         starter=starter() if charts else "",
         script_hashes=script_hashes() if charts else "",
@@ -190,6 +197,8 @@ def common_words() -> dict[str, Any]:
         "generated": _generated(),
         "most_listed": _MOST_LISTED,
         "most_rows": _MOST_ROWS,
+        "page_script": page_script(),
+        "page_script_hash": page_script_hash(),
     }
 
 
@@ -231,34 +240,43 @@ def _subject_text(text: str) -> str:
     return re.sub(r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0", text)
 
 
+def _worst_first(charts: Sequence[Chart], rows: Sequence[Result]) -> list[Chart]:
+    """Charts of products whose gates say worse before the others; of one rank, by what does not decide."""
+
+    def rank(chart: Chart) -> tuple[int, ...]:
+        made = (row for row in rows if row.planned and row.outcome is not Outcome.SKIPPED)
+        planned = [row for row in made if row.product == chart.section]
+        return tuple(v.WORST_FIRST.index(v.worst(own)) for own in ([row for row in planned if row.gates], planned))
+
+    return sorted(charts, key=rank)
+
+
 def _sections(
-    run: RunReport, drawings: Sequence[Drawing], charts: Sequence[Chart], rows: Sequence[Result]
+    run: RunReport, drawings: Sequence[Drawing], embedded: Mapping[str, str], rows: Sequence[Result]
 ) -> list[Section]:
-    # Evidence first, then its reasons.
-    order = [*_COMPARED, *(k for k in SECTIONS if k not in _COMPARED)]
-    names = ["scene", *(k for k in order if k != "scene")]
+    names = [*_COMPARED, *_REASONS]
     names += [p for p in dict.fromkeys(row.product for row in rows) if p not in names]
-    embedded, sections = _embedded(drawings, charts), []
+    sections = []
     for name in names:
-        figures = [
-            {"drawing": d, "source": embedded.get(d.name), "from": _under_figure(run, name)}
-            for d in drawings
-            if d.section == name
-        ]
+        own_drawings = [d for d in drawings if d.section == name and d.name not in _FIRST_FIGURES]
         own = [row for row in rows if row.product == name]
         made = (row for row in own if row.planned and row.outcome is not Outcome.SKIPPED)
         planned = sorted(made, key=_severity)
         section = Section(
+            name,
             SECTIONS.get(name, name),
-            [chart for chart in charts if chart.section == name],
-            figures,
+            _figures(run, own_drawings, embedded),
             [row for row in planned if row.gates],
             [row for row in planned if not row.gates],
             [row for row in own if not row.planned and not row.per_band],
         )
-        if figures or section.charts or planned or section.others:
+        if own_drawings or planned or section.others:
             sections.append(section)
     return sections
+
+
+def _figures(run: RunReport, drawings: Sequence[Drawing], embedded: Mapping[str, str]) -> list[dict[str, Any]]:
+    return [{"drawing": d, "source": embedded.get(d.name), "from": _under_figure(run, d.section)} for d in drawings]
 
 
 def _embedded(drawings: Sequence[Drawing], charts: Sequence[Chart]) -> dict[str, str]:

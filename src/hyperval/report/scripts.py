@@ -28,6 +28,21 @@ def packed_library() -> str:
 
 @functools.cache
 def script_hashes() -> str:
-    """Both scripts as sources of a content security policy: these texts, and no other, may run."""
-    digests = (hashlib.sha256(text.encode("utf-8")).digest() for text in (_library(), starter()))
-    return " ".join(f"'sha256-{base64.b64encode(digest).decode('ascii')}'" for digest in digests)
+    """The scripts of a page with charts as sources of its policy: these texts, and no other, may run."""
+    return " ".join(map(_source, (_library(), starter(), page_script())))
+
+
+@functools.cache
+def page_script() -> str:
+    """The script of every page: sorting and filtering of tables, links to evidence."""
+    return (resources.files("hyperval.report") / "templates" / "page.js").read_text("utf-8")
+
+
+@functools.cache
+def page_script_hash() -> str:
+    """The script of every page as a source of its policy."""
+    return _source(page_script())
+
+
+def _source(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"

@@ -14,18 +14,29 @@ function columns(chart, subject) {
   return data;
 }
 
+// Of curves, those of one subject alone, or the first few.
+function showCurves(root, name) {
+  const curves = root.tabs.flatMap((tab) => tab.child.renderers).filter((curve) => curve.tags.length > 0);
+  for (const curve of curves) curve.visible = name === null ? curve.tags[1] : curve.tags[0] === name;
+}
+
 async function draw(chart) {
   await Bokeh.embed.embed_item(chart.item);
-  if (chart.subjects.length === 0) return;
-  const plots = Bokeh.documents.find((d) => d.roots().some((r) => r.id === chart.item.root_id));
+  const plots = Bokeh.documents.at(-1); // charts number their models alike: the last document is this one's
+  const choice = document.querySelector(`select[data-chart="${chart.item.target_id}"]`);
+  if (chart.subjects.length === 0) {
+    const chosen = () => showCurves(plots.roots()[0], choice.selectedIndex === 0 ? null : choice.value);
+    choice?.addEventListener("change", chosen);
+    if (choice?.selectedIndex > 0) chosen();
+    return;
+  }
   const show = (number) => {
     const subject = chart.subjects[number];
     plots.get_model_by_name("spectra").data = columns(chart, subject);
     for (const [name, [start, end]] of Object.entries(subject.ranges))
       plots.get_model_by_name(name).setv({ start, end, reset_start: start, reset_end: end });
   };
-  show(0);
-  const choice = document.querySelector(`select[data-chart="${chart.item.target_id}"]`);
+  show(Math.max(choice?.selectedIndex ?? 0, 0));
   choice?.addEventListener("change", () => show(choice.selectedIndex));
 }
 
