@@ -8,24 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.atmosphere.interpolation import InterpolatedTerms, interpolated_terms, stacked_values
-from hyperval.datasets import resolve
 from hyperval.errors import UsageError
 from hyperval.prediction.batch import Batch
-from hyperval.prediction.cases import terms_in_memory
+from hyperval.prediction.cases import Origins
 from hyperval.prediction.input_paths import PFA, BatchColumn, batch_column
+from hyperval.prediction.setup import Setup
 from hyperval.progress import track
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.spectra.axis import SpectralAxis
 from hyperval.study.columns import Stage, batch_of_columns, stage_of
 from hyperval.study.metrics import of_batch
 from hyperval.study.schema import Output
@@ -33,21 +32,6 @@ from hyperval.study.schema import Output
 Array = npt.NDArray[np.float64]
 TermsOf = Callable[[AtmosphericState], AtmosphericTerms]
 MOST_RUNS = 400  # of the engine, at about seven seconds each where nothing is cached
-
-
-def changed_state(state: AtmosphericState, changes: Mapping[str, Any]) -> AtmosphericState:
-    """A state in which some entries differ, checked as in a file.
-
-    Raises
-    ------
-    UsageError : no valid state.
-    """
-    data = {**state.model_dump(exclude_unset=True), **changes}
-    try:
-        return AtmosphericState.model_validate(data)
-    except ValueError as error:
-        words = ", ".join(f"{k}: {v}" for k, v in changes.items())
-        raise UsageError(f"atmosphere with {words}: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -106,7 +90,7 @@ def few_states(
         )
     values = tuple(tuple(sorted({r[i] for r in rows}, key=repr)) for i in range(len(names)))
     states = [
-        terms_of(changed_state(base, {k: v for k, v in zip(names, row, strict=True) if v is not None}))
+        terms_of(with_settings(base, {k: v for k, v in zip(names, row, strict=True) if v is not None}))
         for row in track(rows, "atmosphere", len(rows), show=show_progress)
     ]
     keys = [tuple(v.index(x) for x, v in zip(row, values, strict=True)) for row in rows]
@@ -135,7 +119,7 @@ def table(
     if len(rows) > MOST_RUNS:
         raise UsageError(f"{len(rows)} nodes of the atmosphere", expected=f"at most {MOST_RUNS} runs of its engine")
     states = [
-        terms_of(changed_state(base, dict(zip(names, row, strict=True))))
+        terms_of(with_settings(base, dict(zip(names, row, strict=True))))
         for row in track(rows, "atmosphere table", len(rows), show=show_progress)
     ]
     return Table(interpolated_terms(dict(zip(names, grid, strict=True)), states))
@@ -172,27 +156,19 @@ class Sky:
     states: Mapping[str, Column] = field(default_factory=dict)
     nodes: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
-    def build(
-        self, scenario: Scenario, axis: SpectralAxis, *, show_progress: bool | None = False
-    ) -> FewStates | Table | None:
-        """Run the engine on the bands ``axis``; None in the reflectance domain."""
+    def build(self, setup: Setup, *, show_progress: bool | None = False) -> FewStates | Table | None:
+        """Run the engine on the bands of a scenario; None in the reflectance domain."""
+        scenario, engine = setup.scenario, engine_on(setup)
         if scenario.atmosphere is None:
             return None
-        engine = engine_on(scenario, axis)
         if self.nodes:
             return table(scenario.atmosphere, engine, self.nodes, show_progress=show_progress)
         return few_states(scenario.atmosphere, engine, self.states, show_progress=show_progress)
 
 
-def engine_on(scenario: Scenario, axis: SpectralAxis) -> Callable[[AtmosphericState], AtmosphericTerms]:
-    """The engine of a scenario on some bands."""
-
-    def terms(state: AtmosphericState) -> AtmosphericTerms:
-        if state.engine == "table":
-            return atmospheric_terms(state, resolve=lambda r: resolve(r, scenario.folder)).at_bands(axis)
-        return terms_in_memory(atmospheric_terms, state, axis, cache_dir=None, show_progress=False)
-
-    return terms
+def engine_on(setup: Setup) -> TermsOf:
+    """The engine of a scenario on its true bands."""
+    return partial(Origins(show_progress=False).terms, setup)
 
 
 @dataclass(frozen=True)
@@ -207,7 +183,7 @@ class Ready:
 def make_ready(scenario: Scenario, sky: Sky, *, show_progress: bool | None = False) -> Ready:
     """Read what a scenario names and run its atmosphere."""
     stage = stage_of(scenario)
-    return Ready(scenario, stage, sky.build(scenario, stage.setup.used.true_axis, show_progress=show_progress))
+    return Ready(scenario, stage, sky.build(stage.setup, show_progress=show_progress))
 
 
 @dataclass(frozen=True)

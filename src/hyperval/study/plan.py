@@ -242,7 +242,7 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     states = {k: _between(np.array(n), rng.random(count)) for k, n in nodes.items()}
     assert base.scenario.atmosphere is not None  # noqa: S101 - there is a table
     assert base.terms is not None  # noqa: S101
-    engine = engine_on(base.scenario, base.stage.setup.used.true_axis)
+    engine = engine_on(base.stage.setup)
     exact = few_states(base.scenario.atmosphere, engine, states)
     ours, theirs = base.terms(states, count), exact(states, count)
 
