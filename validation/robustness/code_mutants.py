@@ -143,7 +143,7 @@ class Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(compile(self.tree, str(self.path), "exec"), module.__dict__)  # noqa: S102 - the project's own code
 
 
-def tests_of(module: str) -> list[str]:
+def related_tests(module: str) -> list[str]:
     """Files of tests that are of the module's room or import the module, the former first."""
     files = [p for folder in ("tests", "validation/equations") for p in sorted((ROOT / folder).rglob("test_*.py"))]
     package, _, name = module.rpartition(".")
@@ -210,7 +210,7 @@ def main() -> int:
         seen = 0
         for change in sample(room, options.each, options.seed):
             _, line, words = changed(change.path, change.place)
-            code = exit_code(change, tests_of(change.module))
+            code = exit_code(change, related_tests(change.module))
             if code not in (0, 5):
                 seen += 1
                 continue
