@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -295,7 +295,7 @@ def background_of(subject: str) -> str:
     return f"{subject} background"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Products:
     """Everything one side says of one scenario or collection.
 
@@ -323,8 +323,15 @@ class Products:
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Bands, and how much there is of each product: the arrays would fill a book."""
+        there = [(f.name, getattr(self, f.name)) for f in fields(self)]
+        counts = [f"{len(v)} {k}" for k, v in there if k not in ("axis", "notes", "provenance") and v]
+        nm = self.axis.centre_nm
+        return f"<{type(self).__name__} of {nm.size} bands, {nm[0]:.0f}-{nm[-1]:.0f} nm: {', '.join(counts)}>"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Prediction(Products):
     """The products as the model gives them, and what only a model knows.
 
@@ -337,6 +344,6 @@ class Prediction(Products):
     full_scale: Mapping[str, Array] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Observation(Products):
     """The products as the collection gives them."""

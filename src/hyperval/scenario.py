@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from hyperval.atmosphere import AtmosphericState
-from hyperval.config import Model, load_model
+from hyperval.config import Model, load_model, load_yaml
 from hyperval.errors import UsageError, reader
 from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.processing.filters import LINEAR_DETECTORS
@@ -348,6 +348,12 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def _load(path: Path) -> Scenario:
+    data, _ = load_yaml(path)
+    if "collection" in data and "scene" not in data:
+        raise UsageError(
+            "this is a campaign, not a scenario", where=str(path),
+            mend=f"hyperval validate {path} -o DIR runs all of it; predict takes the file of a scenario",
+        )  # fmt: skip
     scenario = load_model(Scenario, path)
     scenario._folder = path.resolve().parent
     return scenario

@@ -48,7 +48,9 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys):
     candidate = file.with_suffix(".candidate.yaml")
 
     assert cli.run(["check", *given, "--junit", "no.xml"]) == 1
-    assert "no baseline" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "no baseline" in said
+    assert f'hyperval baseline accept {campaign} --reason "..."' in said
     assert [*failures(place / "no.xml")] == ["small campaign baseline"]
     assert candidate.is_file()
     assert not file.exists()
@@ -90,7 +92,11 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys):
     assert "not accepted" in messages[names[new]]
     assert "not accepted" in messages[names[gone]]
     assert "missing" in messages["nowhere sixs z"]
-    assert messages[names[moved]].split(" (")[0] in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert messages[names[moved]].split(" (")[0] in said.err
+    assert len(said.out.splitlines()) == 2 + 4, "two headers (the acceptance before has one), and failures alone"
+    assert "likely cause: the code, the campaign's files or its data" in said.err
+    assert f'if the change is meant: hyperval baseline accept {campaign} --reason "..."' in said.err
     rows = json.loads((place / "out/results.json").read_text())["rows"]
     assert sum(r["outcome"] == "disagrees" for r in rows) == 4
     assert (place / "out/report.html").is_file()

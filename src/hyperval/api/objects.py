@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
@@ -23,8 +24,18 @@ from hyperval.results import ResultTable
 from hyperval.simulate.collection import SimulatedCollection
 from hyperval.units import RADIANCE_UNIT
 
+_SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 _WIDTH = 100
 _LINES = 9
+_ROWS = 10  # in a notebook
+
+
+class _Shown:
+    """What a notebook shows: the object in words, and its first rows."""
+
+    def _repr_html_(self: Any) -> str:
+        table = self.to_dataframe()
+        return f"<pre>{html.escape(repr(self))}</pre>{table.head(_ROWS).to_html(border=0, notebook=True)}"
 
 
 def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
@@ -40,7 +51,7 @@ def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
     return "\n".join(lines)
 
 
-class _Side:
+class _Side(_Shown):
     """Views of one side of a comparison."""
 
     def __repr__(self: Any) -> str:
@@ -83,7 +94,7 @@ class Observation(_Side, products.Observation):
     """The products as the collection gives them."""
 
 
-class Results(ResultTable):
+class Results(_Shown, ResultTable):
     """Rows of results."""
 
     def __repr__(self) -> str:
@@ -110,7 +121,7 @@ class Results(ResultTable):
 
 
 @dataclass(frozen=True, repr=False)
-class Run:
+class Run(_Shown):
     """A campaign that was run, now or earlier.
 
     Attributes
@@ -153,6 +164,40 @@ class Run:
         frame = self.results.to_dataframe()
         return frame[frame["outcome"] != "none"].reset_index(drop=True)
 
+    @property
+    def spectra(self) -> pd.DataFrame:
+        """Means with their standard uncertainties: a row for each side, product, subject and band."""
+        parts = []
+        for side, data in self.sides.items():
+            for product in (name for name in _SPECTRA if name in data):
+                names = [product, f"{product}_standard_uncertainty"]
+                part = data[names].rename({names[0]: "value", names[1]: "standard_uncertainty"})
+                frame = part.rename({f"{product}_subject": "subject"}).to_dataframe().reset_index()
+                parts.append(frame.assign(side=side, product=product).rename(columns={"wavelength": "band_nm"}))
+        columns = ["side", "product", "subject", "band_nm", "value", "standard_uncertainty"]
+        return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
+
+    @property
+    def roc(self) -> pd.DataFrame:
+        """ROC curves with their 95 % limits: a row for each point."""
+        return self._entries(
+            "roc", ["pfa", "pd", "pd_lower", "pd_upper", "threshold"], ["subject", "detector", "unit"]
+        )
+
+    @property
+    def scores(self) -> pd.DataFrame:
+        """Mean and standard deviation of each population's detector score."""
+        return self._entries("score", ["mean", "sd", "n"], ["subject", "detector"])
+
+    def _entries(self, name: str, values: list[str], names: list[str]) -> pd.DataFrame:
+        parts = []
+        for side, data in self.sides.items():
+            if f"{name}_{values[0]}" in data:
+                frame = data[[f"{name}_{v}" for v in values]].to_dataframe().reset_index()
+                frame.columns = frame.columns.str.removeprefix(f"{name}_")
+                parts.append(frame.dropna(subset=values[:1]).assign(side=side)[["side", *names, *values]])
+        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["side", *names, *values])
+
     def to_xarray(self) -> xr.DataTree:
         """Both sides as the groups of ``products.nc``."""
         return xr.DataTree.from_dict(dict(self.sides), name=self.name)
@@ -164,7 +209,7 @@ class Run:
 
 
 @dataclass(frozen=True, repr=False)
-class Study:
+class Study(_Shown):
     """A study that was evaluated, now or earlier.
 
     Attributes
@@ -231,7 +276,7 @@ class Collection(SimulatedCollection):
 
 
 @dataclass(frozen=True, repr=False)
-class Metrics:
+class Metrics(_Shown):
     """The table of metrics.
 
     Attributes

@@ -38,6 +38,7 @@ class Run:
     versions : what computed them
     skipped : why nothing was run, None otherwise
     simulated : True when the collection is simulated
+    reference : what a command names it by: the campaign file, or the sensor
     """
 
     kind: Kind
@@ -47,6 +48,13 @@ class Run:
     versions: Mapping[str, str] = field(default_factory=dict)
     skipped: str | None = None
     simulated: bool = False
+    reference: str = ""
+
+    @property
+    def acceptance(self) -> str:
+        """The command that takes the numbers of this run for accepted."""
+        named = self.reference if self.kind == "campaign" else f"--sensors {self.reference}"
+        return f'hyperval baseline accept {named} --reason "..."'
 
     @property
     def owner(self) -> str:
@@ -101,7 +109,7 @@ def _names(sensors: Sequence[str]) -> list[str]:
 
 def _sensor_run(sensor: Sensor, engine: Engine | None) -> Run:
     title = sensor.specification.title
-    return Run("sensor", sensor.name, title, sensor_metrics(sensor, engine), versions())
+    return Run("sensor", sensor.name, title, sensor_metrics(sensor, engine), versions(), reference=sensor.name)
 
 
 def _campaign_runs(
@@ -144,6 +152,7 @@ def _read(job: Job | Waiting, source: Path, *, finished: bool) -> Run:
         versions(packages if isinstance(packages, dict) else None, run.provenance.get("python")),
         skipped_reason(table),
         job.campaign.simulated,
+        str(job.path),
     )
 
 

@@ -39,7 +39,7 @@ def check(
     ] = None,
     baselines: Baselines = None,
     source: Finished = None,
-    everything: Annotated[bool, typer.Option("--all", help="Print the numbers that did not move, too.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Print the numbers that are as accepted, too.")] = False,
 ) -> int:
     """Run campaigns and sensors, and compare with what was accepted."""
     from hyperval.baseline import check as run
@@ -57,7 +57,7 @@ def check(
         show_progress=settings.show_progress,
     )
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
-    shown = [d for item in outcome.checked for d in item.differences if everything or d.words or d.moved]
+    shown = [d for item in outcome.checked for d in item.differences if everything or d.words]
     lonely = [
         (r.campaign, r.metric, "", "", "", "", str(r.outcome))
         for c in outcome.checked
@@ -101,3 +101,18 @@ def _tell(item: Checked) -> None:
         note(f"{item.run.owner}: {len(item.differences)} numbers as accepted")
     elif item.differences:
         note(f"{item.run.owner}: {len(wrong)} of {len(item.differences)} numbers are not as accepted")
+        causes = _likely_causes(item)
+        note(f"  likely cause: {causes}")
+        note(f"  if the change is meant: {item.run.acceptance}")
+
+
+def _likely_causes(item: Checked) -> str:
+    """What differs between the run and the one that was accepted, as far as both say."""
+    from hyperval.baseline.schema import load_baseline
+
+    then = load_baseline(item.baseline).versions
+    changed = [f"{k} {then[k]} is now {v}" for k, v in item.run.versions.items() if k in then and then[k] != v]
+    return (
+        "; ".join(changed)
+        or "the code, the campaign's files or its data: the versions of all packages are as accepted"
+    )
