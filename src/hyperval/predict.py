@@ -22,7 +22,7 @@ from hyperval.prediction.input import Input
 from hyperval.prediction.input_paths import Given
 from hyperval.prediction.inputs import class_tail
 from hyperval.prediction.object_scores import predicted_object_scores
-from hyperval.prediction.setup import Setup, saturation_notes, sensor_notes, unstated_notes
+from hyperval.prediction.setup import Setup, engine_notes, saturation_notes, sensor_notes, unstated_notes
 from hyperval.prediction.spectra import spectral_products, without_calibration_error
 from hyperval.prediction.uncertainty import (
     Change,
@@ -210,6 +210,7 @@ def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Dete
     ground, engine = settings.grounds[settings.which[number]], scenario.uncertainty.engine
     spectra = spectral_products(case, ground, view, steps, batch.errors, engine)
     notes = [f"formulation: {scenario.formulation}", *unstated_notes(scenario.atmosphere, scenario.uncertainty)]
+    notes += engine_notes(scenario.atmosphere, case.terms)
     if detection.roc:
         notes.append(f"detectors use {batch.groups[0].bands.size} of {len(axis)} bands")
     notes += detection.notes

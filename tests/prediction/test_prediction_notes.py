@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericState
-from hyperval.prediction.setup import unstated_notes
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
+from hyperval.prediction.setup import engine_notes, unstated_notes
 from hyperval.scenario_uncertainty import Uncertainty
 
 
@@ -33,3 +34,25 @@ def test_what_is_stated_needs_no_note():
     assert unstated_notes(None, Uncertainty(aot550=0.02)) == []
     (only,) = unstated_notes(stated, Uncertainty())
     assert only.startswith("the scenario states no uncertainty")
+
+
+def terms(**provenance: object) -> AtmosphericTerms:
+    one = np.ones(2)
+    return AtmosphericTerms(np.array([500.0, 600.0]), one, one, one, one, one, one, dict(provenance))
+
+
+def test_a_table_that_replaces_the_stated_sun_says_so():
+    own = terms(solar_spectrum="of the table")
+    (said,) = engine_notes(state(engine="table", table="lut.nc", solar_spectrum="tsis-1"), own)
+    assert "solar_spectrum tsis-1, which the scenario states, is not used" in said
+    assert engine_notes(state(engine="table", table="lut.nc"), own) == []
+    assert engine_notes(state(solar_spectrum="tsis-1"), terms(solar_spectrum="tsis-1")) == []
+
+
+def test_more_air_and_water_than_the_engine_was_compared_with_is_said():
+    far = state(sensor_altitude_km=700.0, water_vapour_g_cm2=5.0, solar_zenith_deg=60.0)
+    air, water = engine_notes(far, terms(engine_ratio=True))
+    assert air.startswith("the light goes through 3 atm of air")
+    assert water.startswith("the light goes through 15 g cm-2 of water vapour")
+    assert engine_notes(far, terms(engine_ratio=False)) == []
+    assert engine_notes(state(water_vapour_g_cm2=1.0), terms(engine_ratio=True)) == []

@@ -9,8 +9,10 @@ from pathlib import PurePath
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.atmosphere.engine_ratio import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, ways
 from hyperval.atmosphere.profiles import OZONE_G_CM2_PER_ATM_CM, column_g_cm2, standard_profile
 from hyperval.atmosphere.state import AtmosphericState
+from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError, UsageError
 from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics
 from hyperval.scenario import Fill, Scenario, Target
@@ -218,6 +220,30 @@ def unstated_notes(state: AtmosphericState | None, uncertainty: Uncertainty) -> 
             notes.append(f"ozone is not stated: {words}, {ozone:.3f} atm cm")
     if uncertainty == Uncertainty():
         notes.append("the scenario states no uncertainty: intervals and tests hold little but the collection's own")
+    return notes
+
+
+def engine_notes(state: AtmosphericState | None, terms: AtmosphericTerms | None) -> list[str]:
+    """A stated sun that a table replaces, and amounts beyond those that the engine's gases were corrected for."""
+    if state is None or terms is None:
+        return []
+    notes = []
+    if terms.provenance.get("solar_spectrum") == "of the table" and "solar_spectrum" in state.model_fields_set:
+        notes.append(
+            f"the table brings a solar spectrum of its own: solar_spectrum {state.solar_spectrum}, "
+            "which the scenario states, is not used"
+        )
+    if terms.provenance.get("engine_ratio"):
+        _, way = ways(state)
+        for amount, greatest, words in (
+            (way.air_atm, GREATEST_AIR_ATM, "atm of air"),
+            (way.water_g_cm2, GREATEST_WATER_G_CM2, "g cm-2 of water vapour"),
+        ):
+            if amount > greatest:
+                notes.append(
+                    f"the light goes through {amount:.2g} {words}: the engine's gases were compared with MODTRAN 6 "
+                    f"up to {greatest:g}"
+                )
     return notes
 
 
