@@ -19,7 +19,7 @@ from hyperval.campaign.day_scenarios import DayScenarios, day_scenarios
 from hyperval.campaign.draft import read_texts
 from hyperval.campaign.dry_run import dry_run
 from hyperval.imagery.envi_write import write_cube
-from hyperval.predict import predict
+from hyperval.predict import Origins, predict
 from hyperval.sensor.specification import load_sensor
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "radcalnet-sensor"
@@ -89,7 +89,7 @@ def overpasses(tmp_path, monkeypatch):
         (scenario,) = day_scenarios(
             source, campaign.parent / "scenario.yaml", data / "radcalnet-portal" / f"{run}.input", words
         )
-        truth = predict(scenario, axis=load_sensor(SENSOR).axis).radiance["site"].mean
+        truth = predict(scenario, Origins(axis=load_sensor(SENSOR).axis)).radiance["site"].mean
         pixels = np.nan_to_num(truth) * (1.0 + 0.02 * 0.5 * number + 0.002 * rng.standard_normal((24, 24, 1)))
         place = {"transform": Affine(30.0, 0.0, 640_000.0, 0.0, -30.0, 3_376_000.0), "crs": CRS.from_epsg(32612)}
         write_cube(
