@@ -280,6 +280,20 @@ def enmap(folder: Path, level: str = "L1C", *, sensor: str = "EnMAP") -> tuple[P
     return image, stored
 
 
+def enmap_two_detectors(folder: Path) -> dict[str, np.ndarray]:
+    """EnMAP level 1B: a GeoTIFF for each detector, on no map, and one METADATA.XML with the bands of both."""
+    image, stored = enmap(folder, "L1B")
+    out = {"VNIR": stored[:2], "SWIR": stored[2:]}
+    for detector, values in out.items():
+        with rasterio.open(
+            image.with_name(f"{image.stem}_{detector}.TIF"), "w", driver="GTiff", width=SAMPLES, height=LINES,
+            count=2, dtype="int16", nodata=-32768,
+        ) as file:  # fmt: skip
+            file.write(values)
+    image.unlink()
+    return out
+
+
 def stac(folder: Path) -> tuple[Path, np.ndarray]:
     """A radiance GeoTIFF with its STAC item, as Wyvern publishes them: bands by the extensions eo and raster."""
     values = radiances(3).transpose(2, 0, 1) * 10.0

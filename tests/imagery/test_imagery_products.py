@@ -196,6 +196,29 @@ def test_enmap_and_desis_by_their_metadata(tmp_path: Path, sensor: str, level: s
     assert cube.extras["sensor"] == sensor
 
 
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_detectors_of_enmap_level_1b_are_two_cubes(tmp_path: Path):
+    stored = shells.enmap_two_detectors(tmp_path)
+    metadata = next(tmp_path.glob("*.XML"))
+    gain, offset = np.array([1.2e-4, 1.1e-4, 0.9e-4, 0.5e-4]), np.array([1e-3, 0.0, -2e-3, 0.0])
+    for detector, bands, centres in (("VNIR", [0, 1], [423.0, 650.0]), ("SWIR", [3, 2], [902.3, 911.6])):
+        cube = open_cube(metadata, quantity="radiance", variable=detector)
+        assert cube.axis.centre_nm.tolist() == centres
+        with rasterio.open(next(tmp_path.glob(f"*_{detector}.TIF"))) as other:
+            values = other.read(masked=True).astype(float).filled(np.nan)
+        assert np.array_equal(values[0][values[0] > 0], stored[detector][0][stored[detector][0] > 0])
+        want = 100.0 * (gain[bands, None, None] * values[np.argsort(bands)] + offset[bands, None, None])
+        assert np.allclose(values_of(cube), want.transpose(1, 2, 0), rtol=1e-12, equal_nan=True)
+        assert cube.transform is None
+        assert any("a place some lines apart" in note for note in cube.notes)
+        same = open_cube(next(tmp_path.glob(f"*_{detector}.TIF")), quantity="radiance")
+        assert np.array_equal(values_of(same), values_of(cube), equal_nan=True)
+    listed = r"(?s)2 images could be meant: .*_SWIR.TIF, .*_VNIR.TIF.*variable: SWIR or VNIR"
+    for variable in (None, "NIR"):
+        with pytest.raises(UsageError, match=listed):
+            open_cube(metadata, quantity="radiance", variable=variable)
+
+
 def test_stac_item_beside_a_geotiff(tmp_path: Path):
     image, values = shells.stac(tmp_path)
     cube = open_cube(image, quantity="radiance")

@@ -58,7 +58,7 @@ def open_raster(
     if engine is not None:
         return _labelled(checked_file(data, root=root, what="file of arrays"), variable, engine)
     if data.suffix.lower() == ".xml" and header is None:
-        image = image_of(checked_file(data, root=root, what="metadata file"))
+        image = image_of(checked_file(data, root=root, what="metadata file"), variable)
         return open_tiff(checked_file(image, root=root, what="GeoTIFF"), None, root)
     if header is None and data.suffix.lower() == ".hdr":
         header = checked_file(data, root=root, what="ENVI header")

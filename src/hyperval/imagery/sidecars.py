@@ -19,6 +19,7 @@ from hyperval.units import radiance_to_internal
 
 MAX_XML_BYTES = 64 << 20
 MAX_JSON_BYTES = 4 << 20
+_UNRECTIFIED = "one detector in scanner geometry: the other sees a place some lines apart, as a cube of its own"
 MAX_ITEMS = 20  # files of JSON that are looked at for one that names the image
 
 
@@ -42,12 +43,16 @@ def described_beside(image: Path, bands: int, root: Path | None = None) -> tuple
     return _from_stac(image, bands, root)
 
 
-def image_of(metadata: Path) -> Path:
-    """The GeoTIFF that a METADATA.XML belongs to.
+def image_of(metadata: Path, detector: str | None = None) -> Path:
+    """The GeoTIFF that a METADATA.XML belongs to; of level 1B of EnMAP that of ``detector``, VNIR or SWIR.
+
+    The two detectors of level 1B are two cubes: each sees a place some lines before the other, neither is on a map,
+    and no shift by whole pixels lays one on the other.
 
     Raises
     ------
-    InputError : none, or several, as level 1B of EnMAP has one for each detector.
+    InputError : no image.
+    UsageError : several, and none or another one is named.
     """
     for sidecar in layouts().sidecars:
         if metadata.name.upper().endswith(sidecar.metadata.upper()):
@@ -55,11 +60,17 @@ def image_of(metadata: Path) -> Path:
             start = (stem + sidecar.image).upper()
             tiffs = [p for p in sorted(metadata.parent.iterdir()) if p.suffix.upper() in (".TIF", ".TIFF")]
             fits = [p for p in tiffs if p.name.upper().startswith(start)]
-            if len(fits) != 1:
-                raise InputError(
-                    f"{len(fits)} images beside it: {', '.join(p.name for p in fits) or 'none'}",
+            if not fits:
+                raise InputError(f"no image {stem}{sidecar.image}... beside it", where=str(metadata))
+            of_detector = {p.stem[len(start) :].strip("_").upper(): p for p in fits}
+            if detector is not None and detector.upper() in of_detector:
+                return of_detector[detector.upper()]
+            if detector is not None or len(fits) > 1:
+                raise UsageError(
+                    f"{len(fits)} images could be meant: {', '.join(p.name for p in fits)}",
                     where=str(metadata),
-                    mend="name the GeoTIFF that is meant; the detectors of level 1B see a place some lines apart, "
+                    expected="variable: " + " or ".join(of_detector),
+                    mend="state the detector; those of level 1B see a place some lines apart and are no one cube, "
                     "level 1C has them on one grid",
                 )
             return fits[0]
@@ -73,13 +84,14 @@ def _from_xml(sidecar: Sidecar, path: Path, image: Path, bands: int) -> Descript
         return None
     tags = (sidecar.wavelength, sidecar.fwhm, sidecar.gain, sidecar.offset)
     table = np.array([[_number(item.findtext(tag), tag, path) for tag in tags] for item in items])
+    named = re.search(r"_(VNIR|SWIR)", image.name.upper())
+    detector = named[1] if named else None
     if len(table) != bands:
-        detector = re.search(r"_(VNIR|SWIR)", image.name.upper())
         if detector is None or len(table) < bands:
             raise InputError(
                 f"{len(table)} bands in the metadata, {bands} in the image", where=str(path), mend="copy both again"
             )
-        table = table[:bands] if detector[1] == "VNIR" else table[-bands:]
+        table = table[:bands] if detector == "VNIR" else table[-bands:]
     wavelength, width, gain, offset = table.T
     level = level_of([root.findtext(sidecar.level), root.findtext("base/format"), path.name])
     quantity = None if level is None else "reflectance" if level.startswith("L2") else "radiance"
@@ -101,6 +113,7 @@ def _from_xml(sidecar: Sidecar, path: Path, image: Path, bands: int) -> Descript
         sensor=sidecar.sensor,
         sorts=True,
         entries=entries,
+        notes=(_UNRECTIFIED,) if detector is not None else (),
     )
 
 
