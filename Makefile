@@ -6,8 +6,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 REPORT ?= reports/validate
-# Processes that share the tests, whole files at a time: what a module sets up is set up once.
+# Processes that share the tests, whole files at a time, since what a module sets up is set up once; long ones first.
 TEST_WORKERS ?= auto
+PYTEST = $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 SCORES ?= reports/scoreboard
 
 # One thread per matrix product: the last digits of a solve depend on the number of threads.
@@ -16,7 +17,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check power scoreboard test test-slow test-data lint check-style format types lock clean coverage bill audit robustness
+.PHONY: help setup validate check power scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage bill audit robustness
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -42,13 +43,16 @@ scoreboard: $(READY)  ## rank detectors, engines and formulations on every campa
 	$(BIN)/hyperval benchmark campaigns/*/campaign.yaml -o $(SCORES)
 
 test: $(READY)  ## run the tests, but for the slow ones
-	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile -m "not slow" $(TEST_FLAGS)
+	$(PYTEST) -m "not slow" $(TEST_FLAGS)
 
 test-slow: $(READY)  ## run the slow tests: twins, grids of the atmosphere engine, a cluster that loses a worker
-	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile -m slow $(TEST_FLAGS)
+	$(PYTEST) -m slow $(TEST_FLAGS)
+
+test-all: $(READY)  ## both in one run, which sets up once what both need
+	$(PYTEST) $(TEST_FLAGS)
 
 test-data: $(READY)  ## run the tests of real collections (HYPERVAL_DATA), slow ones too
-	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile -m data $(TEST_FLAGS)
+	$(PYTEST) -m data $(TEST_FLAGS)
 
 coverage: $(READY)  ## how often the 95 % intervals hold, over simulated collections (minutes)
 	$(BIN)/python validation/coverage/study.py --output reports/coverage

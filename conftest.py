@@ -49,10 +49,15 @@ def data_dir() -> Callable[[str], Path]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What asks for a file of a collection is a test of real data, by whatever way it asks."""
+    """What asks for a file of a collection is a test of real data, by whatever way it asks.
+
+    Files with slow tests come first: the last file of several processes runs alone, and had better be a short one.
+    """
     for item in items:
         if "data_dir" in getattr(item, "fixturenames", ()):
             item.add_marker("data")
+    slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 @pytest.hookimpl(wrapper=True)
