@@ -24,6 +24,7 @@ from hyperval.prediction.view import View, on_arrays, stacked_noise
 from hyperval.scenario import Adjacency, Fill, Scenario, TargetSubject
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.operation import SensorChanges, SensorOperation, binned_noise, changed_noise
+from hyperval.study.design import plain
 
 Array = npt.NDArray[np.float64]
 Columns = Mapping[BatchColumn, npt.NDArray[Any]]
@@ -222,9 +223,3 @@ def _changed_fill(fill: Fill, changes: Mapping[str, Any]) -> Fill:
         return Fill.model_validate(data)
     except ValueError as error:
         raise UsageError(f"fill with {dict(changes)}: {error}") from error
-
-
-def plain(value: Any) -> Any:
-    """A value as a model takes it: a whole number where it is one."""
-    value = value.item() if hasattr(value, "item") else value
-    return int(value) if isinstance(value, float) and value.is_integer() else value

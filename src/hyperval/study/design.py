@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,11 +30,23 @@ def listed(item: Input) -> Column | None:
         return grid_values(item.grid)
     if item.values is None:
         return None
-    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in item.values):
-        return np.array(item.values, dtype=float)
-    items = np.empty(len(item.values), dtype=object)
-    items[:] = item.values
+    return column_of(item.values)
+
+
+def column_of(values: Sequence[Any]) -> Column:
+    """Values as a column: numbers as floats, anything else as objects."""
+    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        return np.array(values, dtype=float)
+    items = np.empty(len(values), dtype=object)
+    for i, value in enumerate(values):  # one by one: lists of one length are not rows of a matrix
+        items[i] = value
     return items
+
+
+def plain(value: Any) -> Any:
+    """A value as a model takes it: a whole number where it is one."""
+    value = value.item() if hasattr(value, "item") else value
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def drawn(distribution: Random, u: Array) -> Array:
@@ -125,7 +137,8 @@ def moved(inputs: Mapping[str, Input], columns: Mapping[str, Column]) -> dict[st
                 out[move.path] = move.offset + move.factor * column
                 continue
             values = np.empty(column.size, dtype=object)
-            values[:] = [_one(v, move.factor, move.offset, k, len(item.moves)) for v in column]
+            for i, v in enumerate(column):
+                values[i] = _one(v, move.factor, move.offset, k, len(item.moves))
             out[move.path] = values
     return out
 

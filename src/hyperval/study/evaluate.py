@@ -26,6 +26,7 @@ from hyperval.progress import track
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.study.columns import Stage, batch_of_columns, stage_of
+from hyperval.study.design import column_of, plain
 from hyperval.study.metrics import of_batch
 from hyperval.study.schema import Output
 
@@ -242,7 +243,7 @@ class Evaluator:
             return [(np.arange(n), {}, list(columns))]
         groups: dict[str, tuple[list[int], dict[str, Any], list[str]]] = {}
         for i in range(n):
-            changes = {p: _plain(columns[p][i]) for p in anew if columns[p][i] is not None}
+            changes = {p: plain(columns[p][i]) for p in anew if columns[p][i] is not None}
             moved = [p for p in columns if p not in anew and columns[p][i] is not None]
             groups.setdefault(repr((changes, moved)), ([], changes, moved))[0].append(i)
         return [(np.array(rows), changes, moved) for rows, changes, moved in groups.values()]
@@ -282,16 +283,4 @@ class Evaluator:
 
 def _tidy(column: Column) -> Column:
     """Numbers as floats, lists as tuples, which can be told apart and counted."""
-    if column.dtype != object:
-        return column
-    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in column):
-        return column.astype(float)
-    items = np.empty(column.size, dtype=object)
-    items[:] = [tuple(v) if isinstance(v, list) else v for v in column]
-    return items
-
-
-def _plain(value: Any) -> Any:
-    value = value.item() if hasattr(value, "item") else value
-    value = list(value) if isinstance(value, tuple) else value
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+    return column if column.dtype != object else column_of([tuple(v) if isinstance(v, list) else v for v in column])

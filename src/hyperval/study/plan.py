@@ -16,7 +16,7 @@ from hyperval.errors import UsageError
 from hyperval.prediction.input_paths import PFA, batch_column
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
-from hyperval.study.design import Column, Points, listed, moved
+from hyperval.study.design import Column, Points, column_of, listed, moved, plain
 from hyperval.study.evaluate import Evaluator, Sky, engine_on, few_states, make_ready
 from hyperval.study.metrics import check_outputs
 from hyperval.study.schema import Input, Move, Required, Study
@@ -92,8 +92,8 @@ def try_values(study: Study, scenario: Scenario) -> None:
     items: list[Input | Required] = [*study.inputs, *study.required]
     for item in items:
         for value in _values_to_try(item):
-            point = moved({item.name: _as_input(item)}, {item.name: _column([value])})
-            changes = {p: _python(c[0]) for p, c in point.items()}
+            point = moved({item.name: _as_input(item)}, {item.name: column_of([value])})
+            changes = {p: plain(c[0]) for p, c in point.items()}
             at = changes.pop(PFA, None)
             if at is not None and not 0.0 < at < 1.0:
                 raise UsageError(f"input {item.name!r}: a false-alarm probability of {at:g}", expected="0 to 1")
@@ -119,14 +119,6 @@ def _values_to_try(item: Input | Required) -> list[Any]:
     assert values is not None  # noqa: S101 - the model's own check
     tries = values.tolist()
     return tries if len(tries) <= _MOST_TRIED or values.dtype == object else [min(tries), max(tries)]
-
-
-def _column(values: list[Any]) -> Column:
-    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
-        return np.array(values, dtype=float)
-    items = np.empty(len(values), dtype=object)
-    items[:] = values
-    return items
 
 
 def _sky(study: Study, scenario: Scenario) -> tuple[Sky, frozenset[str]]:
@@ -182,21 +174,16 @@ def _listed_states(
         for item, _, key in moving:
             value = at[item.name]
             states[key].append(None if value is None else _one_state(item, key, moving, value))
-    return Sky(states={k: _column(v) for k, v in states.items()})
+    return Sky(states={k: column_of(v) for k, v in states.items()})
 
 
 def _one_state(
     item: Input | Required, key: str, moving: list[tuple[Input | Required, Move, str]], value: Any
 ) -> Any:
     as_input = _as_input(item)
-    columns = moved({item.name: as_input}, {item.name: _column([value])})
+    columns = moved({item.name: as_input}, {item.name: column_of([value])})
     path = next(m.path for i, m, k in moving if i is item and k == key)
-    return _python(columns[path][0])
-
-
-def _python(value: Any) -> Any:
-    value = value.item() if hasattr(value, "item") else value
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+    return plain(columns[path][0])
 
 
 def _notes(plan: Plan) -> list[str]:
