@@ -44,7 +44,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
         return function
 
     for module, names in {
-        "hyperval.campaign.run": ["validate", "observe", "predict_to_folder"],
+        "hyperval.campaign.forward": ["predict_to_folder"],
+        "hyperval.campaign.observing": ["observe"],
+        "hyperval.campaign.run": ["validate"],
         "hyperval.simulate": ["simulate_to_folder"],
     }.items():
         fake = types.ModuleType(module)
@@ -298,14 +300,14 @@ def test_signals_end_the_run_and_remove_what_is_half_written(tmp_path, number, c
 import sys, types, time
 from pathlib import Path
 from hyperval.folders import whole_folder
-fake = types.ModuleType("hyperval.campaign.run")
+fake = types.ModuleType("hyperval.campaign.observing")
 def observe(campaign, output, show_progress, **options):
     with whole_folder(output) as t:
         (t / "half").write_text("x")
         print("ready", flush=True)
         time.sleep(30)
 fake.observe = observe
-sys.modules["hyperval.campaign.run"] = fake
+sys.modules["hyperval.campaign.observing"] = fake
 sys.argv = ["hyperval", "observe", "c.yaml", "-o", {str(tmp_path / "out")!r}]
 from hyperval.cli import main
 main()

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hyperval.campaign.day_scenarios import scenarios_of
 from hyperval.campaign.draft import Waiting, read_texts
 from hyperval.campaign.header_check import scenario_notes
 from hyperval.campaign.merge import merged, with_pools, without_circles
 from hyperval.campaign.pictures import quicklook, score_maps
-from hyperval.campaign.provenance import command_without_output, provenance
+from hyperval.campaign.provenance import record_of
 from hyperval.campaign.references import check_names, missing_sets
 from hyperval.campaign.schema import Campaign
 from hyperval.campaign.truth_check import truth_notes
@@ -23,7 +23,7 @@ from hyperval.files import scratch_folder
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.prediction.departure import Departure
-from hyperval.products import Abundance, Observation, Prediction, Products
+from hyperval.products import Abundance, Observation, Prediction
 from hyperval.report import RunReport
 from hyperval.report.power import accepted_table
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
@@ -359,22 +359,3 @@ def _simulate(reference: str, inputs: Inputs, scratch: Path, show_progress: bool
     simulate(scene, scratch, inputs=load_inputs(scene, path.parent), show_progress=show_progress)
     inputs.simulated = scratch
     return scene.seed
-
-
-def record_of(
-    log: InputLog,
-    scenarios: Sequence[Scenario],
-    seed: int | None,
-    configuration: Mapping[str, Any],
-    sides: Sequence[Products],
-) -> dict[str, Any]:
-    """The provenance record of a run: what was read, with which scenarios, seed, configuration and engines."""
-    formulations = sorted({s.formulation for s in scenarios})
-    return provenance(
-        command=command_without_output(),
-        inputs=log.entries(),
-        seed=seed,
-        formulation=", ".join(formulations) or "none",
-        configuration=configuration,
-        engines={str(i): dict(side.provenance) for i, side in enumerate(sides)},
-    )

@@ -14,6 +14,28 @@ from typing import Any
 import numpy as np
 
 import hyperval
+from hyperval.datasets import InputLog
+from hyperval.products import Products
+from hyperval.scenario import Scenario
+
+
+def record_of(
+    log: InputLog,
+    scenarios: Sequence[Scenario],
+    seed: int | None,
+    configuration: Mapping[str, Any],
+    sides: Sequence[Products],
+) -> dict[str, Any]:
+    """The provenance record of a run: what was read, with which scenarios, seed, configuration and engines."""
+    formulations = sorted({s.formulation for s in scenarios})
+    return provenance(
+        command=command_without_output(),
+        inputs=log.entries(),
+        seed=seed,
+        formulation=", ".join(formulations) or "none",
+        configuration=configuration,
+        engines={str(i): dict(side.provenance) for i, side in enumerate(sides)},
+    )
 
 
 def provenance(

@@ -1,4 +1,4 @@
-"""What the commands call: validate, observe, predict into a folder."""
+"""What the commands call: validate, observe into a folder."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hyperval.campaign.jobs import run_jobs
-from hyperval.campaign.one import jobs_of, record_of, run_campaign
-from hyperval.campaign.one_side import product_rows
+from hyperval.campaign.one import jobs_of, run_campaign
 from hyperval.campaign.resume import Finished
-from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.folders import partial_folder, whole_folder
-from hyperval.predict import Origins, predict
-from hyperval.report import RunReport, write_index, write_outputs
+from hyperval.report import write_index, write_outputs
 from hyperval.results import ResultTable
-from hyperval.scenario import load_scenario
 
 
 def validate(
@@ -59,26 +55,3 @@ def validate(
     finished.remove()
     first_error = next((code for _, code in done if code is not None), None)
     return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
-
-
-def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | None = None) -> int:
-    """Run the forward model alone and write its products."""
-    scenario = load_scenario(name_or_path)
-    log = InputLog(scenario.folder or Path())
-    with whole_folder(output) as folder:  # first of all: it may not be writable
-        prediction = predict(scenario, Origins(resolve=log.resolve, show_progress=show_progress))
-        run = RunReport(
-            campaign=scenario.name,
-            title=scenario.title or scenario.name,
-            description=scenario.description,
-            simulated=False,
-            kind="Prediction of scenario",
-            table=ResultTable(product_rows(scenario.name, prediction, "predicted")),
-            prediction=prediction,
-            provenance=record_of(
-                log, [scenario], None, {"scenario": scenario.model_dump(mode="json", by_alias=True)}, [prediction]
-            ),
-            notes=prediction.notes,
-        )
-        write_outputs(run, folder)
-    return 0

@@ -27,7 +27,7 @@ def predict(
     output: Output,
 ) -> int:
     """Run the forward model alone."""
-    from hyperval.campaign.run import predict_to_folder
+    from hyperval.campaign.forward import predict_to_folder
 
     return finished(predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from hyperval.campaign.draft import Waiting
-from hyperval.campaign.one import Inputs, Job, collected, jobs_of, record_of
-from hyperval.campaign.provenance import command_without_output
+from hyperval.campaign.one import Inputs, Job, collected, jobs_of
+from hyperval.campaign.provenance import command_without_output, record_of
 from hyperval.campaign.schema import Campaign
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error

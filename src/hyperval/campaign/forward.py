@@ -1,0 +1,37 @@
+"""The forward model alone into a folder, without the rooms that read imagery: the command that answers at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hyperval.campaign.one_side import product_rows
+from hyperval.campaign.provenance import record_of
+from hyperval.datasets import InputLog
+from hyperval.folders import whole_folder
+from hyperval.predict import Origins, predict
+from hyperval.report import RunReport, write_outputs
+from hyperval.results import ResultTable
+from hyperval.scenario import load_scenario
+
+
+def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | None = None) -> int:
+    """Run the forward model alone and write its products."""
+    scenario = load_scenario(name_or_path)
+    log = InputLog(scenario.folder or Path())
+    with whole_folder(output) as folder:  # first of all: it may not be writable
+        prediction = predict(scenario, Origins(resolve=log.resolve, show_progress=show_progress))
+        run = RunReport(
+            campaign=scenario.name,
+            title=scenario.title or scenario.name,
+            description=scenario.description,
+            simulated=False,
+            kind="Prediction of scenario",
+            table=ResultTable(product_rows(scenario.name, prediction, "predicted")),
+            prediction=prediction,
+            provenance=record_of(
+                log, [scenario], None, {"scenario": scenario.model_dump(mode="json", by_alias=True)}, [prediction]
+            ),
+            notes=prediction.notes,
+        )
+        write_outputs(run, folder)
+    return 0
