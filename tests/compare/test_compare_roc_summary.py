@@ -160,3 +160,26 @@ def test_no_area_exceeds_one_and_a_perfect_curve_has_one():
         found = curve_area(RocCurve(pfa, perfect, perfect, perfect, -pfa, "object"), area)
         assert found == pytest.approx(1.0, abs=1e-12)
         assert found <= 1.0 + 1e-14
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "pd", "inside"),
+    [
+        # The rectangle of 0 of 200 targets at 100 of 10,000 alarms: P_FA 0.0077 to 0.0127, P_D 0 to 0.022.
+        (9e-3, 1e-1, 0.5, 1.0),  # begins inside: below its first point nothing is detected
+        (1e-4, 1e-1, 0.5, 0.0),
+        (1e-4, 1e-1, 0.01, 1.0),
+    ],
+)
+def test_a_predicted_curve_that_ends_inside_the_rectangle_goes_on_to_nothing(start, end, pd, inside):
+    pfa = np.array([1e-3, 1e-2, 1e-1])
+    nothing = np.full(3, np.nan)
+    measured = RocCurve(
+        pfa, np.zeros(3), nothing, nothing, -pfa, "pixel", 200, 10_000, None, np.array([10, 100, 1000])
+    )
+    at = np.array([start, end])
+    predicted = RocCurve(at, np.full(2, pd), nothing[:2], nothing[:2], -at, "pixel")
+    rows = joint_rows(RowMaker("c", "roc", "panel", "cem/pixel"), predicted, measured, 1e-2)
+    assert rows[-1].metric == "pd_inside_joint_region@1e-2"
+    assert rows[-1].value == inside
+    assert (rows[1].value, rows[1].upper < 0.03) == (0.0, True)
