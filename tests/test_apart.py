@@ -60,6 +60,18 @@ def test_an_interrupt_ends_both(tmp_path: Path):
         os.kill(child, 0)
 
 
+def test_what_measures_and_what_writes_load_no_more_than_they_need():
+    """pandas and xarray take 80 MB, SciPy's statistics 25: a quantile of theirs would bring them all back."""
+    large = {"pandas", "xarray", "scipy.stats", "matplotlib", "bokeh", "pvlib"}
+    for modules, more in (
+        ("hyperval.observe.pipeline, hyperval.campaign.one, hyperval.campaign.pictures", set()),
+        ("hyperval.report.outputs, hyperval.report.html, hyperval.report.netcdf", {"matplotlib", "bokeh"}),
+    ):
+        program = f"import sys, {modules}; print(*sorted({large - more} & set(sys.modules)))"
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+        assert done.stdout.split() == []
+
+
 def test_a_process_that_has_numpy_calls_here(tmp_path: Path):
     assert "numpy" in sys.modules
     assert call_apart(os.getpid, tmp_path) == os.getpid()

@@ -18,7 +18,7 @@ from hyperval.report import Quicklook, ScoreMap
 
 # Wavelength [nm] of red, green, blue and the solar irradiance there relative to green (ASTM G173, rounded).
 COLOURS = ((650.0, 0.84), (550.0, 1.0), (470.0, 1.07))
-MOST_PIXELS = 2_000_000  # of the picture: of larger images every second, third ... line and sample is shown
+MOST_PIXELS = 1_000_000  # of the picture: of larger images every second, third ... line and sample is shown
 STRETCH_PIXELS = 250_000  # that the stretch is taken from, at least
 LINES_TOGETHER = 64
 GAMMA = 0.6  # lifts the dark part of the scene, where most surfaces are

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
 from hyperval.spectra.response import SIGMA_PER_FWHM
 
@@ -49,7 +49,13 @@ def oxygen_absorption(wavelength_nm: npt.ArrayLike, fwhm_nm: npt.ArrayLike) -> A
     """(B,) absorption of the oxygen A band through Gaussian bands, of area 1 over wavelength [nm-1]."""
     w = np.asarray(wavelength_nm, dtype=float)
     band = np.asarray(fwhm_nm, dtype=float) * SIGMA_PER_FWHM
-    return np.asarray(sum(a * stats.norm.pdf(w, c, np.hypot(sd, band)) for a, c, sd in _BRANCHES))
+    spread = [np.hypot(sd, band) for _, _, sd in _BRANCHES]
+    return np.asarray(
+        sum(
+            a * np.exp(-(((w - c) / s) ** 2) / 2.0) / (np.sqrt(2.0 * np.pi) * s)
+            for (a, c, _), s in zip(_BRANCHES, spread, strict=True)
+        )
+    )
 
 
 def oxygen_residual(
@@ -99,10 +105,10 @@ def oxygen_residual(
         p = best.x
     after = float(np.sum(rest(p) ** 2))
     gain = 0.5 * max(_rest(powers, z) - after, 0.0) / max(after / free, _LEAST_FIGURE**2)
-    if stats.f.sf(gain, 2, free) > _ALPHA or abs(p[0]) > MOST_SHIFT:
+    if special.fdtrc(2, free, gain) > _ALPHA or abs(p[0]) > MOST_SHIFT:
         return None
     covariance = np.linalg.pinv(best.jac.T @ best.jac)
-    widened = stats.t.ppf(0.975, free) / special.ndtri(0.975)
+    widened = special.stdtrit(free, 0.975) / special.ndtri(0.975)
     return OxygenResidual(float(p[0]), float(np.hypot(_SHAPE, widened * np.sqrt(covariance[0, 0]))))
 
 
