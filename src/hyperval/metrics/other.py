@@ -20,11 +20,11 @@ _RATIO = of_unit(0.002)
 _PIPELINE = Evidence.PIPELINE
 _VECTOR = "defined here, docs/attribution.md#what-is-explained"
 _COMPONENTS = "Patterson & Thompson, Biometrika 58, 545, 1971; docs/attribution.md#how-inputs-are-ranked"
-_MOVES = "defined here, docs/attribution.md#what-moves-what"
+_MOVES = "defined here, docs/attribution.md#sensitivity-to-the-inputs"
 _WHAT_IFS = "defined here, docs/attribution.md#what-ifs"
 _DETECTORS = "defined here, docs/benchmark.md#detectors"
 _ENGINES = "defined here, docs/benchmark.md#engines-and-formulations"
-_ASKED = "defined here, docs/studies.md#what-is-asked"
+_QUESTIONS = "defined here, docs/studies.md#what-is-asked"
 
 METRICS = (
     Metric("comparison", "a whole comparison that could not be made", "compare.products.compare_products", unit="",
@@ -84,13 +84,13 @@ METRICS = (
            interval="bootstrap of subjects", formula="median_s r^T C^-1 r / n", reference=_ENGINES),
     # Studies.
     Metric("least", "least value over the points of a study", _EXTREMES, unit="", formula="min x",
-           reference=_ASKED),
+           reference=_QUESTIONS),
     Metric("median", "median value over the points of a study", _EXTREMES, unit="", formula="median x",
-           reference=_ASKED),
+           reference=_QUESTIONS),
     Metric("greatest", "greatest value over the points of a study", _EXTREMES, unit="", formula="max x",
-           reference=_ASKED),
+           reference=_QUESTIONS),
     Metric("output", "value of an output of a study, the subject, at one point, the method", _STUDY, unit="",
-           example=_OF_STUDY, formula="x", reference=_ASKED),
+           example=_OF_STUDY, formula="x", reference=_QUESTIONS),
     Metric("knee", "where a curve of a study bends most", "study.summary.knee", unit="",
            formula="argmax |v''| / (1 + v'^2)^(3/2)", reference="Satopaa et al., ICDCS Workshops, 166, 2011"),
     Metric("error_at_held_out_states", "relative error of interpolated atmospheric terms at states left out",

@@ -99,7 +99,7 @@ def check_published(
     >>> ledger, sensor = Ledger("hymap"), load_sensor("hymap")
     >>> points = check_published(sensor, sensor.axis, ledger)
     >>> [(r.metric, round(r.value, 2)) for r in ledger.table]
-    [('computed_over_published', 1.78), ('computed_over_published', 1.76), ('computed_over_published', 1.28),
+    [('computed_over_published', 1.77), ('computed_over_published', 1.75), ('computed_over_published', 1.28),
     ('computed_over_published', 1.51), ('computed_over_published', 1.04)]
     """
     points: list[SnrPoint] = []
