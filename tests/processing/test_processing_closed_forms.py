@@ -188,7 +188,7 @@ def test_bootstrap_over_objects_has_the_variance_of_delong_few_objects_or_many(m
     found = area_estimates(counts, {"auc": WHOLE}, "object", 20_000, rng)["auc"]
     a = found.value
     half = np.log(found.upper / (1 - found.upper)) - np.log(a / (1 - a))
-    variance = (half * a * (1 - a) / stats.t.ppf(0.975, min(m, n) - 1)) ** 2
+    variance = (half * a * (1 - a) / stats.norm.ppf(0.975)) ** 2  # towards the near end, with few targets lost
     assert variance == pytest.approx(sum(area_variance(counts)), rel=0.1)
 
 
@@ -251,10 +251,11 @@ def test_interval_of_exceedance_by_blocks_in_plain_loops():
         if struck[i] < 2:
             assert np.isnan(low)
             continue
-        effect = max(e for e, q in zip(effects, curve.probability, strict=True) if p <= q <= 10 * p)
+        near = [e for e, q in zip(effects, curve.probability, strict=True) if p <= q <= 10 * p]
+        effect = 0.75 * max(near) + 0.25 * np.mean(near)
         k, n = total * p / effect, total / effect
-        exact = stats.beta.ppf(0.025, k, n - k + 1), stats.beta.ppf(0.975, k + 1, n - k)
-        assert (low, high) == pytest.approx(exact, rel=1e-9)
+        limits = stats.beta.ppf([0.025, 0.975], k + 0.5, n - k + 0.5)
+        assert (low, high) == pytest.approx(limits, rel=1e-9)
         checked += 1
     assert checked > 5
 

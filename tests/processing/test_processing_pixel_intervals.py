@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import clopper_pearson, joint_region, zero_count_upper_limit
+from hyperval.processing.intervals import clopper_pearson, jeffreys_limits, joint_region, zero_count_upper_limit
 
 
 def test_fifteen_of_twenty():
@@ -77,3 +77,21 @@ def test_joint_region_covers_both_at_once():
 def test_impossible_counts_are_refused(k, n, level):
     with pytest.raises(UsageError):
         clopper_pearson(k, n, level)
+
+
+def test_jeffreys_limits_hold_at_their_level_on_average_and_clopper_pearson_s_above_it():
+    """Summed over the binomial law, for P_FA of 3e-4 to 3e-3 in 44,100 pixels: no draws."""
+    n = 44_100
+    k = np.arange(0, 400)
+    share = {}
+    for name, limits in (("jeffreys", jeffreys_limits), ("exact", clopper_pearson)):
+        low, high = limits(k, n)
+        covered = [
+            float(stats.binom.pmf(k, n, p) @ ((low <= p) & (p <= high))) for p in np.geomspace(3e-4, 3e-3, 200)
+        ]
+        share[name] = float(np.mean(covered))
+    assert share["jeffreys"] == pytest.approx(0.95, abs=0.002)
+    assert share["exact"] > 0.958
+    assert jeffreys_limits(0, n)[0] == 0.0
+    assert jeffreys_limits(n, n)[1] == 1.0
+    assert jeffreys_limits(2.5, 80.0) == pytest.approx(tuple(stats.beta.ppf([0.025, 0.975], 3.0, 78.0)))

@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 Held = Iterator[tuple[str, bool]]
 
 SIDE, TILE, CORRELATION = 210, 7, 0.9  # [pixels]
-SEPARATION = 2.0
+SEPARATIONS = (1.0, 3.0)  # of targets from the background [its standard deviations]; each world draws one
 TARGETS = (25, 80, 300)
 LEVELS = (1e-1, 1e-2, 1e-3)
 AREA_M2 = 4.0  # of a pixel
@@ -46,7 +46,7 @@ def background(rng: np.random.Generator, clustered: bool, side: int = SIDE) -> A
 
 
 def detection(rng: np.random.Generator, clustered: bool) -> Held:
-    """P_D at preset P_FA, P_FA at a threshold and areas, of targets 2 standard deviations above the background."""
+    """P_D at preset P_FA, P_FA at a threshold and areas, of targets that lie above the background."""
     scores = background(rng, clustered)
     blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
     curve = exceedance_curve(blocks)
@@ -56,9 +56,10 @@ def detection(rng: np.random.Generator, clustered: bool) -> Held:
         if np.isfinite(curve.lower[at]):
             yield f"P_FA near {level:g}", bool(curve.lower[at] <= true <= curve.upper[at])
     levels = np.array(LEVELS)
-    true_pd = stats.norm.sf(stats.norm.isf(levels) - SEPARATION)
+    separation = float(rng.uniform(*SEPARATIONS))
+    true_pd, true_areas = stats.norm.sf(stats.norm.isf(levels) - separation), _true_areas(separation)
     for count in TARGETS:
-        target = rng.normal(SEPARATION, 1.0, count)
+        target = rng.normal(separation, 1.0, count)
         rate = pd_at_pfa(target, blocks.scores, levels, blocks=blocks)
         for level, low, high, true in zip(LEVELS, rate.lower, rate.upper, true_pd, strict=True):
             yield f"P_D at {level:g}, {count} targets", bool(low <= true <= high)
@@ -66,18 +67,12 @@ def detection(rng: np.random.Generator, clustered: bool) -> Held:
         unit = "object" if count < 50 else "pixel"
         estimates = area_estimates(counts, AREAS, unit, 200, rng, blocks)
         for name, found in estimates.items():
-            yield f"{name}, {count} targets", bool(found.lower <= TRUE_AREAS[name] <= found.upper)
+            yield f"{name}, {count} targets", bool(found.lower <= true_areas[name] <= found.upper)
 
 
-def _true_areas() -> dict[str, float]:
-    out = {}
-    for name, area in AREAS.items():
-        s = stats.norm.sf(stats.norm.ppf((np.arange(400_000) + 0.5) / 400_000, loc=SEPARATION))
-        out[name] = float(area.share(s).mean())
-    return out
-
-
-TRUE_AREAS = _true_areas()
+def _true_areas(separation: float) -> dict[str, float]:
+    s = stats.norm.sf(stats.norm.ppf((np.arange(40_000) + 0.5) / 40_000, loc=separation))
+    return {name: float(area.share(s).mean()) for name, area in AREAS.items()}
 
 
 def areas(rng: np.random.Generator, clustered: bool) -> Held:

@@ -1,6 +1,6 @@
 """Coverage: how often the 95 % intervals of a comparison hold, over collections whose budgets are known to be true.
 
-    python validation/coverage/study.py [--collections 400] [--spectra 1000] [--output reports/coverage]
+    python validation/coverage/study.py [--collections 400] [--spectra 1000] [--maps 1000] [--output DIR]
 
 Writes coverage.csv and coverage.json: for every product the share of comparisons whose stated interval of predicted
 minus measured holds 0, and how often the consistency test rejects true cases and tilted ones.
@@ -230,11 +230,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--collections", type=int, default=400)
     parser.add_argument("--spectra", type=int, default=1000)
+    parser.add_argument("--maps", type=int, default=1000)
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--output", type=Path, default=Path("reports/coverage"))
     args = parser.parse_args()
-    found = interval_outcomes(args.collections, args.seed)
+    found = interval_outcomes(args.maps, args.seed)
     found += outcomes(predictions(args.draws), args.collections, args.spectra, args.seed, None)
     names = [*asdict(found[0]), "met"]
     lines = [",".join(names)]

@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse, special
+from scipy import sparse
 
 from hyperval.errors import UsageError
+from hyperval.processing.intervals import jeffreys_limits
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -20,7 +21,7 @@ BLOCKS = 64
 SMALLEST_SIDE = 4
 _RANKS = 160  # thresholds at which the limits of P_FA are looked up
 _DECADE = 10.0
-_TAIL = 0.025
+_GREATEST = 0.75  # weight of the greatest design effect of a decade beside their mean
 
 
 def block_side(pixels: int) -> int:
@@ -105,10 +106,12 @@ class AlarmBlocks:
     def pfa_limits(self, threshold: Array) -> tuple[Counts, Array, Array]:
         """Alarms (T,) above thresholds (T,) that fall, and the 95 % limits (T,) of P_FA at each.
 
-        Those of Clopper & Pearson for the alarms and the pixels over the design effect: how many times as large the
-        variance of the number of alarms is as that of independent pixels (Kish, Survey Sampling, 1965, 8.2).  Few
-        alarms know their own clusters badly, so the design effect is the greatest of the thresholds that let up to
-        ten times as many pixels through.
+        Those by Jeffreys' prior (:func:`~hyperval.processing.intervals.jeffreys_limits`) for the alarms and the
+        pixels over the design effect: how many times as large the variance of the number of alarms is as that of
+        independent pixels (Kish, Survey Sampling, 1965, 8.2).  Few alarms know their own clusters badly, so the
+        design effects of all thresholds count that let up to ten times as many pixels through: the greatest by
+        three quarters, as rare alarms may cluster more than the mean says, the mean by one, as chance raises the
+        greatest.
         """
         n = self.scores.size
         by_block = self.counts(threshold)
@@ -118,10 +121,9 @@ class AlarmBlocks:
         variance = self.variance_of_sum(by_block - p[:, None] * self.pixels)
         effect = np.clip(np.where(independent > 0.0, variance / np.maximum(independent, 1e-300), 1.0), 1.0, n)
         last = np.searchsorted(k, _DECADE * np.maximum(k, 1), side="right")
-        effect = np.array([effect[i : max(j, i + 1)].max() for i, j in enumerate(last)])
-        some, rest = k / effect, (n - k) / effect
-        lower = np.where(k > 0, special.betaincinv(np.maximum(some, 1e-9), rest + 1.0, _TAIL), 0.0)
-        upper = np.where(k < n, special.betaincinv(some + 1.0, np.maximum(rest, 1e-9), 1.0 - _TAIL), 1.0)
+        decades = (effect[i : max(j, i + 1)] for i, j in enumerate(last))
+        effect = np.array([_GREATEST * near.max() + (1.0 - _GREATEST) * near.mean() for near in decades])
+        lower, upper = jeffreys_limits(k / effect, n / effect)
         return k, lower, upper
 
     @cached_property

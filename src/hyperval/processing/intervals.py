@@ -57,6 +57,27 @@ def clopper_pearson(
     return lower, upper
 
 
+def jeffreys_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
+    """Limits of a proportion by Jeffreys' prior: quantiles of the beta law of count + 1/2 and total - count + 1/2.
+
+    Counts may be fractions, as those of clusters are.  Coverage is ``level`` on average over proportions, and goes
+    above and below it with the discreteness of counts, where Clopper and Pearson's never goes below.  None of the
+    total has a lower limit of 0, all an upper one of 1.  Source: Brown, Cai & DasGupta, Stat. Sci. 16, 101, 2001.
+
+    Examples
+    --------
+    >>> low, high = jeffreys_limits(15, 20)
+    >>> print(f"{low:.3f} {high:.3f}")
+    0.536 0.898
+    """
+    k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
+    tail = (1.0 - level) / 2.0
+    rest = np.maximum(n - k, 0.0)
+    lower = np.where(k > 0.0, special.betaincinv(k + 0.5, rest + 0.5, tail), 0.0)
+    upper = np.where(rest > 0.0, special.betaincinv(k + 0.5, rest + 0.5, 1.0 - tail), 1.0)
+    return lower, upper
+
+
 def zero_count_upper_limit(total: int, level: float = 0.95) -> float:
     """One-sided upper limit of a probability after no event in ``total`` trials: 1 - (1 - level)^(1/total).
 

@@ -90,16 +90,16 @@ def pd_at_pfa(
     from scipy import stats  # 25 MB with what it loads, which runs without detection do not need
 
     k = np.minimum(np.floor(p * b.size * (1.0 + 1e-12)).astype(np.int64), b.size)
-    tail = (1.0 - level) / 2.0
-    # The greatest r with P(fewer than r scores above the true threshold) <= tail: the r-th greatest bounds it
-    # from above, and nothing does where r = 0.
-    r = stats.binom.ppf(tail, b.size, p).astype(np.int64)
-    # The least s with P(s scores or more above it) <= tail: the s-th greatest bounds it from below.
-    s = stats.binom.isf(tail, b.size, p).astype(np.int64) + 1
-    if blocks is not None:
+    if blocks is None:
+        tail = (1.0 - level) / 2.0
+        # The greatest r with P(fewer than r scores above the true threshold) <= tail: the r-th greatest bounds it
+        # from above, and nothing does where r = 0.
+        r = stats.binom.ppf(tail, b.size, p).astype(np.int64)
+        # The least s with P(s scores or more above it) <= tail: the s-th greatest bounds it from below.
+        s = stats.binom.isf(tail, b.size, p).astype(np.int64) + 1
+    else:
         same_scores(blocks, b)
-        above, below = blocks.rank_limits(p)
-        r, s = np.minimum(r, above), np.maximum(s, below)
+        r, s = blocks.rank_limits(p)
     ordered = OrderStatistics(b, np.concatenate([k + 1, r, s]))
     threshold, everything = ordered.greatest(k + 1), k >= b.size
     detected = _above(t, threshold, everything)
