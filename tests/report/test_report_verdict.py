@@ -3,11 +3,12 @@
 import csv
 import math
 import re
+from dataclasses import replace
 
 import pytest
 
 from hyperval import cli
-from hyperval.metrics import Evidence, explained, metric_of
+from hyperval.metrics import Evidence, explained, metric_of, plain_words
 from hyperval.report.verdict import (
     disagrees_without_gating,
     gate_fails,
@@ -92,9 +93,14 @@ def test_the_reason_decides_nothing():
     assert not disagrees_without_gating(row(N, role=Role.INFORM, reason=told))
 
 
-def test_many_disagreements_are_counted_by_product():
+def test_many_disagreements_are_counted_by_what_they_are_about_or_by_product():
     others = [informing(D, f"field {i}") for i in range(10)]
-    assert "10 comparisons that do not decide disagree (10 of radiance)" in verdict([row(A), *others])[1]
+    told = plain_words(others[0].metric, "radiance")
+    assert f"10 comparisons that do not decide disagree ({told}: 10)" in verdict([row(A), *others])[1]
+    parts = ("windows", "vnir", "swir1", "swir2", "absorption")
+    metrics = ("p_value_full", *(f"median_difference_ratio_{part}" for part in parts))
+    many = [replace(other, metric=metric) for metric in metrics for other in others]
+    assert "60 comparisons that do not decide disagree (60 of radiance)" in verdict([row(A), *many])[1]
 
 
 def test_undecided_gates_are_counted_in_the_last_line():

@@ -69,6 +69,17 @@ _PART_WORDS = {
 _PRODUCT_WORDS = {"toa_reflectance": "top-of-atmosphere reflectance", "snr": "signal-to-noise ratio"}
 
 
+def product_words(product: str) -> str:
+    """A product in a sentence.
+
+    Examples
+    --------
+    >>> product_words("toa_reflectance")
+    'top-of-atmosphere reflectance'
+    """
+    return _PRODUCT_WORDS.get(product, product)
+
+
 def plain_words(metric: str, product: str) -> str:
     """What a metric of a product is about, for a sentence: "level of the radiance in the VNIR".
 
@@ -79,7 +90,7 @@ def plain_words(metric: str, product: str) -> str:
     """
     base = base_name(metric)
     short = metric_of(metric).short
-    product = _PRODUCT_WORDS.get(product, product)
+    product = product_words(product)
     return short.format(product=product, part=_PART_WORDS.get(base.rpartition("_")[2], "")) or f"{product} {base}"
 
 

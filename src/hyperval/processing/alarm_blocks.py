@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +20,7 @@ Counts = npt.NDArray[np.int64]
 # their scatter is known, and so large that neighbours hardly share one.
 BLOCKS = 64
 SMALLEST_SIDE = 4
-_RANKS = 160  # thresholds at which the limits of P_FA are looked up
+_RANKS = 160  # thresholds at which design effects are looked up
 _DECADE = 10.0
 _GREATEST = 0.75  # weight of the greatest design effect of a decade beside their mean
 
@@ -113,6 +114,12 @@ class AlarmBlocks:
         three quarters, as rare alarms may cluster more than the mean says, the mean by one, as chance raises the
         greatest.
         """
+        k, effect = self._design_effects(threshold)
+        lower, upper = jeffreys_limits(k / effect, self.scores.size / effect)
+        return k, lower, upper
+
+    def _design_effects(self, threshold: Array) -> tuple[Counts, Array]:
+        """Alarms (T,) above thresholds (T,) that fall, and the design effect at each."""
         n = self.scores.size
         by_block = self.counts(threshold)
         k = by_block.sum(axis=1)
@@ -122,16 +129,15 @@ class AlarmBlocks:
         effect = np.clip(np.where(independent > 0.0, variance / np.maximum(independent, 1e-300), 1.0), 1.0, n)
         last = np.searchsorted(k, _DECADE * np.maximum(k, 1), side="right")
         decades = (effect[i : max(j, i + 1)] for i, j in enumerate(last))
-        effect = np.array([_GREATEST * near.max() + (1.0 - _GREATEST) * near.mean() for near in decades])
-        lower, upper = jeffreys_limits(k / effect, n / effect)
-        return k, lower, upper
+        return k, np.array([_GREATEST * near.max() + (1.0 - _GREATEST) * near.mean() for near in decades])
 
     @cached_property
-    def _limits(self) -> tuple[Counts, Array, Array]:
-        """:meth:`pfa_limits` at ranks from 0 to n, evenly in their logarithm."""
+    def _effects(self) -> tuple[Array, Array]:
+        """log(1 + alarms) and the design effect, at ranks from 0 to n, evenly in their logarithm."""
         n = self.scores.size
         ranks = np.unique(np.append(0, np.geomspace(1, n, _RANKS).astype(np.int64)))
-        return self.pfa_limits(np.append(self.ascending[n - 1 - ranks[ranks < n]], -np.inf))
+        k, effect = self._design_effects(np.append(self.ascending[n - 1 - ranks[ranks < n]], -np.inf))
+        return np.log1p(k), effect
 
     def rank_limits(self, pfa: Array) -> tuple[Counts, Counts]:
         """Ranks r, s (K,) of the order statistics between which the threshold lies that truly gives ``pfa`` (K,).
@@ -139,16 +145,21 @@ class AlarmBlocks:
         The thresholds whose interval of P_FA holds ``pfa``: those from the s-th to the r-th greatest score; r is 0
         where no score bounds it from above, s is n + 1 where none does from below.
         """
-        k, lower, upper = self._limits
-        inside = (lower[:, None] <= pfa) & (pfa <= upper[:, None])
-        first = np.argmax(inside, axis=0)
-        last = k.size - 1 - np.argmax(inside[::-1], axis=0)
-        none = ~inside.any(axis=0)
-        r = np.where(none, self.scores.size, np.where(first == 0, 0, k[first - 1] + 1))
-        s = np.where(
-            none, 0, np.where(last == k.size - 1, self.scores.size + 1, k[np.minimum(last + 1, k.size - 1)])
-        )
-        return r.astype(np.int64), s.astype(np.int64)
+        n = self.scores.size
+
+        def first(side: int, beyond: Callable[[Array], npt.NDArray[np.bool_]]) -> Counts:
+            """Least number of alarms whose limit lies beyond; n + 1 where none does."""
+            low, high = np.zeros(pfa.size, np.int64), np.full(pfa.size, n + 1)
+            while np.any(low < high):
+                middle = (low + high) // 2
+                effect = np.interp(np.log1p(middle), *self._effects)
+                there = beyond(jeffreys_limits(np.minimum(middle, n) / effect, n / effect)[side])
+                open_ = low < high
+                high = np.where(open_ & there, middle, high)
+                low = np.where(open_ & ~there, middle + 1, low)
+            return low
+
+        return first(1, lambda upper: upper >= pfa), first(0, lambda lower: lower > pfa)
 
 
 def _bartlett(key: Counts, width: int) -> sparse.csr_array:

@@ -6,10 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from hyperval.metrics import Evidence, Kind, metric_of, plain_words
+from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import Outcome, Result
 
 _MOST_NAMED = 9
+_MOST_KINDS = 5
 _LONGEST_NAME = 70
 WORST_FIRST = (
     Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.AGREES, Outcome.NONE,
@@ -174,7 +175,7 @@ def _half_width(row: Result) -> float:
 
 
 def _named(rows: Sequence[Result]) -> str:
-    """What rows are about and their subjects, "shape of the radiance: lawn, turf"; many are counted by product."""
+    """What rows are about and their subjects, "shape of the radiance: lawn, turf"; many are counted."""
     several = len({row.campaign for row in rows}) > 1
     groups: dict[str, dict[str, None]] = {}
     for row in rows:
@@ -183,5 +184,7 @@ def _named(rows: Sequence[Result]) -> str:
         groups.setdefault(what, {})[name] = None
     if sum(map(len, groups.values())) <= _MOST_NAMED:
         return "; ".join(f"{what}: {', '.join(names)}" for what, names in groups.items())
-    kinds = Counter(row.campaign if several else row.product for row in rows)
+    if len(groups) <= _MOST_KINDS:
+        return "; ".join(f"{what}: {len(names)}" for what, names in groups.items())
+    kinds = Counter(row.campaign if several else product_words(row.product) for row in rows)
     return ", ".join(f"{count} of {kind}" for kind, count in kinds.most_common())
