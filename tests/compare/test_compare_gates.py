@@ -164,3 +164,53 @@ def test_a_comparison_without_a_side_is_an_error_under_a_gate_alone(cause, decid
     assert judgement.outcome is outcome
     (usual,) = judged([row(value=math.nan, outcome=Outcome.SKIPPED, cause=cause, reason="s")], [], "c")
     assert (usual.outcome, usual.reason) == (Outcome.NONE, "not compared: s")
+
+
+def pooled(least, **entries):
+    return Gate(
+        **{**RADIANCE, "metric": "difference_ratio", "within": (-0.1, 0.1), "fraction_at_least": least, **entries}
+    )
+
+
+def bands(good, bad, unsure):
+    interval = {"lower": -0.01, "upper": 0.01}
+    return [
+        *(row("difference_ratio", 0.0, band_nm=500.0 + i, **interval) for i in range(good)),
+        *(row("difference_ratio", 0.3, 0.29, 0.31, band_nm=600.0 + i) for i in range(bad)),
+        *(row("difference_ratio", 0.0, -0.5, 0.5, band_nm=700.0 + i) for i in range(unsure)),
+    ]
+
+
+def test_a_pooled_gate_counts_what_cannot_tell_against_it_below_and_for_it_above():
+    *rows, share = judged(bands(80, 6, 14), [pooled(0.5)], "c")
+    assert all(r.role is not Role.GATE for r in rows)
+    assert (share.metric, share.value, share.n) == ("difference_ratio_fraction", 0.8, 100)
+    # Clopper-Pearson: 80 of 100 has 0.7082 below, 94 of 100 has 0.9777 above.
+    assert (share.lower, share.upper) == pytest.approx((0.7082, 0.9777), abs=1e-4)
+    assert share.outcome is Outcome.AGREES
+    assert "80 of 100 rows within -0.1 to 0.1, 14 without an outcome of their own; outside: field" in share.reason
+    assert share.reason.count("600 nm") == 1
+    assert "and 1 more" in share.reason
+    assert judged(bands(20, 80, 0), [pooled(0.5)], "c")[-1].outcome is Outcome.DISAGREES
+    assert judged(bands(50, 0, 50), [pooled(0.8)], "c")[-1].outcome is Outcome.UNDECIDED
+    assert judged(bands(50, 5, 0), [pooled(0.8, gate=False)], "c")[-1].role is Role.INFORM
+
+
+def test_pooled_without_a_row_is_one_error():
+    (alone,) = judged([], [pooled(0.5)], "c")
+    assert (alone.outcome, alone.cause) == (Outcome.ERROR, Cause.ABSENT)
+
+
+@pytest.mark.parametrize(
+    ("metric", "value", "outcome", "cause"),
+    [
+        ("pd_inside_interval@1e-2", 1.0, Outcome.UNDECIDED, Cause.COVERAGE),  # one case says nothing of a share
+        ("pd_inside_interval@1e-2", 0.0, Outcome.DISAGREES, Cause.NONE),
+        ("pd_equivalence@1e-2", 1.0, Outcome.AGREES, Cause.NONE),
+        ("pd_equivalence@1e-2", 0.0, Outcome.UNDECIDED, Cause.NONE),
+        ("pd_equivalence@1e-2", -1.0, Outcome.DISAGREES, Cause.NONE),
+        ("chi2_reduced_full", 1.0, Outcome.UNDECIDED, Cause.NOT_JUDGED),
+    ],
+)
+def test_metrics_that_are_judged_by_no_interval(metric, value, outcome, cause):
+    assert outcome_of(row(metric, value), 1.0, math.inf) == (outcome, cause, "")
