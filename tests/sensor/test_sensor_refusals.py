@@ -68,3 +68,11 @@ def test_an_arm_serves_fifty_nanometres_beyond_its_range_and_no_more():
     assert sensor.arm_index(np.array([low - 50.0])).size == 1
     with pytest.raises(UsageError, match="has no arm at"):
         sensor.arm_index(np.array([low - 50.1]))
+
+
+def test_widths_of_bands_are_those_of_the_table_or_of_each_part():
+    table = Bands(table=[[450.0, 10.0, 1], [460.0, 12.0, 1]], source=SOURCE)
+    regular = {"first_nm": 400.0, "step_nm": 10.0, "count": 3, "fwhm_nm": 9.0}
+    assert table.fwhms == [10.0, 12.0]
+    assert Bands(regular=regular, source=SOURCE).fwhms == [9.0]
+    assert Bands(parts=[regular, {**regular, "first_nm": 500.0, "fwhm_nm": 8.0}], source=SOURCE).fwhms == [9.0, 8.0]
