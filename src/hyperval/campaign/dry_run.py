@@ -116,7 +116,7 @@ def _file(name: str, reference: Reference, text: Text) -> list[Item]:
 
 
 def _comparison(name: str, gate: Gate) -> Item:
-    decides = "decides" if gate.gate else "informs"
+    decides = "decides" if gate.gate else "does not decide"
     pooled = f" for {gate.fraction_at_least:g} of them" if gate.fraction_at_least else ""
     what = f"{gate.product} {gate.metric} of {', '.join(gate.subjects)}"
     return Item(name, COMPARISON, PLANNED, what, f"{gate.limit_text}{pooled}, {decides}")

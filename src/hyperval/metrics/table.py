@@ -66,7 +66,11 @@ _PART_WORDS = {
 }  # fmt: skip
 
 
-_PRODUCT_WORDS = {"toa_reflectance": "top-of-atmosphere reflectance", "snr": "signal-to-noise ratio"}
+_PRODUCT_WORDS = {
+    "toa_reflectance": "top-of-atmosphere reflectance",
+    "snr": "signal-to-noise ratio",
+    "roc": "detection and false alarms",
+}
 
 
 def product_words(product: str) -> str:
