@@ -49,7 +49,9 @@ def test_what_is_returned_raised_or_ended(tmp_path: Path, work: str, words: list
 
 
 def test_an_interrupt_ends_both(tmp_path: Path):
-    text = PROGRAM.format(work="import time; print(os.getpid(), flush=True); time.sleep(60)")
+    # What a shell starts in the background ignores interrupts.
+    listening = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    text = listening + PROGRAM.format(work="import time; print(os.getpid(), flush=True); time.sleep(60)")
     with subprocess.Popen(
         [sys.executable, "-c", text, str(tmp_path)], stdout=subprocess.PIPE, text=True
     ) as process:

@@ -30,7 +30,7 @@ STUDY = {
 
 
 @pytest.fixture
-def beside(small, monkeypatch):
+def beside(figures, small, monkeypatch):
     """The working directory of a user: a campaign, its scenario and its scene, a study."""
     monkeypatch.chdir(small.folder)
     small.write()
