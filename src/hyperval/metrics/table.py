@@ -66,11 +66,7 @@ _PART_WORDS = {
 }  # fmt: skip
 
 
-_PRODUCT_WORDS = {
-    "toa_reflectance": "top-of-atmosphere reflectance",
-    "snr": "signal-to-noise ratio",
-    "roc": "detection and false alarms",
-}
+_PRODUCT_WORDS = {"toa_reflectance": "top-of-atmosphere reflectance", "snr": "signal-to-noise ratio"}
 
 
 def product_words(product: str) -> str:
