@@ -110,8 +110,19 @@ def test_a_mistake_in_a_written_out_scenario_is_named(tmp_path):
       classes:
         - {name: lawn, fraction: 1, spectrum: {constnt: 0.3}}
 """
-    with pytest.raises(UsageError, match=r"campaign\.yaml:14: .*constnt: unknown key; did you mean 'constant'\?"):
+    with pytest.raises(
+        UsageError, match=r"campaign\.yaml:14: .*constnt: unknown key; did you mean 'constant'\?"
+    ) as caught:
         load(tmp_path, ("scenarios: [scenario.yaml]\n", written))
+    # Of a scenario alone: neither of a day that it is not, nor keys that a scenario has as unknown.
+    assert "radcalnet" not in str(caught.value)
+    assert "did you mean 'scene'" not in str(caught.value)
+
+
+def test_half_hours_of_a_day_lack_their_file(tmp_path):
+    with pytest.raises(UsageError, match=r"scenarios\.0\.radcalnet: Field required") as caught:
+        load(tmp_path, ("scenarios: [scenario.yaml]\n", "scenarios: [{scenario: day.yaml}]\n"))
+    assert "atmosphere" not in str(caught.value)
 
 
 def test_a_simulated_collection_must_say_so(tmp_path):

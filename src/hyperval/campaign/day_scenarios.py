@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 from scipy.optimize import brentq
 
 from hyperval.atmosphere.profiles import pressure_at, standard_profile
@@ -28,6 +28,19 @@ class DayScenarios(Model):
     scenario: str = Field(description='scenario file with words in braces, such as aot550: "{aot550}"')
     radcalnet: str = Field(description="daily file that ends in .input: surface and state")
     times: list[str] = Field(default_factory=list, description="half hours, such as 04:00; empty: all with values")
+
+
+def _kind(entry: Any) -> str:
+    """Which of the three an entry of a campaign's list is; a mistake in it is told of that one alone."""
+    if isinstance(entry, DayScenarios) or (isinstance(entry, Mapping) and {*DayScenarios.model_fields} & {*entry}):
+        return "(day)"
+    return "(scenario)" if isinstance(entry, Scenario | Mapping) else "(name)"
+
+
+ScenarioSource = Annotated[
+    Annotated[DayScenarios, Tag("(day)")] | Annotated[Scenario, Tag("(scenario)")] | Annotated[str, Tag("(name)")],
+    Discriminator(_kind),
+]
 
 
 def scenarios_of(

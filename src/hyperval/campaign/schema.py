@@ -8,13 +8,12 @@ from typing import Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from hyperval.campaign.day_scenarios import DayScenarios
+from hyperval.campaign.day_scenarios import ScenarioSource
 from hyperval.campaign.template import campaign_runs
 from hyperval.collection import Classification, Collection, Detection
 from hyperval.compare.gates import Gate
 from hyperval.config import Model, load_yaml, validate
 from hyperval.errors import UsageError, reader
-from hyperval.scenario import Scenario
 from hyperval.uncertainty.attribution.schema import AttributionOptions
 
 
@@ -70,7 +69,7 @@ class Campaign(Outline):
         lt=1,
         description="difference of P_D that is no difference for the purpose; adds pd_equivalence rows",
     )
-    scenarios: list[DayScenarios | Scenario | str] = Field(
+    scenarios: list[ScenarioSource] = Field(
         default_factory=list,
         description="scenario files, built-in names, scenarios written out, or those of a network's day; observe "
         "alone needs none",
