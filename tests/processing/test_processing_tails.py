@@ -85,6 +85,11 @@ def test_dependent_pixels_widen_the_limits():
     assert few.upper - few.lower > 2.5 * (every.upper - every.lower)
 
 
+def test_no_distance_counts_more_than_once():
+    d = distances(pixels(500, 5, 8.0, np.random.default_rng(31)))
+    assert fit_tail_dof(d, 5, independent=5000) == fit_tail_dof(d, 5)
+
+
 def test_exceedance_is_that_of_pixels():
     rng = np.random.default_rng(7)
     z = pixels(200_000, 4, 6.0, rng) / np.geomspace(3.0, 0.1, 4)
