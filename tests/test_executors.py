@@ -1,7 +1,11 @@
 """One seam: here, in processes, on a cluster; what comes out is the same and in order."""
 
 import os
+import signal
+import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Thread
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -97,6 +101,76 @@ def test_processes_that_always_die_are_given_up(monkeypatch):
     monkeypatch.setattr("hyperval.executors._RENEWALS", 0)
     with pytest.raises(WorkersLostError, match="worker process died"), workers(2) as where:
         list(in_order(where, dies, [1]))
+
+
+def sleeps(piece):
+    folder, number = piece
+    (folder / f"{number}.pid").write_text(str(os.getpid()))
+    try:
+        time.sleep(60)
+    finally:
+        (folder / f"{number}.unwound").touch()
+
+
+def workers_of(folder):
+    """Process ids of two pieces at work."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        ids = [path.read_text() for path in folder.glob("*.pid")]
+        if len(ids) == 2 and all(ids):
+            return [int(text) for text in ids]
+        time.sleep(0.02)
+    raise AssertionError("no two pieces at work")
+
+
+def alive(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+class Ended(BaseException):
+    pass
+
+
+def run_until(folder, signal_number):
+    """Two pieces at work, then a signal to the process that handed them out."""
+
+    def end():
+        workers_of(folder)
+        os.kill(os.getpid(), signal_number)
+
+    with workers(2) as where:
+        Thread(target=end, daemon=True).start()
+        list(in_order(where, sleeps, [(folder, 1), (folder, 2)]))
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_their_run(tmp_path, number):
+    """They went on until their pieces were done, a minute here; what pieces made for the time being goes."""
+
+    def unwind(number, frame):
+        raise Ended
+
+    run = os.fork()
+    if run == 0:
+        signal.signal(signal.SIGTERM, unwind)
+        try:
+            run_until(tmp_path, number)
+        except Ended:
+            os._exit(7)
+        finally:
+            os._exit(1)
+    status = os.waitpid(run, 0)[1]
+    assert status == signal.SIGKILL or os.waitstatus_to_exitcode(status) == 7
+    pieces = workers_of(tmp_path)
+    deadline = time.monotonic() + 4  # before they are ended the hard way
+    while any(map(alive, pieces)) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not any(map(alive, pieces))
+    assert len(list(tmp_path.glob("*.unwound"))) == 2
 
 
 def test_number_of_workers(monkeypatch):

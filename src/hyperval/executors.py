@@ -13,6 +13,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
@@ -20,8 +21,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from itertools import islice
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, TypeVar
+from threading import Thread
+from types import FrameType
+from typing import Any, NoReturn, TypeVar
 
 import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are counted
 from threadpoolctl import ThreadpoolController
@@ -34,10 +38,15 @@ R = TypeVar("R")
 _RENEWALS = 3  # of a pool of processes that lost one
 _START_S = 20.0  # for a scheduler to answer
 _CONNECT_S = 5.0  # a worker that is gone is not called for longer
+_UNWIND_S = 5.0  # for a piece to remove its temporary files when its run has ended
 
 
 class WorkersLostError(HypervalError):
     """Processes died again and again while they worked (exit code 4)."""
+
+
+class _RunEndedError(SystemExit):
+    """The run that a piece works for has ended: unwinds the piece, so that its temporary files go."""
 
 
 @dataclass
@@ -206,32 +215,54 @@ def in_order(
 
 
 def _single_threaded(function: Callable[[T], R], piece: T) -> R:
-    with single_blas_thread():
-        return function(piece)
+    try:
+        with single_blas_thread():
+            return function(piece)
+    except _RunEndedError:
+        os._exit(1)  # the pool would take it for the piece's result, and hand out the next one
 
 
 def _processes(count: int) -> Iterator[Workers]:
     made: list[ProcessPoolExecutor] = []
+    # Spawned, not forked: this process may hold threads of the linear-algebra library.
+    context = multiprocessing.get_context("spawn")
+    ended, end = context.Pipe(duplex=False)
 
     def pool() -> Executor:
-        # Spawned, not forked: this process may hold threads of the linear-algebra library.
-        context = multiprocessing.get_context("spawn")
-        made.append(ProcessPoolExecutor(count, mp_context=context, initializer=_leave_interrupts))
+        made.append(ProcessPoolExecutor(count, mp_context=context, initializer=_attend, initargs=(ended,)))
         return made[-1]
 
     try:
         yield Workers(pool(), count, pool)
+        for each in made:
+            each.shutdown()
     except BaseException:
+        end.close()  # the workers see it; the pool would let them finish their pieces
         for each in made:
             each.shutdown(wait=False, cancel_futures=True)
         raise
-    for each in made:
-        each.shutdown()
+    finally:
+        end.close()
+        ended.close()
 
 
-def _leave_interrupts() -> None:
-    """An interrupt reaches every process: this one leaves it to the one that hands out the pieces."""
+def _attend(ended: Connection) -> None:
+    """In a worker: leave interrupts to the process that hands out the pieces, and end when its run does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _unwind)
+    Thread(target=_end_with_run, args=(ended,), daemon=True).start()
+
+
+def _unwind(signum: int, frame: FrameType | None) -> NoReturn:
+    raise _RunEndedError
+
+
+def _end_with_run(ended: Connection) -> None:
+    """Wait until the other end is closed, by the run or by the end of its process, however that came."""
+    wait([ended])
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(_UNWIND_S)
+    os._exit(1)
 
 
 def _dask(address: str) -> Iterator[Workers]:
