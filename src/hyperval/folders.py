@@ -25,6 +25,7 @@ from hyperval.files import umask
 from hyperval.locks import Claim, claimed_by
 
 LIST = ".hyperval.json"
+RECORD = ".hyperval-made-of.json"  # what the results of a campaign were made of
 LOCK = ".hyperval.lock"
 PARTIAL = ".hyperval-partial"
 _NEW = ".hyperval-new-"
@@ -313,10 +314,14 @@ def _is_internal(inner: Path) -> bool:
 
 
 def _names(folder: Path) -> set[str]:
-    """Files below a folder, and the lists of the folders in it."""
+    """Files below a folder, their records, and the lists of the folders in it."""
     entries = (p for p in folder.rglob("*") if p.is_file() or p.is_symlink())
     inner = (p.relative_to(folder) for p in entries)
-    return {p.as_posix() for p in inner if not _is_internal(p) or (p.name == LIST and len(p.parts) > 1)}
+    return {
+        p.as_posix()
+        for p in inner
+        if not _is_internal(p) or p.name == RECORD or (p.name == LIST and len(p.parts) > 1)
+    }
 
 
 def _write_list(folder: Path, kind: str, names: set[str]) -> None:

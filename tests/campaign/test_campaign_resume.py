@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -15,6 +16,11 @@ from hyperval.campaign import jobs as campaign_jobs
 from hyperval.campaign import run as campaign_run
 from hyperval.campaign.one import jobs_of
 from hyperval.campaign.resume import Finished
+from hyperval.datasets import InputLog
+from hyperval.folders import RECORD
+from hyperval.report import RunReport
+from hyperval.report.outputs import write_tables
+from hyperval.results import Result, ResultTable
 from small_campaign import SmallCampaign
 
 
@@ -105,7 +111,8 @@ def test_a_killed_run_goes_on_to_the_same_bytes(two, tmp_path, monkeypatch):
 def test_only_what_would_come_out_the_same_is_taken_over(two, tmp_path, monkeypatch):
     killed(two, tmp_path / "out", monkeypatch, "in the second campaign")
     kept, path = tmp_path / "out.partial", two[0]
-    assert sorted(p.name for p in (kept / "campaigns").iterdir()) == ["small", "small.json"]
+    assert [p.name for p in (kept / "campaigns").iterdir()] == ["small"]
+    record = kept / "campaigns" / "small" / RECORD
 
     def taken_over() -> bool:
         copy = tmp_path / "copy"
@@ -124,9 +131,11 @@ def test_only_what_would_come_out_the_same_is_taken_over(two, tmp_path, monkeypa
         (path, lambda raw: raw + b"# nothing but a comment\n"),
         (cube, lambda raw: raw[:-1] + bytes([raw[-1] ^ 1])),
         (cube.with_suffix(".hdr"), lambda raw: raw + b"\n"),
-        (kept / "campaigns" / "small.json", lambda raw: raw[:-9]),
-        (kept / "campaigns" / "small.json", lambda raw: b"[]"),
-        (kept / "campaigns" / "small" / "results.json", lambda raw: raw[:-9]),
+        (record, lambda raw: raw[:-9]),
+        (record, lambda raw: b"[]"),
+        (record, lambda raw: b'{"identity": 1}'),
+        (record.with_name("results.json"), lambda raw: raw[:-9]),
+        (record.with_name("report.html"), lambda raw: raw.replace(b"agrees", b"agreed", 1)),
     ):
         before = file.read_bytes()
         assert change(before) != before
@@ -134,6 +143,11 @@ def test_only_what_would_come_out_the_same_is_taken_over(two, tmp_path, monkeypa
         assert not taken_over(), file
         file.write_bytes(before)
         assert taken_over()
+    beside = cube.with_name("small_rad.glt")  # read from now on, if it were a grid
+    beside.touch()
+    assert not taken_over()
+    beside.unlink()
+    assert taken_over()
     monkeypatch.setattr("hyperval.campaign.resume._program", lambda: "another")
     assert not taken_over()
 
@@ -142,6 +156,71 @@ def test_what_was_skipped_or_went_wrong_is_not_kept(two, tmp_path, monkeypatch):
     (cube,) = two[0].parent.rglob("small_rad.img")
     cube.unlink()
     killed(two, tmp_path / "out", monkeypatch, "in the second campaign")
-    assert [p.name for p in (tmp_path / "out.partial" / "campaigns").iterdir()] == ["small"]
+    (folder,) = (tmp_path / "out.partial" / "campaigns").iterdir()
+    assert (folder / "results.json").is_file()
+    assert not (folder / RECORD).exists()
     (job,) = jobs_of(two[0])
     assert Finished(tmp_path / "out.partial").load(job) is None
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Runs that read their files, find one number and draw nothing; the names of those that ran."""
+    ran: list[str] = []
+
+    def run(job, **_):
+        log = InputLog(job.folder)
+        for path in (job.path, *job.folder.rglob("small_rad.*")):
+            log.add(path)
+        ran.append(job.campaign.name)
+        row = Result(job.campaign.name, "radiance", "grass", "predicted", "mean", 1.0)
+        provenance = {"inputs": log.entries(), "warnings": []}
+        return RunReport(
+            job.campaign.name,
+            job.campaign.title,
+            "",
+            job.campaign.simulated,
+            ResultTable([row]),
+            provenance=provenance,
+        )
+
+    def write(run, folder):
+        write_tables(run.table, folder)
+        (folder / "figures").mkdir()
+        (folder / "figures" / "none.svg").write_text("<svg/>")
+        (folder / "provenance.json").write_text(json.dumps(run.provenance))
+
+    for place in (campaign_jobs, campaign_run):
+        monkeypatch.setattr(place, "run_campaign", run)
+        monkeypatch.setattr(place, "write_outputs", write)
+    return ran
+
+
+def test_a_second_run_takes_over_what_did_not_change(two, quick, tmp_path, capsys):
+    out = tmp_path / "out"
+    code = validate(two, out)
+    assert sorted(quick) == ["other", "small"]
+    first = files_of(out)
+    (out / "other" / "notes.txt").write_text("mine")
+    quick.clear()
+    assert cli.run(["validate", *map(str, two), "-o", str(out)]) == code
+    assert quick == []
+    assert capsys.readouterr().err.count("nothing changed") == 2
+    assert files_of(out) == {**first, "other/notes.txt": b"mine"}
+
+    two[0].write_bytes(two[0].read_bytes() + b"# nothing but a comment\n")
+    assert validate(two, out) == code
+    assert quick == ["small"]
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_single_campaign_is_taken_over_wherever_it_stands(make_small, quick, tmp_path, monkeypatch, inside):
+    path, out = make_small("one").write(), tmp_path / "out"
+    monkeypatch.setattr("hyperval.folders.swappable", lambda place: not inside)
+    code = validate([path], out)
+    first = files_of(out)
+    quick.clear()
+    assert validate([path], out) == code
+    assert (quick, files_of(out)) == ([], first)
+    assert cli.run(["-q", "validate", str(path), "-o", str(out), "--again"]) == code
+    assert (quick, files_of(out)) == (["small"], first)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -18,6 +18,7 @@ from hyperval.report import RunReport, write_outputs
 from hyperval.results import Outcome
 
 INTERNAL_ERROR = 4
+UNCHANGED = "{}: nothing changed since the earlier run, taken from it (--again runs it)"
 Done = tuple[RunReport, int | None]
 AnyJob = Job | Waiting
 
@@ -28,6 +29,7 @@ def run_jobs(
     *,
     executor: Executor | None = None,
     scheduler: str | None = None,
+    tell: Callable[[str], None] = lambda _: None,
     show_progress: bool | None = None,
 ) -> list[Done]:
     """Run every campaign into a folder of its name; the result does not depend on how many run at once, or where.
@@ -38,6 +40,7 @@ def run_jobs(
         are not run again
     executor : what runs them; default: the workers of ``scheduler``, or one process for each processor
     scheduler : address of a Dask scheduler, whose workers see that folder and the data under the same names
+    tell : is given a line on each campaign that is not run again
 
     Returns
     -------
@@ -46,6 +49,8 @@ def run_jobs(
     """
     finished.folder.mkdir(parents=True, exist_ok=True)
     ready = {i: (run, None) for i, job in enumerate(jobs) if isinstance(job, Job) and (run := finished.load(job))}
+    for run, _ in ready.values():
+        tell(UNCHANGED.format(run.campaign))
     left = [job for i, job in enumerate(jobs) if i not in ready]
     new = iter(_run_left(left, finished, executor, scheduler, show_progress) if left else [])
     return [ready[i] if i in ready else next(new) for i in range(len(jobs))]

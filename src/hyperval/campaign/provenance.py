@@ -69,7 +69,7 @@ def provenance(
 
 
 def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
-    """The command line, with the output folder and the place of files left out.
+    """The command line, with the output folder, the place of files and what only a terminal shows left out.
 
     Two runs into different folders have the same provenance.
     """
@@ -84,6 +84,8 @@ def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
             skip = True
             continue
         if re.match(r"^(--output|--data-dir|--junit)=|^-o.", word):
+            continue
+        if word in {"--again", "-q", "--quiet"}:  # what gives the same results
             continue
         path = Path(word)
         out.append("/".join(path.parts[-2:]) if path.is_absolute() else word)

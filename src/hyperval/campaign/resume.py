@@ -1,4 +1,7 @@
-"""Campaigns that a run finished before it was ended: kept beside its output until all of them are done."""
+"""Campaigns that need not run again: finished before a run was ended, or whole in the output of an earlier one.
+
+A campaign's folder bears a record (``.hyperval-made-of.json``) of what it was made of and of its own files.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from hyperval.campaign.provenance import command_without_output, package_version
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError
 from hyperval.files import sha256_of, write_text
+from hyperval.folders import RECORD
 from hyperval.report import RunReport
 from hyperval.report.power import accepted_table
 from hyperval.report.stored import read_results
@@ -26,44 +30,34 @@ from hyperval.results import Outcome
 
 
 class Finished:
-    """The finished campaigns of runs into one output.
+    """The campaigns of a run that need not run again: finished before it was ended, or in an earlier run's output.
 
     Parameters
     ----------
-    folder : holds a folder for each campaign, and beside it what it was made of
+    folder : holds a folder for each campaign until all of them are done
+    earlier : output of an earlier run, with a folder for each campaign; None: nothing is taken from there
     """
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, earlier: Path | None = None):
         self.folder = folder / "campaigns"
+        self.earlier = earlier
 
     def keep(self, job: Job, run: RunReport) -> None:
         """Remember that the folder of a campaign is whole; not where something was skipped or went wrong."""
-        if any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
-            return
-        files = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
-        record = json.dumps({"identity": identity(job), "files": files}, indent=1, sort_keys=True)
-        write_text(self._record(job), record + "\n")
+        write_record(job, run, self.folder / job.campaign.name)
 
     def load(self, job: Job) -> RunReport | None:
         """The report of a campaign, without its arrays, where it is finished and would come out the same.
 
         What is left of one that is not, or that was made of other files, settings or programs, is removed.
         """
-        with suppress(OSError, ValueError, KeyError, TypeError, HypervalError):
-            record = json.loads(self._record(job).read_bytes())
-            if record["identity"] == identity(job) and _unchanged(job, record["files"]):
-                campaign = job.campaign
-                return RunReport(
-                    campaign=campaign.name,
-                    title=campaign.title,
-                    description=campaign.description,
-                    simulated=campaign.simulated,
-                    computed=campaign.computed,
-                    table=read_results(self.folder / campaign.name / "results.json"),
-                )
-        self._record(job).unlink(missing_ok=True)
-        shutil.rmtree(self.folder / job.campaign.name, ignore_errors=True)
-        return None
+        own = self.folder / job.campaign.name
+        run = as_before(job, own)
+        if run is None:
+            shutil.rmtree(own, ignore_errors=True)
+            if self.earlier is not None:
+                run = taken_over(job, self.earlier / job.campaign.name, own)
+        return run
 
     def hand_over(self, names: Sequence[str], target: Path) -> None:
         """Move the folders of these campaigns into ``target``."""
@@ -76,8 +70,64 @@ class Finished:
         with suppress(OSError):
             self.folder.parent.rmdir()
 
-    def _record(self, job: Job) -> Path:
-        return self.folder / f"{job.campaign.name}.json"
+
+def write_record(job: Job, run: RunReport, folder: Path) -> None:
+    """Write into a campaign's folder what it was made of; not where something was skipped or went wrong."""
+    if any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
+        return
+    files = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
+    try:
+        beside = _beside(job, files)
+    except (OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
+        return
+    record = {
+        "identity": identity(job),
+        "files": files,
+        "beside": beside,
+        "outputs": {name: sha256_of(folder / name) for name in _written(folder)},
+    }
+    write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
+
+
+def as_before(job: Job, folder: Path) -> RunReport | None:
+    """The report that stands whole in ``folder``, without its arrays, where it would come out the same."""
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, HypervalError):
+        record = json.loads((folder / RECORD).read_bytes())
+        if (
+            record["identity"] == identity(job)
+            and _unchanged(job, record["files"])
+            and record["beside"] == _beside(job, record["files"])
+            and record["outputs"]
+            and all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
+        ):
+            campaign = job.campaign
+            return RunReport(
+                campaign=campaign.name,
+                title=campaign.title,
+                description=campaign.description,
+                simulated=campaign.simulated,
+                computed=campaign.computed,
+                table=read_results(folder / "results.json"),
+            )
+    return None
+
+
+def taken_over(job: Job, source: Path, target: Path) -> RunReport | None:
+    """Give ``target`` the files of the finished campaign in ``source`` where it would come out the same.
+
+    Each file gets a second name; nothing is copied where the file system knows several names of a file.  What else
+    stands in ``source`` stays there.
+    """
+    run = as_before(job, source)
+    if run is None:
+        return None
+    for name in (*json.loads((source / RECORD).read_bytes())["outputs"], RECORD):
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.link(source / name, target / name)
+        except OSError:
+            shutil.copyfile(source / name, target / name)
+    return run
 
 
 def identity(job: Job) -> str:
@@ -108,3 +158,16 @@ def _unchanged(job: Job, files: dict[str, str]) -> bool:
     log = InputLog(job.folder)
     read = {name: digest for name, digest in files.items() if not name.startswith(SIMULATED)}
     return all(sha256_of(log.resolve(name)) == digest for name, digest in read.items())
+
+
+def _beside(job: Job, files: dict[str, str]) -> str:
+    """A digest of the names of all files in the folders that were read from: a header or a grid may come later."""
+    log = InputLog(job.folder)
+    folders = {log.resolve(name).parent for name in files if not name.startswith(SIMULATED)}
+    names = sorted(sorted(e.name for e in os.scandir(folder) if e.is_file()) for folder in folders)
+    return hashlib.sha256(json.dumps(names).encode()).hexdigest()
+
+
+def _written(folder: Path) -> list[str]:
+    """The files below a campaign's folder, but for the record."""
+    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file() and p.name != RECORD)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hyperval.campaign.jobs import run_jobs
-from hyperval.campaign.one import jobs_of, run_campaign
-from hyperval.campaign.resume import Finished
+from hyperval.campaign.jobs import UNCHANGED, AnyJob, run_jobs
+from hyperval.campaign.one import Job, jobs_of, run_campaign
+from hyperval.campaign.resume import Finished, taken_over, write_record
 from hyperval.errors import UsageError
 from hyperval.folders import partial_folder, whole_folder
 from hyperval.report import write_index, write_outputs
@@ -20,6 +20,8 @@ def validate(
     *,
     scheduler: str | None = None,
     strict: bool = False,
+    again: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
     show_progress: bool | None = None,
 ) -> int:
     """Predict, observe and compare every campaign; write one folder, or one for each and an index.
@@ -29,6 +31,8 @@ def validate(
     scheduler : address of a Dask scheduler whose workers run the campaigns, where there are several; they see the
         output folder and the data under the same names
     strict : undecided and skipped gates give 1, too
+    again : run also what stands in ``output`` and would come out the same
+    tell : is given a line on what was not run again
 
     Returns
     -------
@@ -45,13 +49,25 @@ def validate(
             raise UsageError(f"two campaigns are named {name!r}")
     with whole_folder(output) as folder:
         if len(jobs) == 1:
-            run = run_campaign(jobs[0], show_progress=show_progress)
-            write_outputs(run, folder)
-            return run.table.exit_code(strict=strict)
-        finished = Finished(partial_folder(output).resolve())
-        done = run_jobs(jobs, finished, scheduler=scheduler, show_progress=show_progress)
+            return _only(jobs[0], folder, None if again else output, tell, show_progress).exit_code(strict=strict)
+        finished = Finished(partial_folder(output).resolve(), None if again else output.resolve())
+        done = run_jobs(jobs, finished, tell=tell, scheduler=scheduler, show_progress=show_progress)
         write_index([run for run, _ in done], folder)
         finished.hand_over(names, folder)
     finished.remove()
     first_error = next((code for _, code in done if code is not None), None)
     return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
+
+
+def _only(
+    job: AnyJob, folder: Path, earlier: Path | None, tell: Callable[[str], None], show_progress: bool | None
+) -> ResultTable:
+    """The table of a single campaign, whose files then stand in ``folder``."""
+    if isinstance(job, Job) and earlier is not None and (run := taken_over(job, earlier, folder)):
+        tell(UNCHANGED.format(run.campaign))
+        return run.table
+    run = run_campaign(job, show_progress=show_progress)
+    write_outputs(run, folder)
+    if isinstance(job, Job):
+        write_record(job, run, folder)
+    return run.table

@@ -63,6 +63,9 @@ def validate(
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit with 1 where a gate is undecided or skipped, too.")
     ] = False,
+    again: Annotated[
+        bool, typer.Option("--again", help="Run also what stands in the output and would come out the same.")
+    ] = False,
 ) -> int:
     """Predict, observe, compare: the main job."""
     if dry_run:
@@ -72,7 +75,10 @@ def validate(
     from hyperval.campaign.run import validate as run
     from hyperval.files import write_text
 
-    code = run(campaigns, output, scheduler=scheduler, strict=strict, show_progress=settings.show_progress)
+    code = run(
+        campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note,
+        show_progress=settings.show_progress,
+    )  # fmt: skip
     if junit is not None:
         write_text(junit, (output / "junit.xml").read_text("utf-8"))
     note(f"results in {output}")
