@@ -36,3 +36,17 @@ def test_panels_and_their_labels_do_not_overlap(rows, columns, bar):
             assert min(one.x1, other.x1) - max(one.x0, other.x0) < 1 or (
                 min(one.y1, other.y1) - max(one.y0, other.y0) < 1
             ), (one, other)
+
+
+def test_words_beside_a_panel_keep_clear_of_the_next_one():
+    figure = style.new_figure(8.0, 2.0, "A title", simulated=False)
+    panels = figure.subplots(1, 3)
+    for axes in panels:
+        axes.annotate(
+            "3 [1-6]", (1.0, 0.5), xycoords=("axes fraction", "data"), xytext=(3, 0), textcoords="offset points"
+        )
+    lay_out(figure)
+    renderer = figure.canvas.get_renderer()
+    ends = [axes.texts[0].get_window_extent(renderer).x1 for axes in panels]
+    starts = [axes.yaxis.get_tightbbox(renderer).x0 for axes in panels]
+    assert all(end < start for end, start in zip(ends, [*starts[1:], figure.bbox.x1], strict=True))

@@ -56,7 +56,7 @@ def detector_figures(
             )  # fmt: skip
             captions.append(f"{'/'.join(names)} {metric} {row.value:.3g}, rank {words}")
         _rows_of(axes, [" = ".join(g) for g in groups] if k == 0 else [""] * len(groups))
-        axes.set_xlabel(style.plain(measures[metric].replace(", ", "\n", 1)), fontsize=8.0)
+        axes.set_xlabel("\n".join(style.plain(part) for part in measures[metric].split(", ", 1)), fontsize=8.0)
         if metric.startswith("far"):
             axes.set_xscale("symlog", linthresh=_least_positive([here[k] for k in here if k[1] == metric]))
             axes.set_xlim(left=0.0)

@@ -11,6 +11,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Annotation
 
 _EDGE = 0.08  # [in] around everything
 _GAP = 0.16  # [in] between a panel and the labels of the next
@@ -35,10 +36,11 @@ def lay_out(figure: Figure) -> None:
     rows, columns, heights = _grid(panels[0])
     width, height = (float(size) for size in figure.get_size_inches())
     renderer: Any = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    left_of, below, above = [0.0] * columns, [0.0] * rows, [0.0] * rows
+    left_of, right_of, below, above = [0.0] * columns, [0.0] * columns, [0.0] * rows, [0.0] * rows
     few = len(panels) <= _FEW
     for axes, (row, column) in zip(panels, cells, strict=True):
         left_of[column] = max(left_of[column], _overhang(axes, "y", renderer, figure.dpi))
+        right_of[column] = max(right_of[column], _words_beside(axes, renderer, figure.dpi))
         measured = _overhang(axes, "x", renderer, figure.dpi) if few else _usual_below(axes)
         below[row] = max(below[row], measured)
         lines = max(
@@ -54,11 +56,11 @@ def lay_out(figure: Figure) -> None:
             legend_below = max(legend_below, box.height / figure.dpi)
     head = 0.32 if figure.get_suptitle() else 0.0
     right = _EDGE + _GAP + legend_right
-    free_width = width - right - _EDGE - sum(left_of) - _GAP * (columns - 1)
+    free_width = width - right - _EDGE - sum(left_of) - sum(right_of) - _GAP * (columns - 1)
     free_height = height - head - legend_below - 2 * _EDGE - sum(below) - sum(above) - _GAP * (rows - 1)
     each = max(free_width, 0.3 * width) / columns
     unit = max(free_height, 0.3 * height) / sum(heights)
-    starts = [_EDGE + sum(left_of[: c + 1]) + c * (each + _GAP) for c in range(columns)]
+    starts = [_EDGE + sum(left_of[: c + 1]) + sum(right_of[:c]) + c * (each + _GAP) for c in range(columns)]
     tops = list(accumulate(
         (above[r] + (below[r - 1] + _GAP + heights[r - 1] * unit if r else 0.0) for r in range(rows)),
         initial=_EDGE + head,
@@ -89,7 +91,18 @@ def _cell(axes: Axes) -> tuple[int, int]:
 
 def _usual_below(axes: Axes) -> float:
     labelled = axes.xaxis.get_tick_params().get("labelbottom", True)
-    return (_TICK_LABELS if labelled else 0.05) + (_AXIS_LABEL if axes.get_xlabel() else 0.0)
+    lines = axes.get_xlabel().count("\n") + 1 if axes.get_xlabel() else 0
+    return (_TICK_LABELS if labelled else 0.05) + lines * _AXIS_LABEL
+
+
+def _words_beside(axes: Axes, renderer: Any, dpi: float) -> float:
+    """Space [in] that annotations at the right edge of the panel take beside it."""
+    ends = [
+        text.get_window_extent(renderer).x1
+        for text in axes.texts
+        if isinstance(text, Annotation) and text.xy[0] == 1.0 and text.xycoords == ("axes fraction", "data")
+    ]
+    return float(max([end - axes.bbox.x1 for end in ends], default=0.0)) / dpi
 
 
 def _overhang(axes: Axes, which: str, renderer: Any, dpi: float) -> float:
