@@ -4,20 +4,54 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     DownloadColumn,
+    MofNCompleteColumn,
     Progress,
     TaskProgressColumn,
     TextColumn,
+    TimeElapsedColumn,
     TimeRemainingColumn,
     TransferSpeedColumn,
 )
 
 T = TypeVar("T")
+_step: ContextVar[str] = ContextVar("step", default="")
+
+
+@contextmanager
+def step(of: str, number: int, count: int, what: str) -> Iterator[None]:
+    """Bars within the block say that they are step ``number`` of ``count`` of the job ``of``."""
+    token = _step.set(f"{of} {number}/{count} {what}: ")
+    try:
+        yield
+    finally:
+        _step.reset(token)
+
+
+@contextmanager
+def working(what: str, *, show: bool | None = None) -> Iterator[None]:
+    """A bar that moves and counts the time while the block works on what has no parts to count."""
+    if not _shown(show):
+        yield
+        return
+    with _bar(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()) as bar:
+        bar.add_task(_step.get() + what, total=None)
+        yield
+
+
+def _shown(show: bool | None) -> bool:
+    return sys.stderr.isatty() if show is None else show
+
+
+def _bar(*columns: Any) -> Progress:
+    return Progress(*columns, console=Console(stderr=True), transient=True)
 
 
 def track(items: Iterable[T], what: str, total: int | None = None, *, show: bool | None = None) -> Iterator[T]:
@@ -25,22 +59,14 @@ def track(items: Iterable[T], what: str, total: int | None = None, *, show: bool
 
     ``show`` defaults to whether standard error is a terminal.  The bar is removed when done.
     """
-    if show is None:
-        show = sys.stderr.isatty()
-    if not show:
+    if not _shown(show):
         yield from items
         return
     if total is None and hasattr(items, "__len__"):
         total = len(items)  # type: ignore[arg-type]
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    ) as bar:
-        yield from bar.track(items, description=what, total=total)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with _bar(*columns, TaskProgressColumn(), TimeRemainingColumn()) as bar:
+        yield from bar.track(items, description=_step.get() + what, total=total)
 
 
 def watch_lines(
@@ -52,18 +78,11 @@ def watch_lines(
     """
 
     def watched(parts: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
-        with Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            DownloadColumn(),
-            TransferSpeedColumn(),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-            transient=True,
-        ) as bar:
-            task = bar.add_task(what, total=lines * bytes_per_line)
+        columns = TextColumn("{task.description}"), BarColumn(), DownloadColumn()
+        with _bar(*columns, TransferSpeedColumn(), TimeRemainingColumn()) as bar:
+            task = bar.add_task(_step.get() + what, total=lines * bytes_per_line)
             for part in parts:
                 bar.advance(task, (part[0].stop - part[0].start) * bytes_per_line)
                 yield part
 
-    return watched if (sys.stderr.isatty() if show is None else show) else iter
+    return watched if _shown(show) else iter

@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from hyperval.campaign.draft import Waiting
-from hyperval.campaign.one import Job, run_campaign, unfinished
+from hyperval.campaign.one import Job, run_campaign, step_of, unfinished
 from hyperval.campaign.resume import Finished
 from hyperval.errors import HypervalError, internal_error
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
-from hyperval.progress import track
+from hyperval.progress import track, working
 from hyperval.report import RunReport, write_outputs
 from hyperval.results import Outcome
 
@@ -89,7 +89,8 @@ def _run_into(job: AnyJob, finished: Finished, show_progress: bool | None) -> Do
     except Exception as error:  # one broken campaign must not hide what the others say
         return _stopped(job, folder, error)
     folder.mkdir(exist_ok=True)
-    write_outputs(run, folder)
+    with step_of(run.campaign, "report"), working("figures and page", show=show_progress):
+        write_outputs(run, folder)
     if isinstance(job, Job):
         finished.keep(job, run)
     return _without_arrays(run), None

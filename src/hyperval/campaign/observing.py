@@ -11,6 +11,7 @@ from hyperval.apart import call_apart
 from hyperval.errors import UsageError
 from hyperval.files import scratch_folder
 from hyperval.folders import whole_folder
+from hyperval.progress import step, working
 
 if TYPE_CHECKING:
     from hyperval.observe import Observed
@@ -36,7 +37,8 @@ def observe(
         run = call_apart(partial(observed_report, Path(path), folder, write_reflectance, show_progress), scratch)
         from hyperval.report.outputs import write_outputs
 
-        write_outputs(run, folder)
+        with step(run.campaign, 3, 3, "report"), working("figures and page", show=show_progress):
+            write_outputs(run, folder)
     return 0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,7 @@ from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.prediction.departure import Departure
 from hyperval.products import Abundance, Observation, Prediction
+from hyperval.progress import step
 from hyperval.report import RunReport
 from hyperval.report.power import accepted_table
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
@@ -123,22 +124,32 @@ def run_campaign(
     if isinstance(job, Waiting):
         return unfinished(job, Outcome.SKIPPED, job.reason)
     try:
-        with collected(job, show_progress=show_progress) as side:
-            if with_observed is not None:
-                with_observed(side.observed)
+        with ExitStack() as stack:
+            with step_of(job.campaign.name, "observe", predicts):
+                side = stack.enter_context(collected(job, show_progress=show_progress))
+                if with_observed is not None:
+                    with_observed(side.observed)
             predictions = []
             if predicts:
                 from hyperval.predict import predict
 
-                predictions = [
-                    predict(scenario, side.origins(scenario, show_progress), objects=True)
-                    for scenario in side.scenarios
-                ]
-            return _report(job, side, predictions, show_progress)
+                with step_of(job.campaign.name, "predict"):
+                    predictions = [
+                        predict(scenario, side.origins(scenario, show_progress), objects=True)
+                        for scenario in side.scenarios
+                    ]
+            with step_of(job.campaign.name, "compare" if predicts else "summarise", predicts):
+                return _report(job, side, predictions, show_progress)
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
         return unfinished(job, Outcome.SKIPPED, _with_every_set(job, error))
+
+
+def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextManager[None]:
+    """Progress bars within say which campaign and which of its steps they belong to."""
+    steps = ("observe", "predict", "compare", "report") if predicts else ("observe", "summarise", "report")
+    return step(campaign, steps.index(what) + 1, len(steps), what)
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hyperval.campaign.jobs import UNCHANGED, AnyJob, run_jobs
-from hyperval.campaign.one import Job, jobs_of, run_campaign
+from hyperval.campaign.one import Job, jobs_of, run_campaign, step_of
 from hyperval.campaign.resume import Finished, taken_over, write_record
 from hyperval.errors import UsageError
 from hyperval.folders import partial_folder, whole_folder
+from hyperval.progress import working
 from hyperval.report import write_index, write_outputs
 from hyperval.results import ResultTable
 
@@ -67,7 +68,8 @@ def _only(
         tell(UNCHANGED.format(run.campaign))
         return run.table
     run = run_campaign(job, show_progress=show_progress)
-    write_outputs(run, folder)
+    with step_of(run.campaign, "report"), working("figures and page", show=show_progress):
+        write_outputs(run, folder)
     if isinstance(job, Job):
         write_record(job, run, folder)
     return run.table
