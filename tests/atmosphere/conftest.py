@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms, sixs
 
 
 @pytest.fixture(scope="session")
@@ -24,3 +26,21 @@ def terms_of(engine_cache):
         return atmospheric_terms(state, cache_dir=engine_cache, show_progress=False)
 
     return compute
+
+
+@pytest.fixture
+def solver_at(
+    engine_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Callable[[AtmosphericState], AtmosphericTerms]]:
+    """Terms by a solver that runs at the given wavelengths alone [nm], some below 1 um: there they stay the same.
+
+    Twenty nodes of one hazy state take eight seconds, and between nodes there is but interpolation.
+    """
+
+    def run_at(*nodes_nm: float) -> Callable[[AtmosphericState], AtmosphericTerms]:
+        nodes = np.array(nodes_nm)
+        monkeypatch.setattr(sixs, "NODES_NM", nodes)
+        monkeypatch.setattr(sixs, "_MOLECULAR", int(np.sum(nodes < 1000.0)))
+        return partial(atmospheric_terms, cache_dir=engine_cache, show_progress=False)
+
+    return run_at

@@ -10,12 +10,13 @@ from test_atmosphere_sixs import AIRBORNE, at, state
 
 from hyperval.spectra.axis import SpectralAxis
 
-pytestmark = pytest.mark.slow  # two states of the engine that no other test asks for
+pytestmark = pytest.mark.slow  # two states of the engine
 
 
-@pytest.fixture(scope="module")
-def pair(terms_of):
-    return terms_of(state()), terms_of(state(AIRBORNE, sensor_altitude_km=705.0))
+@pytest.fixture
+def pair(solver_at):
+    terms_at = solver_at(350.0, 412.5, 550.0, 860.0, 1650.0, 2600.0)
+    return terms_at(state()), terms_at(state(AIRBORNE, sensor_altitude_km=705.0))
 
 
 def test_the_sky_is_the_same_from_an_aircraft_and_from_space(pair):
