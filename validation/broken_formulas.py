@@ -4,7 +4,7 @@ A formula is a statement, or an argument, on whose line a comment states its equ
 broken by a tenth in the function that production calls, and the tests of validation/equations that call the
 function are run again; at least one has to fail.
 
-    python validation/broken_formulas.py [--factor 1.1] [--only TEXT]
+    python validation/broken_formulas.py [--factor 1.1] [--only TEXT] [--evidence FILE]
 
 Exit code 1 when a formula was broken and nothing turned red.
 """
@@ -213,9 +213,11 @@ def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--factor", type=float, default=1.1)
     parser.add_argument("--only", default="", help="formulas whose place has this text")
+    parser.add_argument("--evidence", default="", help="one file of validation/equations, in place of all")
     options = parser.parse_args(words)
     evidence = Evidence([f for f in formulas() if options.only in f.place])
-    code = pytest.main([str(ROOT / "validation" / "equations"), "-q", "-p", "no:cacheprovider"], plugins=[evidence])
+    tests = ROOT / "validation" / "equations" / options.evidence
+    code = pytest.main([str(tests), "-q", "-p", "no:cacheprovider"], plugins=[evidence])
     if code != 0 or not evidence.formulas:
         print("the evidence is red before anything is broken, or no formula is chosen")
         return 1

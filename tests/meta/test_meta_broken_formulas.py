@@ -25,7 +25,8 @@ def test_every_formula_turns_the_evidence_red():
 
 
 def test_a_formula_that_nothing_looks_at_is_named():
-    outcome = broken_formulas("--factor", "1.0", "--only", "sensor/response.py")  # broken by nothing
+    words = "--factor", "1.0", "--only", "sensor/response.py"  # broken by nothing
+    outcome = broken_formulas(*words, "--evidence", "test_equations_sensor.py")
     assert outcome.returncode == 1
     assert outcome.stdout.count("GREEN src/hyperval/sensor/response.py") == 3
     assert "0 of 3 formulas" in outcome.stdout

@@ -145,10 +145,16 @@ def test_a_percentile_bootstrap_covers_too_little_near_one_and_these_intervals_d
     auc = float(special.ndtr(d / np.sqrt(2)))
     draws = 250
     hits = {"percentile P_D": 0, "P_D": 0, "percentile AUC": 0, "AUC": 0}
-    for _ in range(draws):
+    for draw in range(draws):
         t, b = rng.normal(d, 1, m), rng.normal(size=n)
-        resampled = [pd_at_pfa(rng.choice(t, m), rng.choice(b, n), pfa).pd[0] for _ in range(400)]
+        targets, background = rng.choice(t, (400, m)), rng.choice(b, (400, n))
+        threshold = np.partition(background, n - 100, axis=1)[:, n - 100]  # 100 of 2,000 reach it
+        resampled = np.mean(targets >= threshold[:, None], axis=1)
         low, high = np.percentile(resampled, [2.5, 97.5])
+        if draw == 0:  # the way of pd_at_pfa, save for what lies between the scores of the background
+            exact = [pd_at_pfa(*pair, pfa).pd[0] for pair in zip(targets, background, strict=True)]
+            assert np.mean(resampled) == pytest.approx(np.mean(exact), abs=0.2 / m)
+            assert (low, high) == pytest.approx(np.percentile(exact, [2.5, 97.5]), abs=1.01 / m)
         hits["percentile P_D"] += low <= 0.97 <= high
         ours = pd_at_pfa(t, b, pfa)
         hits["P_D"] += ours.lower[0] <= 0.97 <= ours.upper[0]
