@@ -29,7 +29,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, ResultTable]:
-    return {seed: run_twin("campaign.yaml", seed, tmp_path_factory.mktemp(f"seed{seed}")) for seed in SEEDS}
+    folders = {seed: tmp_path_factory.mktemp(f"seed{seed}") for seed in SEEDS}
+    return {seed: run_twin("campaign.yaml", seed, folder, covariances=False) for seed, folder in folders.items()}
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -14,6 +14,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 import study
+from hyperval.compare import objects
 
 # Least number covered of n at 95 %: P(X < 51 of 60) = 7e-4, P(X < 24 of 30) = 6e-4.
 LEAST = {60: 51, 30: 24}
@@ -28,7 +29,10 @@ def found():
     predictions = {
         "linear": study.predict(study.scenario(), study.Origins(axis=study.AXIS, engine=study.engine), objects=True)
     }
-    return study.outcomes(predictions, 30, 60, 7, show=False)
+    with pytest.MonkeyPatch.context() as patch:  # the joint tests of objects, whose p-values are not looked at
+        patch.setattr(objects, "REPLICATES", 500)
+        patch.setattr(objects, "POWER_DRAWS", 20)
+        return study.outcomes(predictions, 30, 60, 7, show=False)
 
 
 def test_every_product_is_there(found):
