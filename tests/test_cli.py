@@ -15,6 +15,7 @@ import pytest
 
 import hyperval
 from hyperval import cli
+from hyperval.cli.shared import note
 from hyperval.errors import EngineError, InputError, MissingDataError, UsageError
 from hyperval.report.tables import results_json
 from hyperval.results import Outcome, Result, Role
@@ -68,7 +69,10 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
 @pytest.mark.parametrize("option", ["-o", "--output"])
 def test_each_command_calls_its_function(calls, arguments, function, first, option):
     assert cli.run([*arguments, option, "out"]) == 0
-    own = {"observe": {"write_reflectance": None}, "validate": {"scheduler": None, "strict": False}}
+    own = {
+        "observe": {"write_reflectance": None},
+        "validate": {"scheduler": None, "strict": False, "again": False, "tell": note},
+    }
     asked = {"show_progress": False} | own.get(function, {})
     assert calls[function] == ((first, Path("out")), asked)
 
