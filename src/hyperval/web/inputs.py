@@ -1,0 +1,240 @@
+"""Scenarios as pages and programs give them: predefined ones, what may stand where, what is refused beforehand."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import re
+import zlib
+from collections.abc import Collection, Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import yaml
+from pydantic import ValidationError
+
+from hyperval.config import parse_yaml
+from hyperval.errors import UsageError
+from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
+from hyperval.scene.builtin import BUILTIN_NAMES
+from hyperval.sensor.specification import library_names, load_sensor
+from hyperval.web.forms import Form
+from hyperval.web.limits import Limits
+from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
+
+_GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
+SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
+_FILES = ("file", "files", "library", "table", "measured", "replicates")
+_LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
+_GREY = re.compile(r"grey-panel-\d\d")
+_MOST_TEXT = 200
+_MOST_DEPTH = 24
+_MOST_LINK = 200_000
+_MEMORY_BASE = 600e6
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9 ,()'_/-]*")
+_MEANT = {"true", "false", "null", "yes", "no", "on", "off"}
+_LARGEST = {"processing.samples": 20_000, "uncertainty.samples": 1_000}
+
+
+@lru_cache(maxsize=1)
+def scenario_form() -> Form:
+    """The form of a scenario; files that lie on the server are no part of it."""
+    return Form(Scenario, choices, lambda path: _LEFT_OUT.fullmatch(path) is not None)
+
+
+def choices(path: str) -> tuple[str, ...]:
+    """Names that may stand at a path."""
+    if path == "sensor":
+        return library_names()
+    if path == "processing.detectors":
+        return MODEL_DETECTORS
+    return SURFACES if path.endswith(".builtin") else ()
+
+
+@lru_cache(maxsize=1)
+def predefined() -> dict[str, Scenario]:
+    """Scenarios that go by name."""
+    return {name: load_scenario(name) for name in builtin_scenarios()}
+
+
+def plain(scenario: Scenario) -> dict[str, Any]:
+    """A scenario as a file has it: what is stated, and no defaults."""
+    return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+
+def checked_scenario(data: Mapping[str, Any], limits: Limits, uploads: Collection[str] = ()) -> Scenario:
+    """The scenario of plain data.
+
+    Raises
+    ------
+    Refused : every mistake with its field.
+    """
+    mistakes = list(_too_much(data))
+    if mistakes:
+        raise Refused(422, mistakes)
+    try:
+        scenario = Scenario.model_validate(data)
+    except ValidationError as error:
+        raise Refused(422, mistakes_of(error, data)) from error
+    mistakes = [*_of_names(scenario, uploads), *_of_files(data, uploads), *_of_cost(scenario, limits)]
+    if mistakes:
+        raise Refused(422, mistakes)
+    return scenario
+
+
+def _too_much(data: Any, at: tuple[str, ...] = ()) -> Iterator[Mistake]:
+    if len(at) > _MOST_DEPTH:
+        yield Mistake(".".join(at[:4]), "too deep")
+    elif isinstance(data, Mapping):
+        for key, value in data.items():
+            yield from _too_much(value, (*at, str(key)[:60]))
+    elif isinstance(data, list | tuple):
+        if len(data) > 5000:
+            yield Mistake(".".join(at), f"a list of {len(data):,} items")
+            return
+        for number, value in enumerate(data):
+            yield from _too_much(value, (*at, str(number)))
+    elif isinstance(data, str):
+        longest = 2000 if at[-1:] == ("description",) else _MOST_TEXT
+        if len(data) > longest:
+            yield Mistake(".".join(at), f"longer than {longest} characters")
+        elif not data.isprintable() and at[-1:] != ("description",):
+            yield Mistake(".".join(at), "holds a character that cannot be printed")
+    elif isinstance(data, int) and abs(data) > 1 << 62:
+        yield Mistake(".".join(at), "a number of too many digits")
+
+
+def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[Mistake]:
+    if scenario.sensor is not None and scenario.sensor not in (*library_names(), *uploads):
+        yield Mistake("sensor", f"no such sensor; one of {', '.join((*library_names(), *uploads))}")
+    if scenario.atmosphere is not None and scenario.atmosphere.engine != "sixs":
+        yield Mistake("atmosphere.engine", "this server has the engine sixs alone")
+    for path, name in _leaves(plain(scenario), "builtin"):
+        if name not in SURFACES and not _GREY.fullmatch(str(name)):
+            yield Mistake(path, f"no such surface; one of {', '.join(SURFACES)}")
+
+
+def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[Mistake]:
+    for key in _FILES:
+        for path, value in _leaves(data, key):
+            if value is not None and not (key == "file" and value in uploads):
+                words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
+                yield Mistake(path, words if key == "file" else "files of the server are not read")
+
+
+def _of_cost(scenario: Scenario, limits: Limits) -> Iterator[Mistake]:
+    scene = scenario.scene
+    subjects = len(scene.classes) + len(scene.panels) + len(scene.sites)
+    populations = sum(len(t.populations) for t in scene.targets)
+    if subjects + populations > 60:
+        yield Mistake("scene", f"{subjects + populations} subjects; at most 60")
+    for path, most in _LARGEST.items():
+        group, name = path.split(".")
+        value = getattr(getattr(scenario, group), name)
+        if value > most and (group != "uncertainty" or scenario.uncertainty.method != "linear"):
+            yield Mistake(path, f"{value:,}; this server draws at most {most:,}")
+    bands = 500.0
+    if scenario.sensor in library_names():
+        bands = float(np.size(load_sensor(scenario.sensor).axis.centre_nm))
+    inputs = len(scenario.uncertainty.model_fields_set) + 1
+    size = _MEMORY_BASE + 8.0 * bands**2 * (4 * subjects + 6 * populations) * (1 + 0.2 * inputs)
+    if size > limits.memory_bytes:
+        yield Mistake("scene", f"needs about {size / 1e9:.1f} GB; a run has {limits.memory_bytes / 1e9:.1f} GB")
+    if scenario.uncertainty.method != "linear":
+        seconds = 4e-7 * bands**2 * scenario.uncertainty.samples * max(1, populations) / 50
+        if seconds > limits.quick_seconds:
+            yield Mistake(
+                "uncertainty.samples", f"takes about {seconds:.0f} s; a run has {limits.quick_seconds:g} s"
+            )
+
+
+def _leaves(data: Any, key: str, at: str = "") -> Iterator[tuple[str, Any]]:
+    """Path and value of every entry that goes by ``key``."""
+    items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list | tuple) else ()
+    for name, value in items:
+        path = f"{at}.{name}" if at else str(name)
+        if name == key:
+            yield path, value
+        yield from _leaves(value, key, path)
+
+
+def marked(mistakes: Collection[Mistake], paths: Collection[str]) -> dict[str, list[str]]:
+    """Field -> what is wrong there: a mistake that names no field of the form stands at the nearest that holds it.
+
+    A sentence on several fields of a group stands at each that it names.
+    """
+    out: dict[str, list[str]] = {}
+    for mistake in mistakes:
+        at = mistake.field
+        named = [
+            p
+            for p in paths
+            if p.rpartition(".")[0] == at and re.search(rf"\b{re.escape(p.rpartition('.')[2])}\b", mistake.message)
+        ]
+        while at and at not in paths:
+            at = at.rpartition(".")[0]
+        for path in named or [at]:
+            out.setdefault(path, []).append(mistake.message)
+    return out
+
+
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
+    """Text that is no plain word stands in quotation marks: readers of YAML take it for different things."""
+
+
+def _quoted(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
+    is_plain = _PLAIN.fullmatch(text) is not None and text.lower() not in _MEANT and not text.endswith(" ")
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if is_plain else '"')
+
+
+_Dumper.add_representer(str, _quoted)
+
+
+def yaml_text(data: Mapping[str, Any]) -> str:
+    """Plain data as YAML that the strict reader takes for the same."""
+    text = str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
+    if parse_yaml(text)[0] != data:
+        raise UsageError("this cannot be written as YAML that reads the same")
+    return text
+
+
+def link_text(data: Mapping[str, Any]) -> str:
+    """Plain data as a part of a link."""
+    packed = zlib.compress(json.dumps(data, separators=(",", ":"), allow_nan=False).encode(), 9)
+    return base64.urlsafe_b64encode(packed).decode().rstrip("=")
+
+
+def from_link(text: str) -> dict[str, Any]:
+    """The plain data of a link.
+
+    Raises
+    ------
+    Refused : it is none, or holds too much.
+    """
+    try:
+        packed = base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
+        unpacker = zlib.decompressobj()
+        content = unpacker.decompress(packed, _MOST_LINK)
+        if unpacker.unconsumed_tail or not unpacker.eof:
+            raise Refused(422, [Mistake("s", "this link holds too much, or was cut off")])
+        data = json.loads(content)
+    except (ValueError, binascii.Error, zlib.error, RecursionError) as error:
+        raise Refused(422, [Mistake("s", "no link of this application, or one that was cut off")]) from error
+    if not isinstance(data, dict):
+        raise Refused(422, [Mistake("s", "no link of this application")])
+    return data
+
+
+def form_data(form: Form, given: Mapping[str, list[str]]) -> dict[str, Any]:
+    """The data of a filled form.
+
+    Raises
+    ------
+    Refused : a field that is not of its form.
+    """
+    try:
+        return form.data(given)
+    except UsageError as error:
+        raise Refused(422, [Mistake(error.where or "", said(error))]) from error

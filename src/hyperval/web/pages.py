@@ -1,0 +1,77 @@
+"""Pages: templates with what every one of them shows."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+
+import hyperval
+from hyperval.web.sessions import Session
+
+_TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+_REPORT = ("style.css", "charts.js", "page.js")
+
+
+@lru_cache(maxsize=1)
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("hyperval.web", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = _number
+    environment.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
+    environment.filters["since"] = _since
+    return environment
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if value == value else "unknown"
+
+
+def _since(seconds: float) -> str:
+    import datetime
+
+    return datetime.datetime.fromtimestamp(seconds, datetime.UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def session_of(request: Request) -> Session:
+    """Whose request it is."""
+    session: Session = request.scope["session"]
+    return session
+
+
+def page(request: Request, name: str, status: int = 200, **content: Any) -> HTMLResponse:
+    """A page of the application."""
+    text = _environment().get_template(name).render(
+        version=hyperval.__version__, token=session_of(request).token, notices=request.app.state.store.notices,
+        place=request.url.path, **content,
+    )  # fmt: skip
+    return HTMLResponse(text, status_code=status)
+
+
+@lru_cache(maxsize=16)
+def _static(name: str) -> bytes | None:
+    if name == "bokeh.js":
+        return (resources.files("bokeh") / "server" / "static" / "js" / "bokeh.min.js").read_bytes()
+    package = ("hyperval.report", "templates") if name in _REPORT else ("hyperval.web", "static")
+    file = resources.files(package[0]) / package[1] / name
+    return file.read_bytes() if file.is_file() else None
+
+
+def static(name: str) -> Response | None:
+    """A script, style or picture of the application, or of the packages that it draws with."""
+    kind = _TYPES.get(Path(name).suffix)
+    content = _static(name) if kind and "/" not in name and "\\" not in name and not name.startswith(".") else None
+    if content is None:
+        return None
+    headers = {"cache-control": "public, max-age=3600"}
+    return Response(content, media_type=kind, headers=headers)

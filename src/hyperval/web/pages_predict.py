@@ -1,0 +1,177 @@
+"""The start page and the form of a prediction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+from urllib.parse import quote
+
+from fastapi import APIRouter, Request
+from starlette.datastructures import FormData
+from starlette.responses import RedirectResponse, Response
+
+from hyperval.scenario import Scenario
+from hyperval.web.desk import Desk, Order
+from hyperval.web.forms import MOST_ROWS, Node
+from hyperval.web.inputs import (
+    checked_scenario,
+    form_data,
+    from_link,
+    link_text,
+    marked,
+    plain,
+    predefined,
+    scenario_form,
+    yaml_text,
+)
+from hyperval.web.pages import page, session_of
+from hyperval.web.refusal import Mistake, Refused
+from hyperval.web.store import Run
+from hyperval.web.uploads import copies_of, spectra_of
+
+router = APIRouter(include_in_schema=False)
+_WAIT_S = 5.0
+_FREE: dict[str, Any] = {
+    "schema": 1,
+    "name": "free",
+    "sensor": "prospectir-vs",
+    "atmosphere": {},
+    "scene": {"classes": [], "targets": []},
+}
+
+
+@router.get("/")
+def start(request: Request) -> Response:
+    """What can be done here, and what was done last."""
+    runs = request.app.state.store.runs(session_of(request).owner)
+    return page(request, "start.html.j2", scenarios=predefined(), runs=runs[:8])
+
+
+@router.get("/predict")
+def predict_form(
+    request: Request, scenario: str | None = None, s: str | None = None, run: str | None = None
+) -> Response:
+    """The form, filled in with a predefined scenario, that of a link, or that of an earlier run."""
+    if s is not None:
+        data = from_link(s)
+    elif run is not None:
+        data = scenario_of(request, run)
+    elif scenario in predefined():
+        data = plain(predefined()[scenario])
+    elif scenario is None or scenario == "free":
+        data = _FREE
+    else:
+        raise Refused(404, [Mistake("scenario", "no predefined scenario goes by that name")])
+    return _form(request, data)
+
+
+@router.post("/predict")
+async def predict_post(request: Request) -> Response:
+    """Add or remove a row of the form, or run it."""
+    form = await request.form(max_fields=4000)
+    given = texts_of(form)
+    action = given.get("action", ["run"])[0]
+    if action.startswith("add:"):
+        name = f"{action[4:]}#"
+        count = given.get(name, ["0"])[0]
+        if name in given and count.isdecimal() and len(count) < 4 and int(count) < MOST_ROWS:
+            given[name] = [str(int(count) + 1)]
+    elif action.startswith("remove:"):
+        given[f"{action[7:]}!"] = ["1"]
+    from starlette.concurrency import run_in_threadpool
+
+    if action != "run":
+        return await run_in_threadpool(_changed, request, given)
+    return await run_in_threadpool(_run, request, given)
+
+
+def _changed(request: Request, given: dict[str, list[str]]) -> Response:
+    return _form(request, form_data(scenario_form(), given))
+
+
+def _run(request: Request, given: dict[str, list[str]]) -> Response:
+    data: dict[str, Any] = {}
+    try:
+        data = form_data(scenario_form(), given)
+        data.setdefault("schema", 1)
+        run = order_prediction(request, data)
+    except Refused as refusal:
+        if refusal.status != 422:
+            raise
+        return _form(request, data, refusal.mistakes, 422)
+    request.app.state.desk.wait(run.id, _WAIT_S)
+    return RedirectResponse(f"/runs/{run.id}", status_code=303)
+
+
+def order_prediction(request: Request, data: dict[str, Any]) -> Run:
+    """Order the prediction of plain data.
+
+    Raises
+    ------
+    Refused : what is wrong with it, or there is no room.
+    """
+    owner = session_of(request).owner
+    desk: Desk = request.app.state.desk
+    spectra = spectra_of(request.app.state.settings, owner)
+    scenario = checked_scenario(data, desk.limits, spectra)
+    text = yaml_text(plain(scenario))
+    copies = copies_of(request.app.state.settings, owner, text, spectra)
+    return desk.order(owner, Order("prediction", scenario.name, scenario.title, {"scenario.yaml": text}, copies))
+
+
+def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
+    """The plain data of a prediction of this session.
+
+    Raises
+    ------
+    Refused : there is none.
+    """
+    from hyperval.config import load_yaml
+
+    store = request.app.state.store
+    try:
+        run = store.run(run_id, session_of(request).owner)
+    except KeyError:
+        raise Refused(404, "there is no such run in this session") from None
+    if run.kind != "prediction":
+        raise Refused(404, "this run is no prediction")
+    data: dict[str, Any] = load_yaml(store.place(run.id) / "scenario.yaml")[0]
+    return data
+
+
+def _form(request: Request, data: dict[str, Any], mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
+    nodes = scenario_form().nodes(data)
+    paths = [node.path for node in walk(nodes)]
+    errors = marked(mistakes, paths)
+    fractions = [c.get("fraction") for c in (data.get("scene") or {}).get("classes") or [] if isinstance(c, dict)]
+    total = sum(f for f in fractions if isinstance(f, int | float))
+    try:
+        link = f"/predict?s={quote(link_text(data))}"
+    except ValueError:  # a number that is none
+        link = ""
+    return page(
+        request, "predict.html.j2", status=status, nodes=nodes, errors=errors, scenarios=predefined(), link=link,
+        count=sum(map(len, errors.values())), total=f"{total:g}", marked=_holding(errors),
+        uploads=spectra_of(request.app.state.settings, session_of(request).owner), model=Scenario.__name__,
+    )  # fmt: skip
+
+
+def _holding(errors: dict[str, list[str]]) -> set[str]:
+    """Every group that holds a field with a mistake, so that it is open."""
+    return {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)} | set(errors)
+
+
+def walk(nodes: Sequence[Node]) -> Iterator[Node]:
+    """Every part of a form."""
+    for node in nodes:
+        yield node
+        yield from walk(node.children)
+
+
+def texts_of(form: FormData) -> dict[str, list[str]]:
+    """The fields of a form that hold text."""
+    given: dict[str, list[str]] = {}
+    for name, value in form.multi_items():
+        if isinstance(value, str):
+            given.setdefault(name, []).append(value)
+    return given

@@ -1,0 +1,57 @@
+// How far a run is, and the charts of one that has finished.
+const progress = document.getElementById("progress");
+
+async function follow() {
+  const answer = await fetch(`/runs/${progress.dataset.run}/state`);
+  if (!answer.ok) return;
+  const run = await answer.json();
+  if (run.ended) {
+    location.reload();
+    return;
+  }
+  document.getElementById("stage").textContent = run.stage;
+  document.getElementById("done").value = run.done;
+  document.getElementById("left").textContent = run.seconds_left === null ? "" : `about ${run.seconds_left} s left`;
+  setTimeout(follow, 400);
+}
+if (progress !== null) setTimeout(follow, 300);
+
+function figureOf(chart) {
+  const figure = document.createElement("figure");
+  figure.className = "chart-box";
+  if (chart.subjects.length > 1) {
+    const label = document.createElement("label");
+    const choice = document.createElement("select");
+    choice.dataset.chart = chart.name;
+    for (const subject of chart.subjects) choice.append(new Option(subject));
+    label.append("Subject ", choice);
+    figure.append(label);
+  }
+  const place = document.createElement("div");
+  place.id = chart.name;
+  place.className = "chart";
+  place.setAttribute("role", "img");
+  place.setAttribute("aria-label", chart.alt);
+  const caption = document.createElement("figcaption");
+  caption.textContent = chart.title;
+  figure.append(place, caption);
+  return figure;
+}
+
+async function drawRun() {
+  const box = document.getElementById("charts");
+  const beside = box.dataset.beside ? `?beside=${box.dataset.beside}` : "";
+  const answer = await fetch(`/runs/${box.dataset.run}/charts${beside}`);
+  const state = document.getElementById("charts-state");
+  if (!answer.ok) {
+    state.textContent = (await answer.json()).errors[0].message;
+    return;
+  }
+  for (const chart of await answer.json()) {
+    box.append(figureOf(chart));
+    await draw(JSON.parse(chart.content));
+  }
+  state.remove();
+  box.dataset.ready = "yes";
+}
+if (document.getElementById("charts") !== null) drawRun();

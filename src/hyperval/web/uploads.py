@@ -1,0 +1,43 @@
+"""Files that a session brought: kept apart from those of others, under names that are no paths."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from pathlib import Path
+
+from hyperval.web.limits import Settings
+from hyperval.web.refusal import Mistake, Refused
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}(?:\.[A-Za-z0-9_-]{1,12}){0,2}")
+SPECTRA = (".txt", ".csv", ".asd", ".sli", ".sed", ".sig")
+
+
+def folder_of(settings: Settings, owner: str) -> Path:
+    """The folder of a session's uploads."""
+    return settings.folder / "uploads" / owner
+
+
+def checked_name(name: str) -> str:
+    """A name under which a file may be kept.
+
+    Raises
+    ------
+    Refused : it is a path, or holds what a name of a file had better not hold.
+    """
+    if not NAME.fullmatch(name):
+        words = "letters, digits, - and _, with one or two endings, at most 80 characters"
+        raise Refused(422, [Mistake("name", f"no name that a file is kept under here: {words}")])
+    return name
+
+
+def spectra_of(settings: Settings, owner: str) -> tuple[str, ...]:
+    """Names of the spectra that a session brought."""
+    folder = folder_of(settings, owner) / "spectra"
+    return tuple(sorted(p.name for p in folder.iterdir() if p.is_file())) if folder.is_dir() else ()
+
+
+def copies_of(settings: Settings, owner: str, text: str, names: Collection[str]) -> dict[str, Path]:
+    """Files that the text of a scenario names, by the name that the run keeps them under."""
+    folder = folder_of(settings, owner) / "spectra"
+    return {name: folder / name for name in names if name in text}

@@ -1,0 +1,208 @@
+"""Predictions by pages and by the API: what is answered, refused, compared and taken away."""
+
+from __future__ import annotations
+
+import io
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import requests
+import xarray as xr
+from typer.testing import CliRunner
+
+from hyperval.cli import app as command
+from hyperval.config import load_yaml
+from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.web.forms import Form
+from hyperval.web.inputs import from_link, link_text, plain, scenario_form, yaml_text
+from hyperval.web.refusal import Refused
+
+EASY = {"name": "yellow-planks-asphalt"}
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    monkeypatch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+    monkeypatch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+
+
+class Fields(HTMLParser):
+    """What a browser would send of a form, the buttons aside."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.sent: list[tuple[str, str]] = []
+        self._select = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        a = dict(attrs)
+        if tag == "select":
+            self._select = a.get("name") or ""
+        elif tag == "option" and self._select and "selected" in a:
+            self.sent.append((self._select, a.get("value") or ""))
+        elif tag == "input" and a.get("name"):
+            if a.get("type") in ("checkbox", "radio") and "checked" not in a:
+                return
+            self.sent.append((a["name"], a.get("value") or ""))
+
+    def handle_data(self, data):
+        if self._select and data.strip() and self.sent and self.sent[-1] == (self._select, ""):
+            self.sent[-1] = (self._select, data.strip())
+
+    def handle_endtag(self, tag):
+        if tag == "select":
+            self._select = ""
+
+
+@pytest.mark.parametrize("name", builtin_scenarios())
+def test_form_of_a_scenario_holds_the_scenario(client, server, name):
+    page = client.get(f"{server.address}/predict", params={"scenario": name}).text
+    given: dict[str, list[str]] = {}
+    for key, value in Fields(page).sent:
+        given.setdefault(key, []).append(value)
+    sent = Scenario.model_validate({"schema": 1, **scenario_form().data(given)})
+    assert sent.model_dump() == load_scenario(name).model_dump()
+
+
+def test_form_tells_unit_limits_default_and_hint(client, server):
+    nodes = {n.path: n for g in scenario_form().nodes({}) for n in (g, *g.children)}
+    water = nodes["atmosphere.water_vapour_g_cm2"]
+    assert (water.unit, water.limits) == ("g cm-2", "0.01 to 10")
+    assert nodes["formulation"].default == "corrected"
+    assert "water column above the ground" in water.hint
+    assert "0.01 to 10" in client.get(f"{server.address}/predict").text
+
+
+def test_every_entry_of_the_schema_has_its_field():
+    def paths(nodes):
+        for n in nodes:
+            yield n.path
+            yield from paths(n.children)
+
+    known = set(paths(Form(Scenario).nodes(plain(load_scenario("yellow-planks-asphalt")))))
+    for name in Scenario.model_json_schema()["$defs"]["AtmosphericState"]["properties"]:
+        assert f"atmosphere.{name}" in known
+    assert {"uncertainty.aot550", "processing.bands.windows_only", "scene.targets.0.illumination.sky_view"} <= known
+
+
+def test_page_runs_a_scenario_and_shows_its_numbers(client, server):
+    fields = Fields(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text).sent
+    answer = client.post(
+        f"{server.address}/predict", data=[*fields, ("action", "run")], headers={"accept": "text/html"}
+    )
+    assert answer.status_code == 200
+    assert "/runs/" in answer.url
+    assert "yellow plank 0.05" in answer.text
+    assert "Probability of detection" in answer.text
+
+
+def test_wrong_value_is_told_at_its_field_and_nothing_runs(client, server):
+    before = len(client.get(f"{server.address}/api/v1/runs").json())
+    fields = dict(Fields(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text).sent)
+    for name, value, words in (
+        ("atmosphere.water_vapour_g_cm2", "99", "less than or equal to 10"),
+        ("atmosphere.solar_zenith_deg", "nan", "finite number"),
+        ("atmosphere.meteorological_range_km", "1e400", "finite number"),
+        ("atmosphere.aot550", "0.2", "both are given"),
+        ("scene.classes.0.fraction", "0.5", "sum to 0.9, not 1"),
+        ("scene.targets.0.host", "sand", "is none of"),
+    ):  # fmt: skip
+        answer = client.post(
+            f"{server.address}/predict",
+            data={**fields, name: value, "action": "run"},
+            headers={"accept": "text/html"},
+        )
+        assert answer.status_code == 422, name
+        assert words in answer.text
+    answer = client.post(f"{server.address}/predict", data={**fields, "scene.classes#": "0", "action": "run"})
+    assert answer.status_code == 422
+    assert "no background is chosen" in answer.text
+    assert len(client.get(f"{server.address}/api/v1/runs").json()) == before
+
+
+def test_rows_are_added_and_removed(client, server):
+    fields = dict(Fields(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text).sent)
+    more = Fields(client.post(f"{server.address}/predict", data={**fields, "action": "add:scene.classes"}).text)
+    assert dict(more.sent)["scene.classes#"] == "4"
+    fewer = Fields(
+        client.post(f"{server.address}/predict", data={**fields, "action": "remove:scene.classes.1"}).text
+    )
+    assert dict(fewer.sent)["scene.classes.1.name"] == "soil"
+
+
+def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, server, tmp_path):
+    order = {**EASY, "settings": {"atmosphere.meteorological_range_km": 31.5, "title": "1e5"}}
+    run = client.post(f"{server.address}/api/v1/predictions", json=order).json()
+    assert run["state"] == "finished", run
+    files = f"{server.address}/api/v1/runs/{run['id']}/files"
+    (tmp_path / "scenario.yaml").write_bytes(client.get(f"{files}/scenario.yaml").content)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+        patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+        done = CliRunner().invoke(
+            command, ["predict", str(tmp_path / "scenario.yaml"), "-o", str(tmp_path / "out")]
+        )
+    assert done.exit_code == 0
+    assert (tmp_path / "out" / "results.csv").read_bytes() == client.get(f"{files}/results.csv").content
+    table = pd.read_csv(io.BytesIO(client.get(f"{files}/results.csv").content))
+    for row in run["summary"]["detection"]:
+        if row["unit"] == "pixel":
+            named = table[(table.subject == row["subject"]) & (table.method == f"{row['detector']}/pixel")]
+            value = named[named.metric == f"pd@1e{round(np.log10(row['pfa']))}"]["value"]
+            assert row["pd"] == pytest.approx(float(value.iloc[0]), abs=1e-12)
+    (tmp_path / "products.nc").write_bytes(client.get(f"{files}/products.nc").content)
+    with xr.open_datatree(tmp_path / "products.nc", engine="h5netcdf") as tree:
+        assert tree["predicted"]["radiance"].dims == ("radiance_subject", "band")
+    assert client.get(f"{files}/figures/scores.svg").headers["content-type"] == "image/svg+xml"
+
+
+def test_charts_of_two_runs_have_differences(client, server):
+    runs = [
+        client.post(
+            f"{server.address}/api/v1/predictions",
+            json={**EASY, "settings": {"atmosphere.meteorological_range_km": km}},
+        ).json()["id"]
+        for km in (23, 8)
+    ]
+    alone = client.get(f"{server.address}/runs/{runs[1]}/charts").json()
+    assert {"chart-radiance", "chart-snr", "chart-reflectance", "chart-roc"} <= {c["name"] for c in alone}
+    both = client.get(f"{server.address}/runs/{runs[1]}/charts", params={"beside": runs[0]}).json()
+    assert '"difference"' in next(c for c in both if c["name"] == "chart-radiance")["content"]
+    page = client.get(f"{server.address}/runs/{runs[1]}", params={"beside": runs[0]}).text
+    assert "Difference" in page
+
+
+def test_link_holds_the_whole_scenario(client, server):
+    data = plain(load_scenario("green-planks-grass"))
+    assert from_link(link_text(data)) == data
+    page = client.get(f"{server.address}/predict", params={"s": link_text(data)})
+    assert "Sub-pixel planks painted green in grass" in page.text
+    for wrong in ("x", "////", link_text(data)[:-8]):
+        with pytest.raises(Refused):
+            from_link(wrong)
+
+
+def test_link_that_unpacks_to_too_much_is_refused():
+    with pytest.raises(Refused, match="too much"):
+        from_link(link_text({"title": "a" * 5_000_000}))
+
+
+def test_yaml_reads_as_it_was_written(tmp_path: Path):
+    data = {
+        "a": ["1e5", "no", "0x1f", "16:30", "~", " x", "x: y", "# z", "é"],
+        "b": {"c": 1e-9, "d": 1e300, "e": None},
+    }
+    (tmp_path / "a.yaml").write_text(yaml_text(data), "utf-8")
+    assert load_yaml(tmp_path / "a.yaml")[0] == data
+
+
+def test_api_needs_five_lines(server, no_figures):
+    s = requests.Session()
+    s.headers["X-Hyperval-Token"] = s.get(f"{server.address}/api/v1/session").json()["token"]
+    run = s.post(f"{server.address}/api/v1/predictions", json={"name": "panels"}).json()
+    table = s.get(f"{server.address}/api/v1/runs/{run['id']}/files/results.csv").text
+    assert table.startswith("campaign,product,subject")
