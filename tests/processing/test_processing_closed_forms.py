@@ -284,16 +284,29 @@ def test_variance_of_a_single_direction_has_the_scatter_of_its_tails(kappa):
 
 
 def test_snr_of_few_pixels_by_definition():
-    x = np.random.default_rng(7).normal(5.0, 1.0, (6, 5))
+    n, dof, bands = 24, 21, 5
+    rng = np.random.default_rng(7)
+    x = np.array([50.0, 60.0, 66.0, 70.0, 71.0]) * (1 + 0.02 * rng.normal(size=(n, 1))) + rng.normal(
+        size=(n, bands)
+    )
+    m, s = x.mean(axis=0), np.cov(x.T) * (n - 1) / dof
     expected = []
     for b, (i, j) in enumerate([(1, 2), (0, 2), (1, 3), (2, 4), (2, 3)]):
-        design = np.column_stack([np.ones(6), x[:, i], x[:, j]])
+        design = np.column_stack([np.ones(n), x[:, i], x[:, j]])
         c, rest, *_ = np.linalg.lstsq(design, x[:, b], rcond=None)
-        expected.append(x[:, b].mean() / np.sqrt(rest[0] / (6 - 3) / (1 + c[1] ** 2 + c[2] ** 2)))
+        errors = (rest[0] / dof * np.linalg.inv(design.T @ design))[1:, 1:]  # ordinary least squares
+        pairs = [
+            (k, q) for k in range(bands) for q in range(k) if b not in (k, q) and max(abs(k - b), abs(q - b)) <= 2
+        ]
+        texture = np.mean([s[k, q] * m[b] ** 2 / m[k] / m[q] for k, q in pairs])
+        h = m[[i, j]] / m[b]
+        unexplained = ((1 - c[1:] @ h) ** 2 - h @ errors @ h) * texture
+        assert abs(unexplained) < (rest[0] / dof) ** 2 / (2 * texture)
+        noise = (rest[0] / dof - unexplained) / (1 + c[1:] @ c[1:] - np.trace(errors))
+        expected.append(m[b] / np.sqrt(noise / (1 - 2 / (9 * dof)) ** 3))
     found = snr_decorrelated(x)
     assert found.mean == pytest.approx(expected, rel=1e-9)
-    assert found.budget["mean"] == pytest.approx(np.full(5, 1 / np.sqrt(6)))
-    assert found.budget["noise estimate"] == pytest.approx(found.mean / np.sqrt(2 * 3))
+    assert found.budget["mean"] == pytest.approx(np.full(bands, 1 / np.sqrt(n)))
 
 
 @pytest.mark.parametrize("estimated", [False, True])

@@ -26,23 +26,48 @@ def test_decorrelated_estimate_is_right_with_and_without_texture(texture):
         assert np.all(pixels.mean(axis=0) / pixels.std(axis=0, ddof=1) < 0.2 * truth)
 
 
+@pytest.mark.parametrize("texture", [0.0, 1.0, 5.0])
+def test_few_pixels_have_the_snr_of_many_and_their_scatter(texture):
+    # Medians of 16 bands over 150 regions of 36 pixels, each good to 1.6 %: their mean to 0.5 %
+    # (allowed: 4 sd, false failure 1e-4). The regression alone was 3 % high without texture and 3 % low where it equals the noise.
+    # A scatter of 150 is known to 6 %, its mean over the bands to 2 % (allowed: 4 sd); 18 % were missing.
+    values = [snr_decorrelated(region(seed, n=36, texture=0.004 * texture)[0]) for seed in range(150)]
+    ratio = np.array([v.mean for v in values])[:, 2:-2] / (np.linspace(4.0, 6.0, BANDS) / 0.02)[2:-2]
+    assert np.median(ratio, axis=0).mean() == pytest.approx(1.0, abs=0.02)
+    stated = np.median([v.standard_uncertainty / v.mean for v in values], axis=0)[2:-2]
+    assert (np.log(ratio).std(axis=0) / stated).mean() == pytest.approx(1.0, abs=0.08)
+    # Neighbours err together where texture makes each residual a second difference: (2/3)^2 of the variance.
+    common = np.mean([correlation(v.error_covariance) for v in values])
+    scatter = np.mean(np.diag(np.corrcoef(np.log(ratio).T), 1))
+    assert common == pytest.approx(scatter, abs=0.1)
+    assert (common > 0.3) == (texture > 2)
+    assert values[0].n == 36
+    budget = values[0].budget.values()
+    assert sum(u**2 for u in budget) == pytest.approx(np.diag(values[0].error_covariance))
+
+
+def correlation(covariance):
+    u = np.sqrt(np.diag(covariance))
+    return np.diag(covariance / np.outer(u, u), 1)[2:-2].mean()
+
+
+def test_texture_of_another_colour_than_the_mean_costs_little():
+    # A red edge: texture that is no brightness. What is taken for the rest of the texture is limited.
+    rng = np.random.default_rng(17)
+    slope = 1.0 + 0.6 * np.cos(np.arange(40) / 2.0)
+    for texture in (0.5, 1.0, 5.0, 30.0):
+        x = 100.0 + texture * rng.normal(size=(4000, 1)) * slope + rng.normal(size=(4000, 40))
+        found = snr_decorrelated(x).mean[2:-2] / 100.0
+        assert np.all(np.abs(found - 1.0) < 0.18), texture
+        assert np.median(found) == pytest.approx(1.0, abs=0.04)
+
+
 def test_noise_that_changes_with_band_is_followed():
     rng = np.random.default_rng(3)
     noise = np.linspace(0.01, 0.03, BANDS)
     pixels = 5.0 + 0.5 * rng.normal(size=(4000, 1)) + noise * rng.normal(size=(4000, BANDS))
     found = snr_decorrelated(pixels).mean * noise / 5.0
     assert found[1:-1] == pytest.approx(np.ones(BANDS - 2), rel=0.08)
-
-
-def test_stated_uncertainty_is_the_scatter():
-    # 400 regions of 60 pixels: the sd of one band is good to 3.5 %, the mean over 20 bands to below 1 %; the
-    # one stated value carries 2 % of its own (20 bands of 9 %): band of 4 sd.
-    values = np.array([snr_decorrelated(region(1000 + s, n=60)[0]).mean for s in range(400)])
-    stated = snr_decorrelated(region(1, n=60)[0])
-    ratio = values.std(axis=0).mean() / stated.standard_uncertainty.mean()
-    assert ratio == pytest.approx(1.0, abs=0.08)
-    assert sum(u**2 for u in stated.budget.values()) == pytest.approx(np.diag(stated.error_covariance))
-    assert stated.n == 60
 
 
 def test_what_cannot_be_estimated_is_refused():
@@ -60,8 +85,8 @@ def test_from_moments_it_is_that_of_the_pixels():
     n = 400
     x = 20.0 + rng.normal(0, 2.0, (n, 1)) * np.linspace(0.5, 1.5, 7) + rng.normal(0, 0.3, (n, 7))
     found = snr_from_moments(x.mean(axis=0), np.cov(x.T))
-    # The residuals lose three degrees of freedom, the covariance one.
-    assert found == pytest.approx(snr_decorrelated(x).mean * np.sqrt((n - 1) / (n - 3)), rel=1e-9)
+    # What few pixels need is 1 % of 400 at most.
+    assert found == pytest.approx(snr_decorrelated(x).mean, rel=0.01)
 
 
 def test_a_band_that_does_not_vary_has_no_snr():
