@@ -29,7 +29,8 @@ def test_decorrelated_estimate_is_right_with_and_without_texture(texture):
 @pytest.mark.parametrize("texture", [0.0, 1.0, 5.0])
 def test_few_pixels_have_the_snr_of_many_and_their_scatter(texture):
     # Medians of 16 bands over 150 regions of 36 pixels, each good to 1.6 %: their mean to 0.5 %
-    # (allowed: 4 sd, false failure 1e-4). The regression alone was 3 % high without texture and 3 % low where it equals the noise.
+    # (allowed: 4 sd, false failure 1e-4). The regression alone was 3 % high without texture, 3 % low where it
+    # equals the noise.
     # A scatter of 150 is known to 6 %, its mean over the bands to 2 % (allowed: 4 sd); 18 % were missing.
     values = [snr_decorrelated(region(seed, n=36, texture=0.004 * texture)[0]) for seed in range(150)]
     ratio = np.array([v.mean for v in values])[:, 2:-2] / (np.linspace(4.0, 6.0, BANDS) / 0.02)[2:-2]
