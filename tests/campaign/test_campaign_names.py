@@ -153,10 +153,13 @@ def test_names_of_a_simulated_collection_are_those_of_its_scene(tmp_path):
     for name, text in re.findall(r"<!-- file: (\S+) -->\n```yaml\n(.*?)```", page.read_text(), re.DOTALL):
         (tmp_path / name).write_text(text)
     path = tmp_path / "campaign.yaml"
-    path.write_text(path.read_text().replace("leave_out: [white-panel", "leave_out: [white-pannel"))
-    ((what, detail),) = mistakes(path)
-    assert what.endswith("collection.leave_out.0")
-    assert "one of white-panel, black-panel, field, court" in detail
+    text = path.read_text().replace("leave_out: [white-panel", "leave_out: [white-pannel")
+    path.write_text(text.replace("record: black-panel", "record: black"))
+    (region_name, names), (line, record) = sorted(mistakes(path))
+    assert line.endswith("collection.empirical_line.panels.1.spectrum")
+    assert "no spectrum 'black'; expected: one of white-panel, black-panel" in record
+    assert region_name.endswith("collection.leave_out.0")
+    assert "one of white-panel, black-panel, field, court" in names
 
 
 def test_warnings_of_a_run_stand_on_the_console_and_beside_its_results(small, tmp_path, capsys):

@@ -230,6 +230,15 @@ def _simulated(campaign: Campaign, lookup: Lookup, find: Callable[[str], Path]) 
                     ("detection", "targets", i, "material"),
                     f"the scene has no target of material {target.material!r}; one of {', '.join(materials)}",
                 )
+        written = [p.name for p in scene.panels]
+        line = campaign.collection.empirical_line
+        for i, panel in enumerate(line.panels if line else ()):
+            source = panel.spectrum
+            if source.file == f"{SIMULATED}panel_spectra.csv" and source.record not in written:
+                lookup.add(
+                    ("collection", "empirical_line", "panels", i, "spectrum"),
+                    f"the simulation writes no spectrum {source.record!r}; expected: one of {', '.join(written)}",
+                )
         subjects: tuple[str, ...] = ()
         if campaign.detection is not None and campaign.detection.group == "{group}":
             subjects = tuple(g.name for g in scene.targets)
