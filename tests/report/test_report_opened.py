@@ -7,6 +7,7 @@ import pytest
 from synthetic_run import make_run
 
 import hyperval
+from hyperval.errors import UsageError
 from hyperval.report.netcdf import write_products
 from hyperval.report.outputs import write_tables
 
@@ -39,6 +40,25 @@ def test_spectra_curves_and_scores_are_those_of_the_run(run, opened):
     row = opened.scores.set_index(["side", "subject", "detector"]).loc[("observed", subject, detector)]
     assert (row["mean"], row["sd"], row["n"]) == (score.mean, score.sd, score.n)
     assert len(opened.summary) == sum(row.planned for row in run.table)
+
+
+def test_a_measurand_has_its_errors_by_the_names_of_obsarray(run, opened):
+    data = opened.measurand("observed", "radiance", "lawn")
+    known = run.observation.radiance["lawn"]
+    (component,) = data["radiance"].attrs["unc_comps"]
+    u = data[component]
+    assert (u.attrs["err_corr_1_dim"], u.attrs["err_corr_1_form"]) == ("band", "err_corr_matrix")
+    correlation = data[u.attrs["err_corr_1_params"][0]].to_numpy()
+    np.testing.assert_array_equal(np.diag(correlation), 1.0)
+    np.testing.assert_allclose(
+        correlation * np.outer(u, u),
+        known.error_covariance,
+        rtol=1e-5,
+        atol=1e-7 * np.abs(known.error_covariance).max(),
+    )
+    np.testing.assert_array_equal(data["radiance"], known.mean)
+    with pytest.raises(UsageError, match="observed radiance lawn"):
+        opened.measurand("observed", "radiance", "a wall")
 
 
 def test_a_notebook_shows_words_and_rows_escaped(opened):

@@ -16,6 +16,7 @@ import xarray as xr
 from hyperval import products
 from hyperval.api.plots import ImagePlot, ResultsPlot, SidesPlot, TablePlot
 from hyperval.campaign.one_side import product_rows
+from hyperval.errors import UsageError
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.interchange import cube_to_xarray
 from hyperval.metrics import Metric
@@ -176,6 +177,43 @@ class Run(_Shown):
                 parts.append(frame.assign(side=side, product=product).rename(columns={"wavelength": "band_nm"}))
         columns = ["side", "product", "subject", "band_nm", "value", "standard_uncertainty"]
         return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
+
+    def measurand(self, side: str, product: str, subject: str) -> xr.Dataset:
+        """One spectrum with its standard uncertainty and the correlation of errors, named as CoMet's obsarray does.
+
+        Returns
+        -------
+        Variables (B,) ``PRODUCT`` and ``u_PRODUCT`` in its unit, (B, B) ``err_corr_PRODUCT`` [1]: with obsarray
+        imported, ``.unc`` finds them; punpy propagates them.
+
+        Raises
+        ------
+        UsageError : no such side, product or subject, or a product whose covariance is not kept.
+        """
+        whole, names = self.sides.get(side), f"{product}_subject"
+        if whole is None or f"{product}_error_covariance" not in whole or subject not in whole[names]:
+            have = [f"{k} {n} {s}" for k, d in self.sides.items() for n in _SPECTRA
+                    if f"{n}_error_covariance" in d for s in d[f"{n}_subject"].to_numpy()]  # fmt: skip
+            raise UsageError(f"no {side} {product} of {subject!r} with a covariance", expected=", ".join(have))
+        one = whole.sel({names: subject}, drop=True)
+        u = one[f"{product}_standard_uncertainty"].to_numpy()
+        scale = np.where(u > 0, u, 1.0)
+        correlation = one[f"{product}_error_covariance"].to_numpy() / np.outer(scale, scale)
+        np.fill_diagonal(correlation, 1.0)
+        unit, matrix = one[product].attrs["units"], f"err_corr_{product}"
+        of_u = {
+            "units": unit, "pdf_shape": "gaussian", "err_corr_1_dim": "band", "err_corr_1_form": "err_corr_matrix",
+            "err_corr_1_units": [], "err_corr_1_params": [matrix],
+        }  # fmt: skip
+        return xr.Dataset(
+            {
+                product: ("band", one[product].to_numpy(), {**one[product].attrs, "unc_comps": [f"u_{product}"]}),
+                f"u_{product}": ("band", u, of_u),
+                matrix: (("band", "band_2"), correlation, {"units": "1"}),
+            },
+            {"wavelength": one["wavelength"]},
+            {"subject": subject, "side": side},
+        )
 
     @property
     def roc(self) -> pd.DataFrame:
