@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.compare.covariance import sampled
+from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
 from hyperval.compare.products import SPREAD
 from hyperval.processing.covariance_sampling import SamplingBand
 from hyperval.processing.intervals import clopper_pearson
@@ -12,7 +12,6 @@ from hyperval.processing.tails import exceedance_of_distance
 from hyperval.products import Observation, PixelDistribution, Prediction
 from hyperval.report.run import EigenvalueSpectrum, TailCurve
 
-EIGENVALUES = 30
 MOST_SUBJECTS = 6  # in each quantity; those with the most pixels
 
 
@@ -31,7 +30,7 @@ def eigenvalue_spectra(
                 observation.axis,
                 prediction.distribution.get(subject),
                 observation.distribution.get(subject),
-                EIGENVALUES,
+                MOST_EIGENVALUES,
             )
             if sample is None or isinstance(sample, str):
                 continue

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,8 @@ from hyperval.spectra.windows import in_window
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-EIGENVALUES = 5
+EIGENVALUES = 5  # compared
+MOST_EIGENVALUES = 30  # drawn, for figures
 SPACES = (1, 2, 3)
 FEWEST_PIXELS = 3
 _SEED = 20140501
@@ -163,13 +165,25 @@ def sampled(
     directions = Directions.of(first)
     size = directions.values.size
     independent = independent_pixels(n, observed_distribution, size)
-    count = max(min(most, size, n - 1, int(independent.min())), 1)
+    drawn = max(min(MOST_EIGENVALUES, size, n - 1, int(independent.min())), 1)
+    count = min(most, drawn)
     spaces = tuple(k for k in SPACES if k <= count and k < size)
     full = full_rank(independent, size)
     measured = statistics_of_covariance(directions, directions.of_other(second), count, spaces, full_rank=full)
-    rng = np.random.default_rng(_SEED)
-    band = sampling_band(directions, independent, count, spaces, rng, kurtosis=kurtosis)
+    band = _band(directions.values.tobytes(), independent.tobytes(), drawn, spaces, kurtosis)
+    band = replace(band, eigenvalues=band.eigenvalues[:, :count])
     return Sampled(bands, measured, band, spaces, n, float(independent.min()) + 1.0, size)
+
+
+@lru_cache(maxsize=64)
+def _band(
+    variances: bytes, independent: bytes, count: int, spaces: tuple[int, ...], kurtosis: float
+) -> SamplingBand:
+    """The draws that rows and figures of a subject share, whichever way its directions point."""
+    values = np.frombuffer(variances)
+    directions = Directions(np.eye(values.size), values)
+    rng = np.random.default_rng(_SEED)
+    return sampling_band(directions, np.frombuffer(independent), count, spaces, rng, kurtosis=kurtosis)
 
 
 def _eigenvalue_rows(make: RowMaker, measured: Statistics, band: SamplingBand, n: int) -> list[Result]:
