@@ -10,6 +10,7 @@ import xarray as xr
 
 from hyperval.errors import InputError, UsageError
 from hyperval.scene.builtin import builtin_class
+from hyperval.scene.components import Components
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import (
     on_bands,
@@ -122,3 +123,43 @@ def test_other_bands_by_hand():
     assert s.covariance[0, 0] == pytest.approx(0.25 * (c[0, 0] + 2 * c[0, 1] + c[1, 1]))
     with pytest.raises(UsageError, match="covers 450-900 nm and 1 bands lie outside it"):
         on_bands(SOIL, SpectralAxis(np.array([500.0, 950.0]), np.full(2, 10.0)))
+
+
+PARTS = Components(
+    np.array([0.7, 0.3]),
+    np.array([np.full(10, -0.03), np.full(10, 0.07)]),
+    np.array([np.eye(10), 2.0 * np.eye(10)]),
+    6.0,
+)
+
+
+def test_components_come_back_and_go_to_other_bands(tmp_path):
+    path = tmp_path / "mixed.nc"
+    three = Components(np.full(3, 1 / 3), np.zeros((3, 10)), np.array([np.eye(10)] * 3))
+    write_statistics_library(
+        path, [replace(GRASS, components=PARTS), SOIL, replace(SOIL, name="mud", components=three)]
+    )
+    for name, wanted in (("grass", PARTS), ("mud", three)):
+        back = read_statistics_library(path, name).components
+        for part in ("weights", "offsets", "covariances", "dof"):
+            assert np.array_equal(getattr(back, part), getattr(wanted, part))
+    assert read_statistics_library(path, "soil").components is None
+    fewer = SpectralAxis(AXIS.centre_nm[[0, 4, 9]], np.full(3, 20.0))
+    cut = on_bands(read_statistics_library(path, "grass"), fewer).components
+    assert cut.covariances == pytest.approx(PARTS.at(np.array([0, 4, 9])).covariances)
+    assert cut.offsets == pytest.approx(PARTS.offsets[:, [0, 4, 9]])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.drop_vars("component_offset"), "without component_offset"),
+        (lambda d: d.assign(component_weight=2.0 * d["component_weight"]), "no parts of a class"),
+        (lambda d: d.assign(component_covariance=-d["component_covariance"]), "not positive semi-definite"),
+    ],
+)
+def test_broken_components_are_refused(tmp_path, change, message):
+    path = tmp_path / "mixed.nc"
+    write_statistics_library(path, [replace(GRASS, components=PARTS)])
+    with pytest.raises((InputError, UsageError), match=message):
+        read_statistics_library(spoiled(path, change))

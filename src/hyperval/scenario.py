@@ -21,6 +21,7 @@ from hyperval.scenario_sources import SpectrumSource as SpectrumSource
 from hyperval.scenario_sources import exactly_one
 from hyperval.scenario_uncertainty import SpectrumUncertainty as SpectrumUncertainty
 from hyperval.scenario_uncertainty import Uncertainty
+from hyperval.scene.components import MOST_COMPONENTS
 from hyperval.sensor.operation import SensorChanges, SensorOperation
 
 MODEL_DETECTORS = (*LINEAR_DETECTORS, *NUMERICAL_DETECTORS)
@@ -46,6 +47,17 @@ class BackgroundClass(Surface):
     tail_dof: Annotated[float, Field(gt=2)] | Literal["measured"] | None = Field(
         None, description="multivariate t with this many degrees of freedom, or as fitted to the measured region"
     )
+    mixture: Annotated[int, Field(ge=1, le=MOST_COMPONENTS)] | Literal["auto"] | None = Field(
+        None,
+        description="scores of a class of clusters: this many components, fitted to the measured region or stored "
+        "in the statistics library; auto: as many as predict other parts of the image best, or all that are "
+        "stored; None or 1: one law. The components are normal laws, or t laws where tail_dof is given",
+    )
+
+    @property
+    def has_mixture(self) -> bool:
+        """Whether the class is more than one law."""
+        return self.mixture is not None and self.mixture != 1
 
 
 class Geometry(Model):

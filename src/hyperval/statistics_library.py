@@ -2,7 +2,9 @@
 
 Variables: ``wavelength`` and ``fwhm`` (band) [nm], ``class_name`` (class), ``mean`` (class, band) [1],
 ``covariance`` (class, band, band_2) [1], ``n`` (class; 0 = a definition, no samples), ``source`` (class),
-``tail_dof`` (class; NaN = Gaussian).  docs/formats.md has an example.
+``tail_dof`` (class; NaN = Gaussian).  Classes that are mixtures have ``component_weight`` (class, component; 0
+beyond their own number), ``component_offset`` (class, component, band) [1], ``component_covariance`` (class,
+component, band, band_2) [1] and ``component_dof`` (class; NaN = normal laws).  docs/formats.md has an example.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from hyperval.errors import InputError, UsageError, reader
 from hyperval.files import whole_file
 from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
+from hyperval.scene.components import MOST_COMPONENTS, Components
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
 
@@ -32,9 +35,16 @@ _NAMES = ("wavelength", "fwhm", "class_name", "mean", "covariance", "n", "source
 
 
 def statistics_of_samples(
-    name: str, axis: SpectralAxis, samples: npt.ArrayLike, source: str = "samples", tail_dof: float | None = None
+    name: str,
+    axis: SpectralAxis,
+    samples: npt.ArrayLike,
+    source: str = "samples",
+    tail_dof: float | None = None,
+    components: Components | None = None,
 ) -> ClassStatistics:
     """Mean and sample covariance of spectra (N, B) on ``axis`` (rho_m, Sigma_m of 3.8-3.12).
+
+    ``components`` : clusters of the samples, as ``hyperval.processing.component_moments.class_components`` gives.
 
     Raises
     ------
@@ -46,7 +56,7 @@ def statistics_of_samples(
     mean = x.mean(axis=0)
     centred = x - mean
     covariance = centred.T @ centred / (x.shape[0] - 1)
-    return ClassStatistics(name, axis, mean, covariance, x.shape[0], source, tail_dof)
+    return ClassStatistics(name, axis, mean, covariance, x.shape[0], source, tail_dof, components)
 
 
 def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> None:
@@ -77,12 +87,35 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
             "tail_dof": ("class", np.array(tail), {"units": "1"}),
             "source": ("class", np.array([c.source for c in classes], dtype=object)),
             "class_name": ("class", np.array(names, dtype=object)),
+            **_component_variables(classes),
         },
         coords={"wavelength": ("band", axis.centre_nm, {"units": "nm"})},
         attrs={"title": "hyperval statistics library", "format_version": 1},
     )  # fmt: skip
     with whole_file(Path(path)) as temporary:
         data.to_netcdf(temporary, engine="h5netcdf")
+
+
+def _component_variables(classes: Sequence[ClassStatistics]) -> dict[str, tuple[object, ...]]:
+    """The components of classes, padded to the same number; nothing where no class has any."""
+    most = max(len(c.components) if c.components is not None else 0 for c in classes)
+    if not most:
+        return {}
+    bands = len(classes[0].axis)
+    weight, offset = np.zeros((len(classes), most)), np.zeros((len(classes), most, bands))
+    covariance, dof = np.zeros((len(classes), most, bands, bands)), np.full(len(classes), np.nan)
+    for i, parts in enumerate(c.components for c in classes):
+        if parts is not None:
+            k = len(parts)
+            weight[i, :k], offset[i, :k], covariance[i, :k] = parts.weights, parts.offsets, parts.covariances
+            dof[i] = np.nan if np.isinf(parts.dof) else parts.dof
+    units = {"units": "1"}
+    return {
+        "component_weight": (("class", "component"), weight, units),
+        "component_offset": (("class", "component", "band"), offset, units),
+        "component_covariance": (("class", "component", "band", "band_2"), covariance, units),
+        "component_dof": ("class", dof, units),
+    }
 
 
 @reader
@@ -124,6 +157,18 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
                 where=str(path),
                 expected=f"1-{MAX_CLASSES} classes, 1-{MAX_BANDS} bands",
             )
+        if "component_weight" in data.variables:
+            parts = data.sizes.get("component", 0)
+            shapes |= {
+                "component_weight": (count, parts), "component_offset": (count, parts, bands),
+                "component_covariance": (count, parts, bands, bands), "component_dof": (count,),
+            }  # fmt: skip
+            lacking = [name for name in shapes if name not in data.variables]
+            if lacking or not 0 < parts <= MOST_COMPONENTS:
+                raise InputError(
+                    f"classes of {parts} components" + (f" without {', '.join(lacking)}" if lacking else ""),
+                    where=str(path), expected=f"weights, offsets, covariances and dof of 1-{MOST_COMPONENTS}",
+                )  # fmt: skip
         wrong = [f"{name} {data[name].shape}" for name, shape in shapes.items() if data[name].shape != shape]
         if wrong:
             raise InputError(f"sizes contradict each other: {', '.join(wrong)}", where=str(path))
@@ -152,9 +197,23 @@ def _record(data: xr.Dataset, path: Path, record: str | None) -> ClassStatistics
             n or None,
             str(one["source"].values),
             None if np.isnan(tail) else tail,
+            _stored_components(one),
         )
     except UsageError as error:
         raise UsageError(error.what, where=str(path), expected=error.expected, mend=error.mend) from error
+
+
+def _stored_components(one: xr.Dataset) -> Components | None:
+    if "component_weight" not in one:
+        return None
+    weight, dof = one["component_weight"].values, float(one["component_dof"])
+    used = weight != 0
+    if not used.any():
+        return None
+    return Components(
+        weight[used], one["component_offset"].values[used], one["component_covariance"].values[used],
+        np.inf if np.isnan(dof) else dof,
+    )  # fmt: skip
 
 
 def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 10.0) -> ClassStatistics:
@@ -185,4 +244,5 @@ def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 1
     return ClassStatistics(
         statistics.name, axis, weights @ statistics.mean, 0.5 * (covariance + covariance.T),
         statistics.n, statistics.source, statistics.tail_dof,
+        statistics.components and statistics.components.through(weights),
     )  # fmt: skip

@@ -11,7 +11,7 @@ import pytest
 
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.prediction.background import Settings, ground_of, seen_classes
-from hyperval.prediction.filters import Designer, class_scores, noise_of
+from hyperval.prediction.filters import Designer, law_scores, noise_of
 from hyperval.prediction.inputs import SurfaceStatistics
 from hyperval.prediction.responses import FILL_NODES, Material, lit_surface, responses, target_population
 from hyperval.prediction.view import View, stacked, stacked_noise
@@ -129,7 +129,7 @@ def test_3_22_to_3_25_filters_of_two_settings():
 def test_3_27_and_3_29_scores_of_the_classes():
     at = both()
     seen, filters = designed(at)
-    means, sds = class_scores(at, seen, filters)
+    means, sds = law_scores(at, seen, filters)
     for u in (0, 1):
         w, mu = Plain(u).filter()
         for m, (mean, covariance) in enumerate(Plain(u).classes()):

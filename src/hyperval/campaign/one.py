@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from hyperval.errors import MissingDataError, UsageError
 from hyperval.files import scratch_folder
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
+from hyperval.observe.mixtures import RegionMixtures
 from hyperval.prediction.departure import Departure
 from hyperval.products import Abundance, Observation, Prediction
 from hyperval.progress import step
@@ -181,8 +183,13 @@ class Collected:
         from hyperval.predict import Origins
 
         return Origins(
-            observed.observation.axis, observed.statistics, self.resolver(scenario), show_progress=show_progress
-        )
+            observed.observation.axis, self._mixtures.statistics(scenario), self.resolver(scenario),
+            show_progress=show_progress,
+        )  # fmt: skip
+
+    @cached_property
+    def _mixtures(self) -> RegionMixtures:
+        return RegionMixtures(self.observed)
 
 
 @contextmanager

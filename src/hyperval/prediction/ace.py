@@ -109,18 +109,22 @@ def _evaluation(batch: Batch, point: int, target: int, pfa: Array) -> _Evaluatio
     space = ace_space(
         base.of(batch.spectrum_as_seen(group, batch.targets[target].name)[u]), base.of(base.mean), base.factor
     )
-    ground, fractions = at.grounds[at.which[u]], at.fractions[u]
-    dof = batch.points.dof[point if batch.points.dof.shape[0] > 1 else 0]
+    laws = at.grounds[at.which[u]].laws
+    fractions = [at.fractions[u, law.owner] * law.weight for law in laws]
+    each = batch.points.dof if batch.points.law_dof is None else batch.points.law_dof
+    dof = each[point if each.shape[0] > 1 else 0]
     decades = np.linspace(0.0, -float(np.log10(pfa[0])), 4).tolist()
     classes = []
-    for m, covariance in enumerate(ground.covariances):
-        as_part = Population(
-            0.0, at.gains[u, m] * covariance, seen.around[u, m], seen.means[u, m], seen.noise[u, m]
-        )
+    for j, law in enumerate(laws):
+        m, gain = law.owner, at.gains[u, law.owner]
+        mean = seen.means[u, m]
+        if law.offset is not None:
+            mean = mean + np.sqrt(gain) * seen.slope[u] * law.offset
+        as_part = Population(0.0, gain * law.covariance, seen.around[u, m], mean, seen.noise[u, m])
         classes.append(
             ace_exceedance(
                 space, base.of(as_part.mean), base.spread(covariance_of(as_part, group, u)), processing.samples,
-                np.random.default_rng([processing.seed, m]), None if np.isinf(dof[m]) else float(dof[m]),
+                np.random.default_rng([processing.seed, j]), None if np.isinf(dof[j]) else float(dof[j]),
                 decades=decades,
             )
         )  # fmt: skip
@@ -129,7 +133,7 @@ def _evaluation(batch: Batch, point: int, target: int, pfa: Array) -> _Evaluatio
         np.asarray(sum(f * c.probability for f, c in zip(fractions, classes, strict=True))),
         np.sqrt(sum((f * c.standard_error) ** 2 for f, c in zip(fractions, classes, strict=True))),
     )
-    threshold = ace_threshold(pfa, list(fractions), classes)
+    threshold = ace_threshold(pfa, fractions, classes)
     return _Evaluation(group, u, point, target, base, space, mixture, threshold)
 
 

@@ -23,6 +23,26 @@ _MATRICES = 16  # more grounds than that do not get a Sigma_ave each
 
 
 @dataclass(frozen=True, eq=False)
+class Law:
+    """A class of the background, or one component of it.
+
+    Attributes
+    ----------
+    owner : number of the class
+    weight : part of the class
+    offset : (B,) of its mean from that of the class; None: the class itself
+    covariance : (B, B)
+    dof : degrees of freedom of a component; those of a class stand elsewhere
+    """
+
+    owner: int
+    weight: float
+    offset: Array | None
+    covariance: Array
+    dof: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
 class Ground:
     """Surfaces of the scene with the classes' area fractions.
 
@@ -51,6 +71,21 @@ class Ground:
     def covariances(self) -> tuple[Array, ...]:
         """M times (B, B)."""
         return tuple(self.surfaces[n].covariance for n in self.classes)
+
+    @cached_property
+    def laws(self) -> tuple[Law, ...]:
+        """What the scores of the classes are distributed as: a class each, or the components of a mixture."""
+        out = []
+        for m, name in enumerate(self.classes):
+            surface, parts = self.surfaces[name], self.surfaces[name].components
+            if parts is None:
+                out.append(Law(m, 1.0, None, surface.covariance))
+                continue
+            out += [
+                Law(m, float(w), offset, covariance, parts.dof)
+                for w, offset, covariance in zip(parts.weights, parts.offsets, parts.covariances, strict=True)
+            ]
+        return tuple(out)
 
     @property
     def stack(self) -> Array:
@@ -84,7 +119,12 @@ class Ground:
         if key not in self.room:
             self.room.clear()
             of = {
-                n: replace(s, mean=s.mean[bands], covariance=cut(s.covariance, bands))
+                n: replace(
+                    s,
+                    mean=s.mean[bands],
+                    covariance=cut(s.covariance, bands),
+                    components=s.components and s.components.at(bands),
+                )
                 for n, s in self.surfaces.items()
                 if n in needed
             }

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.prediction.background import Seen, Settings, seen_classes
 from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills
-from hyperval.prediction.filters import Designer, Filters, Population, class_scores
+from hyperval.prediction.filters import Designer, Filters, Population, law_scores
 from hyperval.prediction.inputs import cut
 from hyperval.prediction.responses import Material, Responses, responses, target_population
 from hyperval.processing.elm_model import retrieved_reflectance
@@ -42,6 +42,7 @@ class Points:
     ----------
     setting : (n,) number of it
     dof : (n or 1, M) degrees of freedom of the classes; infinity: Gaussian
+    law_dof : (n or 1, J) of the laws that the classes are made of; None: of each class its own
     gain, beam, sky : (n or 1, T) g_T and the parts of the light in the open that reach each target
     fills : (number of the target, of its population) -> fills, where they are not those of the scenario
     shift : (n,) by how many standard deviations of the score the targets depart from their spectra
@@ -54,6 +55,7 @@ class Points:
     sky: Array
     fills: Callable[[int, int, bool], Fills | None] = lambda target, population, objects: None
     shift: Array | float = 0.0
+    law_dof: Array | None = None
 
     def __len__(self) -> int:
         return self.setting.size
@@ -73,7 +75,8 @@ class Group:
     bands : (F,) of the detectors
     at, seen : the settings and the classes as seen, on those bands
     designer : of their filters
-    filters : (target, detector) -> filters, theta_m (V, M), sigma_m (V, M), of linear detectors
+    filters : (target, detector) -> filters, theta_m (V, J), sigma_m (V, J) of the J laws of the classes, of linear
+        detectors
     problems : number in the group -> why there is no filter
     """
 
@@ -176,7 +179,7 @@ class Batch:
         group = Group(numbers, bands, at, seen, designer, {})
         wanted = [(detector, self.spectrum_as_seen(group, target)) for target, detector in names]
         filters, problems = designer.design(at, seen, wanted, lambda u: self.filter_populations(group, u))
-        made = {n: (f, *class_scores(at, seen, f)) for n, f in zip(names, filters, strict=True)}
+        made = {n: (f, *law_scores(at, seen, f)) for n, f in zip(names, filters, strict=True)}
         return replace(group, filters=made, problems=problems)
 
     @property
@@ -263,16 +266,22 @@ class Batch:
         return RocScores(classes, which, means, sds, np.full(means.shape, np.nan), each)
 
     def _classes(self, number: int, detector: str) -> tuple[ClassScores, Index]:
-        """Scores of the background for each different combination of setting and tails."""
-        size = (len(self.settings), len(self.class_names))
+        """Scores of the background's laws for each different combination of setting and tails."""
+        laws = self.settings.grounds[0].laws
+        size = (len(self.settings), len(laws))
         means, sds = np.full(size, np.nan), np.full(size, np.nan)
         for g in self.groups:
             _, means[g.numbers], sds[g.numbers] = g.filters[self.targets[number].name, detector]
-        points, dof = self.points, self.points.dof
+        points = self.points
+        dof = points.dof if points.law_dof is None else points.law_dof
         first, which = distinct([points.setting, *(dof.T if dof.shape[0] > 1 else ())], len(self))
         settings = points.setting[first]
         tails = np.broadcast_to(dof, (len(self), dof.shape[1]))[first]
-        return ClassScores(self.settings.fractions[settings], means[settings], sds[settings], tails), which
+        fractions = self.settings.fractions[settings]
+        if any(law.offset is not None for law in laws):
+            owner, part = np.array([law.owner for law in laws]), np.array([law.weight for law in laws])
+            fractions = fractions[:, owner] * part
+        return ClassScores(fractions, means[settings], sds[settings], tails), which
 
     def responses(self, group: Group, target: int, detector: str, points: Index) -> tuple[Index, Responses]:
         """Scores against the fill by the filter that looks for a target, and which row of them each point has."""

@@ -256,6 +256,9 @@ def points_of(cases: Sequence[Case], setting: npt.NDArray[np.intp], shift: Array
 
     tails = [[class_tail(c, x.setup.surfaces[c.name]) for c in x.setup.scenario.scene.classes] for x in cases]
     dof = np.array([[np.inf if t is None else float(t) for t in row] for row in tails])
+    law_dof, first = None, cases[0].setup
+    if any(first.surfaces[name].components is not None for name in first.classes):
+        law_dof = np.array([_law_tails(x, row) for x, row in zip(cases, dof, strict=True)])[setting]
 
     def fills(target: int, population: int, objects: bool) -> Fills | None:
         subjects = [s.scene.targets[target].populations[population] for s in scenarios]
@@ -278,7 +281,20 @@ def points_of(cases: Sequence[Case], setting: npt.NDArray[np.intp], shift: Array
         of_targets(lambda t: t.illumination.sky_view if t.illumination else 1.0),
         fills,
         shift,
+        law_dof,
     )
+
+
+def _law_tails(case: Case, dof: Array) -> list[float]:
+    """Degrees of freedom of the laws of all classes: a component has its own where the class states no number."""
+    out: list[float] = []
+    for c, tail in zip(case.setup.scenario.scene.classes, dof.tolist(), strict=True):
+        parts = case.setup.surfaces[c.name].components
+        if parts is None:
+            out.append(tail)
+        else:
+            out += [tail if isinstance(c.tail_dof, float) else parts.dof] * len(parts)
+    return out
 
 
 def batch_of(

@@ -277,10 +277,13 @@ def true_surfaces(
     for name, change in departure.statistics.items():
         s = out[name]
         covariance = s.covariance if change.covariance is None else change.covariance
+        components = s.components
         if change.factor != 1.0:
             covariance = change.factor * covariance
+            components = components and components.stretched(float(np.sqrt(change.factor)))
         tail = s.tail_dof if change.tail_dof is None else change.tail_dof
-        out[name] = replace(s, mean=s.mean + change.mean, covariance=covariance, tail_dof=tail)
+        mean = s.mean + change.mean
+        out[name] = replace(s, mean=mean, covariance=covariance, tail_dof=tail, components=components)
     gain, offset = np.asarray(departure.recorded_gain), np.asarray(departure.recorded_offset)
     if scenario.atmosphere is None and (np.any(gain != 1.0) or np.any(offset != 0.0)):
         scene = scenario.scene
@@ -289,7 +292,8 @@ def true_surfaces(
         for name, s in out.items():
             if name not in measured:
                 g = np.broadcast_to(gain, s.mean.shape)
-                out[name] = replace(s, mean=g * s.mean + offset, covariance=s.covariance * np.outer(g, g))
+                covariance, components = s.covariance * np.outer(g, g), s.components and s.components.stretched(g)
+                out[name] = replace(s, mean=g * s.mean + offset, covariance=covariance, components=components)
     return out
 
 

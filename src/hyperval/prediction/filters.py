@@ -319,17 +319,26 @@ def noise_of(at: Settings, seen: Seen, u: int, reflectance: Array) -> Array:
     return np.asarray(at.view.row(u).noise_variance(offset + gain * reflectance) / gain**2)
 
 
-def class_scores(at: Settings, seen: Seen, filters: Filters) -> tuple[Array, Array]:
-    """theta_m and sigma_m (U, M) of the background's classes (3.27, 3.29)."""
-    w = filters.weights
-    means = np.einsum("uf,umf->um", w, seen.means) - filters.offset[:, None]  # (3.27)
-    variances = np.einsum("uf,umf->um", w**2, seen.noise)
+def law_scores(at: Settings, seen: Seen, filters: Filters) -> tuple[Array, Array]:
+    """theta_m and sigma_m (U, J) of the laws that the background's classes are made of (3.27, 3.29).
+
+    A component of a class lies off its mean and has a covariance of its own; noise and surroundings are those of
+    the class.  A linear filter makes a normal law normal and a t law a t law: the scores have a closed form.
+    """
+    w, laws = filters.weights, at.grounds[0].laws
+    owner = np.array([law.owner for law in laws])
+    means = (np.einsum("uf,umf->um", w, seen.means) - filters.offset[:, None])[:, owner]  # (3.27)
+    variances = np.einsum("uf,umf->um", w**2, seen.noise)[:, owner]
     through = (w * seen.slope)[:, None, :]
-    for m in range(seen.means.shape[1]):
+    for j, law in enumerate(laws):
 
-        def covariance(ground: Ground, number: int = m) -> Array:
-            return ground.covariances[number]
+        def covariance(ground: Ground, number: int = j) -> Array:
+            return ground.laws[number].covariance
 
-        variances[:, m] += at.gains[:, m] * at.spread(through, covariance)[:, 0]
-    variances += at.surroundings(w[:, None, :] * seen.around)
+        gain = at.gains[:, law.owner]
+        variances[:, j] += gain * at.spread(through, covariance)[:, 0]
+        if law.offset is not None:
+            away = np.array([g.laws[j].offset for g in at.grounds])[at.which]
+            means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], away)
+    variances += at.surroundings(w[:, None, :] * seen.around)[:, owner]
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)

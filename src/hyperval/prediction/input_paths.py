@@ -181,6 +181,8 @@ def batch_column(scenario: Scenario, path: str) -> BatchColumn:
             return BatchColumn("kappa")
         case ["scene", "classes", name, key] if key in ("fraction", "gain", "tail_dof"):
             item = item_number([c.name for c in scene.classes], name, path)
+            if key == "tail_dof" and scene.classes[item].has_mixture:
+                return BatchColumn("anew", key=path)  # of its components
             return BatchColumn("tail" if key == "tail_dof" else key, item)
         case ["scene", "targets", name, *rest]:
             item = item_number([t.name for t in scene.targets], name, path)

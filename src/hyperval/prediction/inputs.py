@@ -19,6 +19,7 @@ from hyperval.prediction.replicates import (
 from hyperval.scenario import BackgroundClass, CovarianceSource, SpectrumSource, Surface
 from hyperval.scenario_sources import Replicates
 from hyperval.scene.builtin import builtin_class
+from hyperval.scene.components import Components
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
 
@@ -35,6 +36,7 @@ class SurfaceStatistics:
     mean : (B,) reflectance [1]
     covariance : (B, B), zero where nothing is known of the spread
     standard_deviation : (B,) that a spectrum's file carries, None without
+    components : the clusters that the pixels of a class fall into, None where they are one law
     sampled_deviation : (n,) wavelengths [nm] and the same standard deviations as the file has them
     n : samples behind it
     mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
@@ -49,6 +51,7 @@ class SurfaceStatistics:
     n: int | None = None
     mean_error: Array | None = None
     sampled_deviation: tuple[Array, Array] | None = None
+    components: Components | None = None
 
 
 def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float | None:
@@ -88,10 +91,10 @@ class Sources:
         if surface.covariance is None:
             if surface.spectrum.measured is not None:
                 _refuse_single(base.n, surface.spectrum.measured, surface.name)
-            return base
-        # Tails are those of the pixels that the covariance is of; a stated spread has none of its own.
-        covariance, tail_dof = self._spread(surface.covariance, base, surface.name)
-        return replace(base, covariance=covariance, tail_dof=tail_dof)
+        else:
+            # Tails are those of the pixels that the covariance is of; a stated spread has none of its own.
+            base = self._spread(surface.covariance, base, surface.name)
+        return replace(base, components=_components(surface, base.components))
 
     def spectrum(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
         """The statistics that a spectrum source brings along."""
@@ -102,8 +105,9 @@ class Sources:
         if source.measured is not None:
             known = self._measured(source.measured, name)
             return SurfaceStatistics(
-                name, known.mean, known.covariance, known.source or "measured", known.tail_dof, None, known.n
-            )
+                name, known.mean, known.covariance, known.source or "measured", known.tail_dof, None, known.n,
+                components=known.components,
+            )  # fmt: skip
         if source.constant is not None:
             flat = np.full(bands, source.constant)
             return SurfaceStatistics(name, flat, np.zeros((bands, bands)), "constant reflectance")
@@ -117,6 +121,7 @@ class Sources:
                 record.tail_dof,
                 None,
                 record.n,
+                components=record.components,
             )
         if source.replicates is not None:
             sample = self._replicates(source.replicates, name)
@@ -183,10 +188,10 @@ class Sources:
             raise UsageError(f"the statistics of region {region!r} do not stand on the bands of the prediction")
         return estimate
 
-    def _spread(self, source: CovarianceSource, base: SurfaceStatistics, name: str) -> tuple[Array, float | None]:
-        """Covariance (B, B) and degrees of freedom of its tails, None where it has none."""
+    def _spread(self, source: CovarianceSource, base: SurfaceStatistics, name: str) -> SurfaceStatistics:
+        """The surface with another covariance, the tails and the components of the pixels that it is of."""
         if source.replicates is not None:
-            return self._replicates(source.replicates, name).covariance, base.tail_dof
+            return replace(base, covariance=self._replicates(source.replicates, name).covariance)
         if source.builtin is not None:
             pixels = builtin_class(source.builtin, self.axis)
         elif source.library is not None:
@@ -197,8 +202,24 @@ class Sources:
         else:
             sd = (source.relative_sd or 0.0) * np.nan_to_num(base.mean)
             stated = np.outer(sd, sd) * correlation(self.axis, source.correlation_nm)
-            return stated + source.band_sd**2 * np.eye(sd.size), base.tail_dof
-        return pixels.covariance, pixels.tail_dof
+            return replace(base, covariance=stated + source.band_sd**2 * np.eye(sd.size))
+        return replace(base, covariance=pixels.covariance, tail_dof=pixels.tail_dof, components=pixels.components)
+
+
+def _components(surface: Surface, stored: Components | None) -> Components | None:
+    """The components that a class asks for, of those that its source has."""
+    if not isinstance(surface, BackgroundClass) or not surface.has_mixture:
+        return None
+    if surface.mixture == "auto":  # one law is an answer too
+        return stored
+    if stored is None or len(stored) != surface.mixture:
+        raise UsageError(
+            f"mixture of {surface.name!r}: {surface.mixture} components are asked for, its source has "
+            f"{'none' if stored is None else len(stored)}",
+            expected="a region of a campaign's collection, or a statistics library with so many components",
+            mend="run it from a campaign, or write mixture: auto to take what is there",
+        )
+    return stored
 
 
 def _refuse_single(n: int | None, region: str, name: str) -> None:

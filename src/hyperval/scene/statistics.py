@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
+from hyperval.scene.components import Components
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -26,6 +27,7 @@ class ClassStatistics:
     n : number of samples behind it, None when it is a definition rather than an estimate
     source : where the numbers come from, in words
     tail_dof : degrees of freedom of a multivariate t (nu > 2), None for Gaussian
+    components : the clusters that the pixels fall into, None where they are one
     """
 
     name: str
@@ -35,6 +37,7 @@ class ClassStatistics:
     n: int | None = None
     source: str = ""
     tail_dof: float | None = None
+    components: Components | None = None
 
     def __post_init__(self) -> None:
         mean = np.asarray(self.mean, dtype=float)
@@ -55,5 +58,7 @@ class ClassStatistics:
             raise UsageError(f"class {self.name!r}: the covariance is not positive semi-definite") from None
         if self.tail_dof is not None and not self.tail_dof > 2:
             raise UsageError(f"class {self.name!r}: tail_dof must exceed 2, got {self.tail_dof:g}")
+        if self.components is not None and self.components.offsets.shape[1] != bands:
+            raise UsageError(f"class {self.name!r}: its components do not fit {bands} bands")
         object.__setattr__(self, "mean", mean)
         object.__setattr__(self, "covariance", cov)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -82,6 +82,28 @@ _SMALLEST_VARIANCE = 1e-10  # of the mean variance of a band
 
 
 @dataclass(frozen=True)
+class MixtureSampler:
+    """Draws spectra of a class of clusters: each pixel from one of the ``parts``, by their ``weights`` (K,)."""
+
+    weights: npt.NDArray[np.float64]
+    parts: Sequence[Sampler]
+
+    @property
+    def mean(self) -> Array:
+        """(B,) of all together."""
+        return np.asarray(self.weights @ np.array([p.mean for p in self.parts]), np.float32)
+
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
+        """(count, B) spectra."""
+        which = rng.choice(self.weights.size, size=count, p=self.weights / self.weights.sum())
+        spectra = np.empty((count, self.parts[0].mean.size), np.float32)
+        for k, part in enumerate(self.parts):
+            here = which == k
+            spectra[here] = part.draw(int(np.count_nonzero(here)), rng)
+        return spectra
+
+
+@dataclass(frozen=True)
 class Sampler:
     """Draws spectra mean + z ``factor``, z standard normal; ``factor`` (R, B) with factor^T factor = covariance."""
 
@@ -101,12 +123,24 @@ class Sampler:
         return spectra
 
 
-def sampler(statistics: ClassStatistics, dof: float | None = None) -> Sampler:
-    """Sampler of a class, from the Cholesky factor of its covariance.
+def sampler(statistics: ClassStatistics, dof: float | None = None) -> Sampler | MixtureSampler:
+    """Sampler of a class, from the Cholesky factor of its covariance, or of those of its components.
 
     The factor is unique, so that the draws do not depend on the linear algebra library as eigenvectors of
     near-equal eigenvalues would.
     """
+    parts = statistics.components
+    if parts is not None:
+        tails = dof if dof is not None else None if np.isinf(parts.dof) else parts.dof
+        own = [
+            replace(statistics, mean=statistics.mean + offset, covariance=c, tail_dof=tails, components=None)
+            for offset, c in zip(parts.offsets, parts.covariances, strict=True)
+        ]
+        return MixtureSampler(parts.weights, [_law_sampler(s, s.tail_dof) for s in own])
+    return _law_sampler(statistics, dof if dof is not None else statistics.tail_dof)
+
+
+def _law_sampler(statistics: ClassStatistics, tails: float | None) -> Sampler:
     covariance = statistics.covariance
     variance = float(np.trace(covariance)) / covariance.shape[0]
     try:
@@ -116,7 +150,6 @@ def sampler(statistics: ClassStatistics, dof: float | None = None) -> Sampler:
     except np.linalg.LinAlgError:  # semi-definite up to rounding
         values, vectors = np.linalg.eigh(covariance)
         factor = np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T
-    tails = dof if dof is not None else statistics.tail_dof
     return Sampler(statistics.mean.astype(np.float32), factor.astype(np.float32), tails)
 
 
@@ -152,7 +185,7 @@ class SurfaceRenderer:
         )
         self._seen_by = self._index_planks()
 
-    def _draw_targets(self, materials: Mapping[str, Sampler]) -> Array:
+    def _draw_targets(self, materials: Mapping[str, Sampler | MixtureSampler]) -> Array:
         spectra = np.zeros((len(self.ground.planks), self.bands), np.float32)
         at = 0
         for number, group in enumerate(self.scene.targets):

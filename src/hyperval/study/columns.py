@@ -193,7 +193,9 @@ def _points(setup: Setup, columns: Columns, setting: npt.NDArray[np.intp]) -> Po
         base_fill = scene.targets[target].populations[population].fill
         return _moved_fills(base_fill, of, n, setup.scenario.formulation == "thesis", objects) if of else None
 
-    return Points(setting, changed["dof"], changed["gain"], changed["beam"], changed["sky"], fills)
+    return Points(
+        setting, changed["dof"], changed["gain"], changed["beam"], changed["sky"], fills, law_dof=base.law_dof
+    )
 
 
 def _moved_fills(base: Fill, columns: Mapping[str, npt.NDArray[Any]], n: int, thesis: bool, objects: bool) -> Fills:

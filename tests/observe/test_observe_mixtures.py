@@ -1,0 +1,77 @@
+"""Clusters of a region's pixels: as they were drawn, once for each question, and what cannot be fitted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_world import BANDS, background_spread
+
+from hyperval.errors import UsageError
+from hyperval.observe.mixtures import RegionMixtures, region_components
+from hyperval.scenario import Scenario
+
+AWAY = np.linspace(0.05, -0.08, BANDS)
+
+
+def clustered(seed=3):
+    """60 x 60 pixels, a fifth of them in patches of 3 x 3 whose mean lies off by ``AWAY``."""
+    rng = np.random.default_rng(seed)
+    patch = np.kron(rng.random((20, 20)) < 0.2, np.ones((3, 3), bool))
+    z = rng.multivariate_normal(np.zeros(BANDS), background_spread(), (60, 60))
+    return 0.3 + z + patch[..., None] * AWAY, patch
+
+
+@pytest.fixture
+def observed(world):
+    values, _ = clustered()
+    world.write(values)
+    world.detection, world.collection["targets"] = None, None
+    world.collection["regions"] = [
+        {"name": "all", "rectangle": [0, 0, 60, 60]}, {"name": "corner", "rectangle": [0, 0, 3, 3]}
+    ]  # fmt: skip
+    return world.observe()
+
+
+def scenario(*mixtures):
+    classes = [
+        {"name": f"class {i}", "fraction": 1.0 / len(mixtures), "spectrum": {"measured": "all"}, "mixture": m}
+        for i, m in enumerate(mixtures)
+    ]
+    return Scenario.model_validate({"schema": 1, "name": "a", "scene": {"classes": classes}})
+
+
+def test_clusters_of_a_region(observed):
+    # 720 and 2,880 pixels: means are known to 4 % of a standard deviation, and drawn as such; five of these.
+    _, patch = clustered()
+    parts = region_components(observed, "all", "auto", tails=False)
+    assert len(parts) == 2
+    order = np.argsort(parts.weights)
+    assert parts.weights[order] == pytest.approx([patch.mean(), 1.0 - patch.mean()], abs=0.01)
+    sd = np.sqrt(np.diag(background_spread()))
+    assert np.all(np.abs(parts.offsets[order[0]] - parts.offsets[order[1]] - AWAY) < 0.2 * sd)
+
+
+def test_what_a_scenario_asks_for_is_fitted_once(observed):
+    regions = RegionMixtures(observed)
+    first = regions.statistics(scenario(2))["all"].components
+    assert len(first) == 2
+    assert regions.statistics(scenario(2))["all"].components is first
+    assert regions.statistics(scenario(1))["all"].components is None
+    assert "components" not in str(observed.statistics["all"].source)
+    with pytest.raises(UsageError, match="different components of region 'all'"):
+        regions.statistics(scenario(2, 3))
+
+
+def test_too_few_pixels_are_refused_by_name(observed):
+    one = (
+        scenario(8)
+        .scene.classes[0]
+        .model_copy(
+            update={"spectrum": scenario(8).scene.classes[0].spectrum.model_copy(update={"measured": "corner"})}
+        )
+    )
+    of = scenario(8)
+    of.scene.classes[:] = [one]
+    with pytest.raises(UsageError, match="8 components of 9 pixels") as caught:
+        RegionMixtures(observed).statistics(of)
+    assert "region 'corner'" in str(caught.value)
