@@ -6,10 +6,10 @@ from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 
-import numpy as np
 import pytest
+from solver_nodes import run_solver_at
 
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms, sixs
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 
 
 @pytest.fixture(scope="session")
@@ -32,15 +32,10 @@ def terms_of(engine_cache):
 def solver_at(
     engine_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., Callable[[AtmosphericState], AtmosphericTerms]]:
-    """Terms by a solver that runs at the given wavelengths alone [nm], some below 1 um: there they stay the same.
-
-    Twenty nodes of one hazy state take eight seconds, and between nodes there is but interpolation.
-    """
+    """Terms by a solver that runs at the given wavelengths alone [nm]."""
 
     def run_at(*nodes_nm: float) -> Callable[[AtmosphericState], AtmosphericTerms]:
-        nodes = np.array(nodes_nm)
-        monkeypatch.setattr(sixs, "NODES_NM", nodes)
-        monkeypatch.setattr(sixs, "_MOLECULAR", int(np.sum(nodes < 1000.0)))
+        run_solver_at(monkeypatch, *nodes_nm)
         return partial(atmospheric_terms, cache_dir=engine_cache, show_progress=False)
 
     return run_at

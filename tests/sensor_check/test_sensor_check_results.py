@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from sensor_data import SHEET, changed, good_sensor, measured_sensor, sensor_of
+from solver_nodes import run_solver_at
 
 from hyperval.errors import UsageError
 from hyperval.results import Outcome, Role
@@ -179,6 +180,8 @@ def test_published_ratios_of_the_library_in_their_own_scene(name, tmp_path, monk
     from hyperval.sensor_check.ledger import Ledger
 
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path))
+    # Half of the engine's nodes: bands between them move by less than 1 %, of the 20 % that are judged.
+    run_solver_at(monkeypatch, 350.0, 412.5, 470.0, 550.0, 670.0, 860.0, 1240.0, 1650.0, 2250.0, 2600.0)
     sensor, ledger = load_sensor(name), Ledger(name)
     check_published(sensor, sensor.axis, ledger)
     assert {r.outcome for r in ledger.table} == {Outcome.AGREES}

@@ -96,11 +96,10 @@ def check_published(
     Examples
     --------
     >>> from hyperval.sensor.specification import load_sensor
-    >>> ledger, sensor = Ledger("hymap"), load_sensor("hymap")
+    >>> ledger, sensor = Ledger("landsat-7-etm"), load_sensor("landsat-7-etm")
     >>> points = check_published(sensor, sensor.axis, ledger)
-    >>> [(r.metric, round(r.value, 2)) for r in ledger.table]
-    [('computed_over_published', 1.77), ('computed_over_published', 1.75), ('computed_over_published', 1.28),
-    ('computed_over_published', 1.51), ('computed_over_published', 1.04)]
+    >>> [(r.subject, round(r.value, 2)) for r in ledger.table]
+    [('483 nm', 0.83), ('560 nm', 1.06), ('662 nm', 1.17), ('835 nm', 1.03), ('1648 nm', 0.94), ('2206 nm', 1.03)]
     """
     points: list[SnrPoint] = []
     for item in sensor.specification.published_snr:
