@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 
 from hyperval.apart import call_apart
@@ -77,3 +79,33 @@ def test_what_measures_and_what_writes_load_no_more_than_they_need():
 def test_a_process_that_has_numpy_calls_here(tmp_path: Path):
     assert "numpy" in sys.modules
     assert call_apart(os.getpid, tmp_path) == os.getpid()
+
+
+@pytest.mark.slow
+def test_observing_a_wide_image_of_many_bands_stays_below_its_memory(tmp_path: Path):
+    """Libraries take 131 MB; two threads 30 MB of arrays of a few lines, one row of blocks of 24 bands 8 MB.
+
+    None of it grows with the lines, so that 128 stand for the 7134 of 10 GB (measured there: docs/formats.md).
+    When lines of all bands were kept in memory and SciPy's optimisers loaded at once it was 250 MB.
+    """
+    bands, lines, samples = 284, 128, 1234
+    with h5py.File(tmp_path / "AV3_RDN.nc", "w") as file:
+        group = file.create_group("radiance")
+        image = group.create_dataset("radiance", (bands, lines, samples), "f4", chunks=(24, 64, 309), fillvalue=2.0)
+        group["wavelength"], group["fwhm"] = np.linspace(380, 2500, bands), np.full(bands, 7.5)
+        image[:, :64] = np.random.default_rng(0).normal(4, 0.5, (bands, 64, samples)).astype(np.float32)
+    (tmp_path / "campaign.yaml").write_text(
+        "schema: 1\nname: wide\ntitle: t\ndescription: d\n"
+        "collection:\n  cube: {path: AV3_RDN.nc, quantity: radiance}\n"
+        "  regions: [{name: first, rectangle: [0, 0, 100, 200]}]\n  snr_regions: [first]\n"
+    )
+    program = (
+        "import os, resource, subprocess, sys\n"
+        "subprocess.run([sys.executable, '-m', 'hyperval', 'observe', 'campaign.yaml', '-o', 'out'], check=True)\n"
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert int(done.stdout.split()[-1]) < 195_000  # kB

@@ -17,6 +17,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError
+from hyperval.imagery.array_raster import SLAB_BYTES
 from hyperval.imagery.companions import sun_zenith_deg
 from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.layouts import layouts
@@ -474,3 +475,35 @@ def test_products_that_state_the_sun_themselves(tmp_path: Path):
     shells.prisma(tmp_path / "p.he5")
     assert sun_zenith_deg(open_raster(tmp_path / "n.h5")) == (27.5, "n.h5")
     assert sun_zenith_deg(open_raster(tmp_path / "p.he5")) == (31.25, "p.he5")
+
+
+@pytest.mark.parametrize("chunks", [(3, 4, 5), (6, 12, 9), (1, 12, 2), None])
+def test_lines_and_pixels_are_those_of_the_array_however_it_is_stored(tmp_path: Path, chunks, monkeypatch):
+    shells.aviris(tmp_path / "a.nc", chunks=chunks)
+    raster = open_raster(tmp_path / "a.nc")
+    with h5py.File(tmp_path / "a.nc") as file:
+        stored = file["radiance/radiance"][:]
+    rng = np.random.default_rng(5)
+    rows, cols = rng.integers(0, LINES, 40), rng.integers(0, SAMPLES, 40)
+    for slab in (SLAB_BYTES, 1):  # kept in memory, or in a file
+        monkeypatch.setattr("hyperval.imagery.array_raster.SLAB_BYTES", slab)
+        fresh = open_raster(tmp_path / "a.nc")
+        for first, count in ((0, 2), (2, 2), (4, 5), (9, 3), (1, 1)):
+            np.testing.assert_array_equal(fresh.read_bands(first, count), stored[:, first : first + count])
+        np.testing.assert_array_equal(fresh.read_pixels(rows, cols), stored[:, rows, cols].T)
+        np.testing.assert_array_equal(fresh.read_some_bands(3, 4, [5, 0]), stored[[5, 0], 3:7])
+    assert raster.read_pixels(rows[:0], cols[:0]).shape == (0, 6)
+
+
+def test_where_there_is_no_room_for_a_file_lines_are_unpacked_again(tmp_path: Path, monkeypatch):
+    shells.aviris(tmp_path / "a.nc", chunks=(3, 4, 5))
+    monkeypatch.setattr("hyperval.imagery.array_raster.SLAB_BYTES", 1)
+
+    def full(*args: object, **more: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    raster = open_raster(tmp_path / "a.nc")
+    want = [raster.read_bands(line, 1).copy() for line in range(LINES)]
+    monkeypatch.setattr("hyperval.imagery.slabs.tempfile.TemporaryFile", full)
+    raster = open_raster(tmp_path / "a.nc")
+    np.testing.assert_array_equal([raster.read_bands(line, 1) for line in range(LINES)], want)

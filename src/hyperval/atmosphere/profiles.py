@@ -12,7 +12,7 @@ from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
+import scipy
 
 from hyperval.errors import UsageError
 
@@ -101,7 +101,9 @@ def altitude_of_air_column(profile: Profile, column: float) -> float:
     """Altitude above which the profile has a column of molecules [km]; not below 0."""
     if column >= air_column(profile, 0.0):
         return 0.0
-    return float(brentq(lambda z: air_column(profile, z) - column, 0.0, float(profile.altitude_km[-1])))
+    return float(
+        scipy.optimize.brentq(lambda z: air_column(profile, z) - column, 0.0, float(profile.altitude_km[-1]))
+    )
 
 
 @cache

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
+import scipy
 
 from hyperval.errors import UsageError
 
@@ -80,7 +80,9 @@ def range_from_aot550(aot550: float, ground_km: float = 0.0) -> float:
         return SHORTEST_KM
     if aot550 <= high:
         return LONGEST_KM
-    root = brentq(lambda v: aot550_from_range(1.0 / v, ground_km) - aot550, 1 / LONGEST_KM, 1 / SHORTEST_KM)
+    root = scipy.optimize.brentq(
+        lambda v: aot550_from_range(1.0 / v, ground_km) - aot550, 1 / LONGEST_KM, 1 / SHORTEST_KM
+    )
     return 1.0 / float(root)
 
 

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import scipy
 from pydantic import Discriminator, Field, Tag
-from scipy.optimize import brentq
 
 from hyperval.atmosphere.profiles import pressure_at, standard_profile
 from hyperval.campaign.template import with_words
@@ -110,7 +110,7 @@ def _words(day: RadCalNetDay, time: str, file: str, model: str, where: Path) -> 
     pressure = state["pressure_hpa"]
     if not pressure_at(profile, HIGHEST_KM) < pressure <= pressure_at(profile, 0.0):
         raise InputError(f"a pressure of {pressure:g} hPa", where=day.source, expected="that of a place on land")
-    ground = float(brentq(lambda z: pressure_at(profile, z) - pressure, 0.0, HIGHEST_KM, xtol=1e-6))
+    ground = float(scipy.optimize.brentq(lambda z: pressure_at(profile, z) - pressure, 0.0, HIGHEST_KM, xtol=1e-6))
     return {
         **state, "site": day.site, "time": time, "time_utc": f"{day.times[i]:%Y-%m-%dT%H:%M:%SZ}", "file": file,
         "latitude_deg": day.latitude_deg, "longitude_deg": day.longitude_deg, "ground_km": round(ground, 4),

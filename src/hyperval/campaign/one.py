@@ -249,11 +249,10 @@ def _report(job: Job, side: Collected, predictions: Sequence[Prediction], show_p
     campaign, inputs, scenarios, observed = job.campaign, side.inputs, side.scenarios, side.observed
     prediction = None
     # What compares takes 30 MB: not before the imagery is done with.
-    from hyperval.campaign.curves import eigenvalue_spectra, tail_curves
-    from hyperval.campaign.one_side import product_rows
-    from hyperval.campaign.reasons import reasons
-
     if predictions:
+        from hyperval.campaign.curves import eigenvalue_spectra, tail_curves
+        from hyperval.campaign.reasons import reasons
+
         prediction = predicted_side(job, side, predictions)
         rows = outcomes(prediction, observed.observation, campaign, scenarios)
         rows += reasons(
@@ -262,6 +261,8 @@ def _report(job: Job, side: Collected, predictions: Sequence[Prediction], show_p
         )  # fmt: skip
         table = ResultTable(rows)
     else:
+        from hyperval.campaign.one_side import product_rows
+
         table = ResultTable(product_rows(campaign.name, observed.observation, "observed"))
     notes = [*campaign.assumptions, *observed.observation.notes, *scenario_notes(observed.place, scenarios)]
     notes += truth_notes(observed.place, campaign.detection, scenarios)

@@ -11,6 +11,7 @@ import spectral
 from skimage.exposure import adjust_gamma
 from skimage.util import img_as_ubyte
 
+from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.truth import all_pixels
 from hyperval.observe import Observed
@@ -85,7 +86,11 @@ def _some_pixels(cube: Cube, bands: list[int], step: int) -> npt.NDArray[Any]:
     """(lines, samples, bands) values of every ``step``-th line and sample, as float32."""
     lines, samples = range(0, cube.lines, step), range(0, cube.samples, step)
     out = np.empty((len(lines), len(samples), len(bands)), np.float32)
+    # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
+    together = step * max(1, LINES_TOGETHER // step) if isinstance(cube.raster, ArrayRaster) else 1
     with cube.kept_open():
         for row, line in enumerate(lines):
-            out[row] = cube.read_some_bands(line, 1, bands)[0, ::step]
+            if line % together == 0:
+                part = cube.read_some_bands(line, min(together, cube.lines - line), bands)
+            out[row] = part[line % together, ::step]
     return out

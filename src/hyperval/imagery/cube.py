@@ -14,6 +14,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.band_table import BandTable, band_table, ordered_bands, wavelengths_in_nm
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, open_raster
@@ -152,7 +153,11 @@ class Cube:
     def read_some_bands(self, first_line: int, count: int, bands: Sequence[int]) -> npt.NDArray[np.float32]:
         """(count, samples, n) values of a few bands of the axis, as for a picture; NaN for ignored values."""
         order = self.stored_band[list(bands)]
-        stored = self.raster.read_bands(first_line, count)[order].transpose(1, 2, 0)
+        if isinstance(self.raster, ArrayRaster):
+            some = self.raster.read_some_bands(first_line, count, order.tolist())
+        else:
+            some = self.raster.read_bands(first_line, count)[order]
+        stored = some.transpose(1, 2, 0)
         values = stored.astype(np.float32) * self.scaling.gain[order].astype(np.float32)
         values += self.scaling.offset[order].astype(np.float32)
         if self.ignore_value is not None:

@@ -9,12 +9,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from affine import Affine
 from rasterio.crs import CRS
-from scipy.spatial import cKDTree
 
 from hyperval.errors import InputError
 from hyperval.imagery.lookup_table import RADIUS, LookupTable, divided
@@ -94,7 +95,7 @@ class LocationTable(LookupTable):
         return metres_per_degree
 
     @cached_property
-    def _coarse(self) -> tuple[cKDTree, npt.NDArray[np.intp], Array]:
+    def _coarse(self) -> tuple[Any, npt.NDArray[np.intp], Array]:
         """Every n-th pixel with a place: their tree, their (line, sample), and the scale of x and y in it."""
         step = max(1, math.ceil(math.sqrt(self.shape[0] * self.shape[1] / MOST_NODES)))
         nodes, places = [], []
@@ -109,7 +110,7 @@ class LocationTable(LookupTable):
             raise InputError("no pixel has a place", where=str(self.raster.path))
         geographic = self.crs is not None and self.crs.is_geographic
         scale = np.array([math.cos(math.radians(float(place[:, 1].mean()))) if geographic else 1.0, 1.0])
-        return cKDTree(place * scale), np.concatenate(nodes), scale
+        return scipy.spatial.cKDTree(place * scale), np.concatenate(nodes), scale
 
     @cached_property
     def _pixel(self) -> float:

@@ -35,6 +35,7 @@ LEADING_SHARE = 0.99  # of the variance, in the leading components that tails ar
 FEWEST_LEADING = 2
 TOGETHER = 2048  # pixels that are held at once
 WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
+LINES_TOGETHER = 32  # of a window that are read at once
 QUANTILES = 160
 _SEED = 31
 
@@ -121,10 +122,13 @@ def _independence(
 
     def quantities() -> Iterator[tuple[Array, Mask]]:
         for values, inside in pixels_of_windows(place, region, bands, rng):
-            scores = (np.where(inside[..., None], values, mean) - mean) @ directions.vectors
+            values[~inside] = mean
+            values -= mean  # in place, as one window of all bands is a good part of what memory is to hold
+            scores = values @ directions.vectors
+            del values
             scores /= np.sqrt(directions.values)
             # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
-            far = [np.log(np.sum(scores[..., :p] ** 2, axis=-1) + 1e-12) for p in (scores.shape[-1], leading)]
+            far = [np.log(_sums_of_squares(scores[..., :p]) + 1e-12) for p in (scores.shape[-1], leading)]
             far = [f - f[inside].mean() if inside.any() else f for f in far]
             yield np.stack([*np.moveaxis(scores[..., :count], -1, 0), *far]), inside
 
@@ -135,6 +139,11 @@ def _independence(
     return independent, (parts[0], parts[1])
 
 
+def _sums_of_squares(scores: Array) -> Array:
+    """(lines, samples) sums over the last axis, line by line."""
+    return np.stack([np.sum(line**2, axis=-1) for line in scores])
+
+
 def pixels_of_windows(
     place: Place, region: Mask, bands: npt.NDArray[Any], rng: np.random.Generator
 ) -> Iterator[tuple[Array, Mask]]:
@@ -143,9 +152,14 @@ def pixels_of_windows(
         rows, columns = (slice(a, a + WINDOW) for a in corner)
         inside = region[rows, columns]
         lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
-        pixels, valid = place.cube.marked_pixels((lines.ravel(), samples.ravel()))
-        values = pixels[:, bands].reshape(*inside.shape, -1)
-        yield values, inside & valid.reshape(inside.shape) & np.isfinite(values).all(axis=-1)
+        values, valid = np.empty((*inside.shape, bands.size)), np.empty(inside.shape, bool)
+        for some in range(0, WINDOW, LINES_TOGETHER):
+            part = slice(some, min(some + LINES_TOGETHER, len(inside)))
+            pixels, usable = place.cube.marked_pixels((lines[part].ravel(), samples[part].ravel()))
+            values[part] = pixels[:, bands].reshape(*inside[part].shape, -1)
+            valid[part] = usable.reshape(inside[part].shape)
+            del pixels
+        yield values, inside & valid & np.isfinite(values).all(axis=-1)
 
 
 def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, special
+import scipy
+from scipy import special
 
 from hyperval.spectra.response import SIGMA_PER_FWHM
 
@@ -101,7 +102,7 @@ def oxygen_residual(
     p = np.array([at, _WIDTH, _WIDTH, *surface])
     for _ in range(2):
         scatter = max(float(np.sqrt(np.sum(rest(p) ** 2) / free)), _LEAST_FIGURE)
-        best = optimize.least_squares(weighted, p, method="lm", args=(scatter,))
+        best = scipy.optimize.least_squares(weighted, p, method="lm", args=(scatter,))
         p = best.x
     after = float(np.sum(rest(p) ** 2))
     gain = 0.5 * max(_rest(powers, z) - after, 0.0) / max(after / free, _LEAST_FIGURE**2)

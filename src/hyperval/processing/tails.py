@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq, minimize_scalar
+import scipy
 from scipy.special import chdtrc, fdtrc, gammaln, ndtr
 
 from hyperval.errors import UsageError
@@ -125,7 +125,7 @@ def fit_tail_dof(
     def fit(a: float) -> float:
         return weight * tail_log_likelihood(a + offset, d, dimension)
 
-    best = minimize_scalar(
+    best = scipy.optimize.minimize_scalar(
         lambda a: -fit(a), bounds=(0.0, _MOST - offset), method="bounded", options={"xatol": 1e-9}
     )
     at, top, normal = float(best.x), -float(best.fun), fit(0.0)
@@ -136,8 +136,8 @@ def fit_tail_dof(
         return top - fit(a) - _HALF_DROP
 
     end = _MOST - offset
-    high = end if drop(end) < 0 else float(brentq(drop, at, end))
-    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else float(brentq(drop, 0.0, at))
+    high = end if drop(end) < 0 else float(scipy.optimize.brentq(drop, at, end))
+    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else float(scipy.optimize.brentq(drop, 0.0, at))
     # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
     # (Self & Liang 1987).
     p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import nnls
+import scipy
 
 from hyperval.errors import UsageError
 from hyperval.processing.filters import PositiveDefinite
@@ -68,5 +68,5 @@ def _closest_in_simplex(pixel: Array, endmembers: Array) -> Array:
     matrix = np.vstack([reduced, np.ones(endmembers.shape[0])])
     right = np.zeros(matrix.shape[0])
     right[-1] = 1.0
-    u, _ = nnls(matrix, right)
+    u, _ = scipy.optimize.nnls(matrix, right)
     return np.asarray(u / u.sum())
