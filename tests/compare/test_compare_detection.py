@@ -142,7 +142,7 @@ def test_a_curve_that_ends_early_or_has_no_interval():
 
 
 def test_one_object_gives_values_but_no_verdict():
-    # Measured 1 of 1: the interval is 0.025 to 1, so that a prediction of 1e-18 would be "inside".
+    # Measured 1 of 1: the interval is 0.05 to 1, so that a prediction of 1e-18 would be "inside".
     single = empirical_roc([5.0], np.random.default_rng(1).normal(size=20000), unit="object")
     rows = by_metric(compare_roc(model_curve(-9.0), single, equivalence_margin=0.1, **NAMES))
     assert rows["pd_measured@1e-2"].value == 1.0
@@ -150,7 +150,7 @@ def test_one_object_gives_values_but_no_verdict():
     for metric in ("pd_inside_interval", "pd_inside_measured_interval", "pd_equivalent"):
         row = rows[f"{metric}@1e-2"]
         assert row.outcome is Outcome.SKIPPED
-        assert row.reason == "the measured interval 0.025 to 1 from 1 object accepts nearly any prediction"
+        assert row.reason == "the measured interval 0.05 to 1 from 1 object accepts nearly any prediction"
     # A gate on it is skipped. A pool of this row alone knows nothing of the share: counted as amiss it is 0 of 1,
     # with 0 as the lower limit; counted as met 1 of 1, with 1 as the upper one; 0 to 1 lies neither in nor out.
     plan = {"product": "roc", "metric": "pd_inside_interval@1e-2", "reason": "why"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import clopper_pearson
+from hyperval.processing.intervals import mid_p_limits
 from hyperval.processing.objects import footprint_sums
 from hyperval.processing.roc import empirical_roc, pooled_roc
 
@@ -19,11 +19,11 @@ def test_a_pool_counts_the_targets_of_all_curves_at_one_false_alarm_rate():
     pool = pooled_roc([a, b])
     assert pool.n_target == 20
     assert np.allclose(pool.pd, (7 * a.pd + 13 * b.pd) / 20)
-    low, high = clopper_pearson(np.rint(20 * pool.pd).astype(int), 20)
+    low, high = mid_p_limits(np.rint(20 * pool.pd).astype(int), 20)
     # Each curve's own interval is the binomial one and what its threshold adds in quadrature.
     parts = []
     for curve, n in ((a, 7), (b, 13)):
-        own = clopper_pearson(np.rint(n * curve.pd), n)
+        own = mid_p_limits(np.rint(n * curve.pd), n)
         sides = ((curve.pd - curve.pd_lower, curve.pd - own[0]), (curve.pd_upper - curve.pd, own[1] - curve.pd))
         parts.append([n / 20 * np.sqrt(np.maximum(w**2 - p**2, 0)) for w, p in sides])
     below, above = np.sum(parts, axis=0)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import clopper_pearson
+from hyperval.processing.intervals import mid_p_limits
 from hyperval.processing.objects import (
     footprint,
     footprint_maxima,
@@ -146,7 +146,7 @@ def test_interval_against_the_definition_rank_by_rank(n, pfa):
     s = min(k for k in range(1, n + 1) if stats.binom.sf(k - 1, n, pfa) <= 0.025)
     # The k-th greatest background score is n - k; k of the targets lie above it.
     pd = (int(n * pfa) + 1) / n
-    low, high = clopper_pearson(int(n * pfa) + 1, n)
+    low, high = mid_p_limits(int(n * pfa) + 1, n)
     assert found.pd[0] == pd
     assert found.lower[0] == pytest.approx(pd - np.hypot(pd - low, pd - r / n), rel=1e-12)
     assert found.upper[0] == pytest.approx(pd + np.hypot(high - pd, s / n - pd), rel=1e-12)
@@ -157,7 +157,7 @@ def test_a_background_too_small_gives_no_lower_limit():
     assert found.pd.tolist() == [1.0, 1.0]
     assert found.lower[0] == 0.0
     assert found.lower[1] > 0.9
-    assert found.binomial_lower[0] == pytest.approx(float(clopper_pearson(50, 50)[0]))
+    assert found.binomial_lower[0] == pytest.approx(float(mid_p_limits(50, 50)[0]))
 
 
 @given(st.integers(0, 2**31))

@@ -25,7 +25,7 @@ _FLAG = of_unit(0.0)
 _AUC = of_unit(0.002)
 _AREA = of_value(0.01)
 _AFTER = "; after @ the false-alarm probability"
-_EXACT = "exact binomial or clustered"
+_MID_P = "mid-P binomial, and the threshold's"
 _WIDTH = "object scores spread 1.5 times as widely about their medians"
 _PER_KM2 = "km-2"
 _MODEL = "(3.26)-(3.33), docs/model.md#processing"
@@ -35,7 +35,7 @@ _JUDGED = "defined here, docs/statistics.md#outcomes-comparegatespy-compareoutco
 _CURVES = "defined here, docs/statistics.md#roc-processingrocpy-processingroc_areaspy"
 _TWO_CURVES = "defined here, docs/statistics.md#predicted-against-measured-roc-comparerocpy"
 _SCHUIRMANN = "Schuirmann, J. Pharmacokinet. Biopharm. 15, 657, 1987"
-_BINOMIAL = "Clopper & Pearson, Biometrika 26, 404, 1934"
+_BINOMIAL = "Lancaster, J. Am. Stat. Assoc. 56, 223, 1961"
 _REGION = "Kerekes, IEEE Geosci. Remote Sens. Lett. 5, 251, 2008"
 _DELONG = "DeLong et al., Biometrics 44, 837, 1988"
 _UNMIXED = "Heinz & Chang, IEEE Trans. Geosci. Remote Sens. 39, 529, 2001"
@@ -126,13 +126,13 @@ METRICS = (
            short="false-alarm rate", reference=_TOGETHER),
     # ROC.
     Metric("pd", "detection probability of one side alone" + _AFTER, "campaign.one_side.product_rows", low=0.0,
-           high=1.0, better="high", interval=_EXACT, tolerance=_PROBABILITY,
+           high=1.0, better="high", interval=_MID_P, tolerance=_PROBABILITY,
            formula="P(score > t), t at the P_FA", reference=_MODEL),
     Metric("pd_predicted", "predicted detection probability" + _AFTER, "processing.roc_reading.detection_at",
            low=0.0, high=1.0, interval="draws of the inputs", tolerance=_PROBABILITY,
            formula="sum_k w_k Phi((m_k - t) / s_k) (3.31)", reference=_MODEL),
     Metric("pd_measured", "measured detection probability" + _AFTER, "processing.roc_reading.detection_at", low=0.0,
-           high=1.0, interval=_EXACT, tolerance=_COUNT, evidence=_PIPELINE,
+           high=1.0, interval=_MID_P, tolerance=_COUNT, evidence=_PIPELINE,
            formula="k / m above the threshold of the P_FA", reference=_BINOMIAL),
     Metric("pd_difference", "difference of these (predicted − measured)" + _AFTER, _DIFFERENCE, "P_p - P_o",
            low=-1.0, high=1.0, agreement=0.0, interval="Newcombe", tolerance=_COUNT, reference=_NEWCOMBE,

@@ -1,4 +1,4 @@
-"""Exact intervals of a proportion: detections out of targets, false alarms out of background pixels."""
+"""Intervals of a proportion: detections out of targets, false alarms out of background pixels."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from hyperval.errors import UsageError
 
 Array = npt.NDArray[np.float64]
 Sides = Literal["two", "lower", "upper"]
+_HALVINGS = 50
 
 
 def clopper_pearson(
@@ -76,6 +77,41 @@ def jeffreys_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     lower = np.where(k > 0.0, special.betaincinv(k + 0.5, rest + 0.5, tail), 0.0)
     upper = np.where(rest > 0.0, special.betaincinv(k + 0.5, rest + 0.5, 1.0 - tail), 1.0)
     return lower, upper
+
+
+def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
+    """Limits of a proportion whose tails count the observed number itself by half.
+
+    With g(p) = P(X > count | p) + P(X = count | p)/2, which rises with p, the lower limit solves g = a and the
+    upper one g = 1 - a, a = (1 - level)/2.  :func:`clopper_pearson` counts the observed number whole, on both
+    sides, so that it holds a level for every p and goes above it on average.  Coverage at 95 % of these is 0.92 at
+    least for proportions from 0.02 to 0.96, whatever the total, and 0.98 (of 5) to 0.95 (of 80 and more) on the
+    average.  Source: Lancaster, J. Am. Stat. Assoc. 56, 223-234, 1961; Berry & Armitage, The Statistician 44,
+    417-423, 1995.
+
+    Examples
+    --------
+    >>> low, high = mid_p_limits(15, 20)
+    >>> print(f"{low:.3f} {high:.3f}")
+    0.530 0.902
+    """
+    k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
+    _check(k, n, level)
+    tail = (1.0 - level) / 2.0
+    # P(X >= k) and P(X > k) are incomplete beta functions, 1 and 0 at the end counts.
+    some, not_all = np.maximum(k, 1.0), np.maximum(n - k, 1.0)
+
+    def quantile(wanted: float) -> Array:
+        low, high = np.zeros(k.shape), np.ones(k.shape)
+        for _ in range(_HALVINGS):
+            p = 0.5 * (low + high)
+            at_least = np.where(k > 0, special.betainc(some, n - k + 1.0, p), 1.0)
+            more = np.where(k < n, special.betainc(k + 1.0, not_all, p), 0.0)
+            below = 0.5 * (at_least + more) < wanted
+            low, high = np.where(below, p, low), np.where(below, high, p)
+        return np.asarray(0.5 * (low + high))
+
+    return np.where(k > 0, quantile(tail), 0.0), np.where(k < n, quantile(1.0 - tail), 1.0)
 
 
 def zero_count_upper_limit(total: int, level: float = 0.95) -> float:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.processing.alarm_blocks import AlarmBlocks, same_scores
 from hyperval.processing.alarms import alarms_at_detection
-from hyperval.processing.intervals import clopper_pearson
+from hyperval.processing.intervals import mid_p_limits
 from hyperval.processing.order_statistics import OrderStatistics
 from hyperval.processing.rank_counts import counts_of
 from hyperval.processing.roc_areas import area_estimates, areas_within, pooled_areas
@@ -31,7 +31,7 @@ class DetectionRate:
     """Detection probability at preset false-alarm probabilities.
 
     All arrays are (K,).  ``lower``/``upper`` hold the threshold's sampling error too; ``binomial_lower``/
-    ``binomial_upper`` are Clopper-Pearson limits for the threshold as it was drawn.
+    ``binomial_upper`` are mid-P limits for the threshold as it was drawn.
     """
 
     pfa: Array
@@ -62,12 +62,13 @@ def pd_at_pfa(
     background pixels lie above it, with ties or without.
 
     The interval joins two independent uncertainties.  (1) The share of targets above the threshold is binomial:
-    Clopper-Pearson.  (2) The threshold x that truly gives ``pfa`` is known only through the background sample:
-    the number of background scores above x is binomial, so x lies between two order statistics of the
-    background, at which P_D is read again; where n pfa is too small, no score bounds x from above and the lower
-    limit of P_D is 0.  Where the places of the background are known (``blocks``), alarms that come in clusters
-    widen that range (:meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.rank_limits`).  The distances of both
-    from P_D are added in quadrature on each side (as in Newcombe, Stat. Med. 17, 873-890, 1998).  Simulated
+    mid-P limits (:func:`~hyperval.processing.intervals.mid_p_limits`), since a level that is to hold for every P_D
+    is void beside the second part anyhow.  (2) The threshold x that truly gives ``pfa`` is known only through the
+    background sample: the number of background scores above x is binomial, so x lies between two order
+    statistics of the background, at which P_D is read again; where n pfa is too small, no score bounds x from above
+    and the lower limit of P_D is 0.  Where the places of the background are known (``blocks``), alarms that come in
+    clusters widen that range (:meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.rank_limits`).  The distances of
+    both from P_D are added in quadrature on each side (as in Newcombe, Stat. Med. 17, 873-890, 1998).  Simulated
     coverage at 95 % is 0.95 to 0.99, table in docs/statistics.md; with the first part alone it falls below 0.4 for
     a small background and many targets.  Targets must be independent of each other, so count objects, not the
     pixels of one object.
@@ -104,7 +105,7 @@ def pd_at_pfa(
     threshold, everything = ordered.greatest(k + 1), k >= b.size
     detected = _above(t, threshold, everything)
     alarms = np.where(everything, b.size, ordered.above(threshold))
-    low, high = clopper_pearson(detected, t.size, level)
+    low, high = mid_p_limits(detected, t.size, level)
     few = np.where(r >= 1, _above(t, ordered.greatest(np.maximum(r, 1)), np.zeros(p.shape, bool)), 0)
     many = _above(t, ordered.greatest(s), s > b.size)
     pd = detected / t.size
@@ -191,7 +192,7 @@ def with_summary(
 def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
     """One curve for several groups of targets, each with its own detector, at the same false-alarm probability.
 
-    P_D is the share of all targets detected; its interval is that of Clopper & Pearson on the pooled count and, in
+    P_D is the share of all targets detected; its interval is the mid-P one of the pooled count and, in
     quadrature, what the sampling of the thresholds brings to each curve, added by the shares of the targets: the
     detectors share their background, and its errors may go together.
 
@@ -211,12 +212,12 @@ def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
     at = [[int(np.argmin(np.abs(c.pfa / x - 1.0))) for x in grid] for c in curves]
     detected = sum(np.rint(c.pd[i] * int(c.n_target or 0)) for c, i in zip(curves, at, strict=True))
     total = sum(int(c.n_target or 0) for c in curves)
-    low, high = clopper_pearson(np.asarray(detected, dtype=np.int64), total, level)
+    low, high = mid_p_limits(np.asarray(detected, dtype=np.int64), total, level)
     pd = np.asarray(detected) / total
     below, above = np.zeros(grid.size), np.zeros(grid.size)
     for curve, i in zip(curves, at, strict=True):
         share = int(curve.n_target or 0) / total
-        each = clopper_pearson(np.rint(curve.pd[i] * int(curve.n_target or 0)), int(curve.n_target or 0), level)
+        each = mid_p_limits(np.rint(curve.pd[i] * int(curve.n_target or 0)), int(curve.n_target or 0), level)
         below += share * _beyond(curve.pd[i] - curve.pd_lower[i], curve.pd[i] - each[0])
         above += share * _beyond(curve.pd_upper[i] - curve.pd[i], each[1] - curve.pd[i])
     backgrounds = [c.n_background for c in curves if c.n_background is not None]
