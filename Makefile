@@ -17,7 +17,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check power scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage bill audit robustness
+.PHONY: help setup validate check power scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage docs bill audit robustness
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -67,6 +67,10 @@ audit: $(READY)  ## known weaknesses of the locked packages (needs pip-audit, an
 	@command -v pip-audit >/dev/null || { echo "make audit needs pip-audit: $(PYTHON) -m pip install pip-audit" >&2; exit 2; }
 	pip-audit --requirement requirements.lock --disable-pip --no-deps
 
+docs: $(READY)  ## render the documentation, its examples run; build/docs/index.html
+	@$(BIN)/python -c "import furo, myst_parser, sphinx_gallery" 2>/dev/null || sh scripts/setup.sh requirements-docs.lock
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+
 lint: $(READY)  ## check style, and which room imports which
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
@@ -85,6 +89,8 @@ lock:  ## renew requirements.lock after a change of dependencies (needs uv)
 	@command -v uv >/dev/null || { echo "make lock needs uv: $(PYTHON) -m pip install uv" >&2; exit 2; }
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
 	  --group dev $(LOCK_FLAGS) pyproject.toml -o requirements.lock
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+	  --group pyproject.toml:docs -c requirements.lock $(LOCK_FLAGS) -o requirements-docs.lock
 
 clean:  ## remove .venv and everything that tools left
 	rm -rf $(VENV) build dist .pytest_cache .import_linter_cache .mypy_cache .ruff_cache .hypothesis

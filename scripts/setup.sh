@@ -1,10 +1,12 @@
 #!/bin/sh
 # Make the virtual environment $VENV with $PYTHON from requirements.lock: with uv where it is on the
-# PATH, otherwise with venv and pip.  Every archive is checked against its hash in the lock.
+# PATH, otherwise with venv and pip.  Every archive is checked against its hash in the lock.  Given the name of another
+# lock, its packages are added to the environment.
 set -eu
 
 PYTHON=${PYTHON:-python3}
 VENV=${VENV:-.venv}
+LOCK=${1:-requirements.lock}
 
 stop() {
     printf 'setup: %s\n' "$1" >&2
@@ -19,7 +21,7 @@ command -v "$PYTHON" >/dev/null 2>&1 ||
 
 if command -v uv >/dev/null 2>&1; then
     [ -x "$VENV/bin/python" ] || uv venv --quiet --clear --no-python-downloads --python "$PYTHON" "$VENV"
-    uv pip install --quiet --python "$VENV/bin/python" --require-hashes -r requirements.lock
+    uv pip install --quiet --python "$VENV/bin/python" --require-hashes -r "$LOCK"
     uv pip install --quiet --python "$VENV/bin/python" --no-deps --no-build-isolation -e .
 else
     "$PYTHON" -c 'import ensurepip, venv' 2>/dev/null ||
@@ -27,7 +29,7 @@ else
     if ! "$VENV/bin/python" -m pip --version >/dev/null 2>&1; then
         "$PYTHON" -m venv --clear "$VENV"
     fi
-    echo "setup: installing from requirements.lock; this takes a minute or two the first time" >&2
-    "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+    echo "setup: installing from $LOCK; this takes a minute or two the first time" >&2
+    "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r "$LOCK"
     "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 fi

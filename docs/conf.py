@@ -1,0 +1,65 @@
+"""Settings of the rendered documentation: ``make docs`` builds it into ``build/docs``; nothing is fetched."""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any
+
+import hyperval
+
+# The examples print nothing of the machine that they ran on, and leave no progress bars behind.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+project = "hyperval"
+release = version = hyperval.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
+exclude_patterns = ["examples/*", "gallery/*.md5"]
+templates_path: list[str] = []
+
+html_theme = "furo"
+html_title = f"hyperval {release}"
+html_copy_source = False
+html_show_copyright = False
+html_static_path: list[str] = []
+
+myst_heading_anchors = 4
+# Files of the repository that are named by the documents and are not documents themselves.
+suppress_warnings = ["myst.xref_missing", "myst.header", "config.cache"]
+
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+
+sphinx_gallery_conf = {
+    "examples_dirs": "examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",
+    "within_subsection_order": "FileNameSortKey",
+    "capture_repr": ("_repr_html_",),
+    "show_memory": False,
+    "show_signature": False,
+    "min_reported_time": 1e9,
+    "write_computation_times": False,
+    "download_all_examples": False,
+    "abort_on_example_error": True,
+}
+
+
+def errors_as_list(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Errors of a docstring as a list: ``Raises`` has "NAME, NAME : when" on lines of their own."""
+    if "Raises" not in lines:
+        return
+    start = lines.index("Raises")
+    text = " ".join(line.strip() for line in lines[start + 2 :])
+    parts = re.split(r"(?:^|(?<=[.;]) )((?:\w+Error(?:, )?)+) : ", text)[1:]
+    lines[start:] = ["**Raises**", ""]
+    for names, when in zip(parts[::2], parts[1::2], strict=True):
+        lines += [f"- {', '.join(f'``{n}``' for n in names.split(', '))}: {when.strip()}"]
+    lines.append("")
+
+
+def setup(app: Any) -> None:
+    """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", errors_as_list, priority=400)
