@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError
+from hyperval.errors import InputError, reader
 from hyperval.products import Prediction, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis
 
@@ -44,6 +44,7 @@ def write_answer(path: Path, prediction: Prediction) -> None:
         np.savez(file, names=np.array(json.dumps(names)), **arrays)
 
 
+@reader
 def read_answer(path: Path) -> Prediction:
     """A prediction as pages draw it: the error covariance of a spectrum is diagonal.
 
