@@ -94,9 +94,11 @@ class Place:
 
     def pixels_of(self, name: str) -> Mask:
         """Pixels of a region that count: without targets, their guard and other regions that are left out."""
-        mask = self.region(name) & ~self.near_targets
+        mask = self.region(name)
+        if self.targets:  # a mask of a large image is 9 MB, and so is each step
+            mask = mask & ~self.near_targets
         for other in () if name in self.leave_out else self.leave_out:
-            mask &= ~self.region(other)
+            mask = mask & ~self.region(other)
         return mask
 
     def region(self, name: str) -> Mask:
@@ -125,11 +127,11 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     near = all_pixels(targets, cube.shape)
     if targets and collection.targets and collection.targets.guard_pixels:
         near = guard(near, collection.targets.guard_pixels)
-    left_out = near.copy()
+    left_out = near
     for name in collection.leave_out:
         if name not in regions:
             raise UsageError(f"leave_out names {name!r}, which is no region", expected=", ".join(regions))
-        left_out |= regions[name].mask
+        left_out = left_out | regions[name].mask
     notes = [*cube.notes, *source_of, *header_notes(cube)]
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
