@@ -202,11 +202,13 @@ def prisma(path: Path, level: str = "L1", *, edges: bool = False) -> tuple[np.nd
         if level == "L1":
             for name in ("Vnir", "Swir"):
                 file.attrs[f"ScaleFactor_{name}"], file.attrs[f"Offset_{name}"] = np.float32(100.0), np.float32(0.5)
-            place = file.create_group("HDFEOS/SWATHS/PRS_L1_HCO/Geolocation Fields")
+        if level != "L2D":
+            place = file.create_group(f"HDFEOS/SWATHS/PRS_{level}_HCO/Geolocation Fields")
             rows, cols = np.mgrid[0:LINES, 0:SAMPLES]
-            place["Latitude_VNIR"] = (44.0 - 0.00027 * rows + 0.00005 * cols).astype(np.float32)
-            place["Longitude_VNIR"] = (10.0 + 0.00037 * cols + 0.00004 * rows).astype(np.float32)
-        else:
+            end = "_VNIR" if level == "L1" else ""
+            place["Latitude" + end] = (44.0 - 0.00027 * rows + 0.00005 * cols).astype(np.float32)
+            place["Longitude" + end] = (10.0 + 0.00037 * cols + 0.00004 * rows).astype(np.float32)
+        if level != "L1":
             for name, low, high in (("Vnir", 0.0, 0.9), ("Swir", 0.01, 0.7)):
                 file.attrs[f"L2Scale{name}Min"], file.attrs[f"L2Scale{name}Max"] = np.float32(low), np.float32(high)
             inner = 0 if edges else 1

@@ -18,7 +18,7 @@ from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.array_raster import SLAB_BYTES
-from hyperval.imagery.companions import sun_zenith_deg
+from hyperval.imagery.companions import sun_zenith_deg, table_of
 from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.layouts import layouts
 from hyperval.imagery.lookup_table import open_lookup_table
@@ -507,3 +507,75 @@ def test_where_there_is_no_room_for_a_file_lines_are_unpacked_again(tmp_path: Pa
     monkeypatch.setattr("hyperval.imagery.slabs.tempfile.TemporaryFile", full)
     raster = open_raster(tmp_path / "a.nc")
     np.testing.assert_array_equal([raster.read_bands(line, 1) for line in range(LINES)], want)
+
+
+def test_a_map_position_of_level_1b_is_no_map_and_the_sun_is_in_the_metadata(tmp_path: Path):
+    image, _ = shells.enmap(tmp_path, "L1B")
+    metadata = next(tmp_path.glob("*.XML"))
+    sun = "<sunElevationAngle><upper_left>40</upper_left><center>52.5</center></sunElevationAngle>"
+    metadata.write_text(metadata.read_text().replace("<specific>", "<specific>" + sun, 1))
+    cube = open_cube(image, quantity="radiance")
+    assert (cube.transform, cube.crs) == (None, None)
+    assert any("a fit to its corners" in note for note in cube.notes)
+    assert sun_zenith_deg(cube.raster) == (37.5, metadata.name)
+
+
+def test_desis_without_a_no_data_value_has_that_of_its_layout(tmp_path: Path):
+    image, _ = shells.enmap(tmp_path, "L2A", sensor="DESIS")
+    metadata = next(tmp_path.glob("*.xml"))
+    text = metadata.read_text().replace(
+        "<backgroundValue>-32768</backgroundValue>", "<sunZenithAngle>30</sunZenithAngle>"
+    )
+    metadata.write_text(text)
+    with rasterio.open(image, "r+") as file:
+        file.nodata = None
+    cube = open_cube(image, quantity="reflectance")
+    assert np.isnan(values_of(cube)[0, 0]).all()
+    assert np.isfinite(values_of(cube)[1:]).all()
+    assert sun_zenith_deg(cube.raster) == (30.0, metadata.name)
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_an_image_cut_into_tiles_for_the_cloud_is_found_by_its_metadata(tmp_path: Path, both: bool):
+    image, _ = shells.enmap(tmp_path, "L2A")
+    tiles = image.with_name(f"{image.stem}_COG.TIF")
+    tiles.write_bytes(image.read_bytes())
+    if not both:
+        image.unlink()
+    cube = open_cube(next(tmp_path.glob("*.XML")), quantity="reflectance")
+    assert cube.raster.path == (image if both else tiles)
+
+
+def test_tanager_states_its_unit_and_sun_in_its_own_way(tmp_path: Path):
+    values = shells.tanager(tmp_path / "t.h5", ortho=True)
+    name = "HDFEOS/GRIDS/HYP/Data Fields/"
+    with h5py.File(tmp_path / "t.h5", "r+") as file:
+        image = file[name + "toa_radiance"]
+        del image.attrs["_FillValue"]
+        image.attrs["Unit"] = "uW/(cm^2 sr nm)"
+        angles = np.full((LINES, SAMPLES), 33.0, np.float32)
+        angles[:2] = -9999.0
+        file[name + "sun_zenith"] = angles
+    cube = open_cube(tmp_path / "t.h5", quantity="radiance")
+    values[2, 3] = np.nan
+    assert np.allclose(values_of(cube), values, rtol=1e-6, equal_nan=True)
+    assert sun_zenith_deg(cube.raster) == (33.0, "t.h5")
+
+
+def test_the_system_of_a_grid_mapping_under_its_other_name(tmp_path: Path):
+    shells.aviris(tmp_path / "a.nc", "reflectance")
+    with h5py.File(tmp_path / "a.nc", "r+") as file:
+        attributes = file["transverse_mercator"].attrs
+        attributes["crs_wkt"] = attributes["spatial_ref"]
+        del attributes["spatial_ref"]
+    assert open_cube(tmp_path / "a.nc", quantity="reflectance").crs.to_epsg() == 32611
+
+
+def test_prisma_reflectance_in_scanner_geometry_has_its_places(tmp_path: Path):
+    vnir, _ = shells.prisma(tmp_path / "p.he5", "L2C")
+    cube = open_cube(tmp_path / "p.he5", quantity="reflectance")
+    assert cube.axis.centre_nm.tolist() == pytest.approx([402.5, 650.8, 951.0, 972.7, 2496.9], rel=1e-6)
+    assert np.allclose(values_of(cube)[..., 0], vnir[:, 2] * 0.9 / 65535.0, rtol=1e-6)
+    table, _ = table_of(cube.raster)
+    assert table is not None
+    assert cube.transform is None

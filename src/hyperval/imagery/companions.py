@@ -15,6 +15,7 @@ from hyperval.imagery.location import location_table
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.observation_geometry import SAMPLED_LINES, SUN_ZENITH, sun_of_observation, sun_of_product
 from hyperval.imagery.rasters import Raster, open_raster
+from hyperval.imagery.tiff_raster import TiffRaster
 from hyperval.imagery.trees import location_names, lookup_raster
 
 Array = npt.NDArray[np.float64]
@@ -80,10 +81,14 @@ def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:
 
     Also the name of the file.  None where there is none of the cube's size, or none of its bands is called so.
     """
+    if isinstance(raster, TiffRaster):
+        about = raster.description
+        stated = about.sun_zenith_deg if about is not None else None
+        return None if stated is None else (stated, raster.other_files[0].name)
     own = sun_of_product(raster) if isinstance(raster, ArrayRaster) else None
     if own is not None:
         return own, raster.path.name
-    path = companion(raster.path, "obs") if isinstance(raster, EnviRaster | ArrayRaster) else None
+    path = companion(raster.path, "obs")
     if path is None:
         return None
     shape = (raster.lines, raster.samples)

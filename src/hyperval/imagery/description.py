@@ -34,6 +34,8 @@ class Description:
     sorts : bands may be sorted by wavelength without being told to, as the layout of the product is known
     entries : what else is said, by key, as the entries of a header
     notes : what was assumed
+    rectified : False for an image in scanner geometry, whatever map position its file states
+    sun_zenith_deg : zenith angle of the sun for the whole image, None when it is not stated
     """
 
     product: str
@@ -50,6 +52,8 @@ class Description:
     sorts: bool = False
     entries: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    rectified: bool = True
+    sun_zenith_deg: float | None = None
 
     @property
     def all_notes(self) -> tuple[str, ...]:

@@ -97,7 +97,10 @@ class Sidecar(Model):
     level: str
     source: str
     ignore: str | None = None
+    fill: float | None = None
     time: str | None = None
+    sun_zenith: str | None = None
+    sun_elevation: str | None = None
 
 
 class Layouts(Model):

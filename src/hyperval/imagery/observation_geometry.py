@@ -26,6 +26,11 @@ def sun_of_product(raster: ArrayRaster) -> float | None:
         tree = tree_of(file)
         if tree is None or tree.sun_zenith is None:
             return None
+        array = None if "@" in tree.sun_zenith else member(file, tree.sun_zenith)
+        if isinstance(array, h5py.Dataset) and array.ndim == 2:
+            angles = _some_lines(array, None)
+            angles = angles[(angles >= 0.0) & (angles <= 180.0)]
+            return float(np.median(angles)) if angles.size else None
         text = Values(file, raster.path).text(tree.sun_zenith)
     try:
         angle = float(text or "nan")

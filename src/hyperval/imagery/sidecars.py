@@ -19,12 +19,17 @@ from hyperval.units import radiance_to_internal
 
 MAX_XML_BYTES = 64 << 20
 MAX_JSON_BYTES = 4 << 20
+_NO_MAP = "in scanner geometry: a map position of the file is a fit to its corners and is left aside"
 _UNRECTIFIED = "one detector in scanner geometry: the other sees a place some lines apart, as a cube of its own"
 MAX_ITEMS = 20  # files of JSON that are looked at for one that names the image
 
 
-def described_beside(image: Path, bands: int, root: Path | None = None) -> tuple[Description, Path] | None:
+def described_beside(
+    image: Path, bands: int, nodata: float | None = None, root: Path | None = None
+) -> tuple[Description, Path] | None:
     """What the metadata beside a GeoTIFF of ``bands`` bands say of it, and their file; None where there are none.
+
+    ``nodata`` : as the GeoTIFF itself states it, where the metadata do not.
 
     Raises
     ------
@@ -39,7 +44,8 @@ def described_beside(image: Path, bands: int, root: Path | None = None) -> tuple
             if candidate.is_file():
                 made = _from_xml(sidecar, checked_file(candidate, root=root, what="metadata file"), image, bands)
                 if made is not None:
-                    return made, candidate
+                    lacks = made.ignore_value is None and nodata is None
+                    return (replace(made, ignore_value=sidecar.fill) if lacks else made), candidate
     return _from_stac(image, bands, root)
 
 
@@ -62,18 +68,21 @@ def image_of(metadata: Path, detector: str | None = None) -> Path:
             fits = [p for p in tiffs if p.name.upper().startswith(start)]
             if not fits:
                 raise InputError(f"no image {stem}{sidecar.image}... beside it", where=str(metadata))
-            of_detector = {p.stem[len(start) :].strip("_").upper(): p for p in fits}
+            # The same image may lie there again, cut into tiles for the cloud.
+            fits.sort(key=lambda p: not p.stem.upper().endswith("_COG"))
+            of_detector = {p.stem[len(start) :].upper().removesuffix("_COG").strip("_"): p for p in fits}
             if detector is not None and detector.upper() in of_detector:
                 return of_detector[detector.upper()]
-            if detector is not None or len(fits) > 1:
+            if detector is not None or len(of_detector) > 1:
+                names = ", ".join(p.name for p in of_detector.values())
                 raise UsageError(
-                    f"{len(fits)} images could be meant: {', '.join(p.name for p in fits)}",
+                    f"{len(of_detector)} images could be meant: {names}",
                     where=str(metadata),
                     expected="variable: " + " or ".join(of_detector),
                     mend="state the detector; those of level 1B see a place some lines apart and are no one cube, "
                     "level 1C has them on one grid",
                 )
-            return fits[0]
+            return next(iter(of_detector.values()))
     raise InputError("no metadata of a product that is known", where=str(metadata), expected="...-METADATA.XML")
 
 
@@ -97,6 +106,12 @@ def _from_xml(sidecar: Sidecar, path: Path, image: Path, bands: int) -> Descript
     quantity = None if level is None else "reflectance" if level.startswith("L2") else "radiance"
     ignore = root.findtext(sidecar.ignore) if sidecar.ignore is not None else None
     entries = {"sensor": sidecar.sensor}
+    zenith = _angle(root, sidecar.sun_zenith)
+    if zenith is None and (elevation := _angle(root, sidecar.sun_elevation)) is not None:
+        zenith = 90.0 - elevation
+    rectified = level is None or not level.startswith("L1") or level == "L1C"
+    notes = [] if rectified else [_NO_MAP]
+    notes += [_UNRECTIFIED] if detector is not None else []
     when = root.findtext(sidecar.time) if sidecar.time is not None else None
     if when:
         entries["acquisition time"] = when.strip()
@@ -111,9 +126,11 @@ def _from_xml(sidecar: Sidecar, path: Path, image: Path, bands: int) -> Descript
         unit=sidecar.radiance_unit if quantity == "radiance" else "1" if quantity else None,
         ignore_value=_number(ignore, str(sidecar.ignore), path) if ignore else None,
         sensor=sidecar.sensor,
+        rectified=rectified,
+        sun_zenith_deg=zenith,
         sorts=True,
         entries=entries,
-        notes=(_UNRECTIFIED,) if detector is not None else (),
+        notes=tuple(notes),
     )
 
 
@@ -127,6 +144,15 @@ def _xml(path: Path) -> ElementTree.Element:
         return ElementTree.fromstring(raw)  # noqa: S314 - no entity can be declared
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise InputError(f"not valid XML: {error}", where=str(path)) from error
+
+
+def _angle(root: ElementTree.Element, tag: str | None) -> float | None:
+    """An angle between 0 and 180 degrees; None where there is none."""
+    try:
+        angle = float((root.findtext(tag) if tag else None) or "nan")
+    except ValueError:
+        return None
+    return angle if 0.0 <= angle <= 180.0 else None
 
 
 def _number(text: str | None, what: str, path: Path) -> float:

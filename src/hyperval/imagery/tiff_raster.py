@@ -150,10 +150,12 @@ def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffR
         )
     sidecar = Path(header) if header is not None else header_beside(path)
     if sidecar is None:
-        described = described_beside(path, raster.bands, root)
+        described = described_beside(path, raster.bands, raster.nodata, root)
         if described is None:
             return raster
-        return replace(raster, description=described[0], other_files=(described[1],))
+        about, metadata = described
+        place = (raster.transform, raster.crs) if about.rectified else (None, None)
+        return replace(raster, transform=place[0], crs=place[1], description=about, other_files=(metadata,))
     parsed = read_header(checked_file(sidecar, root=root, what="ENVI header"), sidecar=True)
     shape, stated = (raster.lines, raster.samples, raster.bands), (parsed.lines, parsed.samples, parsed.bands)
     if shape != stated:

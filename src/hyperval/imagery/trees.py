@@ -181,7 +181,7 @@ def _unit(tree: Tree, datasets: list[h5py.Dataset], path: Path) -> tuple[str, tu
     if tree.quantity != "radiance":
         return tree.unit, ()
     for dataset in datasets:
-        for name in ("units", "Units", "unit"):
+        for name in ("units", "Units", "unit", "Unit"):
             stated = dataset.attrs.get(name)
             text = stated.decode("utf-8", "replace") if isinstance(stated, bytes) else stated
             try:
@@ -196,12 +196,13 @@ def _unit(tree: Tree, datasets: list[h5py.Dataset], path: Path) -> tuple[str, tu
 
 
 def _ignore(tree: Tree, values: Values, datasets: list[h5py.Dataset]) -> float | None:
-    if tree.ignore is not None:
+    if isinstance(tree.ignore, str):
         try:
             return values.number(tree.ignore)
         except InputError:
             pass
-    return _fill(datasets[0])
+    stated = _fill(datasets[0])
+    return stated if stated is not None or isinstance(tree.ignore, str) else tree.ignore
 
 
 def _fill(dataset: h5py.Dataset) -> float | None:
@@ -272,6 +273,8 @@ def _from_struct_metadata(text: str | None, piece: Piece) -> Affine | None:
 
 def _crs(tree: Tree, values: Values) -> CRS | None:
     wkt, code = values.text(tree.crs), values.text(tree.epsg)
+    if wkt is None and tree.crs is not None:  # of the grid mapping of CF, which has both names for it
+        wkt = values.text(tree.crs.replace("@spatial_ref", "@crs_wkt"))
     try:
         if code is not None and re.search(r"[0-9]{4,6}", code):
             return CRS.from_epsg(int(re.findall(r"[0-9]{4,6}", code)[-1]))

@@ -94,9 +94,7 @@ class Place:
 
     def pixels_of(self, name: str) -> Mask:
         """Pixels of a region that count: without targets, their guard and other regions that are left out."""
-        mask = self.region(name)
-        if self.targets:  # a mask of a large image is 9 MB, and so is each step
-            mask = mask & ~self.near_targets
+        mask = self.region(name) & ~self.near_targets if self.targets else self.region(name)
         for other in () if name in self.leave_out else self.leave_out:
             mask = mask & ~self.region(other)
         return mask
