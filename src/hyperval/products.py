@@ -201,6 +201,7 @@ class ExceedanceCurve:
     probability : (T,) part of the background above it [1]
     lower, upper : (T,) 95 % interval, that of a measured curve by blocks of the image; NaN where unknown
     n : background pixels, None for a prediction
+    half_image : (T,) factor by which one half of the image misses the other half's; None for a prediction
     """
 
     threshold: Array
@@ -208,6 +209,7 @@ class ExceedanceCurve:
     lower: Array
     upper: Array
     n: int | None = None
+    half_image: Array | None = None
 
 
 @dataclass(frozen=True)

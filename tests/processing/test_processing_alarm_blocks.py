@@ -143,3 +143,19 @@ def test_variance_of_an_area_is_that_of_its_parts_by_block():
         ratio.append(clustered_variance(counts, area, blocks) / area_variance(counts, area)[1])
     # The mean of the greater of two estimates lies above 1; 60 of them know it to 0.03.
     assert 1.0 < np.mean(ratio) < 1.3
+
+
+def test_halves_of_an_image_repeat_alarms_as_well_as_their_clusters_allow():
+    # Independent pixels: k alarms in all, k/2 in a half; the median of |ln ratio| is 0.674 x 2/sqrt(k). Seeds are
+    # fixed; that of one image is known to half of itself, as its own alarms lie as they do.
+    lines, samples = np.divmod(np.arange(40_000), 200)
+    alone = np.random.default_rng(1).standard_normal(40_000)
+    at = np.sort(alone)[::-1][[400]]
+    one = AlarmBlocks.of_places(alone, lines, samples).half_image_factor(at)[0]
+    assert np.log(one) == pytest.approx(0.674 * 2.0 / np.sqrt(400), rel=0.5)
+    # The same number in four roofs of 100 pixels: one half has none, or the halves differ by a factor of 3 often.
+    roofs = np.where((lines % 100 < 10) & (samples % 100 < 10), 10.0, alone)
+    clustered = AlarmBlocks.of_places(roofs, lines, samples).half_image_factor(np.array([9.0]))[0]
+    assert clustered > 1.5 > one
+    single = AlarmBlocks.of_places(alone[:9], lines[:9], samples[:9], 100)
+    assert single.half_image_factor(np.array([0.0]))[0] == np.inf

@@ -84,6 +84,9 @@ def compare_exceedance(
 ) -> list[Result]:
     """Rows ``pfa_ratio@1e-3`` and the like: predicted over measured P_FA at the threshold that was measured for it.
 
+    Beside it ``pfa_repeatability@1e-3``: the factor by which one half of the image misses the other half's P_FA
+    at that threshold; what a model can be asked for ends there.
+
     The interval is that of the measured P_FA, from blocks of the image.  A level that expects fewer than 10 alarms
     gives a SKIPPED row, save that levels below 1e-3 then give none.
 
@@ -112,7 +115,22 @@ def compare_exceedance(
             words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{model:.3g}, "
             words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
             interval = ratio.lower, ratio.upper
+            if observed.half_image is None:
+                out.append(make.row(name, ratio.value, interval=interval, n=observed.n, reason=words))
+                continue
+            factor = float(observed.half_image[at])
+            words += f"; one half of the image misses the other by a factor of {factor:.2g}"
             out.append(make.row(name, ratio.value, interval=interval, n=observed.n, reason=words))
+            alarms = round(measured * (observed.n or 0))
+            if np.isfinite(factor):
+                out.append(
+                    make.row(
+                        f"pfa_repeatability@{scientific(level)}",
+                        factor,
+                        n=observed.n,
+                        reason=f"of {alarms} alarms; half of the random halves differ less",
+                    )
+                )
         return out
 
     return make.compared(predicted, observed, rows)

@@ -124,6 +124,10 @@ METRICS = (
            "the measured one aimed at", "processing.exceedance.false_alarm_ratio", "P_p(x) / P_o(x)", low=0.0,
            agreement=1.0, interval="blocks of the image", tolerance=_ALARM_COUNT, usual=(0.5, 2.0),
            short="false-alarm rate", reference=_TOGETHER),
+    Metric("pfa_repeatability", "factor by which the false-alarm probability of one half of the image misses that "
+           "of the other, at one threshold; the number after @ is the measured one aimed at",
+           "processing.exceedance.exceedance_curve", "median over halves of max(P_1/P_2, P_2/P_1)", low=1.0,
+           better="low", tolerance=_ALARM_COUNT, evidence=_PIPELINE, reference=_TOGETHER),
     # ROC.
     Metric("pd", "detection probability of one side alone" + _AFTER, "campaign.one_side.product_rows", low=0.0,
            high=1.0, better="high", interval=_MID_P, tolerance=_PROBABILITY,

@@ -22,6 +22,7 @@ BLOCKS = 64
 SMALLEST_SIDE = 4
 _RANKS = 160  # thresholds at which design effects are looked up
 _DECADE = 10.0
+_HALVES, _SEED = 400, 23  # ways in which the blocks are parted into two halves
 _GREATEST = 0.75  # weight of the greatest design effect of a decade beside their mean
 
 
@@ -117,6 +118,27 @@ class AlarmBlocks:
         k, effect = self._design_effects(threshold)
         lower, upper = jeffreys_limits(k / effect, self.scores.size / effect)
         return k, lower, upper
+
+    def half_image_factor(self, threshold: Array) -> Array:
+        """(T,) factor by which P_FA of one half of the image misses that of the other, above thresholds that fall.
+
+        The median over random halves of the blocks, of the greater of the two shares over the smaller; inf where
+        one half has no alarm in half of them or more.  The pixels themselves tell no more of other pixels, so that
+        no model can be asked for more.
+        """
+        rng = np.random.default_rng(_SEED)
+        m = self.pixels.size
+        if m < 2:
+            return np.full(threshold.size, np.inf)
+        half = np.zeros((m, _HALVES))
+        for column in half.T:
+            column[rng.permutation(m)[: m // 2]] = 1.0
+        counts = self.counts(threshold)
+        alarms, pixels = counts @ half, self.pixels @ half
+        one, other = alarms / pixels, (counts.sum(axis=1)[:, None] - alarms) / (self.pixels.sum() - pixels)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = np.maximum(one, other) / np.minimum(one, other)
+        return np.asarray(np.median(np.where(np.isnan(factor), 1.0, factor), axis=1))
 
     def _design_effects(self, threshold: Array) -> tuple[Counts, Array]:
         """Alarms (T,) above thresholds (T,) that fall, and the design effect at each."""

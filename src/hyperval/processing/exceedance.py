@@ -64,7 +64,10 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     alarms, lower, upper = (x[::-1] for x in background.pfa_limits(threshold[::-1]))
     struck = np.count_nonzero(background.counts(threshold[::-1]), axis=1)[::-1]
     known = struck >= 2
-    return ExceedanceCurve(threshold, alarms / n, np.where(known, lower, np.nan), np.where(known, upper, np.nan), n)
+    return ExceedanceCurve(
+        threshold, alarms / n, np.where(known, lower, np.nan), np.where(known, upper, np.nan), n,
+        background.half_image_factor(threshold[::-1])[::-1],
+    )  # fmt: skip
 
 
 def exceedance_at(curve: ExceedanceCurve, threshold: float) -> float:

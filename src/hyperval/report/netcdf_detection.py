@@ -160,7 +160,9 @@ def _add_exceedance(data: LabelledArrays, products: Products) -> None:
         return
     dim = _name_entries(data, "exceedance", list(products.exceedance), ("subject", "detector"))
     curves = list(products.exceedance.values())
+    half = ("half_image", "factor by which one half of the image misses the share of the other")
     for name, text in (
+        *((half,) if all(c.half_image is not None for c in curves) else ()),
         ("threshold", "detector score"),
         ("probability", "part of the background above the score"),
         ("lower", "lower 95 % limit of the part of the background above the score"),

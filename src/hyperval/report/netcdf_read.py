@@ -128,10 +128,10 @@ def _roc(entry: Mapping[str, Any]) -> RocCurve:
 
 
 def _exceedance(entry: Mapping[str, Any]) -> ExceedanceCurve:
-    threshold, probability, lower, upper = _trimmed(
-        *(entry[k] for k in ("threshold", "probability", "lower", "upper"))
+    threshold, probability, lower, upper, *half = _trimmed(
+        *(entry[k] for k in ("threshold", "probability", "lower", "upper", "half_image") if k in entry)
     )
-    return ExceedanceCurve(threshold, probability, lower, upper, _count(entry["n"]))
+    return ExceedanceCurve(threshold, probability, lower, upper, _count(entry["n"]), half[0] if half else None)
 
 
 def _trimmed(*arrays: Array) -> tuple[Array, ...]:
