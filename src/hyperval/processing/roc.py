@@ -153,11 +153,12 @@ def empirical_roc(
     rates = pd_at_pfa(
         target_scores, background_scores, np.sort(np.asarray(pfa, dtype=float)), level=level, nan=nan, blocks=blocks
     )
+    lower, upper = _rising(rates.lower, rates.upper)
     return RocCurve(
         pfa=rates.pfa,
         pd=rates.pd,
-        pd_lower=np.minimum.accumulate(rates.lower[::-1])[::-1],
-        pd_upper=np.maximum.accumulate(rates.upper),
+        pd_lower=lower,
+        pd_upper=upper,
         threshold=rates.threshold,
         unit=unit,
         n_target=rates.n_target,
@@ -221,11 +222,14 @@ def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
         below += share * _beyond(curve.pd[i] - curve.pd_lower[i], curve.pd[i] - each[0])
         above += share * _beyond(curve.pd_upper[i] - curve.pd[i], each[1] - curve.pd[i])
     backgrounds = [c.n_background for c in curves if c.n_background is not None]
+    lower, upper = _rising(
+        np.clip(pd - np.hypot(pd - low, below), 0.0, low), np.clip(pd + np.hypot(high - pd, above), high, 1.0)
+    )
     return RocCurve(
         pfa=grid,
         pd=pd,
-        pd_lower=np.clip(pd - np.hypot(pd - low, below), 0.0, low),
-        pd_upper=np.clip(pd + np.hypot(high - pd, above), high, 1.0),
+        pd_lower=lower,
+        pd_upper=upper,
         threshold=np.full(grid.shape, np.nan),  # every curve has its own
         unit=curves[0].unit,
         n_target=total,
@@ -233,6 +237,11 @@ def pooled_roc(curves: Sequence[RocCurve], *, level: float = 0.95) -> RocCurve:
         background_area_km2=curves[0].background_area_km2,
         areas=pooled_areas([c.areas for c in curves], min(backgrounds) if backgrounds else 0),
     )
+
+
+def _rising(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Limits of a curve, widened until they rise with P_FA as the true P_D does."""
+    return np.minimum.accumulate(lower[::-1])[::-1], np.maximum.accumulate(upper)
 
 
 def _beyond(whole: Array, part: Array) -> Array:
