@@ -59,6 +59,19 @@ def test_a_panel_of_more_than_two_is_seen_by_the_line_through_the_others(make_ra
     assert light.error_covariance == pytest.approx(alone.error_covariance, rel=1e-6)
 
 
+def test_a_line_that_its_panels_contradict_is_as_wide_as_they_lie_apart(make_radiance):
+    world = with_more(make_radiance(relative_noise=0.002), 0.30, 0.45)
+    world.collection["regions"].append({"name": "bare", "rectangle": [20, 2, 8, 8]})
+    found = [world.observe().observation]
+    world.text("more.csv", "wavelength_nm,grey,light\n" + "".join(f"{w},0.30,0.62\n" for w in range(400, 1701)))
+    found.append(world.observe().observation)
+    agreeing, apart = (seen.reflectance["bare"].budget["empirical line"] for seen in found)
+    (chi2,) = [float(n.split("chi-square ")[1].split()[0]) for n in found[1].notes if "variance is widened" in n]
+    assert chi2 > 20
+    # The line itself hardly turns, so that its width is what differs.
+    assert apart == pytest.approx(agreeing * np.sqrt(chi2), rel=0.25)
+
+
 def test_a_line_that_its_panels_contradict_is_warned_of(make_radiance):
     good = with_more(make_radiance(relative_noise=0.002), 0.30, 0.45).observe().observation.notes
     assert not [n for n in good if n.startswith("warning:")]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
 
 from hyperval.collection import EmpiricalLineSource, PanelReference
 from hyperval.errors import UsageError
@@ -15,7 +14,7 @@ from hyperval.imagery.cube import Cube
 from hyperval.prediction.inputs import Sources, correlation
 from hyperval.prediction.replicates import band_error_covariance
 from hyperval.processing.elm import EmpiricalLine, PanelMeasurement, fit_elm
-from hyperval.processing.elm_error import LineError, PanelErrors, line_error
+from hyperval.processing.elm_error import LineError, PanelErrors, contradiction, line_error
 from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
 from hyperval.processing.region_statistics import darkest_values
 from hyperval.processing.sample import SampleStatistics
@@ -108,12 +107,10 @@ def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     usable = int((elm.usable & axis.good).sum())
     if usable < FEWEST_USABLE * good:
         out.append(f"the empirical line can be used in {usable} of {good} good bands only")
-    chi2 = elm.reduced_chi2[np.isfinite(elm.reduced_chi2)]
-    freedom = len(elm.panels) - elm.parameters
-    if chi2.size and np.median(chi2) > 2.0 * special.gammaincinv(freedom / 2.0, 0.99) / freedom:
+    if (chi2 := contradiction(elm)) > 1.0:
         out.append(
             "the panels of the empirical line do not lie on one line within their stated errors: reduced "
-            f"chi-square {np.median(chi2):.3g} (median over bands)"
+            f"chi-square {chi2:.3g} (median over bands), by which the line's variance is widened"
         )
     if elm.leave_one_out is not None:
         for name, error in zip(elm.panels, elm.leave_one_out[:, elm.usable & axis.good], strict=True):

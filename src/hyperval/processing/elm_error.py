@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special
 
 from hyperval.errors import UsageError
 from hyperval.processing.elm import EmpiricalLine, PanelMeasurement
@@ -59,7 +60,8 @@ class LineError:
 
         sum over panels of D C_rho D + E C_L E with D, E = diag of the derivatives of the reflectance.  ``own``
         names the panel whose mean radiance it is: the same pixels then are on both sides, and 1/gain comes on top
-        of E, so that a line through two panels gives their reflectances back whatever their radiances.
+        of E, so that a line through two panels gives their reflectances back whatever their radiances.  Panels
+        that contradict each other have greater errors than is stated: :func:`contradiction` widens them.
         """
         level = np.asarray(radiance, dtype=float)
         total = np.zeros((level.size, level.size))
@@ -69,10 +71,24 @@ class LineError:
             if own == self.line.panels[p]:
                 e = e + 1.0 / self.line.gain
             total += errors.reflectance * np.outer(d, d) + errors.radiance * np.outer(e, e)
-        return total
+        return total * contradiction(self.line)
 
     def _slope(self, pair: tuple[EmpiricalLine, EmpiricalLine], step: Array, level: Array) -> Array:
         return (pair[0].reflectance(level) - pair[1].reflectance(level)) / (2.0 * step)
+
+
+def contradiction(line: EmpiricalLine) -> float:
+    """Factor by which the panels' errors are greater than stated: 1 where they lie on one line within these.
+
+    Else the reduced chi-square, median over bands, where chance exceeds it in one line of a hundred.  Source:
+    Birge, Phys. Rev. 40, 207-227, 1932; York et al., Am. J. Phys. 72, 367-375, 2004.
+    """
+    chi2 = line.reduced_chi2[np.isfinite(line.reduced_chi2)]
+    freedom = len(line.panels) - line.parameters
+    if not chi2.size or freedom < 1:
+        return 1.0
+    median = float(np.median(chi2))
+    return median if median > 2.0 * special.gammaincinv(freedom / 2.0, 0.99) / freedom else 1.0
 
 
 def line_error(
