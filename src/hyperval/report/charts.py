@@ -54,6 +54,8 @@ FIRST_CURVES = 3  # that are seen before a name in the legend is clicked
 _MOST_POINTS = 200
 _GREY = "#7a7f87"  # legible on white and on dark paper
 _ABSORPTION = "#9aa0a8"
+Labels = tuple[str, str]
+LABELS: Labels = ("predicted", "collected")
 _SPECTRUM_LOOKS = {
     "predicted": (PREDICTED.colour, "dashed"),
     "collected": (COLLECTED.colour, "solid"),
@@ -108,14 +110,17 @@ def _text(values: Column) -> str:
     return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
 
 
-def draw_charts(sides: Sides, rows: Sequence[Result]) -> list[Chart]:
-    """Every chart that the products allow; subjects about which more is amiss in ``rows`` come first."""
-    charts = [spectra_chart(sides, product, rows) for product in SPECTRA]
-    charts.append(roc_chart(sides))
+def draw_charts(sides: Sides, rows: Sequence[Result], labels: Labels = LABELS) -> list[Chart]:
+    """Every chart that the products allow; subjects about which more is amiss in ``rows`` come first.
+
+    ``labels`` : what the two sides are, where they are not a prediction and a collection
+    """
+    charts = [spectra_chart(sides, product, rows, labels) for product in SPECTRA]
+    charts.append(roc_chart(sides, labels))
     return [chart for chart in charts if chart is not None]
 
 
-def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = ()) -> Chart | None:
+def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), labels: Labels = LABELS) -> Chart | None:
     """Both sides of one subject at a time over wavelength, with the difference below; None without any."""
     label, title, ratio = {
         "radiance": ("radiance [µW cm⁻² sr⁻¹ nm⁻¹]", "Radiance at the sensor", True),
@@ -132,16 +137,16 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = ()) -> Ch
     if not shown:
         return None
     spectra = [subject_spectra(sides, predicted.get(name), collected.get(name), ratio=ratio) for name in shown]
-    words = "predicted and collected" if pairs else "predicted" if sides[0] is not None else "collected"
+    words = " and ".join(labels) if pairs else labels[0] if sides[0] is not None else labels[1]
     name = f"chart-{product}"
     return Chart(
         name,
         product,
         f"{title}: {words} (grey: absorption){style.left_out([shown], pairs or every)}",
-        f"{title} against wavelength, a subject at a time: predicted (dashed) and collected (solid) with 95 % "
+        f"{title} against wavelength, a subject at a time: {labels[0]} (dashed) and {labels[1]} (solid) with 95 % "
         f"intervals{', the difference below' if pairs else ''}. Subjects: {', '.join(shown)}.",
         _content(
-            _spectra_plots(spectra[0], label, ratio),
+            _spectra_plots(spectra[0], label, ratio, labels),
             name,
             [one.packed(spectra[0].nm if i else None) for i, one in enumerate(spectra)],
         ),
@@ -149,7 +154,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = ()) -> Ch
     )
 
 
-def roc_chart(sides: Sides) -> Chart | None:
+def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
     """P_D against P_FA, a tab for each detector and unit, a name in the legend for each subject."""
     predicted, measured = (_of_side(side, "roc") for side in sides)
     every = both_first(predicted, measured)
@@ -162,15 +167,17 @@ def roc_chart(sides: Sides) -> Chart | None:
         keys = [key for key in pairs or every if key[1:] == (detector, unit)]
         keys = best_counted(keys, measured, MOST_CURVES // len(kinds) or 1)
         shown.append(keys)
-        tabs.append(TabPanel(title=f"{detector}, by {unit}", child=_curves(keys, predicted, measured)))
+        tabs.append(TabPanel(title=f"{detector}, by {unit}", child=_curves(keys, predicted, measured, labels)))
     names = tuple(dict.fromkeys(key[0] for keys in shown for key in keys))
+    second = "measured" if labels == LABELS else labels[1]
     return Chart(
         "chart-roc",
         "roc",
-        "ROC: predicted (dashed) and measured; a click on a name shows or hides it"
+        f"ROC: {labels[0]} (dashed) and {second}; a click on a name shows or hides it"
         f"{style.left_out(shown, pairs or every)}",
-        f"Probability of detection against probability of false alarm (logarithmic), predicted dashed and measured "
-        f"in steps, with 95 % intervals, a tab for each detector. Subjects: {', '.join(names)}.",
+        f"Probability of detection against probability of false alarm (logarithmic), {labels[0]} dashed and "
+        f"{second}{' in steps' if second == 'measured' else ''}, with 95 % intervals, a tab for each detector. "
+        f"Subjects: {', '.join(names)}.",
         _content(Tabs(tabs=tabs, sizing_mode="stretch_width"), "chart-roc"),
         (FIRST, *names) if len(names) > 1 else (),
     )
@@ -230,7 +237,7 @@ def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array
     return [(value - half)[keep], (value + half)[keep]]
 
 
-def _spectra_plots(spectra: Spectra, label: str, ratio: bool) -> Any:
+def _spectra_plots(spectra: Spectra, label: str, ratio: bool, labels: Labels = LABELS) -> Any:
     """The plot of both sides, with that of their difference where there is one."""
     # The script fills the columns of the first subject in: the page has them once.
     names = [f"{name}{end}" for name in spectra.bands for end in ("", "_low", "_high")]
@@ -241,6 +248,7 @@ def _spectra_plots(spectra: Spectra, label: str, ratio: bool) -> Any:
     w = spectra.nm
     span = Range1d(start=float(w[0]), end=float(max(w[-1], w[0] + 1.0)))
     plots = []
+    shown = {**dict(zip(LABELS, labels, strict=True)), "difference": "difference"}
     sides = [name for name in spectra.bands if name != "difference"]
     for height, range_name, axis_label, names in (
         (300, "level", label, sides),
@@ -255,7 +263,7 @@ def _spectra_plots(spectra: Spectra, label: str, ratio: bool) -> Any:
         for name in names:
             colour, dash = _SPECTRUM_LOOKS[name]
             plot.varea("nm", f"{name}_low", f"{name}_high", source=source, fill_color=colour, fill_alpha=0.2)
-            named = {} if name == "difference" else {"legend_label": name}
+            named = {} if name == "difference" else {"legend_label": shown[name]}
             lines.append(
                 plot.line("nm", name, source=source, color=colour, line_dash=dash, line_width=1.6, **named)
             )
@@ -270,7 +278,9 @@ def _spectra_plots(spectra: Spectra, label: str, ratio: bool) -> Any:
                 selection_alpha=1.0,
                 nonselection_alpha=0.0,
             )
-        tips = [(name, f"@{name}{{0.0000}} (@{name}_low{{0.0000}} to @{name}_high{{0.0000}})") for name in names]
+        tips = [
+            (shown[name], f"@{name}{{0.0000}} (@{name}_low{{0.0000}} to @{name}_high{{0.0000}})") for name in names
+        ]
         plot.add_tools(HoverTool(tooltips=[("nm", "@nm{0.0}"), *tips], mode="vline", renderers=lines[:1]))
         if range_name == "level":
             _legend(plot)
@@ -285,6 +295,7 @@ def _curves(
     keys: Sequence[tuple[str, str, str]],
     predicted: Mapping[Any, RocCurve],
     measured: Mapping[Any, RocCurve],
+    labels: Labels = LABELS,
 ) -> Any:
     """The ROC curves of one detector and unit; the first few are seen, the others when their name is clicked."""
     curves = [c[key] for c in (predicted, measured) for key in keys if key in c]
@@ -298,14 +309,15 @@ def _curves(
     for number, key in enumerate(keys):
         colour, seen = _CURVE_COLOURS[number % len(_CURVE_COLOURS)], number < FIRST_CURVES
         name = style.shortened(key[0], 30)
-        for side, own, dash in (("predicted", predicted, "dashed"), ("measured", measured, "solid")):
+        second = "measured" if labels == LABELS else labels[1]
+        for side, own, dash in ((labels[0], predicted, "dashed"), (second, measured, "solid")):
             if key not in own:
                 continue
             source = ColumnDataSource(_curve_data(own[key], low))
             common: dict[str, Any] = {"source": source, "legend_label": name, "visible": seen}
             plot.varea("pfa", "low", "high", fill_color=colour, fill_alpha=0.12, **common)
-            drawn = plot.line if side == "predicted" else plot.step
-            more = {} if side == "predicted" else {"mode": "after"}
+            drawn = plot.line if side != "measured" else plot.step
+            more = {} if side != "measured" else {"mode": "after"}
             look = {"color": colour, "line_dash": dash, "line_width": 1.6, "name": f"{name}, {side}"}
             lines.append(drawn("pfa", "pd", **look, **more, **common))
             for curve in plot.renderers[-2:]:

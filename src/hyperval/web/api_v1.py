@@ -6,6 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, Query, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
 import hyperval
@@ -13,12 +14,16 @@ from hyperval.errors import UsageError
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import with_settings
+from hyperval.study.schema import Study
+from hyperval.web.bring import form_of, keep_spectra, order_pipeline
+from hyperval.web.campaigns import known_campaigns, order_campaign
 from hyperval.web.inputs import SURFACES, plain, predefined
 from hyperval.web.pages import session_of
 from hyperval.web.pages_predict import order_prediction
 from hyperval.web.pages_runs import file_of, files_of, run_charts, run_of
 from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
 from hyperval.web.store import ENDED, Run
+from hyperval.web.trade import order_study
 
 router = APIRouter(prefix="/api/v1", tags=["v1"])
 _OF_RUN = ("id", "kind", "name", "title", "state", "reason", "created", "seconds", "version")
@@ -206,3 +211,79 @@ def remove(request: Request, run_id: str) -> Response:
         raise Refused(409, "it still runs: cancel it first")
     request.app.state.store.remove(known.id)
     return Response(status_code=204)
+
+
+class StudyOrder(BaseModel):
+    """A study; its scenario is a predefined one by name, or ``run:ID``, that of a prediction of this session."""
+
+    model_config = ConfigDict(extra="forbid")
+    study: Study
+
+
+class CampaignAnswer(BaseModel):
+    """A campaign that may be run."""
+
+    name: str
+    title: str
+    description: str
+
+
+class ValidationOrder(BaseModel):
+    """Which campaign to run."""
+
+    model_config = ConfigDict(extra="forbid")
+    campaign: str = Field(max_length=100, description="a name of /campaigns")
+
+
+@router.post("/studies", status_code=201, responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 429, 503)})
+def studies(request: Request, order: StudyOrder) -> RunAnswer:
+    """Evaluate a trade-off study; ask for the run to learn how far it is."""
+    data = order.study.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    return answer_of(request, order_study(request, data))
+
+
+@router.get("/campaigns", responses={k: _PROBLEMS[k] for k in (400,)})
+def campaigns(request: Request) -> list[CampaignAnswer]:
+    """Campaigns of the server's folder, and those of this session."""
+    known = known_campaigns(request).values()
+    return [CampaignAnswer(name=k.name, title=k.title, description=k.description) for k in known]
+
+
+@router.post("/validations", status_code=201, responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 429, 503)})
+def validations(request: Request, order: ValidationOrder) -> RunAnswer:
+    """Run a campaign: predict, observe, compare."""
+    return answer_of(request, order_campaign(request, order.campaign))
+
+
+_FILE = {"type": "string", "format": "binary"}
+_BODY: dict[str, Any] = {
+    **dict.fromkeys(("cube", "header", "targets"), _FILE),
+    **{key: {"type": "array", "items": _FILE} for key in ("regions", "spectra")},
+    **{key: {"type": "string"} for key in ("name", "quantity", "unit", "sensor", "time_utc")},
+    **{key: {"type": "number"} for key in ("altitude_km", "pixel_size_m")},
+}
+
+
+def _files_body(needed: list[str], names: list[str]) -> dict[str, Any]:
+    schema = {"type": "object", "required": needed, "properties": {n: _BODY[n] for n in names}}
+    return {"requestBody": {"required": True, "content": {"multipart/form-data": {"schema": schema}}}}
+
+
+@router.post(
+    "/uploads", status_code=201, openapi_extra=_files_body(["cube", "header", "regions"], list(_BODY)),
+    responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 429, 503)},
+)  # fmt: skip
+async def uploads(request: Request) -> RunAnswer:
+    """Bring a cube with regions and spectra: the empirical pipeline runs on it."""
+    form = await form_of(request)
+    return answer_of(request, await run_in_threadpool(order_pipeline, request, form))
+
+
+@router.post(
+    "/uploads/spectra", status_code=201, openapi_extra=_files_body(["spectra"], ["spectra"]),
+    responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 503)},
+)  # fmt: skip
+async def upload_spectra(request: Request) -> list[str]:
+    """Keep field spectra for the scenarios of this session; the names of all that are kept."""
+    form = await form_of(request)
+    return await run_in_threadpool(keep_spectra, request, form)

@@ -15,7 +15,8 @@ from starlette.responses import JSONResponse, Response
 
 import hyperval
 from hyperval.errors import HypervalError
-from hyperval.web import api_v1, pages_predict, pages_runs
+from hyperval.web import api_v1, bring, campaigns, pages_predict, pages_runs, reference, trade
+from hyperval.web.bring import MOST_FILES
 from hyperval.web.desk import Crew, Desk
 from hyperval.web.guard import Guard
 from hyperval.web.limits import Settings
@@ -54,8 +55,8 @@ def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> Fast
     app.state.settings = settings
     app.state.store = Store(settings.folder, settings.limits)
     app.state.desk = Desk(settings, app.state.store, pools)
-    for router in (pages_predict.router, pages_runs.router, api_v1.router):
-        app.include_router(router)
+    for room in (pages_predict, pages_runs, trade, campaigns, bring, reference, api_v1):
+        app.include_router(room.router)
 
     @app.get("/static/{name}", include_in_schema=False)
     def _static(name: str) -> Response:
@@ -72,15 +73,22 @@ def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> Fast
     return app
 
 
-async def has_token(request: Request) -> None:
+async def has_token(request: Request) -> AsyncIterator[None]:
     """Refuse a change that does not bring the session's token: in a header, or in a field of a form."""
-    if request.method in ("GET", "HEAD", "OPTIONS"):
-        return
+    try:
+        if request.method not in ("GET", "HEAD", "OPTIONS"):
+            await _check_token(request)
+        yield
+    finally:
+        await request.close()  # files of a form
+
+
+async def _check_token(request: Request) -> None:
     session = session_of(request)
     given = request.headers.get(TOKEN_HEADER)
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if given is None and kind in _FORMS and not session.is_new:
-        form = await request.form(max_files=20, max_fields=4000, max_part_size=1 << 20)
+        form = await request.form(max_files=MOST_FILES, max_fields=4000)
         field = form.get("token")
         given = field if isinstance(field, str) else None
     # A request that comes without a session has none that a foreign page could use; its answer sets one.

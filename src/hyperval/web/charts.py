@@ -12,10 +12,12 @@ from hyperval.report.charts import Chart, draw_charts
 def charts_of(sides: Mapping[str, Prediction]) -> list[dict[str, Any]]:
     """Charts of a prediction, and of an earlier one where there are two."""
     now, *earlier = sides.values()
-    return [_plain(chart) for chart in draw_charts((now, earlier[0] if earlier else None), [])]
+    both = now, earlier[0] if earlier else None
+    return [plain(chart) for chart in draw_charts(both, [], labels=("this run", "earlier run"))]
 
 
-def _plain(chart: Chart) -> dict[str, Any]:
+def plain(chart: Chart) -> dict[str, Any]:
+    """A chart as a page fetches it."""
     return {
         "name": chart.name,
         "section": chart.section,

@@ -65,13 +65,14 @@ class Guard:
             message = await receive()
             seen += len(message.get("body", b""))
             if seen > bound:
+                await answer.refuse(413, "body", f"larger than {bound:,} bytes")
                 raise TooLarge
             return message
 
         try:
             await self.app(scope, counted, answer)
         except TooLarge:
-            await answer.refuse(413, "body", f"larger than {bound:,} bytes")
+            pass  # that is said
         except Exception as error:
             print(f"hyperval serve: {internal_error(error)}", file=sys.stderr)
             await answer.refuse(500, "", "an error that nobody foresaw; the server's log has it")
@@ -112,9 +113,11 @@ class _Answer:
 
     def __init__(self, send: Send, settings: Settings, new_session: str | None):
         self._send, self._settings, self._new_session = send, settings, new_session
-        self.started = False
+        self.started = self.ended = False
 
     async def __call__(self, message: Message) -> None:
+        if self.ended:  # refused before the application had its say
+            return
         if message["type"] == "http.response.start":
             self.started = True
             headers = MutableHeaders(scope=message)
@@ -139,6 +142,7 @@ class _Answer:
             headers.append((b"connection", b"close"))
         await self({"type": "http.response.start", "status": status, "headers": headers})
         await self._send({"type": "http.response.body", "body": body})
+        self.ended = True
 
 
 def _cookie(headers: Headers) -> str | None:

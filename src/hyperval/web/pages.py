@@ -49,9 +49,9 @@ def session_of(request: Request) -> Session:
     return session
 
 
-def page(request: Request, name: str, status: int = 200, **content: Any) -> HTMLResponse:
+def page(request: Request, template: str, /, status: int = 200, **content: Any) -> HTMLResponse:
     """A page of the application."""
-    text = _environment().get_template(name).render(
+    text = _environment().get_template(template).render(
         version=hyperval.__version__, token=session_of(request).token, notices=request.app.state.store.notices,
         place=request.url.path, **content,
     )  # fmt: skip

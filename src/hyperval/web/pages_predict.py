@@ -7,6 +7,7 @@ from typing import Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData
 from starlette.responses import RedirectResponse, Response
 
@@ -70,18 +71,8 @@ async def predict_post(request: Request) -> Response:
     """Add or remove a row of the form, or run it."""
     form = await request.form(max_fields=4000)
     given = texts_of(form)
-    action = given.get("action", ["run"])[0]
-    if action.startswith("add:"):
-        name = f"{action[4:]}#"
-        count = given.get(name, ["0"])[0]
-        if name in given and count.isdecimal() and len(count) < 4 and int(count) < MOST_ROWS:
-            given[name] = [str(int(count) + 1)]
-    elif action.startswith("remove:"):
-        given[f"{action[7:]}!"] = ["1"]
-    from starlette.concurrency import run_in_threadpool
-
-    if action != "run":
-        return await run_in_threadpool(_changed, request, given)
+    if given.get("action", ["run"])[0] != "run":
+        return await run_in_threadpool(_changed, request, with_action(given))
     return await run_in_threadpool(_run, request, given)
 
 
@@ -174,4 +165,17 @@ def texts_of(form: FormData) -> dict[str, list[str]]:
     for name, value in form.multi_items():
         if isinstance(value, str):
             given.setdefault(name, []).append(value)
+    return given
+
+
+def with_action(given: dict[str, list[str]]) -> dict[str, list[str]]:
+    """The fields of a form, with a row more or less, as its button says."""
+    action = given["action"][0]
+    if action.startswith("add:"):
+        name = f"{action[4:]}#"
+        count = given.get(name, ["0"])[0]
+        if name in given and count.isdecimal() and len(count) < 4 and int(count) < MOST_ROWS:
+            return {**given, name: [str(int(count) + 1)]}
+    elif action.startswith("remove:"):
+        return {**given, f"{action[7:]}!": ["1"]}
     return given

@@ -58,9 +58,11 @@ def run_page(request: Request, run_id: str, beside: str | None = None) -> Respon
     if run.kind == "prediction":
         link = f"/predict?s={quote(link_text(load_yaml(store.place(run.id) / 'scenario.yaml')[0]))}"
     rows = _beside(run, other) if run.kind == "prediction" and run.state == "finished" else []
+    maps = (store.place(run.id) / "results" / "scores").is_dir()
     return page(
-        request, "run.html.j2", run=run, progress=desk.progress(run), others=others[:50], other=other, link=link,
-        rows=rows, ended=run.state in ENDED, files=files_of(store.place(run.id), run), source=_source(run),
+        request, "run.html.j2", run=run, maps=maps, progress=desk.progress(run), others=others[:50], other=other,
+        link=link, rows=rows, ended=run.state in ENDED, source=_source(run),
+        files=files_of(store.place(run.id), run),
     )  # fmt: skip
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
-from collections.abc import Callable, Mapping
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,10 +18,20 @@ import numpy as np
 from hyperval import api
 from hyperval.campaign.forward import predict_to_folder
 from hyperval.campaign.observing import observe
+from hyperval.campaign.one import Inputs, Job, jobs_of
 from hyperval.campaign.run import validate
+from hyperval.campaign.starter import starter_campaign
+from hyperval.campaign.starter_draft import Sources
 from hyperval.config import load_model
+from hyperval.errors import UsageError
+from hyperval.files import write_text
+from hyperval.imagery.rasters import open_raster
+from hyperval.observe.place import open_source
 from hyperval.processing.roc_reading import detection_at
-from hyperval.products import Prediction
+from hyperval.products import Observation, Prediction, SpectralEstimate
+from hyperval.report.charts import spectra_chart
+from hyperval.report.geotiff import file_stems
+from hyperval.report.netcdf_read import read_products
 from hyperval.report.stored import read_results
 from hyperval.report.verdict import verdict
 from hyperval.scenario import Scenario
@@ -27,6 +41,7 @@ from hyperval.web.answer import read_answer, write_answer
 
 _PFA = (1e-4, 1e-3, 1e-2)
 _MOST_LISTED = 40
+_MOST_PIXELS = 1_000_000
 
 
 def warm() -> None:
@@ -87,38 +102,139 @@ def draw(folder: str, earlier: str | None = None) -> None:
     if earlier is not None:
         sides["earlier"] = _answer(earlier)
         name = f"charts-{Path(earlier).name}.json"
-    text = json.dumps(charts.charts_of(sides), separators=(",", ":"))
-    part = Path(folder) / f"{name}.part"
-    part.write_text(text, "utf-8")
-    part.replace(Path(folder) / name)
+    _write(Path(folder) / name, charts.charts_of(sides))
+
+
+@contextmanager
+def _command(*words: str) -> Iterator[None]:
+    """What the provenance of a run names as its command: that which gives the same."""
+    own, sys.argv = sys.argv, ["hyperval", *words]
+    try:
+        yield
+    finally:
+        sys.argv = own
 
 
 def files(folder: str) -> None:
     """Write the folder that ``hyperval predict`` writes of the scenario."""
-    predict_to_folder(str(Path(folder) / "scenario.yaml"), Path(folder) / "results", show_progress=False)
+    with _command("predict", "scenario.yaml"):
+        predict_to_folder(str(Path(folder) / "scenario.yaml"), Path(folder) / "results", show_progress=False)
 
 
 def study(folder: str) -> dict[str, Any]:
     """Evaluate the study of a folder."""
-    study_to_folder(Path(folder) / "study.yaml", Path(folder) / "results", show_progress=False)
+    with _command("study", "study.yaml"):
+        study_to_folder(Path(folder) / "study.yaml", Path(folder) / "results", show_progress=False)
     with (Path(folder) / "results" / "results.csv").open(encoding="utf-8", newline="") as file:
         rows = [
-            {k: row[k] for k in ("subject", "method", "metric", "value", "unit")}
-            for row in csv.DictReader(file)
-        ]  # fmt: skip
+            {k: row[k] for k in ("subject", "method", "metric", "value", "unit")} for row in csv.DictReader(file)
+        ]
     return {"rows": rows[:_MOST_LISTED], "left_out": max(0, len(rows) - _MOST_LISTED)}
 
 
 def campaign(folder: str, path: str) -> dict[str, Any]:
     """Run a campaign into a folder."""
-    code = validate([Path(path)], Path(folder) / "results", show_progress=False)
+    with _command("validate", Path(path).name):
+        code = validate([Path(path)], Path(folder) / "results", show_progress=False)
     return _verdicts(Path(folder) / "results") | {"exit_code": code}
 
 
-def pipeline(folder: str) -> dict[str, Any]:
-    """Run the empirical pipeline of the campaign in a folder."""
-    observe(Path(folder) / "campaign.yaml", Path(folder) / "results", show_progress=False)
-    return _verdicts(Path(folder) / "results")
+def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
+    """Write the campaign of what was brought, and run its empirical pipeline."""
+    place = Path(folder)
+    raster = open_raster(place / sources["cube"])
+    lines, samples, bands = raster.lines, raster.samples, raster.bands
+    if lines * samples * bands > sources["most"]:
+        raise UsageError(
+            f"the cube has {lines * samples * bands:,} values", expected=f"at most {sources['most']:,}"
+        )
+    named = Sources(
+        cube=place / sources["cube"],
+        regions=[place / name for name in sources["regions"]],
+        targets=place / sources["targets"] if sources["targets"] else None,
+        spectra=[place / name for name in sources["spectra"]],
+        **sources["stated"],
+    )
+    text, guesses = starter_campaign(named, place, sources["name"])
+    write_text(place / "campaign.yaml", text)
+    with _command("observe", "campaign.yaml"):
+        observe(place / "campaign.yaml", place / "results", show_progress=False)
+    header = {"lines": lines, "samples": samples, "bands": bands, "type": str(raster.dtype)}
+    _, observed = read_products(place / "results" / "products.nc")
+    if observed is not None:
+        nm = observed.axis.centre_nm
+        header["wavelengths"] = f"{nm[0]:g} to {nm[-1]:g} nm"
+    if raster.crs is not None and raster.transform is not None:
+        x, y = raster.transform * (samples / 2, lines / 2)
+        header["position"] = f"{raster.crs}, centre {x:.6g}, {y:.6g}"
+    return _verdicts(place / "results") | {"header": header, "guesses": guesses}
+
+
+def score_map(folder: str, name: str) -> None:
+    """Write a score map as pages draw it: at most a million pixels, 16 bits between its ends."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(Path(folder) / "results" / "scores" / f"{name}.tif") as file:
+            values = file.read(1)
+    step = int(np.ceil(np.sqrt(values.size / _MOST_PIXELS)))
+    shown = values[::step, ::step]
+    known = np.isfinite(values)
+    low, high = (float(v) for v in np.quantile(values[known], [0.0, 1.0])) if known.any() else (0.0, 1.0)
+    scaled = np.nan_to_num((shown - low) / (high - low or 1.0) * 65534 + 1, nan=0.0).astype("<u2")
+    ordered = np.sort(values[known])[::-1]
+    at = np.unique(np.geomspace(1, max(ordered.size, 1), 200).astype(int)) - 1
+    content = {
+        "width": shown.shape[1], "height": shown.shape[0], "step": step, "low": low, "high": high,
+        "pixels": base64.b64encode(scaled.tobytes()).decode(), "known": int(known.sum()),
+        "above": [[float(ordered[i]), int(i) + 1] for i in at] if ordered.size else [],
+        "curves": _curves(folder, name),
+    }  # fmt: skip
+    _write(Path(folder) / f"map-{name}.json", content)
+
+
+def _curves(folder: str, name: str) -> list[dict[str, Any]]:
+    """Measured curves whose scores the map shows: threshold, P_FA, P_D."""
+    _, observed = read_products(Path(folder) / "results" / "products.nc")
+    curves = [] if observed is None else list(observed.roc.items())
+    target = name.rpartition("-")[0].removesuffix("_image")
+    out = []
+    for (subject, detector, unit), c in curves:
+        own = name.endswith(f"-{detector}") and file_stems([subject])[subject].startswith(target)
+        known = np.isfinite(c.threshold) & np.isfinite(c.pd)
+        if own and known.any():
+            parts = {part: getattr(c, part)[known].tolist() for part in ("threshold", "pfa", "pd")}
+            out.append({"subject": subject, "unit": unit, **parts})
+    return out
+
+
+def pixel(folder: str, path: str, line: int, sample: int) -> None:
+    """Write the chart of a pixel's spectrum beside the predicted ones."""
+    job = next((j for j in jobs_of(Path(path)) if isinstance(j, Job)), None)
+    collection = None if job is None else job.campaign.collection
+    if job is None or collection is None or collection.cube is None or collection.simulate:
+        raise UsageError("the cube of this campaign is not at hand once it has run")
+    cube = open_source(collection.cube, Inputs(job.folder).resolve, collection.bands)
+    if not (0 <= line < cube.lines and 0 <= sample < cube.samples):
+        raise UsageError(f"no such pixel: ({line}, {sample})", expected=f"({cube.lines}, {cube.samples}) pixels")
+    values = cube.read(line, 1).values[0, sample]
+    predicted, _ = read_products(Path(folder) / "results" / "products.nc")
+    if predicted is None:
+        raise UsageError("this run predicted nothing")
+    product = collection.cube.quantity
+    mine = SpectralEstimate(values, np.zeros((values.size, values.size)))
+    sides: dict[str, Any] = {product: dict.fromkeys(getattr(predicted, product), mine)}
+    observed = Observation(cube.axis, **sides)
+    chart = spectra_chart((predicted, observed), product, labels=("predicted", f"pixel ({line}, {sample})"))
+    _write(Path(folder) / f"pixel-{line}-{sample}.json", [charts.plain(chart)] if chart else [])
+
+
+def _write(path: Path, content: Any) -> None:
+    part = path.with_name(f"{path.name}.part")
+    part.write_text(json.dumps(content, separators=(",", ":")), "utf-8")
+    part.replace(path)
 
 
 def _verdicts(results: Path) -> dict[str, Any]:
@@ -132,5 +248,6 @@ def _verdicts(results: Path) -> dict[str, Any]:
 
 
 TASKS: Mapping[str, Callable[..., Any]] = {
-    "predict": predict, "draw": draw, "files": files, "study": study, "campaign": campaign, "pipeline": pipeline,
+    "predict": predict, "draw": draw, "files": files, "study": study, "campaign": campaign,
+    "pipeline": pipeline, "score_map": score_map, "pixel": pixel,
 }  # fmt: skip

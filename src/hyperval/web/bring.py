@@ -1,0 +1,234 @@
+"""Imagery that a session brings: checked as it comes in, kept with its run, put through the empirical pipeline."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import FormData, UploadFile
+from starlette.responses import RedirectResponse, Response
+
+from hyperval.sensor.specification import library_names
+from hyperval.web.desk import Order
+from hyperval.web.pages import page, session_of
+from hyperval.web.refusal import Mistake, Refused
+from hyperval.web.store import Run
+from hyperval.web.uploads import SPECTRA, checked_name, folder_of
+
+router = APIRouter(include_in_schema=False)
+MOST_FILES = 20
+_MOST_SPECTRA = 50
+_CUBE = (".img", ".dat", ".raw", ".bsq", ".bil", ".bip", "")
+_ENDINGS = {
+    "cube": _CUBE,
+    "header": (".hdr",),
+    "regions": (".txt", ".geojson", ".json", ".csv", ".roi"),
+    "targets": (".csv", ".geojson", ".json", ".txt"),
+    "spectra": (*SPECTRA, ".hdr"),
+}
+_PACKED = {
+    b"PK\x03\x04": "a zip archive",
+    b"\x1f\x8b": "packed by gzip",
+    b"<?xml": "XML",
+    b"BZh": "packed by bzip2",
+}
+_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,59}")
+_LARGEST_TEXT = 4_000_000
+
+
+@dataclass(frozen=True)
+class Brought:
+    """A file of a request: the field, its name, and what holds it."""
+
+    field: str
+    name: str
+    file: UploadFile
+
+
+@router.get("/bring")
+def bring(request: Request) -> Response:
+    """The form."""
+    return _page(request)
+
+
+@router.post("/uploads")
+async def uploads(request: Request) -> Response:
+    """Take files and run the empirical pipeline on them."""
+    form = await form_of(request)
+    try:
+        run = await run_in_threadpool(order_pipeline, request, form)
+    except Refused as refusal:
+        if refusal.status != 422:
+            raise
+        return _page(request, list(refusal.mistakes), 422)
+    return RedirectResponse(f"/runs/{run.id}", status_code=303)
+
+
+@router.post("/uploads/spectra")
+async def upload_spectra(request: Request) -> Response:
+    """Keep field spectra, which scenarios may then name."""
+    form = await form_of(request)
+    try:
+        await run_in_threadpool(keep_spectra, request, form)
+    except Refused as refusal:
+        if refusal.status != 422:
+            raise
+        return _page(request, list(refusal.mistakes), 422)
+    return RedirectResponse("/bring", status_code=303)
+
+
+async def form_of(request: Request) -> FormData:
+    """The fields and files of a request.
+
+    Raises
+    ------
+    Refused : it is not of the form that files come in.
+    """
+    if not request.headers.get("content-type", "").startswith("multipart/form-data"):
+        raise Refused(422, [Mistake("body", "files come as multipart/form-data")])
+    return await request.form(max_files=MOST_FILES, max_fields=40)
+
+
+def _page(request: Request, mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
+    from hyperval.web.uploads import spectra_of
+
+    settings = request.app.state.settings
+    return page(
+        request, "bring.html.j2", status=status, errors={m.field: m.message for m in mistakes},
+        most=settings.limits.upload_bytes, sensors=library_names(),
+        spectra=spectra_of(settings, session_of(request).owner),
+    )  # fmt: skip
+
+
+def order_pipeline(request: Request, form: FormData) -> Run:
+    """Order the empirical pipeline of the files of a form.
+
+    Raises
+    ------
+    Refused : what is wrong with them, or there is no room.
+    """
+    files = list(_files(form, ("cube", "header", "regions", "targets", "spectra")))
+    mistakes = list(_wrong(files))
+    cubes = [f for f in files if f.field == "cube"]
+    if len(cubes) != 1:
+        mistakes.append(Mistake("cube", "one data file of a cube is needed"))
+    if not any(f.field == "header" for f in files):
+        mistakes.append(Mistake("header", "the ENVI header is needed"))
+    if not any(f.field == "regions" for f in files):
+        mistakes.append(Mistake("regions", "at least one file of regions is needed"))
+    name, stated = str(form.get("name") or "mine"), {}
+    if not _NAME.fullmatch(name):
+        mistakes.append(Mistake("name", "small letters, digits and hyphens, at most 60"))
+    for field in ("quantity", "unit", "sensor", "time_utc"):
+        text = form.get(field)
+        if isinstance(text, str) and text.strip():
+            stated[field] = text.strip()[:60]
+    stated_numbers, wrong = _numbers(form)
+    mistakes += wrong
+    if stated.get("sensor", library_names()[0]) not in library_names():
+        mistakes.append(Mistake("sensor", f"one of {', '.join(library_names())}"))
+    if mistakes:
+        raise Refused(422, mistakes)
+    owner, settings = session_of(request).owner, request.app.state.settings
+    place = folder_of(settings, owner) / "incoming"
+    place.mkdir(parents=True, exist_ok=True)
+    copies = {}
+    for number, brought in enumerate(files):
+        path = place / f"{number}-{brought.name}"
+        with path.open("wb") as out:
+            while block := brought.file.file.read(1 << 20):
+                out.write(block)
+        copies[f"collection/{brought.name}"] = path
+    header = next(f"collection/{f.name}" for f in files if f.field == "header")
+    sources: dict[str, Any] = {
+        "cube": f"collection/{cubes[0].name}",
+        "regions": [f"collection/{f.name}" for f in files if f.field == "regions"],
+        "targets": next((f"collection/{f.name}" for f in files if f.field == "targets"), None),
+        "spectra": [f"collection/{f.name}" for f in files if f.field == "spectra" and not f.name.endswith(".hdr")],
+        "name": name,
+        "stated": stated | stated_numbers,
+        "header": header,
+        "most": settings.limits.samples,
+    }
+    try:
+        order = Order("pipeline", name, f"{name}: {cubes[0].name}", copies=copies, arguments={"sources": sources})
+        run: Run = request.app.state.desk.order(owner, order)
+    finally:
+        for path in copies.values():
+            path.unlink(missing_ok=True)
+    return run
+
+
+def keep_spectra(request: Request, form: FormData) -> list[str]:
+    """Keep field spectra of a session; a new one takes the place of one of the same name.
+
+    Raises
+    ------
+    Refused : a file that is no spectrum by its name, too large, or one too many.
+    """
+    files = list(_files(form, ("spectra",)))
+    mistakes = list(_wrong(files))
+    if not files:
+        mistakes.append(Mistake("spectra", "no file was sent"))
+    place = folder_of(request.app.state.settings, session_of(request).owner) / "spectra"
+    place.mkdir(parents=True, exist_ok=True)
+    names = {p.name for p in place.iterdir()} | {f.name for f in files}
+    if len(names) > _MOST_SPECTRA:
+        mistakes.append(Mistake("spectra", f"a session keeps at most {_MOST_SPECTRA}"))
+    if mistakes:
+        raise Refused(422, mistakes)
+    for brought in files:
+        (place / brought.name).write_bytes(brought.file.file.read(_LARGEST_TEXT + 1))
+    return sorted(names)
+
+
+def _files(form: FormData, fields: Sequence[str]) -> Iterator[Brought]:
+    for field, value in form.multi_items():
+        if isinstance(value, UploadFile) and field in fields and (value.filename or value.size):
+            yield Brought(field, value.filename or "", value)
+
+
+def _wrong(files: Sequence[Brought]) -> Iterator[Mistake]:
+    names: set[str] = set()
+    for brought in files:
+        try:
+            checked_name(brought.name)
+        except Refused as refusal:
+            yield Mistake(brought.field, refusal.mistakes[0].message)
+            continue
+        ending = brought.name[brought.name.rfind(".") :].lower() if "." in brought.name else ""
+        if ending not in _ENDINGS[brought.field]:
+            yield Mistake(
+                brought.field,
+                f"{brought.name}: ends with none of {', '.join(filter(None, _ENDINGS[brought.field]))}",
+            )
+        head = brought.file.file.read(8)
+        brought.file.file.seek(0)
+        for sign, kind in _PACKED.items():
+            if head.startswith(sign):
+                yield Mistake(brought.field, f"{brought.name}: is {kind}, which is not taken")
+        if brought.field != "cube" and (brought.file.size or 0) > _LARGEST_TEXT:
+            yield Mistake(brought.field, f"{brought.name}: larger than {_LARGEST_TEXT:,} bytes")
+        if brought.name in names:
+            yield Mistake(brought.field, f"{brought.name}: stands twice")
+        names.add(brought.name)
+
+
+def _numbers(form: FormData) -> tuple[dict[str, float], list[Mistake]]:
+    numbers, wrong = {}, []
+    for field, low, high in (("altitude_km", 0.01, 100_000.0), ("pixel_size_m", 0.001, 10_000.0)):
+        text = form.get(field)
+        if not isinstance(text, str) or not text.strip():
+            continue
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value <= high:
+            wrong.append(Mistake(field, f"a number from {low:g} to {high:g}"))
+        numbers[field] = value
+    return numbers, wrong

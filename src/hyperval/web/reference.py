@@ -1,0 +1,39 @@
+"""The reference of the API as a page, made from its OpenAPI file: no script, nothing from elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.responses import Response
+
+from hyperval.web.pages import page
+
+router = APIRouter(include_in_schema=False)
+
+
+@router.get("/docs")
+def reference(request: Request) -> Response:
+    """Every operation of the API: what it takes, what it answers."""
+    described = request.app.openapi()
+    address = str(request.base_url).rstrip("/")
+    return page(request, "docs.html.j2", operations=list(_operations(described)), address=address)
+
+
+def _operations(described: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    schemas = described.get("components", {}).get("schemas", {})
+    for path, methods in described["paths"].items():
+        for method, operation in methods.items():
+            contents = list(operation.get("requestBody", {}).get("content", {}).values())
+            body: dict[str, Any] = contents[0]["schema"] if contents else {}
+            name = body.get("$ref", "").rsplit("/", 1)[-1]
+            fields: dict[str, Any] = dict(schemas.get(name, body).get("properties", ()))
+            yield {
+                "method": method.upper(),
+                "path": path,
+                "summary": operation.get("description") or operation.get("summary", ""),
+                "parameters": [(p["name"], p.get("description", "")) for p in operation.get("parameters", ())],
+                "fields": [(key, value.get("description", "")) for key, value in fields.items()],
+                "answers": [(code, a.get("description", "")) for code, a in operation["responses"].items()],
+            }

@@ -1,0 +1,280 @@
+"""What is refused, by whom it is seen, and what an answer never holds."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+
+import pytest
+import requests
+
+from hyperval.web.guard import POLICY
+
+EASY = {"name": "panels"}
+JSON = {"content-type": "application/json"}
+
+
+def test_no_session_sees_the_runs_of_another(server):
+    mine, other = server.session(), server.session()
+    run = mine.post(f"{server.address}/api/v1/predictions", json=EASY).json()["id"]
+    for path in (f"/runs/{run}", f"/runs/{run}/state", f"/runs/{run}/charts", f"/runs/{run}/files/scenario.yaml",
+                 f"/api/v1/runs/{run}", f"/predict?run={run}"):  # fmt: skip
+        assert mine.get(server.address + path).status_code == 200
+        assert other.get(server.address + path).status_code == 404
+    assert other.get(f"{server.address}/api/v1/runs").json() == []
+    assert other.delete(f"{server.address}/api/v1/runs/{run}").status_code == 404
+    own = other.post(f"{server.address}/api/v1/predictions", json=EASY).json()["id"]
+    assert other.get(f"{server.address}/runs/{own}", params={"beside": run}).status_code == 404
+
+
+def test_change_needs_the_token_of_its_session(server):
+    s = server.session()
+    token = s.headers.pop("X-Hyperval-Token")
+    url = f"{server.address}/api/v1/predictions"
+    assert s.post(url, json=EASY).status_code == 403
+    assert s.post(url, json=EASY, headers={"X-Hyperval-Token": "0" * 64}).status_code == 403
+    stranger = server.session().headers["X-Hyperval-Token"]
+    assert s.post(url, json=EASY, headers={"X-Hyperval-Token": stranger}).status_code == 403
+    assert s.post(f"{server.address}/predict", data={"action": "run"}).status_code == 403
+    assert s.post(url, json=EASY, headers={"X-Hyperval-Token": token}).status_code == 201
+
+
+@pytest.mark.parametrize(
+    "headers", [{"Origin": "http://elsewhere.example"}, {"Sec-Fetch-Site": "cross-site"}, {"Origin": "null"}]
+)
+def test_page_of_another_site_changes_nothing(server, client, headers):
+    answer = client.post(f"{server.address}/api/v1/predictions", json=EASY, headers=headers)
+    assert (answer.status_code, answer.json()["errors"][0]["field"]) == (403, "origin")
+
+
+@pytest.mark.parametrize("host", ["elsewhere.example", "127.0.0.1.elsewhere.example", "", "127.0.0.1:80:80"])
+def test_host_is_checked(server, host):
+    answer = requests.get(server.address, headers={"Host": host}, timeout=20)
+    assert answer.status_code == 400
+
+
+def test_every_answer_has_the_policy_and_the_cookie_its_attributes(server):
+    for path in ("/", "/predict", "/docs", "/nowhere", "/api/v1/sensors", "/static/app.css"):
+        answer = requests.get(server.address + path, timeout=20)
+        assert answer.headers["content-security-policy"] == POLICY
+        assert answer.headers["x-content-type-options"] == "nosniff"
+    assert "script-src 'self'" in POLICY
+    assert "unsafe" not in POLICY.replace("style-src 'self' 'unsafe-inline'", "")
+    cookie = requests.get(server.address, timeout=20).headers["set-cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=Lax" in cookie
+
+
+def test_pages_hold_no_script_of_their_own_and_nothing_from_elsewhere(server, client):
+    run = client.post(f"{server.address}/api/v1/predictions", json=EASY).json()["id"]
+    for path in (
+        "/",
+        "/predict?scenario=panels",
+        "/trade",
+        "/validate",
+        "/bring",
+        "/runs",
+        "/docs",
+        f"/runs/{run}",
+    ):
+        text = client.get(server.address + path).text
+        assert "<script>" not in text
+        assert "onclick" not in text
+        assert "http://" not in text.replace(server.address, "").replace("http://127.0.0.1", "")
+
+
+WRONG = {
+    "name-path": ({"name": "../../etc/passwd"}, "name"),
+    "name-long": ({"name": "x" * 5000}, "name"),
+    "nan": ({**EASY, "settings": {"atmosphere.aot550": float("nan")}}, "atmosphere.aot550"),
+    "grid": ({**EASY, "settings": {"processing.samples": 10**9}}, "processing.samples"),
+    "rate": ({**EASY, "settings": {"processing.false_alarm_grid.per_decade": 10**9}}, "per_decade"),
+    "sensor-path": ({**EASY, "settings": {"sensor": "/etc/passwd"}}, "sensor"),
+    "sensor-up": ({**EASY, "settings": {"sensor": "../../sensor.yaml"}}, "sensor"),
+    "file": ({**EASY, "settings": {"scene.classes.0.spectrum": {"file": "/etc/passwd"}}}, "settings"),
+    "control": ({**EASY, "settings": {"title": "a\u0000b"}}, "title"),
+    "path": ({**EASY, "settings": {"scene.[nowhere].x": 1}}, "scene.nowhere"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_order_is_refused_at_its_field_at_once(server, client, case):
+    order, field = WRONG[case]
+    text = json.dumps(order)
+    answer = client.post(f"{server.address}/api/v1/predictions", data=text, headers=JSON)
+    assert answer.status_code == 422
+    assert any(field in e["field"] for e in answer.json()["errors"]), answer.text
+
+
+def scenario_with(**source):
+    return {
+        "name": "x",
+        "sensor": "prospectir-vs",
+        "atmosphere": None,
+        "scene": {"classes": [{"name": "a", "fraction": 1, "spectrum": source}]},
+    }
+
+
+@pytest.mark.parametrize(
+    ("source", "field"),
+    [
+        ({"file": "/etc/passwd"}, "scene.classes.0.spectrum.file"),
+        ({"file": "data:hysu/x"}, "scene.classes.0.spectrum.file"),
+        ({"file": "/vsicurl/http://127.0.0.1/"}, "scene.classes.0.spectrum.file"),
+        ({"library": "/etc/passwd"}, "scene.classes.0.spectrum.library"),
+        ({"measured": "x"}, "scene.classes.0.spectrum.measured"),
+        ({"replicates": {"files": "/etc/*"}}, "scene.classes.0.spectrum.replicates"),
+        ({"builtin": "../../etc/passwd"}, "scene.classes.0.spectrum.builtin"),
+    ],
+)
+def test_files_of_the_server_are_not_named(server, client, source, field):
+    answer = client.post(f"{server.address}/api/v1/predictions", json={"scenario": scenario_with(**source)})
+    assert answer.status_code == 422
+    assert field in [e["field"] for e in answer.json()["errors"]]
+
+
+def test_number_beyond_all_numbers_and_depth_beyond_all_depth(server, client):
+    url = f"{server.address}/api/v1/predictions"
+    text = '{"name": "panels", "settings": {"atmosphere.aot550": 1e400}}'
+    assert client.post(url, data=text, headers=JSON).json()["errors"][0]["field"] == "atmosphere.aot550"
+    for body in (
+        "[" * 100_000,
+        '{"a":' * 50_000,
+        '{"name": ' + "9" * 5000 + "}",
+        "",
+        "\x00",
+        "nonsense",
+        "null",
+        "[]",
+    ):
+        assert client.post(url, data=body, headers=JSON).status_code in (400, 422)
+
+
+def test_study_of_a_thousand_million_points_is_refused(server, client):
+    grid = {"start": 0, "stop": 1, "count": 1000}
+    study = {
+        "name": "x", "scenario": "panels",
+        "inputs": [{"name": f"i{n}", "path": f"scene.classes.{n}.gain", "grid": grid}
+                   for n in range(3)],
+        "outputs": [{"name": "snr", "kind": "snr", "subject": "grass", "band_nm": 550}],
+    }  # fmt: skip
+    answer = client.post(f"{server.address}/api/v1/studies", json={"study": study})
+    assert answer.status_code == 422
+    assert "1,000,000,000 evaluations" in answer.json()["errors"][0]["message"]
+    study["inputs"] = [{"name": "a", "path": "atmosphere.nothing", "values": [1]}]
+    answer = client.post(f"{server.address}/api/v1/studies", json={"study": study})
+    assert answer.json()["errors"][0]["field"] == "inputs.0.path"
+    study["scenario"] = "/etc/passwd"
+    answer = client.post(f"{server.address}/api/v1/studies", json={"study": study})
+    assert answer.json()["errors"][0]["field"] == "scenario"
+
+
+CUBE = ("a.img", b"\x00" * 8)
+HEADER = ("a.hdr", b"ENVI\n")
+REGIONS = ("r.geojson", b"{}")
+
+
+@pytest.mark.parametrize(
+    ("files", "field"),
+    [
+        ([("cube", ("../../a.img", b"x"))], "cube"),
+        ([("cube", ("a.zip", b"PK\x03\x04"))], "cube"),
+        ([("cube", ("a.img", b"PK\x03\x04 a bomb")), ("header", HEADER), ("regions", REGIONS)], "cube"),
+        ([("cube", ("a.dat", b"\x1f\x8b bomb"))], "cube"),
+        ([("cube", CUBE), ("header", ("a.hdr", b"<?xml version='1.0'?><!DOCTYPE a [<!ENTITY b 'c'>]>"))], "header"),
+        ([("cube", CUBE), ("header", HEADER), ("regions", ("r.xml", b"<?xml"))], "regions"),
+        ([("cube", CUBE), ("header", HEADER), ("regions", ("r.json", b"a" * 4_100_000))], "regions"),
+        ([("cube", CUBE)], "header"),
+        ([("regions", REGIONS)], "cube"),
+    ],
+)
+def test_file_that_is_no_such_file_is_refused(server, client, files, field):
+    answer = client.post(f"{server.address}/api/v1/uploads", files=files)
+    assert answer.status_code == 422
+    assert field in [e["field"] for e in answer.json()["errors"]]
+
+
+def test_header_that_lies_about_its_cube_fails_and_names_no_path(server, client):
+    lie = b"ENVI\nsamples = 100000\nlines = 100000\nbands = 1000\ndata type = 4\ninterleave = bsq\nbyte order = 0\n"
+    files = [("cube", CUBE), ("header", ("a.hdr", lie)), ("regions", REGIONS)]
+    run = client.post(f"{server.address}/api/v1/uploads", files=files).json()
+    run = client.get(f"{server.address}/api/v1/runs/{run['id']}", params={"wait": 20}).json()
+    assert run["state"] == "failed"
+    assert str(server.folder) not in json.dumps(run)
+
+
+def raw(server, request: bytes) -> bytes:
+    host, port = server.address.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port)), timeout=10) as s:
+        s.sendall(request.replace(b"HOST", f"{host}:{port}".encode()))
+        return s.recv(65536)
+
+
+def test_large_body_is_refused_before_it_is_sent(server):
+    start = b"POST /api/v1/predictions HTTP/1.1\r\nHost: HOST\r\n"
+    assert b" 413 " in raw(server, start + b"Content-Length: 99999999999\r\n\r\n").split(b"\r\n")[0]
+    assert b" 400 " in raw(server, start + b"Content-Length: -5\r\n\r\n").split(b"\r\n")[0]
+    assert (
+        b" 415 "
+        in raw(server, start + b"Content-Encoding: gzip\r\nContent-Length: 5\r\n\r\nabcde").split(b"\r\n")[0]
+    )
+    chunk = b"%x\r\n%s\r\n" % (60_000, b"a" * 60_000)
+    body = (
+        start + b"Content-Type: application/json\r\nTransfer-Encoding: chunked\r\n\r\n" + chunk * 20 + b"0\r\n\r\n"
+    )
+    assert b" 413 " in raw(server, body).split(b"\r\n")[0]
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/static/../app.py", "/static/%2e%2e%2fapp.py", "/static/..%2f..%2fapp.py", "/runs/../../etc/passwd",
+     "/runs/%2e%2e", "/runs/" + "a" * 16 + "/files/../run.json", "/static/.%00", "/" + "a" * 20_000],
+)  # fmt: skip
+def test_no_path_leads_out(server, client, path):
+    answer = client.get(server.address + path)
+    assert answer.status_code in (404, 414, 422)
+
+
+def test_files_of_a_run_are_those_it_offers(server, client):
+    run = client.post(f"{server.address}/api/v1/predictions", json=EASY).json()["id"]
+    for name in (
+        "run.json",
+        "answer.npz",
+        "../../index.sqlite",
+        "..%2frun.json",
+        "%2fetc%2fpasswd",
+        "figures/..",
+        "",
+    ):
+        assert client.get(f"{server.address}/api/v1/runs/{run}/files/{name}").status_code in (404, 405)
+
+
+def test_error_that_nobody_foresaw_says_nothing_of_the_server(server, client, monkeypatch):
+    def broken(*args, **options):
+        raise RuntimeError(f"at {server.folder}")
+
+    monkeypatch.setattr(server.app.state.store, "runs", broken)
+    answer = client.get(f"{server.address}/api/v1/runs")
+    assert answer.status_code == 500
+    assert str(server.folder) not in answer.text
+    assert "Traceback" not in answer.text
+
+
+def test_too_many_runs_of_one_session_and_a_full_queue(make_server):
+    small = make_server(per_session=2, queue=3)
+    small.quick.gate.clear()
+    url = f"{small.address}/api/v1/predictions?wait=0"
+    first, second = small.session(), small.session()
+    assert [first.post(url, json=EASY).status_code for _ in range(3)] == [201, 201, 429]
+    # One is at the worker, three wait.
+    deadline = time.monotonic() + 10
+    while small.quick.waiting.qsize() != 1 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert [second.post(url, json=EASY).status_code for _ in range(2)] == [201, 201]
+    answer = small.session().post(url, json=EASY)
+    assert answer.status_code == 503
+    assert int(answer.headers["retry-after"]) > 0
+    small.quick.gate.set()
+    run = first.get(f"{small.address}/api/v1/runs").json()[0]["id"]
+    assert first.get(f"{small.address}/api/v1/runs/{run}", params={"wait": 20}).json()["state"] == "finished"

@@ -1,0 +1,99 @@
+"""Processes of a server: bounded in time and memory, replaced when they end, ended with their server."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("fastapi", reason="needs the extra web")
+
+from hyperval.web.workers import Cancelled, Job, Pool, TaskFailed
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(HERE))
+        one = Pool(1, 8, seconds=2.0, memory_bytes=1_500_000_000, module="web_tasks")
+        yield one
+        one.close()
+
+
+def result(pool, task, timeout=30.0, **arguments):
+    return pool.submit(Job(task, arguments)).future.result(timeout)
+
+
+def test_what_ends_a_process_ends_its_task_alone(pool):
+    assert result(pool, "add", a=1, b=2) == 3
+    first = result(pool, "pid")
+    assert result(pool, "pid") == first  # it stays warm
+    with pytest.raises(TaskFailed, match="process was ended"):
+        result(pool, "die")
+    assert result(pool, "pid") != first
+
+
+def test_task_that_takes_too_long_or_too_much_is_ended(pool):
+    with pytest.raises(TaskFailed, match="longer than 2 s"):
+        pool.submit(Job("write", {"path": os.devnull})).future.result(30.0)
+    with pytest.raises(TaskFailed, match="more memory"):
+        result(pool, "hoard")
+    assert result(pool, "add", a=1, b=1) == 2
+
+
+def test_failure_is_told_without_paths(pool, capfd):
+    with pytest.raises(TaskFailed) as told:
+        result(pool, "wrong")
+    assert str(told.value) == "no such thing; expected: a thing of place"
+    with pytest.raises(TaskFailed) as told:
+        result(pool, "unforeseen")
+    assert "secret" not in str(told.value)
+
+
+def test_task_is_called_off(pool):
+    running, waiting = Job("write", {"path": os.devnull}), Job("add", {"a": 1, "b": 1})
+    pool.submit(running)
+    pool.submit(waiting)
+    waiting.is_cancelled = True
+    while not running.started:
+        time.sleep(0.01)
+    running.is_cancelled = True
+    for job in (running, waiting):
+        with pytest.raises(Cancelled):
+            job.future.result(30.0)
+
+
+def test_processes_end_with_a_server_that_was_killed(tmp_path):
+    code = (
+        "import sys, time; from hyperval.web.workers import Pool, Job\n"
+        "if __name__ == '__main__':\n"
+        f"    sys.path.insert(0, {str(HERE)!r})\n"
+        "    pool = Pool(1, 4, 60.0, 10**9, 'web_tasks')\n"
+        "    print(pool.submit(Job('pid', {})).future.result(30.0), flush=True)\n"
+        f"    pool.submit(Job('write', {{'path': {str(tmp_path / 'sign')!r}}}))\n"
+        "    time.sleep(60)\n"
+    )
+    (tmp_path / "server.py").write_text(code)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
+    server = subprocess.Popen([sys.executable, tmp_path / "server.py"], stdout=subprocess.PIPE, env=environment)
+    worker = int(server.stdout.readline())
+    while not (tmp_path / "sign").exists():
+        time.sleep(0.02)
+    server.send_signal(signal.SIGKILL)
+    server.wait()
+    server.stdout.close()
+    for _ in range(100):
+        try:
+            os.kill(worker, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.1)
+    else:
+        pytest.fail("the worker outlived its server")

@@ -1,0 +1,41 @@
+"""Tasks that show what the processes of a server do with them."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from hyperval.errors import UsageError
+
+
+def warm() -> None:
+    """There is nothing to load."""
+
+
+def _die() -> None:
+    os._exit(9)
+
+
+def _hoard() -> int:
+    return len(bytearray(4_000_000_000))
+
+
+def _wrong() -> None:
+    raise UsageError("no such thing", where="/secret/place/file.yaml", expected="a thing of /secret/place")
+
+
+def _unforeseen() -> None:
+    raise RuntimeError("/secret/place")
+
+
+def _write(path: str) -> None:
+    while True:
+        Path(path).write_text(str(time.time()))
+        time.sleep(0.05)
+
+
+TASKS = {
+    "add": lambda a, b: a + b, "sleep": time.sleep, "die": _die, "hoard": _hoard, "wrong": _wrong,
+    "unforeseen": _unforeseen, "write": _write, "pid": os.getpid,
+}  # fmt: skip
