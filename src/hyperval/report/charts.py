@@ -7,35 +7,25 @@ Figures for print are drawn by ``figures_*``.
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from bokeh.core.types import ID
-from bokeh.embed import json_item
 from bokeh.layouts import column
 from bokeh.models import (
-    BoxSelectTool,
-    BoxZoomTool,
     ColumnDataSource,
     HoverTool,
-    LayoutDOM,
-    PanTool,
     Range1d,
-    ResetTool,
-    SaveTool,
     TabPanel,
     Tabs,
-    WheelZoomTool,
 )  # fmt: skip
 from bokeh.models.annotations import Span
-from bokeh.plotting import figure
 
 from hyperval.products import Products, RocCurve, SpectralEstimate
 from hyperval.report import style
+from hyperval.report.charts_base import CURVE_COLOURS, GREY, Chart, chart_content, chart_legend, empty_plot
 from hyperval.report.figures_detection import best_counted
 from hyperval.report.figures_spectra import Sides, both_first, difference_ratio
 from hyperval.report.style import COLLECTED, PREDICTED
@@ -52,8 +42,6 @@ MOST_CURVES = 24
 FIRST = "the first few"  # of the subjects of curves
 FIRST_CURVES = 3  # that are seen before a name in the legend is clicked
 _MOST_POINTS = 200
-_GREY = "#7a7f87"  # legible on white and on dark paper
-_ABSORPTION = "#9aa0a8"
 Labels = tuple[str, str]
 LABELS: Labels = ("predicted", "collected")
 _SPECTRUM_LOOKS = {
@@ -61,26 +49,6 @@ _SPECTRUM_LOOKS = {
     "collected": (COLLECTED.colour, "solid"),
     "difference": (style.DIFFERENCE_COLOUR, "solid"),
 }
-_CURVE_COLOURS = ("#0072B2", "#C2410C", "#009E73", "#B4548F", "#5B3A8C", "#B58900")
-
-
-@dataclass(frozen=True)
-class Chart:
-    """An interactive chart as the page holds it.
-
-    Attributes
-    ----------
-    name, section, title, alt : as of a :class:`Drawing`
-    content : JSON that the script draws
-    subjects : those that a reader may choose among, the one that is shown at first before the others; maybe none
-    """
-
-    name: str
-    section: str
-    title: str
-    alt: str
-    content: str
-    subjects: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -145,7 +113,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
         f"{title}: {words} (grey: absorption){style.left_out([shown], pairs or every)}",
         f"{title} against wavelength, a subject at a time: {labels[0]} (dashed) and {labels[1]} (solid) with 95 % "
         f"intervals{', the difference below' if pairs else ''}. Subjects: {', '.join(shown)}.",
-        _content(
+        chart_content(
             _spectra_plots(spectra[0], label, ratio, labels),
             name,
             [one.packed(spectra[0].nm if i else None) for i, one in enumerate(spectra)],
@@ -170,15 +138,15 @@ def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
         tabs.append(TabPanel(title=f"{detector}, by {unit}", child=_curves(keys, predicted, measured, labels)))
     names = tuple(dict.fromkeys(key[0] for keys in shown for key in keys))
     second = "measured" if labels == LABELS else labels[1]
+    words = f"{labels[0]} (dashed) and {second}" if measured or labels == LABELS else labels[0]
     return Chart(
         "chart-roc",
         "roc",
-        f"ROC: {labels[0]} (dashed) and {second}; a click on a name shows or hides it"
-        f"{style.left_out(shown, pairs or every)}",
+        f"ROC: {words}; a click on a name shows or hides it{style.left_out(shown, pairs or every)}",
         f"Probability of detection against probability of false alarm (logarithmic), {labels[0]} dashed and "
         f"{second}{' in steps' if second == 'measured' else ''}, with 95 % intervals, a tab for each detector. "
         f"Subjects: {', '.join(names)}.",
-        _content(Tabs(tabs=tabs, sizing_mode="stretch_width"), "chart-roc"),
+        chart_content(Tabs(tabs=tabs, sizing_mode="stretch_width"), "chart-roc"),
         (FIRST, *names) if len(names) > 1 else (),
     )
 
@@ -256,7 +224,7 @@ def _spectra_plots(spectra: Spectra, label: str, ratio: bool, labels: Labels = L
     ):
         if names[0] not in spectra.bands:
             continue
-        plot = _plot(height, span, axis_label, absorption)
+        plot = empty_plot(height, span, axis_label, absorption)
         start, end = spectra.ranges.get(range_name, (0.0, 1.0))
         plot.y_range = Range1d(start=start, end=end, name=range_name)
         lines = []
@@ -283,9 +251,9 @@ def _spectra_plots(spectra: Spectra, label: str, ratio: bool, labels: Labels = L
         ]
         plot.add_tools(HoverTool(tooltips=[("nm", "@nm{0.0}"), *tips], mode="vline", renderers=lines[:1]))
         if range_name == "level":
-            _legend(plot)
+            chart_legend(plot)
         else:
-            plot.add_layout(Span(location=0.0, dimension="width", line_color=_GREY))
+            plot.add_layout(Span(location=0.0, dimension="width", line_color=GREY))
         plots.append(plot)
     plots[-1].xaxis.axis_label = style.WAVELENGTH_LABEL
     return column(*plots, sizing_mode="stretch_width")
@@ -302,12 +270,12 @@ def _curves(
     lowest = min((float(c.pfa[c.pfa > 0].min()) for c in curves if (c.pfa > 0).any()), default=1e-3)
     counted = [1.0 / c.n_background for c in measured.values() if c.n_background]
     low = max(lowest, min(counted) / 100.0 if counted else lowest)
-    plot = _plot(420, Range1d(start=low, end=1.0), "P_D [1]", x_axis_type="log")
+    plot = empty_plot(420, Range1d(start=low, end=1.0), "P_D [1]", x_axis_type="log")
     plot.y_range = Range1d(start=-0.02, end=1.04)
     lines = []
     plot.xaxis.axis_label = "P_FA per pixel [1]"
     for number, key in enumerate(keys):
-        colour, seen = _CURVE_COLOURS[number % len(_CURVE_COLOURS)], number < FIRST_CURVES
+        colour, seen = CURVE_COLOURS[number % len(CURVE_COLOURS)], number < FIRST_CURVES
         name = style.shortened(key[0], 30)
         second = "measured" if labels == LABELS else labels[1]
         for side, own, dash in ((labels[0], predicted, "dashed"), (second, measured, "solid")):
@@ -325,8 +293,8 @@ def _curves(
     tips = [("", "$name"), ("P_FA", "@pfa"), ("P_D", "@pd{0.000} (@low{0.000} to @high{0.000})")]
     plot.add_tools(HoverTool(tooltips=tips, renderers=lines, mode="mouse"))
     if counted:
-        plot.add_layout(Span(location=min(counted), dimension="height", line_color=_GREY, line_dash="dotted"))
-    _legend(plot)
+        plot.add_layout(Span(location=min(counted), dimension="height", line_color=GREY, line_dash="dotted"))
+    chart_legend(plot)
     plot.add_layout(plot.legend[0], "right")
     return plot
 
@@ -341,68 +309,5 @@ def _curve_data(curve: RocCurve, low: float) -> dict[str, Column]:
     return {name: _column(values[keep]) for name, values in columns.items()}
 
 
-def _plot(height: int, span: Range1d, label: str, absorption: ColumnDataSource | None = None, **more: Any) -> Any:
-    """An empty plot in the house's look, legible on white and on dark paper."""
-    plot = figure(
-        height=height,
-        sizing_mode="stretch_width",
-        x_range=span,
-        y_axis_label=label,
-        tools=[PanTool(), BoxZoomTool(), WheelZoomTool(), ResetTool(), SaveTool()],
-        toolbar_location="above",
-        background_fill_alpha=0.0,
-        border_fill_alpha=0.0,
-        outline_line_color=None,
-        min_border_left=72,  # so that plots above each other have one wavelength axis
-        **more,
-    )
-    plot.toolbar.logo = None
-    if absorption is not None:
-        plot.add_tools(BoxSelectTool(dimensions="width"))
-        plot.vstrip("start", "end", source=absorption, fill_color=_ABSORPTION, fill_alpha=0.22, line_alpha=0.0)
-    for axis in (*plot.xaxis, *plot.yaxis):
-        axis.axis_label_text_color = axis.major_label_text_color = axis.axis_line_color = _GREY
-        axis.major_tick_line_color = axis.minor_tick_line_color = _GREY
-        axis.axis_label_text_font_style = "normal"
-    plot.grid.grid_line_color = _GREY
-    plot.grid.grid_line_alpha = 0.25
-    return plot
-
-
-def _legend(plot: Any) -> None:
-    plot.legend.click_policy = "hide"
-    plot.legend.background_fill_alpha = 0.0
-    plot.legend.border_line_alpha = 0.0
-    plot.legend.label_text_color = _GREY
-
-
 def _column(values: Array) -> Column:
     return np.asarray(values, dtype=np.float32)
-
-
-def _content(model: LayoutDOM, target: str, subjects: Sequence[Mapping[str, Any]] = ()) -> str:
-    """The JSON of a chart, its models numbered as they stand in it: the same run gives the same bytes."""
-    item: Any = json_item(model, ID(target))
-    numbers: dict[str, str] = {}
-
-    def named(value: Any) -> None:
-        if isinstance(value, dict):
-            if isinstance(value.get("id"), str):
-                numbers.setdefault(value["id"], f"c{len(numbers)}")
-            for part in value.values():
-                named(part)
-        elif isinstance(value, list):
-            for part in value:
-                named(part)
-
-    def renamed(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: renamed(part) for key, part in value.items()}
-        if isinstance(value, list):
-            return [renamed(part) for part in value]
-        return numbers.get(value, value) if isinstance(value, str) else value
-
-    named(item["doc"])
-    content = {"item": renamed(item), "subjects": subjects}
-    # "<" cannot end the script that holds it.
-    return json.dumps(content, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")

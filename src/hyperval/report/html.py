@@ -16,7 +16,8 @@ from markupsafe import Markup
 import hyperval
 from hyperval.metrics import Evidence, explained
 from hyperval.report import verdict as v
-from hyperval.report.charts import Chart, draw_charts
+from hyperval.report.charts import draw_charts
+from hyperval.report.charts_base import Chart
 from hyperval.report.matrix import LETTERS, anchor, matrix_of
 from hyperval.report.run import WARNING, RunReport
 from hyperval.report.scripts import packed_library, page_script, page_script_hash, script_hashes, starter

@@ -6,14 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from hyperval.products import Prediction
-from hyperval.report.charts import Chart, draw_charts
+from hyperval.report.charts import draw_charts
+from hyperval.report.charts_base import Chart
+from hyperval.report.charts_scores import scores_chart
 
 
 def charts_of(sides: Mapping[str, Prediction]) -> list[dict[str, Any]]:
     """Charts of a prediction, and of an earlier one where there are two."""
     now, *earlier = sides.values()
     both = now, earlier[0] if earlier else None
-    return [plain(chart) for chart in draw_charts(both, [], labels=("this run", "earlier run"))]
+    labels = ("this run", "earlier run")
+    scores = scores_chart([(label, side) for label, side in zip(labels, both, strict=True) if side is not None])
+    return [plain(chart) for chart in (*draw_charts(both, [], labels=labels), scores) if chart is not None]
 
 
 def plain(chart: Chart) -> dict[str, Any]:

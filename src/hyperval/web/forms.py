@@ -20,6 +20,10 @@ MOST_ROWS = 40
 _UNIT = re.compile(r"\[([^\]\[]{1,24})\]")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _SCALARS = {"number", "integer", "string", "boolean"}
+_UNITS = {
+    "_deg": "deg", "_km": "km", "_nm": "nm", "_m": "m", "_percent": "%", "_au": "au", "_g_cm2": "g cm-2",
+    "_atm_cm": "atm cm", "_pixels": "pixels",
+}  # fmt: skip
 Choices = Callable[[str], tuple[str, ...]]  # of a path, where the schema leaves them open
 
 
@@ -115,8 +119,10 @@ class Form:
 
     def _node(self, schema: Mapping[str, Any], path: str, value: Any, is_needed: bool) -> Node:
         members = self._members(schema)
-        title = path.rsplit(".", 1)[-1].replace("_", " ")
-        hint = str(schema.get("description", ""))
+        name = path.rsplit(".", 1)[-1]
+        ending = _ending(name)
+        title = name[: len(name) - len(ending)].replace("_", " ")
+        hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
         kinds = [_kind(m) for m in members]
         if "group" in kinds and len(members) > 1:
             return self._variants(members, kinds, path, title, hint, value)
@@ -164,7 +170,18 @@ class Form:
             value = "" if value is None else _text(value)
         if kind == "choice" and value and value not in choices:
             choices = (*choices, value)
-        return Node(kind, path, title, _UNIT.sub("", hint).strip(), unit, limits, shown, value, choices, is_needed)
+        return Node(
+            kind,
+            path,
+            title,
+            _UNIT.sub("", hint).replace(" ,", ",").replace(" ;", ";").strip(),
+            unit,
+            limits,
+            shown,
+            value,
+            choices,
+            is_needed,
+        )
 
     def _variants(
         self, members: list[Mapping[str, Any]], kinds: list[str], path: str, title: str, hint: str, value: Any
@@ -300,14 +317,8 @@ def _summary(schema: Mapping[str, Any]) -> str:
 
 def _unit_of(path: str) -> str:
     """The unit that the name of a number ends with."""
-    ends = {
-        "_deg": "deg",
-        "_km": "km",
-        "_nm": "nm",
-        "_m": "m",
-        "_percent": "%",
-        "_au": "au",
-        "_g_cm2": "g cm-2",
-        "_atm_cm": "atm cm",
-    }
-    return next((unit for end, unit in sorted(ends.items(), key=lambda e: -len(e[0])) if path.endswith(end)), "")
+    return _UNITS.get(_ending(path), "")
+
+
+def _ending(name: str) -> str:
+    return next((end for end in sorted(_UNITS, key=len, reverse=True) if name.endswith(end)), "")

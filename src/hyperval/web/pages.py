@@ -27,14 +27,18 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["number"] = _number
+    environment.filters["digits"] = _digits
     environment.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
     environment.filters["since"] = _since
     return environment
 
 
-def _number(value: float) -> str:
-    return f"{value:.3g}" if value == value else "unknown"
+def _digits(text: str) -> str:
+    """A number of a file with as many digits as a page needs."""
+    try:
+        return f"{float(text):.5g}"
+    except ValueError:
+        return text
 
 
 def _since(seconds: float) -> str:

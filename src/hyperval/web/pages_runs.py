@@ -78,7 +78,11 @@ def _beside(run: Run, other: Run | None) -> list[dict[str, Any]]:
 
     earlier = {key(row): row for row in (other.summary.get("detection", ()) if other else ())}
     rows = []
-    for row in run.summary.get("detection", ()):
+    every = run.summary.get("detection", ())
+    pixels = {(*key(row)[:2], row["pfa"]): row["pd"] for row in every if row["unit"] == "pixel"}
+    for row in every:
+        if row["unit"] == "object" and pixels.get((*key(row)[:2], row["pfa"])) == row["pd"]:
+            continue  # objects of one pixel: nothing new
         before = earlier.get(key(row))
         known = before is not None and None not in (before["pd"], row["pd"])
         difference = row["pd"] - before["pd"] if known and before is not None else None

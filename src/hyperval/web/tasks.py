@@ -165,7 +165,7 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
         nm = observed.axis.centre_nm
         header["wavelengths"] = f"{nm[0]:g} to {nm[-1]:g} nm"
     if raster.crs is not None and raster.transform is not None:
-        x, y = raster.transform * (samples / 2, lines / 2)
+        x, y = raster.transform @ (samples / 2, lines / 2)
         header["position"] = f"{raster.crs}, centre {x:.6g}, {y:.6g}"
     return _verdicts(place / "results") | {"header": header, "guesses": guesses}
 

@@ -1,7 +1,7 @@
 // How far a run is, and the charts of one that has finished.
 const progress = document.getElementById("progress");
 
-async function follow() {
+async function watch() {
   const answer = await fetch(`/runs/${progress.dataset.run}/state`);
   if (!answer.ok) return;
   const run = await answer.json();
@@ -12,9 +12,9 @@ async function follow() {
   document.getElementById("stage").textContent = run.stage;
   document.getElementById("done").value = run.done;
   document.getElementById("left").textContent = run.seconds_left === null ? "" : `about ${run.seconds_left} s left`;
-  setTimeout(follow, 400);
+  setTimeout(watch, 400);
 }
-if (progress !== null) setTimeout(follow, 300);
+if (progress !== null) setTimeout(watch, 300);
 
 function figureOf(chart) {
   const figure = document.createElement("figure");

@@ -1,0 +1,241 @@
+"""The application in a real browser: what a person does there, by mouse and keyboard, on a desk and on a phone."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("fastapi", reason="needs the extra web")
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+
+from axe_playwright_python.sync_playwright import Axe
+
+from small_campaign import SmallCampaign
+
+BROWSER = next(
+    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
+)
+REQUIRED = os.environ.get("HYPERVAL_REQUIRE_BROWSER") == "1"
+pytestmark = pytest.mark.skipif(BROWSER is None and not REQUIRED, reason="no chromium on this machine")
+PAGES = (
+    "/",
+    "/predict",
+    "/predict?scenario=yellow-planks-asphalt",
+    "/trade",
+    "/validate",
+    "/bring",
+    "/runs",
+    "/docs",
+)
+PICTURES = os.environ.get("HYPERVAL_SCREENSHOTS")  # a folder that screenshots go into
+_LINES_VISIBLE = """() => Bokeh.documents.flatMap((d) => d.roots()).filter((r) => r.tabs !== undefined)
+    .flatMap((r) => r.tabs[0].child.renderers).filter((c) => c.tags.length > 0 && c.visible)
+    .map((c) => c.tags[0])"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[sync_api.Browser]:
+    with sync_api.sync_playwright() as play:
+        one = play.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield one
+        one.close()
+
+
+@pytest.fixture(scope="module")
+def context(browser, server) -> Iterator[sync_api.BrowserContext]:
+    one = browser.new_context(base_url=server.address, viewport={"width": 1280, "height": 900})
+    one.set_default_timeout(20_000)
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def page(context, server) -> Iterator[sync_api.Page]:
+    """A page; a request to elsewhere or a word of the browser's about the policy fails its test."""
+    one = context.new_page()
+    amiss: list[str] = []
+    one.on("console", lambda m: amiss.append(m.text) if "Content Security Policy" in m.text else None)
+    one.on("pageerror", lambda e: amiss.append(str(e)))
+    one.on(
+        "request", lambda r: None if r.url.startswith((server.address, "data:", "blob:")) else amiss.append(r.url)
+    )
+    yield one
+    one.close()
+    assert amiss == []
+
+
+def picture(page: sync_api.Page, name: str) -> None:
+    if PICTURES:
+        page.screenshot(path=Path(PICTURES) / f"{name}.png")
+
+
+def predict(page: sync_api.Page, **changes: str) -> None:
+    page.goto("/predict?scenario=yellow-planks-asphalt")
+    for name, value in changes.items():
+        page.locator(f"[name='{name.replace('__', '.')}']").fill(value)
+    page.get_by_role("button", name="Run", exact=True).first.click()
+    page.wait_for_url("**/runs/*")
+    page.wait_for_selector("#charts[data-ready]")
+
+
+def test_scenario_to_download(page):
+    page.goto("/")
+    picture(page, "start")
+    page.get_by_role("link", name="Sub-pixel planks painted yellow on asphalt").click()
+    picture(page, "predict")
+    field = page.get_by_label("meteorological range [km]").first
+    assert field.input_value() == "23"
+    field.fill("40")
+    page.get_by_role("button", name="Run", exact=True).first.click()
+    page.wait_for_selector("#charts[data-ready]")
+    assert page.locator("#charts figure").count() >= 4
+    assert page.locator(".bk-Canvas, .bk-Column").count() > 0
+    picture(page, "result")
+    with page.expect_download() as download:
+        page.get_by_role("link", name="scenario.yaml").click()
+    assert "meteorological_range_km: 40" in download.value.path().read_text()
+    page.get_by_role("link", name="Link that reproduces this page").click()
+    assert page.get_by_label("meteorological range [km]").first.input_value() == "40"
+
+
+def test_wrong_value_is_marked_at_its_field(page):
+    page.goto("/predict?scenario=yellow-planks-asphalt")
+    page.locator("[name='atmosphere.water_vapour_g_cm2']").fill("99")
+    page.get_by_role("button", name="Run", exact=True).first.click()
+    wrong = page.locator("[aria-invalid=true]")
+    assert wrong.get_attribute("name") == "atmosphere.water_vapour_g_cm2"
+    assert wrong.evaluate("e => e === document.activeElement")
+    described = wrong.get_attribute("aria-describedby").split()
+    assert "less than or equal to 10" in page.locator(f"#{described[-1]}").inner_text()
+    picture(page, "mistake")
+
+
+def test_no_background_is_caught_and_the_sum_is_shown(page):
+    page.goto("/predict?scenario=yellow-planks-asphalt")
+    page.locator("[name='scene.classes.0.fraction']").fill("0.5")
+    assert page.locator("#total").inner_text() == "0.9"
+    page.get_by_role("button", name="Run", exact=True).first.click()
+    assert "sum to 0.9, not 1" in page.locator("#mistakes").inner_text()
+    for name in ("asphalt", "grass", "soil"):
+        page.get_by_role("button", name=f"Remove {name}", exact=True).click()
+    page.get_by_role("button", name="Run", exact=True).first.click()
+    assert "no background is chosen" in page.locator("#mistakes").inner_text()
+
+
+def test_classes_are_toggled(page):
+    predict(page)
+    first = set(page.evaluate(_LINES_VISIBLE))
+    assert first == {"yellow plank 0.02", "yellow plank 0.05", "yellow plank 0.1"}
+    page.locator("select[data-chart=chart-roc]").select_option("yellow plank 0.05")
+    assert set(page.evaluate(_LINES_VISIBLE)) == {"yellow plank 0.05"}
+    nm = page.evaluate("Bokeh.documents[0].get_model_by_name('spectra').data.nm.length")
+    assert nm == 360
+
+
+def test_two_runs_are_compared(page):
+    predict(page, atmosphere__meteorological_range_km="23")
+    predict(page, atmosphere__meteorological_range_km="6")
+    page.locator("#beside").select_option(index=1)
+    page.get_by_role("button", name="Compare").click()
+    page.wait_for_selector("#charts[data-ready]")
+    heads = page.locator("#detection th[scope=col]").all_inner_texts()
+    assert [h.strip() for h in heads][-2:] == ["Earlier", "Difference"]
+    names = page.evaluate("Object.keys(Bokeh.documents[0].get_model_by_name('spectra').data)")
+    assert "difference" in names
+    picture(page, "compared")
+
+
+def test_study_is_run_and_another_cancelled(page, server):
+    page.goto("/trade")
+    picture(page, "trade")
+    page.locator("[name='inputs.0.grid.count']").fill("5")
+    page.get_by_role("button", name="Run", exact=True).first.click()
+    page.wait_for_selector("figure img", timeout=60_000)
+    picture(page, "study")
+    server.long.gate.clear()
+    page.goto("/trade")
+    page.get_by_role("button", name="Run", exact=True).first.click()
+    assert page.locator("#progress").is_visible()
+    page.get_by_role("button", name="Cancel").click()
+    server.long.gate.set()
+    page.wait_for_selector("#reason")
+    assert "cancelled" in page.locator("#reason").inner_text()
+
+
+def test_cube_is_brought(page, small_collection, tmp_path):
+    campaign = SmallCampaign(shutil.copytree(small_collection, tmp_path / "own"))
+    page.goto("/bring")
+    picture(page, "bring")
+    place = campaign.collection
+    page.locator("#cube").set_input_files(place / "small_rad.img")
+    assert "of at most" in page.locator("#size").inner_text()
+    page.locator("#header").set_input_files(place / "small_rad.hdr")
+    page.locator("#regions").set_input_files(place / "regions.geojson")
+    page.locator("#targets").set_input_files(place / "targets.csv")
+    page.locator("#spectra").set_input_files(place / "panel_spectra.csv")
+    for field, value in (("name", "mine"), ("unit", "uW cm-2 sr-1 nm-1"), ("time_utc", "2012-09-20T16:31:00Z"),
+                         ("altitude_km", "2")):  # fmt: skip
+        page.locator(f"#{field}").fill(value)
+    page.locator("#sensor").select_option("prospectir-vs")
+    page.get_by_role("button", name="Send and run").click()
+    page.wait_for_selector("#files, #reason", timeout=60_000)
+    assert page.locator("#reason").count() == 0, page.locator("#reason").inner_text()
+    assert "samples" in page.locator("dl").inner_text()
+    page.get_by_role("link", name="campaign.yaml")
+    picture(page, "brought")
+
+
+def test_what_is_too_large_is_not_sent(page, tmp_path):
+    page.goto("/bring")
+    (tmp_path / "a.img").write_bytes(b"a" * 70_000_000)
+    page.locator("#cube").set_input_files(tmp_path / "a.img")
+    assert "too large to send" in page.locator("#size").inner_text()
+    assert page.locator("#send").is_disabled()
+
+
+def test_keyboard_alone(page):
+    page.goto("/")
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        if "yellow" in page.evaluate("document.activeElement.textContent"):
+            break
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/predict?scenario=yellow*")
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.value") == "run":
+            break
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#detection")
+    assert "/runs/" in page.url
+
+
+def test_pages_fit_a_phone(page):
+    page.set_viewport_size({"width": 390, "height": 844})
+    wide = "document.scrollingElement.scrollWidth - document.documentElement.clientWidth"
+    for path in PAGES:
+        page.goto(path)
+        assert page.evaluate(wide) <= 1, path
+        if "yellow" in path:
+            picture(page, "phone")
+    predict(page)
+    assert page.evaluate(wide) <= 1
+
+
+@pytest.mark.parametrize(("scheme", "pages"), [("light", PAGES), ("dark", PAGES[:2])])
+def test_axe_sees_nothing_serious(page, scheme, pages):
+    page.emulate_media(color_scheme=scheme)
+    serious = {}
+    predict(page)
+    for path in (page.url, *pages):
+        page.goto(path)
+        for item in Axe().run(page).response["violations"]:
+            if item["impact"] in ("serious", "critical"):
+                serious.setdefault(path, []).append((item["id"], [n["html"][:120] for n in item["nodes"][:2]]))
+    assert serious == {}
+    if scheme == "dark":
+        picture(page, "dark")
