@@ -26,9 +26,19 @@ class CubeSource(Model):
     scale: float | None = Field(None, gt=0, description="stored value times this is the value; None: the header's")
     wavelength_unit: WavelengthUnit | None = Field(None, description="stated when the header does not say nm or um")
     sort_bands: bool = Field(False, description="sort bands whose wavelengths fall, as where detectors overlap")
+    by_number: bool = Field(
+        False,
+        description="bands of a reflectance go by number, as no wavelength is known; for observe alone",
+    )
     glt: str | None = Field(
         None, description="lookup table (GLT) or places of pixels (IGM); None: the product's own, or one beside it"
     )
+
+    @model_validator(mode="after")
+    def _known_bands(self) -> CubeSource:
+        if self.by_number and (self.quantity != "reflectance" or self.wavelength_unit or self.sort_bands):
+            raise ValueError("by_number is for a reflectance of which no wavelength is known")
+        return self
 
     @property
     def may_state_unit(self) -> bool:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from hyperval.campaign.draft import read_texts
-from hyperval.campaign.schema import load_campaign
+from hyperval.campaign.schema import Campaign, load_campaign
+from hyperval.collection_files import CubeSource
 from hyperval.errors import InputError, UsageError
 
 ROOT = Path(__file__).parents[2]
@@ -155,3 +156,29 @@ def test_detection_needs_a_cube(tmp_path):
 def test_no_such_file(tmp_path):
     with pytest.raises(InputError, match=r"none\.yaml: no such file"):
         load_campaign(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"quantity": "radiance", "unit": "uW cm-2 sr-1 nm-1"}, "no wavelength is known"),
+        ({"wavelength_unit": "nm"}, "no wavelength is known"),
+    ],
+)
+def test_bands_by_number_are_of_a_reflectance_without_wavelengths(change, words):
+    cube = {"path": "a.img", "quantity": "reflectance", "by_number": True} | change
+    with pytest.raises(ValueError, match=words):
+        CubeSource.model_validate(cube)
+
+
+def test_bands_by_number_have_no_windows_and_no_prediction():
+    cube = {"path": "a.img", "quantity": "reflectance", "by_number": True}
+    named = {"schema": 1, "name": "n", "title": "t", "description": "d", "collection": {"cube": cube}}
+    target = {"name": "a", "material": "a", "spectrum": {"file": "a.txt"}}
+    Campaign.model_validate(named | {"detection": {"targets": [target]}})
+    for more, words in (
+        ({"detection": {"targets": [target], "bands": "windows"}}, "no windows of the atmosphere"),
+        ({"scenarios": ["panels"]}, "a prediction needs wavelengths"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            Campaign.model_validate(named | more)

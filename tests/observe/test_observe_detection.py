@@ -419,3 +419,50 @@ def test_a_band_without_variance_is_named(world):
     world.write(values)
     with pytest.raises(UsageError, match=r"1 of 8 bands have no variance \(first: band 8\)"):
         world.observe()
+
+
+def without_wavelengths(world, spectrum):
+    """The same cube, its header without wavelengths, and the target as one value a band."""
+    header = world.folder / "cube.hdr"
+    lines, inside = [], False
+    for line in header.read_text().splitlines():
+        if line.lower().startswith(("wavelength", "fwhm")):
+            inside = "{" in line and "}" not in line
+        elif inside:
+            inside = "}" not in line
+        else:
+            lines.append(line)
+    header.write_text("\n".join(lines) + "\n")
+    rows = [f"{i + 1} {value:.15g}" for i, value in enumerate(spectrum)]
+    world.text("paint.txt", "# band, reflectance\n" + "\n".join(rows) + "\n")
+    world.collection["cube"]["by_number"] = True
+    world.detection["targets"][0]["spectrum"] = {"file": "paint.txt"}
+
+
+def test_bands_by_number_give_the_scores_that_wavelengths_give(world):
+    world.detection["detectors"] = ["matched-filter", "ace"]
+    spectrum = world.on_bands("library.csv", "paint")
+    known = world.observe()
+    without_wavelengths(world, spectrum)
+    by_number = world.observe()
+    for name, values in known.detected.score_maps.items():
+        np.testing.assert_allclose(by_number.detected.score_maps[name], values, rtol=1e-9, atol=1e-12)
+    assert by_number.observation.axis.centre_nm.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert any("it is the number of a band" in note for note in by_number.observation.notes)
+    assert not by_number.observation.distribution
+
+
+def test_bands_by_number_refuse_what_goes_by_wavelength(world):
+    spectrum = world.on_bands("library.csv", "paint")
+    without_wavelengths(world, spectrum[:-1])
+    with pytest.raises(InputError, match="7 values for 8 bands"):
+        world.observe()
+    world.text("paint.txt", "0.1\nnone\n")
+    with pytest.raises(InputError, match=r"(?s)not a row of numbers.*a heading begins with #"):
+        world.observe()
+    world.detection["targets"][0]["spectrum"] = {"constant": 0.3}
+    with pytest.raises(UsageError, match="goes by wavelength, the bands of the cube by number"):
+        world.observe()
+    del world.collection["cube"]["by_number"]
+    with pytest.raises(InputError, match="lists no wavelengths"):
+        world.observe()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 from hyperval.units import PLAUSIBLE_NM, only_wavelength_unit, wavelength_to_nm, wavelength_unit_note
 
 Array = npt.NDArray[np.float64]
+Bands = SpectralAxis | Literal["numbers"] | None
 
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNSTATED = ("", "unknown", "none")
@@ -85,6 +87,21 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
     return ordered_bands(
         centre, width, good, sort_bands=sort_bands, where=header.where("wavelength"), notes=tuple(notes)
     )
+
+
+def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str) -> BandTable:
+    """Bands that are given beside a file of ``count``, or that go by their number from 1 in place of a wavelength.
+
+    Raises
+    ------
+    UsageError : an axis of another number of bands.
+    """
+    if axis == "numbers":
+        note = "warning: bands go by their number: where nm are written, it is the number of a band"
+        return BandTable(SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (note,))
+    if len(axis) != count:
+        raise UsageError(f"the given axis has {len(axis)} bands, the cube {count}", where=where)
+    return BandTable(axis, np.arange(count), ("wavelengths as given beside the cube",))
 
 
 def ordered_bands(

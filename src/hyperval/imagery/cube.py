@@ -15,7 +15,7 @@ from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster
-from hyperval.imagery.band_table import BandTable, band_table, ordered_bands, wavelengths_in_nm
+from hyperval.imagery.band_table import Bands, BandTable, band_table, given_bands, ordered_bands, wavelengths_in_nm
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, open_raster
 from hyperval.imagery.scaling import Scaling, scaling_of
@@ -277,7 +277,7 @@ def open_cube(
     wavelength_unit: str | None = None,
     header: Path | str | None = None,
     root: Path | None = None,
-    axis: SpectralAxis | None = None,
+    axis: Bands = None,
     sort_bands: bool = False,
     check_values: bool = True,
     variable: str | None = None,
@@ -294,7 +294,7 @@ def open_cube(
     wavelength_unit : nm or um, where the header states none
     header : the ENVI header, when it does not lie beside the data
     root : folder that all files must lie in
-    axis : the bands, for a file that lists no wavelengths
+    axis : the bands, for a file that lists no wavelengths; "numbers" counts them
     sort_bands : sort bands whose wavelengths do not increase; ``stored_band`` records the permutation
     check_values : look at some lines for a scale that was not stated
     variable, engine : array that is the image, where a file of arrays leaves a choice, and the engine of xarray
@@ -329,7 +329,7 @@ def cube_of(
     unit: str | None = None,
     scale: float | None = None,
     wavelength_unit: str | None = None,
-    axis: SpectralAxis | None = None,
+    axis: Bands = None,
     sort_bands: bool = False,
     check_values: bool = True,
 ) -> Cube:
@@ -375,12 +375,10 @@ def cube_of(
     return cube
 
 
-def _table(raster: Raster, axis: SpectralAxis | None, unit: str | None, sort_bands: bool) -> BandTable:
+def _table(raster: Raster, axis: Bands, unit: str | None, sort_bands: bool) -> BandTable:
     where = str(raster.path)
     if axis is not None:
-        if len(axis) != raster.bands:
-            raise UsageError(f"the given axis has {len(axis)} bands, the cube {raster.bands}", where=where)
-        return BandTable(axis, np.arange(raster.bands), ("wavelengths as given beside the cube",))
+        return given_bands(axis, raster.bands, where)
     if raster.header is not None and raster.header.text("wavelength") is not None:
         return band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
     if raster.description is not None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import Detection
-from hyperval.errors import UsageError
+from hyperval.errors import InputError, UsageError
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.sample import SampleStatistics
 from hyperval.processing.snr import snr_from_moments
@@ -17,6 +18,27 @@ from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+
+def spectrum_by_number(path: Path, count: int) -> Array:
+    """(B,) values of a text file with one row for each of ``count`` bands; the last number of a row counts.
+
+    Raises
+    ------
+    InputError : a row without a number, or another number of rows.
+    """
+    values = []
+    for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), start=1):
+        words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
+        try:
+            values += [float(words[-1])] if words else []
+        except ValueError as error:
+            raise InputError(
+                "not a row of numbers", where=f"{path}:{number}", expected="a number; a heading begins with #"
+            ) from error
+    if len(values) != count or not np.all(np.isfinite(values)):
+        raise InputError(f"{len(values)} values for {count} bands", where=str(path), expected="one row a band")
+    return np.array(values)
 
 
 def usable_bands(

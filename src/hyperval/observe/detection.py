@@ -13,6 +13,7 @@ from hyperval.collection import Detection, DetectionTarget
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.truth import TargetMasks, TargetObject
 from hyperval.observe.areas import target_areas
+from hyperval.observe.bands import spectrum_by_number
 from hyperval.observe.filter_bank import FilterBank, filter_bank, map_name
 from hyperval.observe.object_roc import alarms_by_pixel, object_curve
 from hyperval.observe.place import IMAGE, SCENE, Place
@@ -85,8 +86,11 @@ def detect(
     InputError : target spectra or truth that are missing.
     """
     axis = place.cube.axis
-    sources = Sources(axis, {}, resolve)
-    spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
+    if place.by_number:
+        spectra = {t.name: _by_number(t, len(axis), resolve) for t in detection.targets}
+    else:
+        sources = Sources(axis, {}, resolve)
+        spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
     bank = filter_bank(place, detection, measured, elm, spectra)
     maps, remarks = _score_maps(place, detection, bank, elm, show_progress)
     scored = _Curves(place, detection, maps)
@@ -115,6 +119,16 @@ def detect(
         scored.exceedance,
         bank.shrinkage,
     )
+
+
+def _by_number(target: DetectionTarget, bands: int, resolve: Callable[[str], Path]) -> Array:
+    """(B,) spectrum of a target where bands go by number."""
+    if target.spectrum.file is None:
+        raise UsageError(
+            f"the spectrum of {target.name!r} goes by wavelength, the bands of the cube by number",
+            expected="a text file with one row for each band",
+        )
+    return spectrum_by_number(resolve(target.spectrum.file), bands)
 
 
 def _score_maps(

@@ -140,11 +140,11 @@ def observe(
         unmixed = unmix(place, detection, measured, elm, detected.bands, resolve, show_progress=show_progress)
     distributions = {
         name: pixel_distribution(place, masks[name], measured[name])
-        for name in track(list(place.regions), "tails", show=show_progress)
+        for name in track([] if place.by_number else list(place.regions), "tails", show=show_progress)
     }
     reflects = cube.quantity == "reflectance"
     means = [s.mean for s in regions.values()] or [measured[SCENE].mean]
-    notes = [*place.notes, *wavelength_notes(means, cube.axis, reflectance=reflects)]
+    notes = [*place.notes, *([] if place.by_number else wavelength_notes(means, cube.axis, reflectance=reflects))]
     if detection is not None:
         notes += _population_notes(place, detection, masks)
     notes += [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from glob import escape
@@ -29,8 +29,9 @@ from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.location import location_table
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.rasters import open_raster
-from hyperval.imagery.regions import Region, guard, holes, overlaps, read_regions, rectangle_region
+from hyperval.imagery.regions import Region, guard, read_regions, rectangle_region
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
+from hyperval.observe.shared_pixels import region_notes, target_overlaps
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.processing.mask_bits import PackedMasks
 from hyperval.progress import track
@@ -59,6 +60,7 @@ class Place:
     notes : what was assumed or found on opening
     table : geographic lookup table of a cube in scanner geometry, None without
     leave_out : names of the regions that are left out
+    by_number : the bands go by number, their wavelengths are not known
     """
 
     cube: Cube
@@ -72,6 +74,7 @@ class Place:
     notes: tuple[str, ...] = ()
     table: LookupTable | None = None
     leave_out: frozenset[str] = frozenset()
+    by_number: bool = False
 
     @property
     def source_files(self) -> tuple[Path, ...]:
@@ -149,6 +152,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         tuple(notes),
         table,
         frozenset(collection.leave_out),
+        collection.cube.by_number,
     )
 
 
@@ -184,53 +188,6 @@ def header_notes(cube: Cube) -> tuple[str, ...]:
     )
 
 
-def region_notes(regions: Iterable[Region], by_rule: frozenset[str] = frozenset()) -> list[str]:
-    """What leaves the image, which regions have holes (but those that a rule found), which share pixels."""
-    listed = list(regions)
-    notes = [remark for region in listed for remark in region.remarks]
-    for region in listed:
-        count, pixels = (0, 0) if region.name in by_rule else holes(region.mask)
-        if count:
-            what = "a hole" if count == 1 else f"{count} holes"
-            notes.append(f"the region {region.name!r} has {what} of {pixels} pixels, which are not part of it")
-    notes += [
-        f"the regions {first!r} and {second!r} share {count} pixels" for first, second, count in overlaps(listed)
-    ]
-    return notes
-
-
-def target_overlaps(regions: Iterable[Region], targets: Sequence[TargetObject], near: Mask) -> list[str]:
-    """Which regions hold pixels of targets or of their guard, and what becomes of these; likewise two targets."""
-    notes: list[str] = []
-    if not targets:
-        return notes
-    touched = np.zeros(near.shape, np.int32)
-    for target in targets:
-        touched[target.window] += target.part
-    for region in regions:
-        inside, guarded = int(np.sum(region.mask & (touched > 0))), int(np.sum(region.mask & near))
-        if not guarded:
-            continue
-        what = f"the region {region.name!r} holds {inside} pixels of targets and {guarded - inside} of their guard"
-        if guarded == region.n:
-            notes.append(f"warning: {what}, which is all of it: they stay in its statistics")
-        else:
-            notes.append(f"{what} among {region.n}: left out of its statistics")
-    shared = int(np.sum(touched > 1))
-    if shared:
-        notes.append(f"{shared} pixels may hold parts of more than one target" + _between(targets))
-    return notes
-
-
-def _between(targets: Sequence[TargetObject]) -> str:
-    """Which materials share pixels, in words: ": 12 of 'a' and 'b'"."""
-    masks: dict[str, Mask] = {}
-    for target in targets:
-        masks[target.material] = masks[target.material] | target.mask if target.material in masks else target.mask
-    pairs = overlaps(Region(name, mask, "targets") for name, mask in masks.items())
-    return ": " + ", ".join(f"{n} of {a!r} and {b!r}" for a, b, n in pairs) if pairs else ""
-
-
 def open_source(source: CubeSource, resolve: Resolve, bands: BandTable | None = None) -> Cube:
     """Open the cube that a campaign names, with its bands from a table where the campaign names one."""
     unit = source.unit if source.quantity == "radiance" else None
@@ -238,7 +195,7 @@ def open_source(source: CubeSource, resolve: Resolve, bands: BandTable | None = 
         unit = RADIANCE_UNIT  # as simulations write it; others that state none were refused with the campaign
     return open_cube(
         resolve(source.path),
-        axis=None if bands is None else read_band_table(resolve(bands.path), bands),
+        axis="numbers" if source.by_number else read_band_table(resolve(bands.path), bands) if bands else None,
         quantity=source.quantity,
         unit=unit,
         variable=source.variable,
