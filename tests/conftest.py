@@ -45,6 +45,9 @@ def make_small(
         monkeypatch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
         monkeypatch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
         monkeypatch.setattr("hyperval.report.netcdf.write_products", lambda path, *sides, **words: path.touch())
+        # Sets of objects for p-values that no test of the small campaign asks for: a fifth of what is left.
+        monkeypatch.setattr("hyperval.compare.objects.REPLICATES", 400)
+        monkeypatch.setattr("hyperval.compare.objects.POWER_DRAWS", 40)
 
     def make(name: str = "small") -> SmallCampaign:
         shutil.copytree(small_collection, tmp_path / name)
