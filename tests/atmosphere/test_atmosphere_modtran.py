@@ -6,6 +6,7 @@ import gzip
 import importlib.util
 import sys
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -224,6 +225,44 @@ def test_oxygen_continuum_is_what_modtran_has_and_the_solver_lacks(data_dir, com
         rises.append((at(lacking, 1238.4, 1253.4), at(added, 1238.4, 1253.4)))
     (low, low_added), (high, high_added) = rises  # sun 33 and 53 degrees from the zenith
     assert high / low == pytest.approx(high_added / low_added, rel=0.06)
+
+
+@pytest.fixture(scope="module")
+def scripts():
+    """The scripts that made the numbers and their errors."""
+    folder, modules = Path(__file__).parents[2] / "validation/atmosphere", []
+    for name in ("modtran_cases", "compare_modtran", "engine_ratio", "fine_structure"):
+        spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+        modules.append(module)
+    return modules[2:]
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_each_flight_is_predicted_from_the_other_and_the_budget_is_what_is_left(
+    data_dir, scripts, engine_cache, monkeypatch
+):
+    """Here and not beside the tests of the ratio: the states are those of the tests above, and computed once."""
+    monkeypatch.setenv("HYPERVAL_CACHE", str(engine_cache))
+    made, fine = scripts
+    pairs = made.pairs_of(data_dir)
+    ratio = made.fitted([p for p in pairs if p.flight == "topoflux"])
+    error = made.differences(
+        [(p.ours(ratio), p.theirs) for p in pairs if p.flight == "pasadena" and p.case.albedos]  # run with DISORT
+    )
+    for low, high, limit, least in ((0.85, 1.01, 0.05, 0.99), (0.7, 0.85, 0.05, 0.9), (0.5, 0.7, 0.1, 0.9)):
+        here = error.transmitting(low, high)
+        assert np.mean(np.abs(error.total[here]) <= limit) >= least
+    clear = (error.gas > made.WINDOW) & error.window(500.0, 1700.0)
+    assert np.mean(np.abs(error.albedo[clear]) <= 0.1) > 0.8
+    rest, depth = fine.residuals(pairs)[1:]
+    for low, high in pairwise(fine.DEPTHS):
+        here = np.isfinite(rest) & (depth >= low) & (depth < high)
+        budget = np.sqrt(np.mean(fine.RELATIVE**2 + (fine.PER_OPTICAL_DEPTH * depth[here]) ** 2))
+        assert 0.4 < np.sqrt(np.mean(rest[here] ** 2)) / budget < 2.0
 
 
 def test_a_criterion_can_be_missed(compare_modtran):
