@@ -5,6 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+READY_DEV := $(VENV)/.ready-dev
 REPORT ?= reports/validate
 # Processes that share the tests, whole files at a time, since what a module sets up is set up once; long ones first.
 TEST_WORKERS ?= auto
@@ -28,6 +29,10 @@ $(READY): requirements.lock pyproject.toml
 	@PYTHON="$(PYTHON)" VENV="$(VENV)" sh scripts/setup.sh
 	@touch $(READY)
 
+$(READY_DEV): $(READY) requirements-dev.lock
+	@PYTHON="$(PYTHON)" VENV="$(VENV)" sh scripts/setup.sh requirements-dev.lock
+	@touch $(READY_DEV)
+
 # GREATEST_EXIT=1 takes gates that disagree for a result: `make check` says whether they are the accepted ones.
 validate: $(READY)  ## run every campaign; the report is in reports/validate
 	$(BIN)/hyperval validate campaigns/*/campaign*.yaml -o $(REPORT) || [ $$? -le $(or $(GREATEST_EXIT),0) ]
@@ -42,22 +47,22 @@ power: $(READY)  ## plant standard errors in the model of every campaign: which 
 scoreboard: $(READY)  ## rank detectors, engines and formulations on every campaign; the page is in reports/scoreboard
 	$(BIN)/hyperval benchmark campaigns/*/campaign.yaml -o $(SCORES)
 
-test: $(READY)  ## run the tests, but for the slow ones
+test: $(READY_DEV)  ## run the tests, but for the slow ones
 	$(PYTEST) -m "not slow" $(TEST_FLAGS)
 
-test-slow: $(READY)  ## run the slow tests: twins, grids of the atmosphere engine, a cluster that loses a worker
+test-slow: $(READY_DEV)  ## run the slow tests: twins, grids of the atmosphere engine, a cluster that loses a worker
 	$(PYTEST) -m slow $(TEST_FLAGS)
 
-test-all: $(READY)  ## both in one run, which sets up once what both need
+test-all: $(READY_DEV)  ## both in one run, which sets up once what both need
 	$(PYTEST) $(TEST_FLAGS)
 
-test-data: $(READY)  ## run the tests of real collections (HYPERVAL_DATA), slow ones too
+test-data: $(READY_DEV)  ## run the tests of real collections (HYPERVAL_DATA), slow ones too
 	$(PYTEST) -m data $(TEST_FLAGS)
 
-coverage: $(READY)  ## how often the 95 % intervals hold, over simulated collections (minutes)
+coverage: $(READY_DEV)  ## how often the 95 % intervals hold, over simulated collections (minutes)
 	$(BIN)/python validation/coverage/study.py --output reports/coverage
 
-robustness: $(READY)  ## a million damaged files through every reader (an hour; goes on where it ended)
+robustness: $(READY_DEV)  ## a million damaged files through every reader (an hour; goes on where it ended)
 	$(BIN)/python validation/robustness/mutation_study.py --output reports/robustness
 
 bill: $(READY)  ## every package that hyperval needs, with version and licence; BILL_FLAGS=--cyclonedx for other tools
@@ -65,32 +70,34 @@ bill: $(READY)  ## every package that hyperval needs, with version and licence; 
 
 audit: $(READY)  ## known weaknesses of the locked packages (needs pip-audit, and reaches its database)
 	@command -v pip-audit >/dev/null || { echo "make audit needs pip-audit: $(PYTHON) -m pip install pip-audit" >&2; exit 2; }
-	pip-audit --requirement requirements.lock --disable-pip --no-deps
+	pip-audit --requirement requirements.lock --requirement requirements-dev.lock --disable-pip --no-deps
 
 docs: $(READY)  ## render the documentation, its examples run; build/docs/index.html
-	@$(BIN)/python -c "import furo, myst_parser, sphinx_gallery" 2>/dev/null || sh scripts/setup.sh requirements-docs.lock
+	@$(BIN)/python -c "import furo, myst_parser, sphinx_gallery" 2>/dev/null || \
+	  PYTHON="$(PYTHON)" VENV="$(VENV)" sh scripts/setup.sh requirements-docs.lock
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 
-lint: $(READY)  ## check style, and which room imports which
+lint: $(READY_DEV)  ## check style, and which room imports which
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports
 
 check-style: lint
 
-format: $(READY)  ## mend style
+format: $(READY_DEV)  ## mend style
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-types: $(READY)  ## check the types
+types: $(READY_DEV)  ## check the types
 	$(BIN)/mypy src
 
-lock:  ## renew requirements.lock after a change of dependencies (needs uv)
+COMPILE = uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header $(LOCK_FLAGS)
+
+lock:  ## renew the locks after a change of dependencies (needs uv)
 	@command -v uv >/dev/null || { echo "make lock needs uv: $(PYTHON) -m pip install uv" >&2; exit 2; }
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-	  --group dev $(LOCK_FLAGS) pyproject.toml -o requirements.lock
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-	  --group pyproject.toml:docs -c requirements.lock $(LOCK_FLAGS) -o requirements-docs.lock
+	$(COMPILE) --group build --extra web pyproject.toml -o requirements.lock
+	$(COMPILE) --group pyproject.toml:dev -c requirements.lock -o requirements-dev.lock
+	$(COMPILE) --group pyproject.toml:docs -c requirements.lock -c requirements-dev.lock -o requirements-docs.lock
 
 clean:  ## remove .venv and everything that tools left
 	rm -rf $(VENV) build dist .pytest_cache .import_linter_cache .mypy_cache .ruff_cache .hypothesis

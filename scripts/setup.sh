@@ -1,12 +1,11 @@
 #!/bin/sh
-# Make the virtual environment $VENV with $PYTHON from requirements.lock: with uv where it is on the
-# PATH, otherwise with venv and pip.  Every archive is checked against its hash in the lock.  Given the name of another
-# lock, its packages are added to the environment.
+# Make the virtual environment $VENV with $PYTHON and what the given locks hold (default: requirements.lock): with uv
+# where it is on the PATH, otherwise with venv and pip.  Every archive is checked against its hash in the lock.
 set -eu
 
 PYTHON=${PYTHON:-python3}
 VENV=${VENV:-.venv}
-LOCK=${1:-requirements.lock}
+[ $# -gt 0 ] || set -- requirements.lock
 
 stop() {
     printf 'setup: %s\n' "$1" >&2
@@ -21,7 +20,7 @@ command -v "$PYTHON" >/dev/null 2>&1 ||
 
 if command -v uv >/dev/null 2>&1; then
     [ -x "$VENV/bin/python" ] || uv venv --quiet --clear --no-python-downloads --python "$PYTHON" "$VENV"
-    uv pip install --quiet --python "$VENV/bin/python" --require-hashes -r "$LOCK"
+    for lock; do uv pip install --quiet --python "$VENV/bin/python" --require-hashes -r "$lock"; done
     uv pip install --quiet --python "$VENV/bin/python" --no-deps --no-build-isolation -e .
 else
     "$PYTHON" -c 'import ensurepip, venv' 2>/dev/null ||
@@ -29,7 +28,9 @@ else
     if ! "$VENV/bin/python" -m pip --version >/dev/null 2>&1; then
         "$PYTHON" -m venv --clear "$VENV"
     fi
-    echo "setup: installing from $LOCK; this takes a minute or two the first time" >&2
-    "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r "$LOCK"
+    for lock; do
+        echo "setup: installing from $lock; this takes a minute or two the first time" >&2
+        "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r "$lock"
+    done
     "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 fi

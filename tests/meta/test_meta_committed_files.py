@@ -57,7 +57,7 @@ def test_no_large_file(project_files):
     assert [str(p.relative_to(ROOT)) for p in project_files if p.stat().st_size > MAX_BYTES] == []
 
 
-@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-docs.lock"])
+@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-dev.lock", "requirements-docs.lock"])
 def test_locks_pin_every_package_with_a_hash_and_hold_no_address(lock):
     text = (ROOT / lock).read_text()
     assert "://" not in text
@@ -72,17 +72,19 @@ def test_locks_cover_every_dependency_and_agree():
     import tomllib
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    wanted = [*project["project"]["dependencies"], *project["dependency-groups"]["dev"]]
-    wanted += project["build-system"]["requires"]
-    pins = {
-        lock: dict(re.findall(r"^([\w.-]+)==(\S+)", (ROOT / lock).read_text(), re.MULTILINE))
-        for lock in ("requirements.lock", "requirements-docs.lock")
+    groups, extras = project["dependency-groups"], project["project"]["optional-dependencies"]
+    wanted = {
+        "requirements.lock": [*project["project"]["dependencies"], *extras["web"], *groups["build"]],
+        "requirements-dev.lock": groups["dev"],
+        "requirements-docs.lock": groups["docs"],
     }
-    main, docs = pins.values()
-    for group, locked in ((wanted, main), (project["dependency-groups"]["docs"], docs)):
-        names = {re.split(r"[<>=~!\[ ;]", w)[0].lower().replace("_", "-") for w in group}
+    wanted["requirements.lock"] += project["build-system"]["requires"]
+    pins: dict[str, str] = {}
+    for lock, packages in wanted.items():
+        locked = dict(re.findall(r"^([\w.-]+)==(\S+)", (ROOT / lock).read_text(), re.MULTILINE))
+        names = {re.split(r"[<>=~!\[ ;]", w)[0].lower().replace("_", "-") for w in packages}
         assert names - set(locked) == set()
-    # They go into one environment.
-    assert {name: main[name] for name in main.keys() & docs.keys()} == {
-        name: docs[name] for name in main.keys() & docs.keys()
-    }
+        # They go into one environment.
+        assert {name: pins[name] for name in pins.keys() & locked} == {n: locked[n] for n in pins.keys() & locked}
+        pins |= locked
+    assert set(wanted) == {p.name for p in ROOT.glob("requirements*.lock")}
