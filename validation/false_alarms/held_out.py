@@ -1,0 +1,171 @@
+"""False alarms of HySU's five filters, in sample and on blocks of the image that the model was not told of.
+
+    HYPERVAL_DATA=... python validation/false_alarms/held_out.py [SPLITS]
+
+Each model is fitted to the pixels outside the targets, class by class as in the campaign: to all of them, and to
+one half of the image's blocks (drawn at random, SPLITS times, each half in turn), the filters being those of the
+campaign.  Printed are predicted over measured P_FA at the threshold that the pixels themselves set: in sample,
+and on the other half as geometric means, with the share of pairs of filter and half within a factor of two.
+The last line is the yardstick: one half of the pixels in the place of a model.  The local background takes the mean
+of each pixel's surroundings off, in image and model alike.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from hyperval.campaign.one import Inputs, jobs_of
+from hyperval.observe import observe
+from hyperval.processing.component_moments import class_components
+from hyperval.processing.mixture_fit import fit_mixture
+from hyperval.processing.thresholds import ClassScores, log_false_alarm
+
+CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml"
+MATERIALS = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric")
+LEVELS = (1e-2, 1e-3)
+SIDE = 10  # pixels of a block, 7 m
+WINDOW = 15  # pixels of the local mean
+
+Pixels = np.ndarray
+Model = Callable[[Pixels, Pixels], ClassScores]
+
+
+class Image:
+    """Pixels outside the targets: spectra, class, block, and the scores of the five filters."""
+
+    def __init__(self) -> None:
+        job = jobs_of(CAMPAIGN)[0]
+        detection = job.campaign.detection.model_copy(update={"unmixing": None})
+        seen = observe(job.campaign.collection, detection, Inputs(job.folder).resolve, show_progress=False)
+        place, detected = seen.place, seen.detected
+        counted = place.background(detection.false_alarms)
+        self.lines, self.samples = np.nonzero(counted)
+        self.spectra = place.cube.spectra((self.lines, self.samples))[:, detected.bands]
+        self.kind = sum(i * place.pixels_of(name)[counted] for i, name in enumerate(place.regions))
+        self.block = (self.lines // SIDE) * 1000 + self.samples // SIDE
+        filters = [detected.detectors[f"{m}-cem"] for m in MATERIALS]
+        self.weights = np.array([f.weights[0] for f in filters])
+        self.offsets = -np.array([f.constants[0] for f in filters])
+        self.maps = [detected.score_maps[f"{m}-cem"] for m in MATERIALS]
+        self.counted = counted
+        self.scores = np.array([m[counted] for m in self.maps])
+
+    def local(self) -> Image:
+        """The same with the mean of the surroundings taken off every pixel."""
+        out = object.__new__(Image)
+        vars(out).update(vars(self))
+        weight = ndimage.uniform_filter(self.counted.astype(float), WINDOW)
+
+        def off(values: np.ndarray) -> np.ndarray:
+            plane = np.zeros(self.counted.shape)
+            plane[self.counted] = values
+            return values - (ndimage.uniform_filter(plane, WINDOW) / weight)[self.counted]
+
+        out.spectra = np.array([off(band) for band in self.spectra.T]).T
+        out.offsets = np.zeros(len(MATERIALS))
+        out.scores = self.weights @ out.spectra.T
+        return out
+
+
+def laws(image: Image, rows: Pixels, count: object, tails: bool) -> list[ClassScores]:
+    """Scores of the laws of all classes, for each filter, of the pixels ``rows``."""
+    parts, means, covariances, dofs = [], [], [], []
+    for kind in np.unique(image.kind):
+        own = rows[image.kind[rows] == kind]
+        x = image.spectra[own]
+        mixture = class_components(x, image.block[own], count, tails=tails)
+        share = own.size / rows.size
+        if mixture is None:
+            parts += [share]
+            means += [x.mean(axis=0)]
+            covariances += [np.cov(x.T)]
+            dofs += [_dof(x) if tails else np.inf]
+            continue
+        parts += list(share * mixture.weights)
+        means += list(x.mean(axis=0) + mixture.offsets)
+        covariances += list(mixture.covariances)
+        dofs += [mixture.dof] * len(mixture)
+    out = []
+    for w, offset in zip(image.weights, image.offsets, strict=True):
+        sd = np.sqrt([w @ c @ w for c in covariances])
+        theta = np.array(means) @ w - offset
+        out.append(ClassScores(*(np.array(a)[None] for a in (parts, theta, sd, dofs))))
+    return out
+
+
+def _dof(x: np.ndarray) -> float:
+    values, vectors = np.linalg.eigh(np.cov(x.T))
+    leading = (x - x.mean(axis=0)) @ vectors[:, -6:] / np.sqrt(values[-6:])
+    return fit_mixture(leading, 1, np.random.default_rng(0), dof=None).dof
+
+
+def ratios(image: Image, models: Sequence[ClassScores], rows: Pixels) -> np.ndarray:
+    """(levels, filters) predicted over measured P_FA of the pixels ``rows``."""
+    out = np.empty((len(LEVELS), len(models)))
+    for f, model in enumerate(models):
+        ordered = np.sort(image.scores[f][rows])[::-1]
+        for i, level in enumerate(LEVELS):
+            alarms = max(round(level * rows.size), 1)
+            predicted = np.exp(log_false_alarm(np.array([ordered[alarms]]), model)[0][0])
+            out[i, f] = predicted / (alarms / rows.size)
+    return out
+
+
+def repeated(image: Image, told: Pixels, rows: Pixels) -> np.ndarray:
+    """The same with the pixels ``told`` in the place of a model; half an alarm where they have none."""
+    out = np.empty((len(LEVELS), len(MATERIALS)))
+    for f in range(len(MATERIALS)):
+        ordered = np.sort(image.scores[f][rows])[::-1]
+        for i, level in enumerate(LEVELS):
+            alarms = max(round(level * rows.size), 1)
+            share = max(np.count_nonzero(image.scores[f][told] > ordered[alarms]), 0.5) / told.size
+            out[i, f] = share / (alarms / rows.size)
+    return out
+
+
+def halves(image: Image, splits: int) -> list[tuple[Pixels, Pixels]]:
+    blocks, at = np.unique(image.block, return_inverse=True)
+    out = []
+    for number in range(splits):
+        first = (np.random.default_rng(number).permutation(blocks.size) % 2)[at] == 0
+        one, other = np.flatnonzero(first), np.flatnonzero(~first)
+        out += [(one, other), (other, one)]
+    return out
+
+
+def line(name: str, inside: np.ndarray | None, outside: np.ndarray) -> str:
+    means = np.exp(np.log(np.maximum(outside, 1e-6)).mean(axis=0))
+    within = (np.abs(np.log2(outside)) <= 1.0).mean(axis=(0, 2))
+    cells = [name]
+    for i in range(len(LEVELS)):
+        cells.append(" ".join(f"{v:.2g}" for v in inside[i]) if inside is not None else "1 by construction")
+    for i in range(len(LEVELS)):
+        cells.append(" ".join(f"{v:.2g}" for v in means[i]) + f" ({within[i]:.2f})")
+    return "| " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    splits = int(sys.argv[1]) if len(sys.argv) > 1 else 3
+    image = Image()
+    every, pairs = np.arange(image.kind.size), halves(image, splits)
+    print("| background | in sample 1e-2 | in sample 1e-3 | held out 1e-2 (within 2) | held out 1e-3 (within 2) |")
+    print("| --- | --- | --- | --- | --- |")
+    for of, where in ((image, ""), (image.local(), ", local mean")):
+        for name, count, tails in (
+            ("three classes, normal", 1, False), ("three classes, t", 1, True),
+            ("mixtures, normal", "auto", False), ("mixtures, t", "auto", True),
+        ):  # fmt: skip
+            inside = ratios(of, laws(of, every, count, tails), every)
+            outside = np.array([ratios(of, laws(of, told, count, tails), rows) for told, rows in pairs])
+            print(line(name + where, inside, outside), flush=True)
+        outside = np.array([repeated(of, told, rows) for told, rows in pairs])
+        print(line("the other half of the image" + where, None, outside), flush=True)
+
+
+if __name__ == "__main__":
+    main()
