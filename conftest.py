@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 import socket
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 pytest_plugins = ["pytester"]
 REQUIRED = "HYPERVAL_REQUIRE_DATA"
+DATA_WORDS = re.compile(r"\bdata_dir\b|\bmark\.data\b")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -46,6 +48,13 @@ def data_dir() -> Callable[[str], Path]:
         return path
 
     return locate
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Asked for tests of real data alone, files that never speak of them are not read, which most do not."""
+    if config.getoption("markexpr") != "data" or not collection_path.match("test_*.py"):
+        return None
+    return None if DATA_WORDS.search(collection_path.read_text("utf-8")) else True
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -185,3 +185,11 @@ def test_required_data_that_is_lacking_fails(pytester, monkeypatch, value, outco
         """
     )
     pytester.runpytest_inprocess().assert_outcomes(**{outcome: 2})
+
+
+def test_what_needs_data_says_so_in_its_own_file():
+    """Only such files are read for ``-m data``: no fixture asks on behalf of a test."""
+    tests = {path for folder in FOLDERS for path in (ROOT / folder).rglob("test_*.py")}
+    helpers = {path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")} - tests
+    assert len(helpers) > 10
+    assert [p.name for p in helpers if "data_dir" in p.read_text("utf-8")] == []
