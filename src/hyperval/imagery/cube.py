@@ -115,6 +115,11 @@ class Cube:
         return self.samples * self.raster.bands * self.dtype.itemsize
 
     @property
+    def threads(self) -> int | None:
+        """Threads of a pass: one where arrays of a file are read, which goes one by one; None as many as cores."""
+        return 1 if isinstance(self.raster, ArrayRaster) else None
+
+    @property
     def gain(self) -> Array:
         """(B,) value of a stored 1 less that of a stored 0, in the bands of the axis."""
         return self.scaling.gain[self.stored_band]
@@ -154,10 +159,9 @@ class Cube:
         """(count, samples, n) values of a few bands of the axis, as for a picture; NaN for ignored values."""
         order = self.stored_band[list(bands)]
         if isinstance(self.raster, ArrayRaster):
-            some = self.raster.read_some_bands(first_line, count, order.tolist())
+            stored = self.raster.read_some_bands(first_line, count, order.tolist()).transpose(1, 2, 0)
         else:
-            some = self.raster.read_bands(first_line, count)[order]
-        stored = some.transpose(1, 2, 0)
+            stored = self.raster.read_bands(first_line, count)[order].transpose(1, 2, 0)
         values = stored.astype(np.float32) * self.scaling.gain[order].astype(np.float32)
         values += self.scaling.offset[order].astype(np.float32)
         if self.ignore_value is not None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
+import scipy
 from scipy.special import digamma, gammaln
 
 from hyperval.errors import UsageError
@@ -176,7 +176,7 @@ def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
 
     if slope(LEAST_DOF) <= 0.0:
         return LEAST_DOF
-    return MOST_DOF if slope(MOST_DOF) >= 0.0 else float(brentq(slope, LEAST_DOF, MOST_DOF))
+    return MOST_DOF if slope(MOST_DOF) >= 0.0 else float(scipy.optimize.brentq(slope, LEAST_DOF, MOST_DOF))
 
 
 def _nearest_of_centres(x: Array, count: int, rng: np.random.Generator) -> Array:

@@ -136,10 +136,11 @@ def by_segments(
 ) -> Iterator[tuple[range, Result]]:
     """The result of ``work`` for each segment, in order; ``work`` gets the first lines of the segment's blocks.
 
-    With ``threads`` None as many are used as there are cores, at most four, and one where NumPy's BLAS cannot be
-    kept to one thread.
+    With ``threads`` None as many are used as the cube says, else as there are cores, at most four, and one where
+    NumPy's BLAS cannot be kept to one thread.
     """
     segments = _segments(cube.lines, block_lines)
+    threads = getattr(cube, "threads", None) if threads is None else threads
     with cube.kept_open(), single_blas_thread() as alone:
         count = threads if threads is not None else min(available_cores(), MAX_THREADS) if alone else 1
         if count <= 1:
