@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -140,4 +141,16 @@ def _http_error(request: Request, error: Exception) -> Response:
     words = {404: "there is no such page", 405: "this cannot be done here", 400: "the request cannot be read"}
     answer = _answer(request, error.status_code, [Mistake("", words.get(error.status_code, "refused"))])
     answer.headers.update(error.headers or {})
+    if error.status_code == 405 and request.url.path.startswith("/api/"):
+        answer.headers["allow"] = ", ".join(_methods(request.app, request.url.path))
     return answer
+
+
+def _methods(app: FastAPI, path: str) -> list[str]:
+    """What may be asked of a path: a router tells the methods of one of its routes alone."""
+    methods: set[str] = set()
+    for template, operations in app.openapi()["paths"].items():
+        pattern = re.sub(r"\\\{[^}]*\\\}", "[^/]+", re.escape(template))
+        if re.fullmatch(pattern, path):
+            methods |= {method.upper() for method in operations}
+    return sorted(methods)

@@ -158,7 +158,7 @@ class Desk:
         if job is not None:
             job.is_cancelled = True
 
-    def view(self, run: Run, task: str, name: str, **arguments: Any) -> Path:
+    def view(self, run: Run, task: str, name: str, /, **arguments: Any) -> Path:
         """A file beside a finished run, made by a worker where it is not there yet.
 
         Raises

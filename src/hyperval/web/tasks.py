@@ -183,7 +183,8 @@ def score_map(folder: str, name: str) -> None:
     shown = values[::step, ::step]
     known = np.isfinite(values)
     low, high = (float(v) for v in np.quantile(values[known], [0.0, 1.0])) if known.any() else (0.0, 1.0)
-    scaled = np.nan_to_num((shown - low) / (high - low or 1.0) * 65534 + 1, nan=0.0).astype("<u2")
+    part = (shown.astype(float) - low) / (high - low or 1.0)
+    scaled = np.nan_to_num(np.rint(part * 65534) + 1, nan=0.0).astype("<u2")  # 0: no score
     ordered = np.sort(values[known])[::-1]
     at = np.unique(np.geomspace(1, max(ordered.size, 1), 200).astype(int)) - 1
     content = {
@@ -199,10 +200,14 @@ def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     """Measured curves whose scores the map shows: threshold, P_FA, P_D."""
     _, observed = read_products(Path(folder) / "results" / "products.nc")
     curves = [] if observed is None else list(observed.roc.items())
-    target = name.rpartition("-")[0].removesuffix("_image")
+    detectors = {detector for _, detector, _ in dict(curves) if name.endswith(f"-{detector}")}
+    own_detector = max(detectors, key=len, default="")
+    target = name.removesuffix(f"-{own_detector}").removesuffix("_image")
+    # Of one map all curves of its detector; of several, those whose subject bears the name of what was looked for.
+    is_only = len(list((Path(folder) / "results" / "scores").glob(f"*-{own_detector}.tif"))) == 1
     out = []
     for (subject, detector, unit), c in curves:
-        own = name.endswith(f"-{detector}") and file_stems([subject])[subject].startswith(target)
+        own = detector == own_detector and (is_only or file_stems([subject])[subject].startswith(target))
         known = np.isfinite(c.threshold) & np.isfinite(c.pd)
         if own and known.any():
             parts = {part: getattr(c, part)[known].tolist() for part in ("threshold", "pfa", "pd")}

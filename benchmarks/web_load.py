@@ -1,0 +1,132 @@
+"""Fifty people at once: pages, predictions of their own and charts over loopback, for two minutes.
+
+    python benchmarks/web_load.py [--users 50] [--seconds 120]
+
+Starts a server with two workers of its own, warms it, and lets each user begin at a random time: a page, a
+prediction with a value of the user's own, its result, its charts, then some seconds to look at them.  Tells the
+times of each kind of request, errors, and results that were another user's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import requests
+
+PORT = 8765
+ADDRESS = f"http://127.0.0.1:{PORT}"
+
+
+class User(threading.Thread):
+    """One user, with a session and a value of the meteorological range of its own."""
+
+    def __init__(self, number: int, end: float, think: float):
+        super().__init__(daemon=True)
+        self.number, self.end, self.think = number, end, think
+        self.times: dict[str, list[float]] = defaultdict(list)
+        self.errors: list[str] = []
+
+    def timed(self, kind: str, method: str, path: str, **more: object) -> requests.Response:
+        """A request, its time noted."""
+        start = time.perf_counter()
+        answer = self.session.request(method, ADDRESS + path, timeout=60, **more)  # type: ignore[arg-type]
+        self.times[kind].append(time.perf_counter() - start)
+        if answer.status_code >= 400:
+            self.errors.append(f"{answer.status_code} {method} {path}: {answer.text[:200]}")
+        return answer
+
+    def run(self) -> None:
+        """Work until the end."""
+        chance = random.Random(self.number)  # noqa: S311 - when people click is no secret
+        self.session = requests.Session()
+        time.sleep(chance.uniform(0.0, 2.0 * self.think))
+        round_ = 0
+        while time.monotonic() < self.end:
+            page = self.timed("page", "GET", "/predict?scenario=yellow-planks-asphalt").text
+            found = re.search(r'name="token" value="(\w+)"', page)
+            self.session.headers["X-Hyperval-Token"] = found[1] if found else ""
+            time.sleep(chance.uniform(0.5, 1.5) * self.think)
+            title = f"user {self.number} round {round_}"
+            order = {"name": "yellow-planks-asphalt", "settings": {
+                "title": title, "scene.classes.asphalt.gain": 1.0 + self.number / 100 + round_ / 1000}}  # fmt: skip
+            run = self.timed("prediction", "POST", "/api/v1/predictions", json=order).json()
+            round_ += 1
+            if run.get("state") != "finished":
+                self.errors.append(f"prediction: {run}")
+                continue
+            shown = self.timed("result", "GET", f"/runs/{run['id']}").text
+            if title not in shown:
+                self.errors.append(f"a result of another: {title}")
+            self.timed("charts", "GET", f"/runs/{run['id']}/charts")
+            time.sleep(chance.uniform(0.5, 1.5) * self.think)
+
+
+def main() -> int:
+    """Run, and tell."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--users", type=int, default=50)
+    parser.add_argument("--seconds", type=float, default=120.0)
+    parser.add_argument("--think", type=float, default=5.0, help="mean time between a user's clicks [s]")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["serve", "--port", str(PORT), "--folder", str(Path(folder) / "web"), "--queue", "200"]
+        server = subprocess.Popen([sys.executable, "-m", "hyperval", *words], env=os.environ)  # noqa: S603 - our own
+        try:
+            warm()
+            end = time.monotonic() + given.seconds
+            users = [User(number, end, given.think) for number in range(given.users)]
+            for user in users:
+                user.start()
+            for user in users:
+                user.join(given.seconds + 120.0)
+        finally:
+            server.terminate()
+            server.wait()
+    for kind in ("page", "prediction", "result", "charts"):
+        times = sorted(t for user in users for t in user.times[kind])
+        if times:
+            at95 = times[min(int(0.95 * len(times)), len(times) - 1)]
+            middle = statistics.median(times)
+            print(f"{kind}: {len(times)}, median {middle:.3f} s, 95 % {at95:.3f} s, at most {times[-1]:.2f} s")
+    errors = [text for user in users for text in user.errors]
+    print(f"errors: {len(errors)}", *errors[:5], sep="\n  ")
+    return 1 if errors else 0
+
+
+def warm() -> None:
+    """Wait for the server, ask both workers once, and tell how long one prediction takes."""
+    for _ in range(300):
+        try:
+            requests.get(ADDRESS, timeout=5)
+            break
+        except requests.ConnectionError:
+            time.sleep(0.2)
+    session = requests.Session()
+    session.headers["X-Hyperval-Token"] = session.get(f"{ADDRESS}/api/v1/session", timeout=30).json()["token"]
+    times = []
+    for number in range(24):
+        start = time.perf_counter()
+        url = f"{ADDRESS}/api/v1/predictions?wait=60"
+        run = session.post(url, json={"name": "yellow-planks-asphalt"}, timeout=90).json()
+        times.append(time.perf_counter() - start)
+        if number < 4:
+            session.get(f"{ADDRESS}/runs/{run['id']}/charts", timeout=90)
+    print(f"one prediction alone, warm: median {statistics.median(times[4:]):.3f} s of 20")
+    start = time.perf_counter()
+    requests.get(ADDRESS, timeout=30)
+    print(f"first page: {time.perf_counter() - start:.3f} s")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

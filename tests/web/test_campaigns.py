@@ -1,0 +1,116 @@
+"""Studies, campaigns and imagery of one's own by the API: what came of them, maps, pixels, progress."""
+
+from __future__ import annotations
+
+import base64
+import shutil
+
+import numpy as np
+import pytest
+
+from conftest import serve
+from hyperval import api
+from small_campaign import SmallCampaign
+
+PLANK = "scene.targets.[yellow plank].subjects"
+STUDY = {
+    "name": "fill", "scenario": "yellow-planks-asphalt",
+    "inputs": [{"name": "fill", "path": f"{PLANK}.0.fill.fixed", "values": [0.01, 0.05]}],
+    "outputs": [{"name": "pd", "kind": "pd", "subject": "yellow plank 0.02", "pfa": 1e-3}],
+    "required": [{"name": "needed", "path": f"{PLANK}.1.fill.fixed",
+                  "between": [0.001, 0.5], "output": "pd", "equals": 0.9}],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory, small_collection, atmosphere):
+    """A server with a folder of campaigns, one of them the small one."""
+    folder = tmp_path_factory.mktemp("own")
+    SmallCampaign(shutil.copytree(small_collection, folder / "campaigns" / "small")).write()
+    (folder / "campaigns" / "broken").mkdir()
+    (folder / "campaigns" / "broken" / "campaign.yaml").write_text("a: [")
+    yield from serve(folder / "web", folder / "campaigns")
+
+
+@pytest.fixture(scope="module")
+def run(own):
+    client = own.session()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+        patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+        told = client.post(f"{own.address}/api/v1/validations", json={"campaign": "small"}).json()
+        told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
+    assert told["state"] == "finished", told
+    return client, told
+
+
+def test_campaign_runs_to_the_verdict_of_the_command(own, run, tmp_path):
+    client, told = run
+    assert {c["name"] for c in client.get(f"{own.address}/api/v1/campaigns").json()} == {"small"}
+    rows = api.validate(own.folder.parent / "campaigns" / "small" / "campaign.yaml").results.to_dataframe()
+    counts = rows[rows["outcome"] != "none"]["outcome"].value_counts().to_dict()
+    assert told["summary"]["counts"] == counts
+    page = client.get(f"{own.address}/validate").text
+    assert told["summary"]["verdict"] in page
+    assert client.get(f"{own.address}/runs/{told['id']}/files/report.html").status_code == 200
+
+
+def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
+    client, told = run
+    page = client.get(f"{own.address}/runs/{told['id']}/map")
+    assert "yellow-cem" in page.text
+    answer = client.get(f"{own.address}/runs/{told['id']}/map.json", params={"name": "yellow-cem"})
+    assert answer.status_code == 200, answer.text
+    content = answer.json()
+    pixels = np.frombuffer(base64.b64decode(content["pixels"]), "<u2").reshape(content["height"], content["width"])
+    import rasterio
+
+    place = own.app.state.store.place(told["id"])
+    with rasterio.open(place / "results" / "scores" / "yellow-cem.tif") as file:
+        scores = file.read(1)
+    known = np.isfinite(scores)
+    assert pixels.shape == scores.shape == (84, 72)
+    restored = (pixels - 1.0) / 65534 * (content["high"] - content["low"]) + content["low"]
+    assert np.abs(restored[known] - scores[known]).max() <= (content["high"] - content["low"]) / 65534
+    for threshold, count in content["above"]:
+        assert np.sum(scores[known] >= threshold - 1e-6) == pytest.approx(count, abs=1)
+    curve = next(c for c in content["curves"] if c["subject"] == "large-planks" and c["unit"] == "pixel")
+    at = int(np.searchsorted(curve["pfa"], 1e-2))
+    assert 0.0 <= curve["pd"][at] <= 1.0
+    assert client.get(f"{own.address}/runs/{told['id']}/map.json", params={"name": "../x"}).status_code == 404
+
+
+def test_pixel_is_shown_beside_the_prediction(own, run):
+    client, told = run
+    url = f"{own.address}/runs/{told['id']}/pixel.json"
+    (chart,) = client.get(url, params={"line": 6, "sample": 6}).json()
+    assert "pixel (6, 6)" in chart["alt"]
+    assert "field" in chart["subjects"]
+    assert client.get(url, params={"line": 6, "sample": 72}).status_code == 409
+    assert client.get(url, params={"line": -1, "sample": 0}).status_code == 422
+
+
+def test_study_gives_what_the_api_gives_and_the_value_that_is_needed(own, tmp_path):
+    client = own.session()
+    told = client.post(f"{own.address}/api/v1/studies", json={"study": STUDY}).json()
+    told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
+    assert told["state"] == "finished", told
+    place = own.app.state.store.place(told["id"])
+    shown = [float(r["value"]) for r in told["summary"]["rows"] if r["value"]]
+    table = api.open(place / "results").to_dataframe()
+    assert table["pd"].iloc[1] > table["pd"].iloc[0]
+    assert table["pd"].max() in [pytest.approx(v) for v in shown]
+    assert told["done"] == 1.0
+
+
+def test_campaign_that_there_is_not_is_refused(own):
+    client = own.session()
+    for name in ("nothing", "../small", "run:aaaaaaaaaaaaaaaa", "", "broken"):
+        answer = client.post(f"{own.address}/api/v1/validations", json={"campaign": name})
+        assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, "campaign")
+    assert client.delete(f"{own.address}/api/v1/runs/{'a' * 16}").status_code == 404
+
+
+def test_methods_of_a_path_are_told_whole(own):
+    answer = own.session().options(f"{own.address}/api/v1/runs/{'a' * 16}")
+    assert answer.headers["allow"] == "DELETE, GET"

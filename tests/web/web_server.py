@@ -1,0 +1,104 @@
+"""A server of the whole application for tests, a thread in place of its processes."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import requests
+import uvicorn
+
+from hyperval.errors import HypervalError
+from hyperval.progress import set_listener
+from hyperval.web import tasks
+from hyperval.web.app import make_app
+from hyperval.web.limits import Limits, Settings
+from hyperval.web.refusal import said
+from hyperval.web.workers import Cancelled, Full, Job, TaskFailed
+
+
+class Crew:
+    """A thread in place of the processes."""
+
+    def __init__(self, most: int = 64):
+        self.waiting: queue.Queue[Job | None] = queue.Queue(most)
+        self.gate = threading.Event()
+        self.gate.set()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def submit(self, job: Job) -> Job:
+        try:
+            self.waiting.put_nowait(job)
+        except queue.Full:
+            raise Full from None
+        return job
+
+    def close(self) -> None:
+        self.gate.set()
+        self.waiting.put(None)
+        self._thread.join(20.0)
+
+    def _run(self) -> None:
+        while (job := self.waiting.get()) is not None:
+            self.gate.wait(30.0)
+            if job.is_cancelled:
+                job.future.set_exception(Cancelled("cancelled before it began"))
+                continue
+            job.started = time.monotonic()
+            if job.begun is not None:
+                job.begun()
+            set_listener(lambda what, done, total, job=job: self._report(job, what, done, total))
+            try:
+                result = tasks.TASKS[job.task](**job.arguments)
+            except HypervalError as error:
+                job.future.set_exception(TaskFailed(said(error)))
+            except Exception as error:
+                job.future.set_exception(error)
+            else:
+                job.future.set_result(result)
+            finally:
+                set_listener(None)
+
+    @staticmethod
+    def _report(job: Job, what: str, done: int, total: int | None) -> None:
+        job.progress = (what, done, total)
+        if job.is_cancelled:
+            raise Cancelled("cancelled")
+
+
+@dataclass
+class Server:
+    """A running server."""
+
+    address: str
+    app: Any
+    quick: Crew
+    long: Crew
+    folder: Path
+
+    def session(self) -> requests.Session:
+        """A program's session with its token."""
+        own = requests.Session()
+        own.headers["X-Hyperval-Token"] = own.get(f"{self.address}/api/v1/session", timeout=20).json()["token"]
+        return own
+
+
+def serve(folder: Path, campaigns: Path | None = None, **limits: Any) -> Iterator[Server]:
+    quick, long = Crew(limits.get("queue", 64)), Crew(limits.get("queue", 64))
+    app = make_app(Settings(folder, campaigns, limits=Limits(**limits)), (quick, long))
+    config = uvicorn.Config(app, host="127.0.0.1", port=0, log_level="error", server_header=False)
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    yield Server(f"http://127.0.0.1:{port}", app, quick, long, folder)
+    server.should_exit = True
+    thread.join(20.0)
