@@ -1,0 +1,66 @@
+"""The campaign of docs/flight-line.md on a stand-in of the delivered folder, whose pixels are simulated."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hyperval.collection import Collection
+from hyperval.observe import observe
+
+PAGE = Path(__file__).parents[2] / "docs/flight-line.md"
+LINES, SAMPLES, BANDS = 40, 48, 30
+
+
+def delivered(folder: Path) -> np.ndarray:
+    """Radiances in units of 0.001 as 16-bit BIL, wavelengths without a unit, and a lookup table beside."""
+    rng = np.random.default_rng(7)
+    wavelength = np.linspace(400.0, 2450.0, BANDS)
+    level = 3.0 * np.exp(-(((wavelength - 550.0) / 700.0) ** 2)) + 0.2
+    brightness = np.full((LINES, SAMPLES), 0.3)
+    brightness[20:26, 4:10], brightness[20:26, 20:26] = 0.5, 2.0
+    values = level[:, None, None] * brightness * rng.normal(1.0, 0.01, (BANDS, LINES, SAMPLES))
+    stored = np.rint(1000.0 * values).astype("<i2")
+    stored.transpose(1, 0, 2).tofile(folder / "Suwannee_0609-1331_rad.dat")
+    sizes = "ENVI\nsamples = {}\nlines = {}\nbands = {}\nheader offset = 0\ndata type = {}\n"
+    (folder / "Suwannee_0609-1331_rad.hdr").write_text(
+        sizes.format(SAMPLES, LINES, BANDS, 2)
+        + "interleave = bil\nbyte order = 0\nwavelength units = Unknown\nwavelength = {"
+        + ", ".join(f"{w:.2f}" for w in wavelength) + "}\n"
+    )  # fmt: skip
+    table = np.stack(np.meshgrid(np.arange(1, SAMPLES + 1), np.arange(1, LINES + 1))).astype("<i4")
+    table.tofile(folder / "Suwannee_0609-1331_rad_glt.dat")
+    (folder / "Suwannee_0609-1331_rad_glt.hdr").write_text(
+        sizes.format(SAMPLES, LINES, 2, 3)
+        + "interleave = bsq\nbyte order = 0\n"
+        + "map info = {UTM, 1, 1, 250000, 3350000, 4, 4, 17, North, WGS-84, units=Meters}\n"
+    )
+    return stored * 0.001
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_the_pages_campaign_runs_from_the_delivered_folder(tmp_path: Path):
+    values = delivered(tmp_path)
+    blocks = re.findall(r"```yaml\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    collection = yaml.safe_load(blocks[0])["collection"]
+    run = observe(Collection.model_validate(collection), None, lambda name: tmp_path / name, show_progress=False)
+    found = run.observation
+    want = values[:, 4:16, 4:16].reshape(BANDS, -1).mean(axis=1)
+    np.testing.assert_allclose(found.radiance["water"].mean, want, rtol=1e-6)
+    # Noise of 1 % is 100; its spread from 144 pixels is 6 %, and rounding adds 0.3 of the smallest step.
+    assert np.median(found.snr["water"].mean) == pytest.approx(100.0, rel=0.2)
+    assert any("rad_glt.dat lies beside the cube and places its pixels" in note for note in found.notes)
+
+    line = yaml.safe_load("collection:\n" + blocks[1])["collection"]["empirical_line"]
+    wavelength = np.linspace(400.0, 2450.0, BANDS)
+    for name, level in (("road", 0.05), ("roof", 0.2)):
+        rows = "".join(f"{w:.2f},{level}\n" for w in wavelength)
+        (tmp_path / f"{name}.txt").write_text("wavelength_nm,reflectance\n" + rows)
+    whole = Collection.model_validate(collection | {"empirical_line": line})
+    lit = observe(whole, None, lambda name: tmp_path / name, show_progress=False).observation
+    # The line goes through both panels: 0.05 and 0.2 at brightness 0.5 and 2, so water at 0.3 reflects 0.03.
+    assert np.allclose(lit.reflectance["water"].mean, 0.03, atol=0.003)
