@@ -31,9 +31,9 @@ ADDRESS = f"http://127.0.0.1:{PORT}"
 class User(threading.Thread):
     """One user, with a session and a value of the meteorological range of its own."""
 
-    def __init__(self, number: int, end: float, think: float):
+    def __init__(self, number: int, end: float, think: float, charts: bool):
         super().__init__(daemon=True)
-        self.number, self.end, self.think = number, end, think
+        self.number, self.end, self.think, self.charts = number, end, think, charts
         self.times: dict[str, list[float]] = defaultdict(list)
         self.errors: list[str] = []
 
@@ -47,7 +47,14 @@ class User(threading.Thread):
         return answer
 
     def run(self) -> None:
-        """Work until the end."""
+        """Work until the end; a user whose request is not answered gives up."""
+        try:
+            self.work()
+        except requests.RequestException as error:
+            self.errors.append(f"given up: {error}")
+
+    def work(self) -> None:
+        """Page, prediction, result, charts, again and again."""
         chance = random.Random(self.number)  # noqa: S311 - when people click is no secret
         self.session = requests.Session()
         time.sleep(chance.uniform(0.0, 2.0 * self.think))
@@ -68,7 +75,8 @@ class User(threading.Thread):
             shown = self.timed("result", "GET", f"/runs/{run['id']}").text
             if title not in shown:
                 self.errors.append(f"a result of another: {title}")
-            self.timed("charts", "GET", f"/runs/{run['id']}/charts")
+            if self.charts:
+                self.timed("charts", "GET", f"/runs/{run['id']}/charts")
             time.sleep(chance.uniform(0.5, 1.5) * self.think)
 
 
@@ -78,6 +86,7 @@ def main() -> int:
     parser.add_argument("--users", type=int, default=50)
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--think", type=float, default=5.0, help="mean time between a user's clicks [s]")
+    parser.add_argument("--no-charts", action="store_true", help="results and their numbers alone")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         words = ["serve", "--port", str(PORT), "--folder", str(Path(folder) / "web"), "--queue", "200"]
@@ -85,7 +94,7 @@ def main() -> int:
         try:
             warm()
             end = time.monotonic() + given.seconds
-            users = [User(number, end, given.think) for number in range(given.users)]
+            users = [User(number, end, given.think, not given.no_charts) for number in range(given.users)]
             for user in users:
                 user.start()
             for user in users:

@@ -139,7 +139,8 @@ def _package_error(request: Request, error: Exception) -> Response:
 def _http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101
     words = {404: "there is no such page", 405: "this cannot be done here", 400: "the request cannot be read"}
-    answer = _answer(request, error.status_code, [Mistake("", words.get(error.status_code, "refused"))])
+    field = "body" if error.status_code == 400 else ""
+    answer = _answer(request, error.status_code, [Mistake(field, words.get(error.status_code, "refused"))])
     answer.headers.update(error.headers or {})
     if error.status_code == 405 and request.url.path.startswith("/api/"):
         answer.headers["allow"] = ", ".join(_methods(request.app, request.url.path))
