@@ -147,6 +147,7 @@ def run_until(folder, signal_number):
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")  # Python 3.12 and later
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_workers_end_with_their_run(tmp_path, number):
     """They went on until their pieces were done, a minute here; what pieces made for the time being goes."""
