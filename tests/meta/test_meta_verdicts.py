@@ -154,7 +154,7 @@ FALSIFIED: dict[str, tuple[Change, set[tuple[str, str]]]] = {
     "fills swapped": (swapped_fills, {("roc", "small-planks")}),
     "area in the truth": (larger_area, {("abundance", "large-planks")}),
     "regions swapped": (swapped_regions, {("radiance", "field"), ("radiance", "court"), ("reflectance", "field")}),
-    "panels of the line swapped": (swapped_panels, {("reflectance", "field"), ("reflectance", "court")}),
+    "panels of the line swapped": (swapped_panels, {("abundance", "large-planks")}),
     "targets moved": (moved_targets, {("roc", "small-planks"), ("roc", "large-planks")}),
     "scale of the cube": (other_scale, {("radiance", "field"), ("radiance", "court")}),
 }
@@ -167,6 +167,17 @@ def test_each_falsified_input_turns_the_verdict(name, small):
     table = table_of(small)
     assert expected <= failing(table)
     assert table.exit_code() == 1
+
+
+def test_a_line_whose_panels_contradict_each_other_decides_no_reflectance(small):
+    swapped_panels(small)
+    table = table_of(small)
+    gates = [row for row in table.gates() if row.product == "reflectance"]
+    assert {row.subject for row in gates} == {"field", "court"}
+    assert all(row.outcome is Outcome.UNDECIDED and row.value > row.limit_high for row in gates)
+    panels = [r for r in table.where(product="reflectance", metric="p_value_full") if "panel" in r.subject]
+    assert panels
+    assert all(row.outcome is Outcome.DISAGREES and row.value < 1e-9 for row in panels)
 
 
 def test_a_product_that_was_not_falsified_stays_green(small):
