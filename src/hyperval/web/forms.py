@@ -51,11 +51,6 @@ class Node:
     is_open: bool = False
     chosen: int = 0
 
-    @property
-    def is_field(self) -> bool:
-        """Whether it holds one value."""
-        return self.kind not in ("group", "rows", "variants")
-
 
 class Form:
     """The form of a model.
