@@ -45,6 +45,13 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     The interval is :meth:`~hyperval.processing.alarm_blocks.AlarmBlocks.pfa_limits`; there is none where all alarms
     lie in one block.
 
+    Examples
+    --------
+    >>> scores = np.random.default_rng(1).normal(size=(100, 100))
+    >>> curve = exceedance_curve(AlarmBlocks.of_map(scores, np.ones((100, 100), dtype=bool)))
+    >>> bool(curve.half_image[np.argmin(np.abs(curve.probability - 1e-2))] < 1.5)
+    True
+
     Raises
     ------
     UsageError : fewer than 20 pixels count.
