@@ -26,7 +26,9 @@ GRID = Affine(1, 0, 275400.0, 0, -1, 4753700.0)
 
 
 def place(transform: Affine | None = GRID, extras: Any = None, table: Any = None):
-    raster = SimpleNamespace(transform=transform, crs=UTM18 if transform else None, samples=200, lines=100)
+    raster = SimpleNamespace(
+        path=Path("nowhere.img"), transform=transform, crs=UTM18 if transform else None, samples=200, lines=100
+    )
     cube = SimpleNamespace(extras=extras or {}, raster=raster)
     return cast(Place, SimpleNamespace(cube=cube, table=table))
 

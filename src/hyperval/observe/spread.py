@@ -153,8 +153,8 @@ def pixels_of_windows(
         inside = region[rows, columns]
         lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
         values, valid = np.empty((*inside.shape, bands.size)), np.empty(inside.shape, bool)
-        for some in range(0, WINDOW, LINES_TOGETHER):
-            part = slice(some, min(some + LINES_TOGETHER, len(inside)))
+        for some in range(0, len(inside), LINES_TOGETHER):
+            part = slice(some, some + LINES_TOGETHER)
             pixels, usable = place.cube.marked_pixels((lines[part].ravel(), samples[part].ravel()))
             values[part] = pixels[:, bands].reshape(*inside[part].shape, -1)
             valid[part] = usable.reshape(inside[part].shape)
