@@ -79,6 +79,7 @@ def test_clusters_of_equal_pixels_count_once():
     assert high[0] - low[0] > 0.9 * (eight[1] - eight[0])
 
 
+@pytest.mark.simulation
 @pytest.mark.parametrize(("side", "targets"), [(105, 80), (105, 300), (210, 300)])
 def test_pd_holds_the_truth_where_the_background_comes_in_clusters(side, targets):
     # Clusters of 49 pixels, correlation 0.9; 150 worlds.  True coverage 0.95 to 0.98: fewer than 134 covered less
@@ -116,6 +117,7 @@ def test_places_of_other_scores_are_refused():
         pd_at_pfa([1.0], [0.0, 0.1, 0.2], 0.5, blocks=blocks)
 
 
+@pytest.mark.simulation
 def test_areas_hold_the_truth_where_the_background_comes_in_clusters():
     # AUC of normal scores 1.5 apart: Phi(1.5/sqrt 2).  150 worlds, limits as above.
     rng = np.random.default_rng(7)

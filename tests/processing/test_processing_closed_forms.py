@@ -309,6 +309,7 @@ def test_snr_of_few_pixels_by_definition():
     assert found.budget["mean"] == pytest.approx(np.full(bands, 1 / np.sqrt(n)))
 
 
+@pytest.mark.simulation
 @pytest.mark.parametrize("estimated", [False, True])
 def test_limits_of_tails_are_where_the_likelihood_has_dropped(estimated):
     rng = np.random.default_rng(8)

@@ -80,6 +80,7 @@ def test_fewer_independent_pixels_along_one_direction_widen_it_alone():
     assert draws.mean(axis=0) == pytest.approx(np.ones(P), abs=0.02)
 
 
+@pytest.mark.simulation
 def test_the_band_holds_a_further_sample_as_often_as_promised():
     # 120 samples, each with a band of its own: the count inside is binomial(120, 0.95) for every eigenvalue and the
     # trace. Fewer than 104 has probability 1e-4 each; more than 119 would be too wide a band (2e-3 each).

@@ -45,6 +45,7 @@ def test_log_linear_between_points():
     assert exceedance_at(curve, 1e3) == pytest.approx(p[p > 0][-1])
 
 
+@pytest.mark.simulation
 @pytest.mark.parametrize(("blur", "level", "least"), [(0.0, 1e-1, 0.9), (2.0, 1e-1, 0.85), (2.0, 1e-2, 0.85)])
 def test_the_interval_covers_clustered_alarms(blur, level, least):
     # 150 images: the sd of a coverage of 0.93 is 0.02; limits 4 sd below it.

@@ -57,6 +57,7 @@ def test_bands_keep_their_own_variance_though_factors_are_fitted_to_it():
     assert np.mean(own) == pytest.approx(1.0, abs=0.06)
 
 
+@pytest.mark.simulation
 @pytest.mark.parametrize("n", [12, 36])
 @pytest.mark.parametrize("amplitude", [0.0, 1.0, 20.0])
 def test_true_means_are_rejected_as_often_as_stated_at_most(n, amplitude):

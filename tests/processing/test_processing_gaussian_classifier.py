@@ -69,6 +69,7 @@ def test_classifier_is_quadratic_discriminant_analysis():
     assert np.array_equal(GaussianClassifier(laws).classify(x), np.argmax(density, axis=0))
 
 
+@pytest.mark.simulation
 def test_measured_error_of_independent_pixels_covers_the_true_one():
     # 200 samples: inside at least 95 % (Clopper-Pearson); fewer than 180 has probability 2e-3 at most.
     laws, rng = [law([0.0]), law([2.0])], np.random.default_rng(7)

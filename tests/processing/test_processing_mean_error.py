@@ -152,6 +152,7 @@ def test_line_through_three_panels_against_draws():
     np.testing.assert_allclose(drawn[0, 1:], stated[0, 1:], rtol=0.32)
 
 
+@pytest.mark.simulation
 def test_consistency_with_a_covariance_from_few_samples_rejects_as_often_as_stated():
     # 2,000 draws, 60 samples in 8 bands beside a known part: rejections binomial(2000, 0.05), sd 0.5 %; within 3 sd
     # for the F test, false failure 0.3 %; the chi-square test rejects clearly more.

@@ -91,6 +91,7 @@ def test_what_cannot_be_fitted_is_refused():
         chosen_count(x, np.zeros(30), (1, 2), np.random.default_rng(0))
 
 
+@pytest.mark.simulation
 @pytest.mark.parametrize("tails", [False, True])
 def test_components_in_all_bands_have_the_moments_of_their_clusters(tails):
     # 3000 pixels in 12 bands: means are known to 2 % of the spread of a cluster, variances to 5 %; the bounds are

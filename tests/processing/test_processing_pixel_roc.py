@@ -95,6 +95,7 @@ def test_separated_samples_keep_an_honest_limit():
     assert auc_estimate([1.0], [0.0]).lower == pytest.approx(0.025)
 
 
+@pytest.mark.simulation
 @pytest.mark.parametrize(("pfa", "m", "n"), [(1e-1, 200, 3000), (1e-2, 25, 1000), (1e-3, 80, 10_000)])
 def test_interval_of_pd_covers_with_the_threshold_estimated(pfa, m, n):
     # Normal scores: true P_D = Phi(d - z).  600 draws: the sd of the share is 0.8 %.  Stated coverage is 0.95 to
@@ -109,6 +110,7 @@ def test_interval_of_pd_covers_with_the_threshold_estimated(pfa, m, n):
     assert 0.92 < covered / 600 < 0.999
 
 
+@pytest.mark.simulation
 def test_interval_of_pd_covers_for_skewed_targets_on_a_heavy_tailed_background():
     # 600 draws as above; Student background with 3 degrees of freedom, exponential targets.
     rng = np.random.default_rng(8)
@@ -121,6 +123,7 @@ def test_interval_of_pd_covers_for_skewed_targets_on_a_heavy_tailed_background()
     assert 0.92 < covered / 600 < 0.999
 
 
+@pytest.mark.simulation
 def test_threshold_error_matters_where_the_background_is_small():
     # 300 background pixels fix a threshold at 1e-2 (3 alarms expected) badly: many targets, so the binomial
     # part is narrow and the plain interval misses.  400 draws.

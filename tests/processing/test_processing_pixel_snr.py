@@ -26,6 +26,7 @@ def test_decorrelated_estimate_is_right_with_and_without_texture(texture):
         assert np.all(pixels.mean(axis=0) / pixels.std(axis=0, ddof=1) < 0.2 * truth)
 
 
+@pytest.mark.simulation
 @pytest.mark.parametrize("texture", [0.0, 1.0, 5.0])
 def test_few_pixels_have_the_snr_of_many_and_their_scatter(texture):
     # Medians of 16 bands over 150 regions of 36 pixels, each good to 1.6 %: their mean to 0.5 %

@@ -99,6 +99,7 @@ def test_the_whole_area_has_delongs_variance():
     assert of_background == pytest.approx(wins.mean(axis=0).var(ddof=1) / 300, rel=1e-12)
 
 
+@pytest.mark.simulation
 def test_bootstrap_of_areas_is_plain_resampling_and_agrees_with_the_formula():
     # 4,000 plain draws and 20,000 of ours; five standard errors: fails by chance below 1e-5 (seed fixed).
     rng = np.random.default_rng(1)
@@ -120,6 +121,7 @@ def binormal(d, area):
     return np.trapezoid(area.share(stats.norm.sf(x + d)) * stats.norm.pdf(x), x)
 
 
+@pytest.mark.simulation
 @pytest.mark.parametrize(("m", "d"), [(10, 3.5), (20, 2.5), (80, 1.0)])
 @pytest.mark.parametrize("unit", ["object", "pixel"])
 def test_intervals_of_areas_cover(m, d, unit):

@@ -26,6 +26,7 @@ def distances(x):
     return squared_mahalanobis(x, x.mean(axis=0), vectors, values)
 
 
+@pytest.mark.simulation
 @pytest.mark.parametrize(("dof", "p", "n"), [(4.5, 4, 2000), (6.0, 30, 1500), (20.0, 30, 1500)])
 def test_degrees_of_freedom_are_recovered_with_the_stated_coverage(dof, p, n):
     # 40 samples: inside is binomial(40, 0.95); fewer than 32 has probability 2e-4. The estimate's median is known

@@ -108,6 +108,7 @@ def test_an_absorption_of_which_bands_are_left_out_has_no_centre():
     assert np.isnan(absorption_centre(w[kept], radiance[kept], WATER)[0])
 
 
+@pytest.mark.simulation
 def test_the_uncertainty_of_a_centre_is_its_spread_over_draws():
     """1,000 draws of noise and of errors over 6 nm: standard error of a spread 2.2 %, limit 15 %: six of them,
     and first order, which leaves the line between the shoulders out."""
