@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -147,25 +149,12 @@ def run_until(folder, signal_number):
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
-@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")  # Python 3.12 and later
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_workers_end_with_their_run(tmp_path, number):
     """They went on until their pieces were done, a minute here; what pieces made for the time being goes."""
-
-    def unwind(number, frame):
-        raise Ended
-
-    run = os.fork()
-    if run == 0:
-        signal.signal(signal.SIGTERM, unwind)
-        try:
-            run_until(tmp_path, number)
-        except Ended:
-            os._exit(7)
-        finally:
-            os._exit(1)
-    status = os.waitpid(run, 0)[1]
-    assert status == signal.SIGKILL or os.waitstatus_to_exitcode(status) == 7
+    # A program of its own: a fork of this process would inherit locks that threads of other tests hold.
+    command = [sys.executable, __file__, str(tmp_path), str(int(number))]
+    assert subprocess.run(command, check=False, timeout=120).returncode in (7, -signal.SIGKILL)
     pieces = workers_of(tmp_path)
     deadline = time.monotonic() + 4  # before they are ended the hard way
     while any(map(alive, pieces)) and time.monotonic() < deadline:
@@ -207,3 +196,15 @@ def test_what_all_pieces_need_is_packed_once(count):
 def test_pieces_for_other_executors_carry_the_parcel():
     with ThreadPoolExecutor(1) as pool, parcel(pool, [3, 4]) as packed:
         assert list(in_order(pool, first_of, [(packed, 1)])) == [(4, False)]
+
+
+def unwind(number, frame):
+    raise Ended
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, unwind)
+    try:
+        run_until(Path(sys.argv[1]), int(sys.argv[2]))
+    except Ended:
+        os._exit(7)
