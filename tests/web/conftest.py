@@ -16,8 +16,9 @@ from web_server import Server, serve
 from small_campaign import stand_in_atmosphere
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def atmosphere() -> Iterator[None]:
+    """A stand-in for the engine, for one file: tests of other files in this process have the engine itself."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HYPERVAL_WORKERS", "1")
         patch.setattr("hyperval.prediction.cases.atmospheric_terms", stand_in_atmosphere)
