@@ -7,8 +7,8 @@ import shutil
 
 import numpy as np
 import pytest
+from web_server import serve
 
-from conftest import serve
 from hyperval import api
 from small_campaign import SmallCampaign
 
