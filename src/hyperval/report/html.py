@@ -165,16 +165,21 @@ def _first_words(run: RunReport) -> tuple[Outcome, str]:
     return tone, run.sentence or words
 
 
-def environment() -> jinja2.Environment:
-    """The templates, strict and escaped, with the filters of rows."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("hyperval.report", "templates"),
+def strict_templates(package: str) -> jinja2.Environment:
+    """The templates of a package, strict and escaped."""
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader(package, "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+
+
+def environment() -> jinja2.Environment:
+    """The templates of reports, with the filters of rows."""
+    environment = strict_templates("hyperval.report")
     environment.filters.update(
         metric=_metric_markup,
         value=v.value_text,

@@ -12,6 +12,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 import hyperval
+from hyperval.report.html import strict_templates
 from hyperval.web.sessions import Session
 
 _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
@@ -20,13 +21,7 @@ _REPORT = ("style.css", "charts.js", "page.js")
 
 @lru_cache(maxsize=1)
 def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("hyperval.web", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = strict_templates("hyperval.web")
     environment.filters["digits"] = _digits
     environment.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
     environment.filters["since"] = _since
