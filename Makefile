@@ -59,7 +59,7 @@ test-all: $(READY_DEV)  ## both in one run, which sets up once what both need
 test-data: $(READY_DEV)  ## run the tests of real collections (HYPERVAL_DATA), slow ones too
 	$(PYTEST) -m data $(TEST_FLAGS)
 
-coverage: $(READY_DEV)  ## how often the 95 % intervals hold, over simulated collections (minutes)
+coverage: $(READY_DEV)  ## how often the 95 % intervals hold, over simulated collections (15 minutes; goes on where it ended)
 	$(BIN)/python validation/coverage/study.py --output reports/coverage
 
 robustness: $(READY_DEV)  ## a million damaged files through every reader (an hour; goes on where it ended)

@@ -19,14 +19,13 @@ from hyperval.observe.areas import target_areas
 from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.covariance_sampling import Directions, SamplingBand, sampling_band
 from hyperval.processing.exceedance import exceedance_curve
-from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.rank_counts import counts_of
 from hyperval.processing.roc import pd_at_pfa
 from hyperval.processing.roc_areas import AREAS, area_estimates
 from hyperval.scene.builtin import builtin_class
 
 Array = npt.NDArray[np.float64]
-Held = Iterator[tuple[str, bool]]
+Intervals = Iterator[tuple[str, bool]]
 
 SIDE, TILE, CORRELATION = 210, 7, 0.9  # [pixels]
 SEPARATIONS = (1.0, 3.0)  # of targets from the background [its standard deviations]; each world draws one
@@ -45,7 +44,7 @@ def background(rng: np.random.Generator, clustered: bool, side: int = SIDE) -> A
     return np.asarray(np.sqrt(CORRELATION) * common + np.sqrt(1.0 - CORRELATION) * own)
 
 
-def detection(rng: np.random.Generator, clustered: bool) -> Held:
+def detection(rng: np.random.Generator, clustered: bool) -> Intervals:
     """P_D at preset P_FA, P_FA at a threshold and areas, of targets that lie above the background."""
     scores = background(rng, clustered)
     blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
@@ -75,7 +74,7 @@ def _true_areas(separation: float) -> dict[str, float]:
     return {name: float(area.share(s).mean()) for name, area in AREAS.items()}
 
 
-def areas(rng: np.random.Generator, clustered: bool) -> Held:
+def areas(rng: np.random.Generator, clustered: bool) -> Intervals:
     """The area of an object as the sum of its scores, beside the area that was put there."""
     side, truth = 120, 2.3
     scores = 0.05 * background(rng, clustered, side)
@@ -103,7 +102,7 @@ EIGENVALUES = (1, 2, 5, 10)
 PIXELS = 600
 
 
-def eigenvalues(rng: np.random.Generator, clustered: bool) -> Held:
+def eigenvalues(rng: np.random.Generator, clustered: bool) -> Intervals:
     """Eigenvalues of a sample beside those drawn from the covariance that it came from."""
     if clustered:
         return
@@ -116,23 +115,12 @@ def eigenvalues(rng: np.random.Generator, clustered: bool) -> Held:
         yield f"eigenvalue {k}", bool(low[k - 1] <= measured[k - 1] <= high[k - 1])
 
 
-KINDS: tuple[Callable[[np.random.Generator, bool], Held], ...] = (detection, areas, eigenvalues)
+KINDS: tuple[Callable[[np.random.Generator, bool], Intervals], ...] = (detection, areas, eigenvalues)
 
 
-def shares(worlds: int, seed: int) -> dict[tuple[str, bool], tuple[int, int]]:
-    """How many of the intervals of each kind hold the truth, and of how many; keys: what, and whether clustered."""
-    out: dict[tuple[str, bool], tuple[int, int]] = {}
-    for i in range(worlds):
-        for number, kind in enumerate(KINDS):
-            for clustered in (False, True):
-                rng = np.random.default_rng([seed, i, number, clustered])
-                for what, held in kind(rng, clustered):
-                    inside, count = out.get((what, clustered), (0, 0))
-                    out[what, clustered] = inside + held, count + 1
-    return out
-
-
-def exact(inside: int, count: int) -> tuple[float, float]:
-    """The 95 % interval of a share."""
-    low, high = clopper_pearson(inside, count)
-    return float(low), float(high)
+def intervals_of(world: int, seed: int) -> Iterator[tuple[str, bool, bool]]:
+    """Every interval of one world: what of, whether the background is in clusters, whether it holds the truth."""
+    for number, kind in enumerate(KINDS):
+        for clustered in (False, True):
+            rng = np.random.default_rng([seed, world, number, clustered])
+            yield from ((what, clustered, inside) for what, inside in kind(rng, clustered))

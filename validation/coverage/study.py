@@ -1,32 +1,38 @@
 """Coverage: how often the 95 % intervals of a comparison hold, over collections whose budgets are known to be true.
 
-    python validation/coverage/study.py [--collections 400] [--spectra 1000] [--maps 1000] [--output DIR]
+    python validation/coverage/study.py [--collections 1000] [--spectra 1000] [--maps 4000] [--output DIR]
 
 Writes coverage.csv and coverage.json: for every product the share of comparisons whose stated interval of predicted
-minus measured holds 0, and how often the consistency test rejects true cases and tilted ones.
+minus measured holds 0, and how often the consistency test rejects true cases and tilted ones.  Worlds are counted
+in batches, on every processor; counts of a batch are kept in DIR, so that a run goes on where the last one ended.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
-from intervals import exact, shares
+from counts import Counts, Key, Tally, outcomes
+from intervals import intervals_of
 from world import AXIS, HIGH, LOW, PANEL_SIDE, SITE, Collection, collect, engine, scenario, tilt, truth
 from world import B as BANDS
 
-from hyperval.compare import compare_products
-from hyperval.files import write_text
+import hyperval
+from hyperval.compare import compare_products, objects
+from hyperval.executors import in_order, worker_count, workers
+from hyperval.files import files_within, sha256_of, write_text
 from hyperval.observe.uncertainty import spectral_estimate
 from hyperval.predict import Origins, predict
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import PanelErrors, line_error
-from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.mean_error import (
     components,
     independent_pixels,
@@ -48,9 +54,11 @@ TILT = 0.03
 ALPHA = 0.05
 FALSE_ALARMS = (1e-2, 1e-3)
 METHODS = ("linear", "monte-carlo")
+BATCH = 50  # worlds
 LOOKED_FOR = builtin_class("yellow-paint-plank", AXIS).mean
 
 
+@cache
 def predictions(samples: int) -> dict[str, Prediction]:
     """What is predicted, by both ways of propagation."""
     return {m: predict(scenario(m, samples), Origins(axis=AXIS, engine=engine), objects=True) for m in METHODS}
@@ -122,50 +130,38 @@ def _scores(x: Array, background: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Share of comparisons in which something held, with its exact interval as if all were independent.
+class Batch:
+    """Worlds ``first`` to ``last`` - 1: score maps, or collections, with pixels for the detectors or without."""
 
-    ``wanted`` is the range in which the share is to lie.
-    """
+    of: str
+    first: int
+    last: int
+    seed: int
+    detection: bool = False
+    draws: int = 0
+    methods: tuple[str, ...] = METHODS
 
-    product: str
-    subject: str
-    what: str
-    method: str
-    share: float
-    lower: float
-    upper: float
-    comparisons: int
-    collections: int
-    wanted: tuple[float, float]
+    def tally(self) -> Tally:
+        """Count the worlds of the batch."""
+        out: Tally = {}
+        for i in range(self.first, self.last):
+            world = self._of_map(i) if self.of == "maps" else self._of_collection(i)
+            for key, values in world:
+                out.setdefault(key, Counts()).add(values)
+        return out
 
-    @property
-    def met(self) -> bool:
-        """Whether the exact interval of the share reaches into where it is to lie."""
-        return self.upper >= self.wanted[0] and self.lower <= self.wanted[1]
+    def _of_map(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
+        """Intervals of the background, of curves, areas and eigenvalues: :mod:`intervals`."""
+        for what, clustered, inside in intervals_of(i, self.seed):
+            yield ("interval", "clusters" if clustered else "independent", what, "pixels"), [float(inside)]
 
-
-COVERED, REJECTED, FOUND = (0.92, 0.98), (0.03, 0.07), (0.90, 1.0)
-
-
-def outcomes(
-    p: dict[str, Prediction], collections: int, spectra: int, seed: int, show: bool | None
-) -> list[Outcome]:
-    """Compare ``spectra`` collections, of which the first ``collections`` have pixels for the detectors too."""
-    held: dict[tuple[str, str, str, str], list[float]] = {}
-    runs: dict[tuple[str, str, str, str], int] = {}
-
-    def note(key: tuple[str, str, str, str], values: Iterable[float]) -> None:
-        got = [v for v in values if np.isfinite(v)]
-        held.setdefault(key, []).extend(got)
-        runs[key] = runs.get(key, 0) + bool(got)
-
-    for i in track(range(spectra), "collections", show=show):
-        rng = np.random.default_rng([seed, i])
+    def _of_collection(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
+        p = predictions(self.draws)
+        rng = np.random.default_rng([self.seed, i])
         t = truth(rng)
-        o = observed(collect(t, rng, detection=i < collections))
-        for method, prediction in p.items():
-            rows = compare_products(prediction, o, campaign="coverage", method=method)
+        o = observed(collect(t, rng, detection=self.detection))
+        for method in self.methods:
+            rows = _compared(p[method], o, method)
             for product, subject in (
                 ("radiance", "field"),
                 ("radiance", "bright"),
@@ -173,33 +169,35 @@ def outcomes(
                 ("snr", "bright"),
             ):
                 mine = [r for r in rows if (r.product, r.subject) == (product, subject)]
-                note((product, subject, "95 % interval", method), _ratio_held(mine))
+                yield (product, subject, "95 % interval", method), _ratio_held(mine)
                 if product != "snr":
-                    note((product, subject, "full test rejects", method), _rejected(mine))
-            if i < collections:
+                    yield (product, subject, "full test rejects", method), _rejected(mine)
+            if self.detection:
                 mine = [r for r in rows if r.product == "roc" and r.method == "cem/pixel"]
                 for pfa in FALSE_ALARMS:
                     label = f"@{pfa:.0e}".replace("e-0", "e-")
                     inside = [r.value for r in mine if r.metric == f"pd_inside_interval{label}"]
-                    note(("P_D", "plank", f"95 % interval at {pfa:g}", method), inside)
-                note(("AUC", "plank", "95 % interval", method), _area_held(mine))
-                inside = [r.value for r in rows if (r.subject, r.metric) == ("plank", "objects_inside_95")]
-                note(("scores", "plank", "object inside its 95 % interval", method), inside)
-        tilted = observed(collect(t, np.random.default_rng([seed, i, 1]), detection=False, extra=tilt(TILT)))
-        rows = compare_products(p["linear"], tilted, campaign="coverage", method="linear")
+                    yield ("P_D", "plank", f"95 % interval at {pfa:g}", method), inside
+                yield ("AUC", "plank", "95 % interval", method), _area_held(mine)
+                together = [r for r in rows if (r.subject, r.metric) == ("plank", "objects_inside_95")]
+                inside = [float(i < round(r.value * (r.n or 0))) for r in together for i in range(r.n or 0)]
+                yield ("scores", "plank", "object inside its 95 % interval", method), inside
+        tilted = observed(collect(t, np.random.default_rng([self.seed, i, 1]), detection=False, extra=tilt(TILT)))
+        rows = _compared(p["linear"], tilted, "linear")
         mine = [r for r in rows if (r.product, r.subject) == ("radiance", "bright")]
-        note(("radiance", "bright", f"full test rejects {100 * TILT:g} % tilt", "linear"), _rejected(mine))
-    return [_outcome(key, np.array(values), runs[key]) for key, values in held.items()]
+        yield ("radiance", "bright", f"full test rejects {100 * TILT:g} % tilt", "linear"), _rejected(mine)
 
 
-def interval_outcomes(worlds: int, seed: int) -> list[Outcome]:
-    """Intervals of the background, of curves, areas and eigenvalues: :mod:`intervals`."""
-    out = []
-    for (what, clustered), (inside, count) in shares(worlds, seed).items():
-        low, high = exact(inside, count)
-        kind = "clusters" if clustered else "independent"
-        out.append(Outcome("interval", kind, what, "pixels", inside / count, low, high, count, count, COVERED))
-    return out
+def _compared(p: Prediction, o: Observation, method: str) -> list[Result]:
+    # P-values of the objects together are not looked at here; their sets of draws are most of the time.
+    with patch.multiple(objects, REPLICATES=500, POWER_DRAWS=20):
+        return compare_products(p, o, campaign="coverage", method=method)
+
+
+def batches(whole: Batch) -> list[Batch]:
+    """Cut many worlds into batches."""
+    starts = range(whole.first, whole.last, BATCH)
+    return [replace(whole, first=i, last=min(i + BATCH, whole.last)) for i in starts]
 
 
 def _ratio_held(rows: list[Result]) -> list[float]:
@@ -217,38 +215,63 @@ def _area_held(rows: list[Result]) -> list[float]:
     return [float(r.lower <= 0.0 <= r.upper) for r in rows if r.metric == "auc_difference" and np.isfinite(r.lower)]
 
 
-def _outcome(key: tuple[str, str, str, str], values: Array, collections: int) -> Outcome:
-    count = values.size
-    low, high = clopper_pearson(values.sum(), count)
-    what = key[2]
-    wanted = FOUND if "tilt" in what else REJECTED if "rejects" in what else COVERED
-    return Outcome(*key, float(values.mean()), float(low), float(high), count, collections, wanted)
+def _digest_of_code() -> str:
+    folders = Path(hyperval.__file__).parent, Path(__file__).parent
+    files = [x for folder in folders for x in files_within(folder) if x.suffix in (".py", ".yaml", ".csv", ".npz")]
+    return hashlib.sha256("".join(sha256_of(x) for x in files).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Counts of batches in files of ``folder``, by the batch and the code that made them."""
+
+    folder: Path
+    code: str = field(default_factory=_digest_of_code)
+
+    def tally(self, batch: Batch) -> Tally:
+        """Read the counts of a batch, or make and keep them."""
+        name = hashlib.sha256(repr((batch, self.code)).encode()).hexdigest()[:16]
+        path = self.folder / f"{batch.of}-{batch.first:05d}-{name}.json"
+        if not path.exists():
+            rows = [[*key, asdict(counts)] for key, counts in batch.tally().items()]
+            write_text(path, json.dumps(rows) + "\n")
+        return {tuple(key): Counts(**counts) for *key, counts in json.loads(path.read_text())}
 
 
 def main() -> int:
     """Run the study; 1 where a share is not where it is to lie."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--collections", type=int, default=400)
-    parser.add_argument("--spectra", type=int, default=1000)
-    parser.add_argument("--maps", type=int, default=1000)
+    parser.add_argument("--collections", type=int, default=1000, help="with pixels for the detectors")
+    parser.add_argument("--spectra", type=int, default=1000, help="collections in all")
+    parser.add_argument("--maps", type=int, default=4000)
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--output", type=Path, default=Path("reports/coverage"))
     args = parser.parse_args()
-    found = interval_outcomes(args.maps, args.seed)
-    found += outcomes(predictions(args.draws), args.collections, args.spectra, args.seed, None)
-    names = [*asdict(found[0]), "met"]
+    (args.output / "counts").mkdir(parents=True, exist_ok=True)
+    kept = Kept(args.output / "counts")
+    with_pixels = Batch("collections", 0, args.collections, args.seed, detection=True, draws=args.draws)
+    without = Batch("collections", args.collections, args.spectra, args.seed, draws=args.draws)
+    maps = Batch("maps", 0, args.maps, args.seed)
+    pieces = [piece for whole in (maps, with_pixels, without) for piece in batches(whole)]
+    with workers(worker_count(len(pieces))) as where:
+        tallies = track(in_order(where, kept.tally, pieces), "batches of worlds", total=len(pieces))
+        result = outcomes(tallies)
+    names = [*asdict(result[0]), "outcome"]
     lines = [",".join(names)]
-    for o in found:
-        values = {**asdict(o), "met": o.met, "wanted": f"{o.wanted[0]:g} to {o.wanted[1]:g}"}
+    for o in result:
+        values = {**asdict(o), "wanted": f"{o.wanted[0]:g} to {o.wanted[1]:g}", "outcome": o.outcome}
         lines.append(",".join(f"{v:.4f}" if isinstance(v, float) else str(v) for v in values.values()))
-        verdict = "" if o.met else "NOT MET"
-        print(f"{o.product:12} {o.subject:11} {o.what:32} {o.method:12} {o.share:.3f} ({o.collections}) {verdict}")
-    args.output.mkdir(parents=True, exist_ok=True)
+        interval = f"{o.share:.3f} ({o.lower:.3f} to {o.upper:.3f})"
+        print(f"{o.product:12} {o.subject:11} {o.what:32} {o.method:12} {interval} {o.worlds:5} {o.outcome}")
     write_text(args.output / "coverage.csv", "\n".join(lines) + "\n")
-    record = {"seed": args.seed, "draws": args.draws, "outcomes": [{**asdict(o), "met": o.met} for o in found]}
+    record = {
+        "seed": args.seed,
+        "draws": args.draws,
+        "outcomes": [{**asdict(o), "outcome": o.outcome} for o in result],
+    }
     write_text(args.output / "coverage.json", json.dumps(record, indent=1) + "\n")
-    return 0 if all(o.met for o in found) else 1
+    return 1 if any(o.outcome == "outside" for o in result) else 0
 
 
 if __name__ == "__main__":

@@ -13,8 +13,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from counts import COVERED, FOUND, outcomes
+
 import study
-from hyperval.compare import objects
 
 # Least number covered of n at 95 %: P(X < 51 of 60) = 7e-4, P(X < 24 of 30) = 6e-4.
 LEAST = {60: 51, 30: 24}
@@ -26,13 +27,13 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def found():
-    predictions = {
-        "linear": study.predict(study.scenario(), study.Origins(axis=study.AXIS, engine=study.engine), objects=True)
-    }
-    with pytest.MonkeyPatch.context() as patch:  # the joint tests of objects, whose p-values are not looked at
-        patch.setattr(objects, "REPLICATES", 500)
-        patch.setattr(objects, "POWER_DRAWS", 20)
-        return study.outcomes(predictions, 30, 60, 7, show=False)
+    stated = study.Origins(axis=study.AXIS, engine=study.engine)
+    linear = study.predict(study.scenario(), stated, objects=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "predictions", lambda draws: {"linear": linear})
+        with_pixels = study.Batch("collections", 0, 30, seed=7, detection=True, methods=("linear",))
+        without = study.Batch("collections", 30, 60, seed=7, methods=("linear",))
+        return outcomes([with_pixels.tally(), without.tally()])
 
 
 def test_every_product_is_there(found):
@@ -40,18 +41,18 @@ def test_every_product_is_there(found):
         ("radiance", "field"), ("radiance", "bright"), ("reflectance", "field"), ("snr", "bright"),
         ("P_D", "plank"), ("AUC", "plank"), ("scores", "plank"),
     }  # fmt: skip
-    assert all(o.comparisons >= o.collections > 0 for o in found)
+    assert all(o.comparisons >= o.worlds > 0 for o in found)
 
 
 def test_intervals_hold_the_difference(found):
-    for o in (o for o in found if o.wanted == study.COVERED):
+    for o in (o for o in found if o.wanted == COVERED):
         # Bands of a collection move together: their share is judged as if every collection had one band.
-        assert o.share >= LEAST[o.collections] / o.collections, o
+        assert o.share >= LEAST[o.worlds] / o.worlds, o
 
 
 def test_consistency_test_rejects_tilted_collections_and_few_others(found):
     for o in (o for o in found if "rejects" in o.what):
-        if o.wanted == study.FOUND:
+        if o.wanted == FOUND:
             assert o.share > 0.8, o  # P(X <= 48 of 60) = 3e-6 at the 97 % of the whole study
         else:
             assert o.share <= MOST_REJECTED / 60, o

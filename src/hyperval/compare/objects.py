@@ -179,7 +179,7 @@ def _joint_test(u: Array, reference: Array, wide: Array) -> Test | None:
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 
     def distance(v: Array) -> Array:
-        return np.asarray(np.einsum("...i,ij,...j->...", v, inverse, v))
+        return np.asarray(np.sum((v @ inverse) * v, axis=-1))
 
     return _test(float(distance(z)), distance(x[half:]), distance(w), both=True)
 
