@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -14,6 +13,7 @@ from hyperval.baseline import accept, check
 from hyperval.baseline.runs import _stale
 from hyperval.campaign.one import Job
 from hyperval.campaign.schema import load_campaign
+from hyperval.report.stored import read_results
 from hyperval.results import Outcome
 from hyperval.sensor.specification import load_sensor
 from small_campaign import SmallCampaign, sensor_data, stand_in_atmosphere, write_yaml
@@ -97,8 +97,7 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys):
     assert len(said.out.splitlines()) == 2 + 4, "two headers (the acceptance before has one), and failures alone"
     assert "likely cause: the code, the campaign's files or its data" in said.err
     assert f'if the change is meant: hyperval baseline accept {campaign} --reason "..."' in said.err
-    rows = json.loads((place / "out/results.json").read_text())["rows"]
-    assert sum(r["outcome"] == "disagrees" for r in rows) == 4
+    assert sum(r.outcome is Outcome.DISAGREES for r in read_results(place / "out/results.json")) == 4
     assert (place / "out/report.html").is_file()
     assert (place / "out/small/report.html").is_file()
     assert (place / "out/junit.xml").read_bytes() == (place / "moved.xml").read_bytes()

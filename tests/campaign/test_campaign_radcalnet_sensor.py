@@ -20,6 +20,7 @@ from hyperval.campaign.draft import read_texts
 from hyperval.campaign.dry_run import dry_run
 from hyperval.imagery.envi_write import write_cube
 from hyperval.predict import Origins, predict
+from hyperval.report.stored import read_results
 from hyperval.sensor.specification import load_sensor
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "radcalnet-sensor"
@@ -116,22 +117,21 @@ def test_without_files_it_waits_and_says_for_what(monkeypatch, tmp_path):
         "data:radcalnet-portal/BTCN02_2018_148_v00.03.input",
     }
     assert cli.run(["-q", "validate", str(FOLDER / "campaign.yaml"), "-o", str(tmp_path / "out")]) == 5
-    rows = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
-    assert {r["outcome"] for r in rows} == {"skipped"}
+    assert {str(r.outcome) for r in read_results(tmp_path / "out" / "results.json")} == {"skipped"}
 
 
 def test_from_files_to_verdict_and_drift(overpasses, tmp_path, capsys):
     out = tmp_path / "out"
     code = cli.run(["-q", "validate", str(overpasses), "-o", str(out)])
-    rows = json.loads((out / "results.json").read_text())["rows"]
-    bias = {r["campaign"][-10:]: r for r in rows if r["metric"] == "bias_ratio"}
+    rows = read_results(out / "results.json")
+    bias = {r.campaign[-10:]: r for r in rows if r.metric == "bias_ratio"}
     # Predicted over collected: a sensor that gains 1 % each half year.
-    assert [bias[run]["value"] for run in OVERPASSES] == pytest.approx([0.0, -0.0099, -0.0196, -0.0291], abs=4e-4)
-    assert {r["outcome"] for r in bias.values()} == {"agrees"}
-    gates = {name: [r for r in rows if r["role"] == "gate" and r["metric"] == name] for name in GATES}
-    assert [r["outcome"] for r in gates["median_difference_ratio_vnir"]] == ["agrees"] * 4
+    assert [bias[run].value for run in OVERPASSES] == pytest.approx([0.0, -0.0099, -0.0196, -0.0291], abs=4e-4)
+    assert {str(r.outcome) for r in bias.values()} == {"agrees"}
+    gates = {name: [r for r in rows if str(r.role) == "gate" and r.metric == name] for name in GATES}
+    assert [str(r.outcome) for r in gates["median_difference_ratio_vnir"]] == ["agrees"] * 4
     # The stand-in has none of the errors that the budget holds, and the full test says so.
-    assert all("too wide" in r["reason"] for r in gates["p_value_shape"]), gates
+    assert all("too wide" in r.reason for r in gates["p_value_shape"]), gates
     assert code == 1
     capsys.readouterr()
     assert cli.run(["drift", str(out), "--within", "-0.005", "0.005"]) == 1

@@ -1,6 +1,7 @@
 """Two runs side by side."""
 
 import dataclasses
+import json
 import re
 
 import pytest
@@ -40,6 +41,18 @@ def test_a_stored_table_is_read_back_as_it_was(folders):
     stored = read_run(folders / "a")
     assert stored.table.frame().equals(make_run().table.frame())
     assert stored.figures
+
+
+def test_a_table_of_the_version_before_is_read_too(folders, tmp_path):
+    """It repeated the names of the columns in each row; results of earlier days stay comparable."""
+    now = json.loads((folders / "a" / "results.json").read_text())
+    before = {
+        **now, "schema_version": 2, "rows": [dict(zip(now["columns"], row, strict=True)) for row in now["rows"]],
+    }  # fmt: skip
+    (tmp_path / "results.json").write_text(json.dumps(before))
+    assert (
+        read_results(tmp_path / "results.json").frame().equals(read_results(folders / "a" / "results.json").frame())
+    )
 
 
 def test_a_verdict_that_turned_stands_first(folders):

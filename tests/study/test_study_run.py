@@ -1,7 +1,5 @@
 """The whole command: tables, interruption, workers, exit codes."""
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,6 +7,7 @@ import xarray as xr
 
 from hyperval import cli
 from hyperval.executors import workers
+from hyperval.report.stored import read_results
 from hyperval.study import run as study_run
 from hyperval.study.run import study_to_folder
 
@@ -52,8 +51,7 @@ def test_a_study_writes_everything(make_study, tmp_path, quick):
         np.testing.assert_array_equal(data["pd"].values, table["pd"].to_numpy())
         np.testing.assert_array_equal(data["fill"].values, table["fill"].to_numpy())
         assert data["c"].attrs["units"] == "%"
-    rows = json.loads((out / "results.json").read_text())["rows"]
-    assert {r["outcome"] for r in rows} <= {"none", "skipped"}
+    assert {str(r.outcome) for r in read_results(out / "results.json")} <= {"none", "skipped"}
     unsolved = table["signal"].isna()
     assert table.loc[unsolved, "reason"].str.contains("no solution").all()
     page = (out / "report.html").read_text()
@@ -125,8 +123,8 @@ outputs: [{name: pd, kind: pd, subject: plank, pfa: 1.0e-3}]
 plots: [{kind: lines, x: haze, output: pd}, {kind: heat, x: haze, y: fill, output: pd}]
 """)
     study_to_folder(path, tmp_path / "out")
-    rows = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
-    error = {r["subject"]: r["value"] for r in rows if r["metric"] == "error_at_held_out_states"}
+    rows = read_results(tmp_path / "out" / "results.json")
+    error = {r.subject: r.value for r in rows if r.metric == "error_at_held_out_states"}
     assert 0 < error["radiance, worst"] < 0.01
     assert error["radiance, rms"] <= error["radiance, worst"]
     assert 0 < error["output pd"] < 0.01

@@ -15,6 +15,7 @@ from hyperval.report.tables import SCHEMA_VERSION
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 
 MAX_BYTES = 500_000_000
+_READABLE = (2, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
 _WORDS = {"inf": math.inf, "-inf": -math.inf}
 _NUMBERS = ("value", "band_nm", "lower", "upper", "limit_low", "limit_high", "detectable")
 _TYPES = {"role": Role, "evidence": Evidence, "outcome": Outcome, "cause": Cause}
@@ -66,14 +67,21 @@ def read_results(path: Path) -> ResultTable:
     InputError : no such file, not JSON, or not a results table of this version.
     """
     document = _json(path)
-    if document.get("schema_version") != SCHEMA_VERSION or not isinstance(document.get("rows"), list):
+    columns = document.get("columns")
+    if (
+        document.get("schema_version") not in _READABLE
+        or not isinstance(document.get("rows"), list)
+        or not isinstance(columns, list)
+    ):
         raise InputError(
             "not a results table", where=str(path), expected=f"results.json of schema version {SCHEMA_VERSION}"
         )
-    return ResultTable(_row(item, f"{path}, row {i}") for i, item in enumerate(document["rows"], start=1))
+    return ResultTable(_row(item, columns, f"{path}, row {i}") for i, item in enumerate(document["rows"], start=1))
 
 
-def _row(item: Any, where: str) -> Result:
+def _row(item: Any, columns: list[Any], where: str) -> Result:
+    if isinstance(item, list) and len(item) == len(columns):
+        item = dict(zip(map(str, columns), item, strict=True))
     known = {f.name for f in fields(Result)}
     if not isinstance(item, dict) or set(item) != known:
         raise InputError("not a row of results", where=where, expected="the columns " + ", ".join(sorted(known)))

@@ -20,7 +20,7 @@ import hyperval
 from hyperval.report.verdict import limits_text
 from hyperval.results import COLUMNS, Outcome, Result
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 # What XML 1.0 cannot hold at all, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -43,7 +43,10 @@ def results_csv(rows: Iterable[Result]) -> str:
 
 
 def results_json(rows: Iterable[Result]) -> str:
-    """The table as JSON: a header and the rows; null for NaN, "inf" and "-inf" for infinities."""
+    """The table as JSON: a header, and a list of values a row in the order of ``columns``.
+
+    A line a row; null for NaN, "inf" and "-inf" for infinities.
+    """
     rows = list(rows)
     document = {
         "schema_version": SCHEMA_VERSION,
@@ -55,10 +58,8 @@ def results_json(rows: Iterable[Result]) -> str:
     head = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     if not rows:
         return head + "\n"
-    # The standard encoder is fast only without indentation: a row of single values gets it by its separator.
-    encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",\n   ", ": ")).encode
-    bodies = [encode({column: json_value(getattr(row, column)) for column in COLUMNS})[1:-1] for row in rows]
-    listed = ",\n".join(f"  {{\n   {body}\n  }}" for body in bodies)
+    encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode  # fast only without indentation
+    listed = ",\n".join(f"  {encode([json_value(getattr(row, column)) for column in COLUMNS])}" for row in rows)
     return head.removesuffix("[]\n}") + f"[\n{listed}\n ]\n}}\n"
 
 
