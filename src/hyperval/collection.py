@@ -267,6 +267,10 @@ class Detection(Model):
         description="pixels around a target whose greatest score counts for the object; the background is then "
         "scored by the same footprint",
     )
+    first_detection: bool = Field(
+        False,
+        description="besides: false alarms before the first true detection of a subject, as RIT's self-test counts",
+    )
     bands: Literal["all", "good", "windows"] = "good"
     least_snr: float | None = Field(None, gt=0, description="bands with less in the background are left out")
     group: str = Field(

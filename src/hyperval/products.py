@@ -159,6 +159,7 @@ class RocCurve:
     background_area_km2 : ground area of the background pixels, for alarms per km2; None when unknown
     preset_pfa : (K,) greatest false-alarm probability of any one class at ``threshold``: the preset of (3.30) read
         as the curve's abscissa; None for a measurement
+    alarms_before_first : background pixels that score as high as the best target pixel or higher, where asked for
     """
 
     pfa: Array
@@ -174,6 +175,7 @@ class RocCurve:
     areas: Mapping[str, AreaEstimate] = field(default_factory=dict, compare=False)
     at_detection: tuple[AlarmsAtDetection, ...] = ()
     preset_pfa: Array | None = None
+    alarms_before_first: int | None = None
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_world import BANDS, LINES, PLANTED, SAMPLES
+from small_world import BANDS, LINES, PLANTED, SAMPLES, TARGET
 
+from hyperval.campaign.one_side import product_rows
 from hyperval.collection import Detection, EmpiricalLineSource
 from hyperval.errors import UsageError
 from hyperval.processing.detectors import DETECTORS, pixel_detector, whitener_of
@@ -60,6 +61,38 @@ def test_a_halo_scores_background_and_objects_alike(world):
     world.detection["halo_pixels"] = 24
     with pytest.raises(UsageError, match=r"'t0' with a halo of 24 pixels is larger"):
         world.observe()
+
+
+def test_alarms_before_the_first_detection(world):
+    """RIT's rule: the list of pixels by falling score, read until it meets a pixel of any object."""
+    world.detection["first_detection"] = True
+    world.values[45, 30:33] = world.values[10, 10]  # as full as the best ones, and not in the truth
+    world.values[45, 35] = TARGET
+    world.write()
+    seen = world.observe()
+    scores, guarded = seen.detected.score_maps["paint-cem"], ~seen.place.left_out
+    curves = {s: curve for (s, _, unit), curve in seen.observation.roc.items() if unit == "object"}
+    places: dict[str, list[tuple[int, int]]] = {}
+    for place, fill in PLANTED.items():
+        places.setdefault(f"fill {fill}", []).append(place)
+    order = np.argsort(-scores, axis=None, kind="stable")
+    for subject, pixels in places.items():
+        counted = 0
+        for line, sample in zip(*np.unravel_index(order, scores.shape), strict=True):
+            if (line, sample) in pixels:
+                break
+            counted += bool(guarded[line, sample])
+        assert curves[subject].alarms_before_first == counted
+    assert curves["fill 0.8"].alarms_before_first >= 1  # the full one, and which of the others only noise decides
+    assert curves["fill 0.3"].alarms_before_first == 4
+    assert any("RIT's self-test" in note for note in seen.detected.notes)
+    rows = product_rows("c", seen.observation, "observed")
+    assert {r.subject: r.value for r in rows if r.metric == "alarms_before_first"} == {
+        s: c.alarms_before_first for s, c in curves.items()
+    }
+    del world.detection["first_detection"]
+    again = product_rows("c", world.observe().observation, "observed")
+    assert not [r for r in again if r.metric == "alarms_before_first"]
 
 
 def test_fast_and_exact_scores_agree(world):

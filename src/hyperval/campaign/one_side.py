@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperval.compare.covariance import compare_distribution
 from hyperval.compare.roc import ALWAYS, IF_BACKGROUND_ALLOWS, LEAST_EXPECTED_ALARMS
-from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, joint_rows
+from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, first_detection_rows, joint_rows
 from hyperval.compare.roc_areas import area_rows
 from hyperval.compare.rows import RowMaker
 from hyperval.products import Products, RocCurve
@@ -110,5 +110,6 @@ def _beyond_points(make: RowMaker, curve: RocCurve) -> list[Result]:
     for pfa in (*ALWAYS, *IF_BACKGROUND_ALLOWS):
         if pfa * (curve.n_background or 0) >= LEAST_EXPECTED_ALARMS:
             rows += [*far_row(make, curve, pfa), *joint_rows(make, None, curve, pfa)]
+    rows += first_detection_rows(make, curve)
     rows += [*far_at_detection_rows(make, None, curve), *area_rows(make, None, curve)]
     return [row for row in rows if row.outcome is Outcome.NONE]  # nothing is planned here, so nothing is skipped

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.compare.difference import difference_interval
-from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, joint_rows
+from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, first_detection_rows, joint_rows
 from hyperval.compare.roc_areas import area_rows, curve_area
 from hyperval.compare.rows import RowMaker, scientific
 from hyperval.errors import UsageError
@@ -125,7 +125,7 @@ def compare_roc(
             out += _at(make, predicted, observed, level, equivalence_margin)
             if not background or level * background >= LEAST_EXPECTED_ALARMS:
                 out += [*far_row(make, observed, level), *joint_rows(make, predicted, observed, level)]
-        out += far_at_detection_rows(make, predicted, observed)
+        out += [*far_at_detection_rows(make, predicted, observed), *first_detection_rows(make, observed)]
         if not observed.areas:
             return [*out, _bare(make, predicted, observed)]
         return [*out, *area_rows(make, predicted, observed)]

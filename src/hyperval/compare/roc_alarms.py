@@ -117,6 +117,24 @@ def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: 
     return rows
 
 
+def first_detection_rows(make: RowMaker, observed: RocCurve) -> list[Result]:
+    """``alarms_before_first`` (:func:`~hyperval.processing.alarms.alarms_before_first`), where it was counted.
+
+    Examples
+    --------
+    >>> pfa = np.array([1e-2, 1e-1])
+    >>> curve = RocCurve(pfa, pfa, pfa, pfa, -pfa, "object", 7, 10_000, alarms_before_first=3)
+    >>> [(r.metric, r.value) for r in first_detection_rows(RowMaker("c", "roc", "panel", "cem/object"), curve)]
+    [('alarms_before_first', 3.0)]
+    """
+    if observed.alarms_before_first is None:
+        return []
+    reason = f"of {observed.n_background} background pixels, up to the best pixel of {observed.n_target} objects; "
+    reason += "favours targets of many pixels or pieces"
+    count = observed.alarms_before_first
+    return [make.row("alarms_before_first", float(count), n=observed.n_target, reason=reason)]
+
+
 def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, pfa: float) -> list[Result]:
     """``joint_pfa``, ``joint_pd`` and ``pd_inside_joint_region`` ``@1e-2``.
 

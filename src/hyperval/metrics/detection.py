@@ -190,6 +190,10 @@ METRICS = (
            reference=_CURVES),
     Metric("far_difference", "difference of these (predicted − measured)", _ALARMS, unit=_PER_KM2, agreement=0.0,
            interval="Newcombe", reference=_NEWCOMBE, formula="far_p - far_o"),
+    Metric("alarms_before_first", "background pixels declared before the first pixel of any object, "
+           "by the rule of RIT's self-test", "processing.alarms.alarms_before_first", low=0.0, better="low",
+           tolerance=_ALARM_COUNT, evidence=_PIPELINE, formula="number of background scores >= max of target",
+           reference="Snyder et al., IGARSS 2008, II-915"),
     Metric("joint_pfa", "false-alarm probability of a point, its interval part of a region of 95 %", _JOINT,
            low=0.0, high=1.0, interval="exact binomial, sqrt(0.95)", evidence=_PIPELINE, formula="alarms / n",
            reference=_REGION),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from hyperval.observe.place import IMAGE, SCENE, Place
 from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.alarm_blocks import AlarmBlocks
+from hyperval.processing.alarms import alarms_before_first
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.exceedance import FEWEST_FOR_A_CURVE, exceedance_curve
 from hyperval.processing.local_scores import LocalWindow, score_cube_locally
@@ -103,6 +104,11 @@ def detect(
         remarks.append(
             f"curves '{BY_PIXEL}' count every pixel as a false alarm and give an object the best of its halo, as "
             "MUUFL's scoring does: they favour detection, those 'object' do not"
+        )
+    if detection.first_detection:
+        remarks.append(
+            "alarms_before_first counts false alarms up to the best pixel of any object, as RIT's self-test does: "
+            "it favours targets of many pixels or pieces, of which the luckiest stands for all"
         )
     areas, nominal = target_areas(place, detection, maps)
     return Detected(
@@ -203,7 +209,7 @@ class _Curves:
         if not self.detection.halo_pixels:  # the model does not know what a halo may catch
             best = object_scores(scores, objects)
             self.of_objects[subject, detector] = ObjectScores(np.array(list(best.values())), tuple(best))
-        self.roc[subject, detector, "object"] = object_curve(
+        by_object = object_curve(
             scores,
             objects,
             self.alarms,
@@ -213,6 +219,9 @@ class _Curves:
             draws=self.detection.bootstrap.draws,
             seed=self.detection.bootstrap.seed,
         )
+        if self.detection.first_detection:
+            by_object = replace(by_object, alarms_before_first=alarms_before_first(pixels, noise.scores))
+        self.roc[subject, detector, "object"] = by_object
         if self.detection.halo_pixels:
             self.roc[subject, detector, BY_PIXEL] = alarms_by_pixel(
                 scores,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.processing.intervals import clopper_pearson
@@ -12,6 +13,22 @@ from hyperval.processing.rank_counts import RankCounts
 from hyperval.products import AlarmsAtDetection
 
 STATED_PD = (0.5, 0.9)
+
+
+def alarms_before_first(target_scores: npt.ArrayLike, background_scores: npt.ArrayLike) -> int:
+    """Background pixels that are declared before, or together with, the first pixel of any target.
+
+    The rule of RIT's target detection self-test: the pixels by falling score are read until they meet the target.
+    It favours targets of many pixels or pieces, since the luckiest stands for all, and says nothing of the others.
+    Source: Snyder et al., IGARSS 2008, II-915.
+
+    Examples
+    --------
+    >>> alarms_before_first([0.2, 0.7], [0.1, 0.7, 0.9, 0.6])
+    2
+    """
+    best = np.nanmax(np.asarray(target_scores, dtype=float))
+    return int(np.count_nonzero(np.asarray(background_scores, dtype=float) >= best))
 
 
 def alarms_at_detection(

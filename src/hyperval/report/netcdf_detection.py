@@ -39,6 +39,7 @@ _ROC_COUNTS = (
     ("n_background", "1", "background pixels"),
     ("background_area_km2", "km2", "ground area of the background pixels"),
 )
+_FIRST = ("alarms_before_first", "1", "background pixels declared before the first pixel of any target")
 _ALARMS = (
     ("pd", "probability of detection that is reached"),
     ("threshold", "highest detector score at which it is reached"),
@@ -122,7 +123,8 @@ def _add_roc(data: LabelledArrays, products: Products) -> None:
         values = [getattr(curve, name) for curve in curves]
         if any(v is not None for v in values):
             data[f"roc_{name}"] = ((dim, "roc_point"), ragged(values, points), {"units": "1", "long_name": text})
-    _add_each(data, "roc", dim, curves, _ROC_COUNTS)
+    counted = any(curve.alarms_before_first is not None for curve in curves)
+    _add_each(data, "roc", dim, curves, (*_ROC_COUNTS, _FIRST) if counted else _ROC_COUNTS)
 
 
 def _add_scores(data: LabelledArrays, products: Products) -> None:
