@@ -14,8 +14,11 @@ from synthetic_run import make_run
 
 from hyperval.products import RocCurve
 from hyperval.report.charts import FIRST_CURVES, MOST_SUBJECTS, draw_charts, roc_chart, spectra_chart
-from hyperval.report.figures_spectra import difference_ratio
+from hyperval.report.figures_spectra import difference_ratio, pair_figures
+from hyperval.report.netcdf import labelled_arrays
+from hyperval.report.style import house_style
 from hyperval.results import Outcome, Result, Role
+from hyperval.spectra.axis import SpectralAxis
 
 
 def models(content: str, kind: str) -> list[dict[str, Any]]:
@@ -129,3 +132,23 @@ def test_long_curves_are_thinned_from_end_to_end(run):
     assert held["pfa"].size <= 200
     np.testing.assert_allclose(held["pfa"][[0, -1]], [1e-6, 1.0], rtol=1e-3)
     np.testing.assert_allclose(held["pd"], np.sqrt(held["pfa"]), rtol=1e-5)
+
+
+def test_bands_that_go_by_number_are_called_so(run):
+    bands = len(run.observation.axis)
+    observed = dataclasses.replace(
+        run.observation, axis=SpectralAxis(np.arange(1.0, bands + 1.0), np.ones(bands)), roc={}
+    )
+    chart = spectra_chart((None, observed), "reflectance")
+    assert "number of the band" in [axis["axis_label"] for axis in models(chart.content, "LinearAxis")]
+    assert models(chart.content, "HoverTool")[0]["tooltips"][0] == ["band", "@nm{0}"]
+    assert "absorption" not in chart.title
+    assert not models(chart.content, "VStrip")
+    assert "wavelength" not in chart.alt
+    with house_style():
+        (drawing, *_) = pair_figures((None, observed), "reflectance", simulated=False)
+    assert "against number of the band" in drawing.alt
+    assert labelled_arrays(observed).coords["wavelength"][2] == {"units": "1", "long_name": "number of the band"}
+    known = spectra_chart((None, run.observation), "reflectance")
+    assert models(known.content, "VStrip")
+    assert "against wavelength" in known.alt

@@ -55,6 +55,8 @@ def quicklook(observed: Observed) -> Quicklook | None:
     cube = observed.place.cube
     centre = cube.axis.centre_nm
     bands = [int(np.argmin(np.abs(centre - at))) for at, _ in COLOURS]
+    if cube.axis.numbered:  # from the long end to the short one, as red, green and blue stand
+        bands = [cube.bands * quarter // 4 for quarter in (3, 2, 1)]
     step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MOST_PIXELS)))
     picture = _some_pixels(cube, bands, step)
     offset, gain = np.zeros(3), np.ones(3)

@@ -57,12 +57,13 @@ class Spectra:
 
     Attributes
     ----------
-    nm : band centres
+    nm : band centres [nm], or the numbers of bands where it is ``numbered``
     bands : "predicted", "collected", "difference" -> value, and half-width of its 95 % interval
     ranges : limits of the plots
     """
 
     nm: Column
+    numbered: bool
     bands: dict[str, tuple[Column, Column]]
     ranges: dict[str, tuple[float, float]]
 
@@ -107,11 +108,12 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
     spectra = [subject_spectra(sides, predicted.get(name), collected.get(name), ratio=ratio) for name in shown]
     words = " and ".join(labels) if pairs else labels[0] if sides[0] is not None else labels[1]
     name = f"chart-{product}"
+    over, grey = ("number of the band", "") if spectra[0].numbered else ("wavelength", " (grey: absorption)")
     return Chart(
         name,
         product,
-        f"{title}: {words} (grey: absorption){style.left_out([shown], pairs or every)}",
-        f"{title} against wavelength, a subject at a time: {labels[0]} (dashed) and {labels[1]} (solid) with 95 % "
+        f"{title}: {words} {grey}{style.left_out([shown], pairs or every)}",
+        f"{title} against {over}, a subject at a time: {labels[0]} (dashed) and {labels[1]} (solid) with 95 % "
         f"intervals{', the difference below' if pairs else ''}. Subjects: {', '.join(shown)}.",
         chart_content(
             _spectra_plots(spectra[0], label, ratio, labels),
@@ -197,7 +199,7 @@ def subject_spectra(
     }
     ranges = {name: (float(pair[0]), float(pair[1])) for name, pair in limits.items() if pair is not None}
     columns = {name: (_column(value), _column(half)) for name, (value, half) in bands.items()}
-    return Spectra(_column(w), columns, ranges)
+    return Spectra(_column(w), axis.numbered, columns, ranges)
 
 
 def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array]:
@@ -218,13 +220,14 @@ def _spectra_plots(spectra: Spectra, label: str, ratio: bool, labels: Labels = L
     plots = []
     shown = {**dict(zip(LABELS, labels, strict=True)), "difference": "difference"}
     sides = [name for name in spectra.bands if name != "difference"]
+    at = ("band", "@nm{0}") if spectra.numbered else ("nm", "@nm{0.0}")
     for height, range_name, axis_label, names in (
         (300, "level", label, sides),
         (190, "gap", "difference ratio [1]" if ratio else "difference [1]", ["difference"]),
     ):
         if names[0] not in spectra.bands:
             continue
-        plot = empty_plot(height, span, axis_label, absorption)
+        plot = empty_plot(height, span, axis_label, None if spectra.numbered else absorption)
         start, end = spectra.ranges.get(range_name, (0.0, 1.0))
         plot.y_range = Range1d(start=start, end=end, name=range_name)
         lines = []
@@ -249,13 +252,13 @@ def _spectra_plots(spectra: Spectra, label: str, ratio: bool, labels: Labels = L
         tips = [
             (shown[name], f"@{name}{{0.0000}} (@{name}_low{{0.0000}} to @{name}_high{{0.0000}})") for name in names
         ]
-        plot.add_tools(HoverTool(tooltips=[("nm", "@nm{0.0}"), *tips], mode="vline", renderers=lines[:1]))
+        plot.add_tools(HoverTool(tooltips=[at, *tips], mode="vline", renderers=lines[:1]))
         if range_name == "level":
             chart_legend(plot)
         else:
             plot.add_layout(Span(location=0.0, dimension="width", line_color=GREY))
         plots.append(plot)
-    plots[-1].xaxis.axis_label = style.WAVELENGTH_LABEL
+    plots[-1].xaxis.axis_label = "number of the band" if spectra.numbered else style.WAVELENGTH_LABEL
     return column(*plots, sizing_mode="stretch_width")
 
 

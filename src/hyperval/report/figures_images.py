@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from hyperval.report import style
 from hyperval.report.run import Quicklook, ScoreMap
 from hyperval.report.style import Drawing
+from hyperval.units import PLAUSIBLE_NM
 
 _MOST_PIXELS = 1200  # along the longer side of a picture
 _MOST_MAPS = 6
@@ -32,10 +33,13 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     picture = rgb[view.first_line : view.end_line : step, view.first_sample : view.end_sample : step]
     figure = style.new_figure(*_figure_size(view), "Scene", simulated)
     axes = figure.add_subplot()
-    axes.imshow(picture, extent=_extent(view, picture.shape, step), interpolation="nearest")
+    # Opaque from the start: matplotlib would add that as float64, and resample the picture in it.
+    opaque = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
+    axes.imshow(opaque, extent=_extent(view, picture.shape, step), interpolation="nearest")
     _finish(axes, view, quicklook.regions, quicklook.pixel_size_m)
     bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
-    title = "Scene with its regions of interest" + (f" (red, green, blue: {bands} nm)" if bands else "")
+    bands = f"bands {bands}" if min(quicklook.band_nm, default=PLAUSIBLE_NM[0]) < PLAUSIBLE_NM[0] else f"{bands} nm"
+    title = "Scene with its regions of interest" + (f" (red, green, blue: {bands})" if quicklook.band_nm else "")
     cut = _cut(rgb.shape, view)
     title += f"; {cut}" if cut else ""
     alt = f"Picture of the scene, {_where(rgb.shape, view)}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
@@ -59,7 +63,10 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
         axes = figure.add_subplot()
         low, high = _score_limits(score_map)
         extent = _extent(view, values.shape, block)
-        image = axes.imshow(values, cmap="viridis", vmin=low, vmax=high, extent=extent, interpolation="nearest")
+        image = axes.imshow(
+            values, cmap="viridis", vmin=low, vmax=high, extent=extent,
+            interpolation="nearest", interpolation_stage="data",  # one number for a pixel is resampled, not four
+        )  # fmt: skip
         figure.colorbar(image, ax=axes, shrink=0.8, extend="both", label="score [1]")
         _finish(axes, view, score_map.outlines, score_map.pixel_size_m)
         cut = _cut(scores.shape, view)

@@ -43,6 +43,7 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
     paired = bool(pairs)
     pages = style.pages(pairs or every)
     for number, subjects in enumerate(pages, start=1):
+        axis = next(side.axis for side in sides if side is not None)
         columns = style.column_count(len(subjects))
         rows = math.ceil(len(subjects) / columns)
         figure = style.new_figure(10.0, 0.9 + (3.1 if paired else 2.3) * rows, title, simulated)
@@ -66,12 +67,12 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
                 if paired:
                     lowest.set_ylabel("difference\nratio [1]" if ratio else "difference\n[1]")
             if at + columns >= len(subjects):
-                lowest.set_xlabel(style.WAVELENGTH_LABEL)
+                lowest.set_xlabel(style.band_label(axis))
         figure.align_ylabels()
-        style.add_legend(figure, _legend(predicted, collected, difference=paired, absorption=True))
+        style.add_legend(figure, _legend(predicted, collected, difference=paired, absorption=not axis.numbered))
         alt = (
-            f"{title} against wavelength for {', '.join(subjects)}: predicted (dashed) and collected (solid) with "
-            "95 % intervals"
+            f"{title} against {style.band_label(axis)} for {', '.join(subjects)}: predicted (dashed) and "
+            "collected (solid) with 95 % intervals"
             + (f"; below each, predicted minus collected{' over collected' if ratio else ''}." if paired else ".")
         )
         if medians:
@@ -120,7 +121,7 @@ def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         if at % columns == 0:
             axes.set_ylabel("standard uncertainty\n[% of radiance]")
         if at + columns >= len(panels):
-            axes.set_xlabel(style.WAVELENGTH_LABEL)
+            axes.set_xlabel(style.band_label(side.axis))
     entries: list[tuple[Any, str]] = [(Patch(color=c), s) for s, c in zip(sources, colours, strict=True)]
     entries.append((Patch(color=style.ABSORPTION_COLOUR), "absorption band"))
     style.add_legend(figure, entries, columns=4)

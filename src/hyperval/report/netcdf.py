@@ -77,6 +77,10 @@ def labelled_arrays(products: Products) -> LabelledArrays:
             "wavelength_2": ("band_2", axis.centre_nm, {"units": "nm", "long_name": "wavelength, second index"}),
         }
     )
+    if axis.numbered:
+        for name in ("wavelength", "wavelength_2"):
+            dimension, numbers, _ = data.coords[name]
+            data.coords[name] = (dimension, numbers, {"units": "1", "long_name": "number of the band"})
     data["fwhm"] = ("band", axis.fwhm_nm, {"units": "nm", "long_name": "full width at half maximum"})
     data["good_band"] = (
         "band", axis.good.astype(np.int8),

@@ -26,7 +26,9 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 from PIL import Image
 
 from hyperval.report.layout import lay_out
+from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import ABSORPTION_BANDS_NM
+from hyperval.units import PLAUSIBLE_NM
 
 RADIANCE_LABEL = "radiance\n[µW cm⁻² sr⁻¹ nm⁻¹]"
 DIFFERENCE_COLOUR = "#5B3A8C"
@@ -282,8 +284,15 @@ def add_legend(figure: Figure, entries: Sequence[tuple[Any, str]], columns: int 
     )
 
 
+def band_label(axis: SpectralAxis) -> str:
+    """What the axis of a figure over bands is called."""
+    return "number of the band" if axis.numbered else WAVELENGTH_LABEL
+
+
 def shade_absorption(axes: Axes, low_nm: float, high_nm: float) -> None:
-    """Grey where a gas absorbs."""
+    """Grey where a gas absorbs; nothing where the axis is of numbers of bands."""
+    if low_nm < PLAUSIBLE_NM[0]:
+        return
     for start, end, _ in ABSORPTION_BANDS_NM:
         if end > low_nm and start < high_nm:
             axes.axvspan(max(start, low_nm), min(end, high_nm), color=ABSORPTION_COLOUR, linewidth=0, zorder=0)

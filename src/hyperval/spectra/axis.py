@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
+from hyperval.units import PLAUSIBLE_NM
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,11 @@ class SpectralAxis:
 
     def __len__(self) -> int:
         return int(self.centre_nm.size)
+
+    @property
+    def numbered(self) -> bool:
+        """True where numbers of bands stand in place of wavelengths, which are never below 100 nm."""
+        return bool(self.centre_nm[0] < PLAUSIBLE_NM[0])
 
     def select(self, keep: npt.NDArray[Any]) -> SpectralAxis:
         """The axis of the bands that ``keep`` (mask or indices) names."""
