@@ -6,9 +6,9 @@ Figures for print are drawn by ``figures_*``.
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,17 @@ from bokeh.models.annotations import Span
 
 from hyperval.products import Products, RocCurve, SpectralEstimate
 from hyperval.report import style
-from hyperval.report.charts_base import CURVE_COLOURS, GREY, Chart, chart_content, chart_legend, empty_plot
+from hyperval.report.charts_base import (
+    CURVE_COLOURS,
+    GREY,
+    Chart,
+    Fill,
+    chart_content,
+    chart_legend,
+    chart_models,
+    column_text,
+    empty_plot,
+)
 from hyperval.report.figures_detection import best_counted
 from hyperval.report.figures_spectra import Sides, both_first, difference_ratio
 from hyperval.report.style import COLLECTED, PREDICTED
@@ -70,13 +80,8 @@ class Spectra:
     def packed(self, before: npt.NDArray[Any] | None = None) -> dict[str, Any]:
         """As the script reads it; wavelengths that are those of ``before`` are not repeated."""
         same = before is not None and np.array_equal(self.nm, before)
-        bands = {name: [_text(value), _text(half)] for name, (value, half) in self.bands.items()}
-        return {"columns": {} if same else {"nm": _text(self.nm)}, "bands": bands, "ranges": self.ranges}
-
-
-def _text(values: Column) -> str:
-    """Little-endian float32 as base64."""
-    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
+        bands = {name: [column_text(value), column_text(half)] for name, (value, half) in self.bands.items()}
+        return {"columns": {} if same else {"nm": column_text(self.nm)}, "bands": bands, "ranges": self.ranges}
 
 
 def draw_charts(sides: Sides, rows: Sequence[Result], labels: Labels = LABELS) -> list[Chart]:
@@ -107,8 +112,9 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
         return None
     spectra = [subject_spectra(sides, predicted.get(name), collected.get(name), ratio=ratio) for name in shown]
     words = " and ".join(labels) if pairs else labels[0] if sides[0] is not None else labels[1]
-    name = f"chart-{product}"
-    over, grey = ("number of the band", "") if spectra[0].numbered else ("wavelength", " (grey: absorption)")
+    name, first = f"chart-{product}", spectra[0]
+    over, grey = ("number of the band", "") if first.numbered else ("wavelength", " (grey: absorption)")
+    nm = float(first.nm[0]), float(max(first.nm[-1], first.nm[0] + 1.0))
     return Chart(
         name,
         product,
@@ -116,9 +122,9 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
         f"{title} against {over}, a subject at a time: {labels[0]} (dashed) and {labels[1]} (solid) with 95 % "
         f"intervals{', the difference below' if pairs else ''}. Subjects: {', '.join(shown)}.",
         chart_content(
-            _spectra_plots(spectra[0], label, ratio, labels),
-            name,
-            [one.packed(spectra[0].nm if i else None) for i, one in enumerate(spectra)],
+            _spectra_models(name, tuple(first.bands), first.numbered, label, ratio, labels),
+            Fill(ranges={"nm": nm}),
+            [one.packed(first.nm if i else None) for i, one in enumerate(spectra)],
         ),
         tuple(shown),
     )
@@ -132,12 +138,12 @@ def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
     kinds = list(dict.fromkeys(key[1:] for key in pairs or every))
     if not kinds:
         return None
-    tabs, shown = [], []
-    for detector, unit in kinds:
+    tabs, shown, fill = [], [], Fill()
+    for number, (detector, unit) in enumerate(kinds):
         keys = [key for key in pairs or every if key[1:] == (detector, unit)]
         keys = best_counted(keys, measured, MOST_CURVES // len(kinds) or 1)
         shown.append(keys)
-        tabs.append(TabPanel(title=f"{detector}, by {unit}", child=_curves(keys, predicted, measured, labels)))
+        tabs.append((f"{detector}, by {unit}", _fill_curves(fill, number, keys, predicted, measured)))
     names = tuple(dict.fromkeys(key[0] for keys in shown for key in keys))
     second = "measured" if labels == LABELS else labels[1]
     words = f"{labels[0]} (dashed) and {second}" if measured or labels == LABELS else labels[0]
@@ -148,7 +154,7 @@ def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
         f"Probability of detection against probability of false alarm (logarithmic), {labels[0]} dashed and "
         f"{second}{' in steps' if second == 'measured' else ''}, with 95 % intervals, a tab for each detector. "
         f"Subjects: {', '.join(names)}.",
-        chart_content(Tabs(tabs=tabs, sizing_mode="stretch_width"), "chart-roc"),
+        chart_content(_curve_models(tuple(tabs), labels), fill),
         (FIRST, *names) if len(names) > 1 else (),
     )
 
@@ -207,41 +213,41 @@ def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array
     return [(value - half)[keep], (value + half)[keep]]
 
 
-def _spectra_plots(spectra: Spectra, label: str, ratio: bool, labels: Labels = LABELS) -> Any:
-    """The plot of both sides, with that of their difference where there is one."""
-    # The script fills the columns of the first subject in: the page has them once.
-    names = [f"{name}{end}" for name in spectra.bands for end in ("", "_low", "_high")]
-    empty: dict[str, Any] = dict.fromkeys(("nm", *names), np.empty(0, np.float32))
+@lru_cache(maxsize=64)
+def _spectra_models(
+    name: str, bands: tuple[str, ...], numbered: bool, label: str, ratio: bool, labels: Labels
+) -> str:
+    """The plot of both sides, with that of their difference where ``bands`` has one; the script fills it."""
+    columns = [f"{band}{end}" for band in bands for end in ("", "_low", "_high")]
+    empty: dict[str, Any] = dict.fromkeys(("nm", *columns), np.empty(0, np.float32))
     source = ColumnDataSource(empty, name="spectra")
     starts, ends, _ = zip(*ABSORPTION_BANDS_NM, strict=True)
     absorption = ColumnDataSource({"start": _column(np.array(starts)), "end": _column(np.array(ends))})
-    w = spectra.nm
-    span = Range1d(start=float(w[0]), end=float(max(w[-1], w[0] + 1.0)))
+    span = Range1d(name="nm")
     plots = []
     shown = {**dict(zip(LABELS, labels, strict=True)), "difference": "difference"}
-    sides = [name for name in spectra.bands if name != "difference"]
-    at = ("band", "@nm{0}") if spectra.numbered else ("nm", "@nm{0.0}")
+    sides = [band for band in bands if band != "difference"]
+    at = ("band", "@nm{0}") if numbered else ("nm", "@nm{0.0}")
     for height, range_name, axis_label, names in (
         (300, "level", label, sides),
         (190, "gap", "difference ratio [1]" if ratio else "difference [1]", ["difference"]),
     ):
-        if names[0] not in spectra.bands:
+        if names[0] not in bands:
             continue
-        plot = empty_plot(height, span, axis_label, None if spectra.numbered else absorption)
-        start, end = spectra.ranges.get(range_name, (0.0, 1.0))
-        plot.y_range = Range1d(start=start, end=end, name=range_name)
+        plot = empty_plot(height, span, axis_label, None if numbered else absorption)
+        plot.y_range = Range1d(name=range_name)
         lines = []
-        for name in names:
-            colour, dash = _SPECTRUM_LOOKS[name]
-            plot.varea("nm", f"{name}_low", f"{name}_high", source=source, fill_color=colour, fill_alpha=0.2)
-            named = {} if name == "difference" else {"legend_label": shown[name]}
+        for band in names:
+            colour, dash = _SPECTRUM_LOOKS[band]
+            plot.varea("nm", f"{band}_low", f"{band}_high", source=source, fill_color=colour, fill_alpha=0.2)
+            named = {} if band == "difference" else {"legend_label": shown[band]}
             lines.append(
-                plot.line("nm", name, source=source, color=colour, line_dash=dash, line_width=1.6, **named)
+                plot.line("nm", band, source=source, color=colour, line_dash=dash, line_width=1.6, **named)
             )
             # Bands that are chosen in one plot stand out in both: their source is one.
             plot.scatter(
                 "nm",
-                name,
+                band,
                 source=source,
                 size=5,
                 color=colour,
@@ -250,7 +256,7 @@ def _spectra_plots(spectra: Spectra, label: str, ratio: bool, labels: Labels = L
                 nonselection_alpha=0.0,
             )
         tips = [
-            (shown[name], f"@{name}{{0.0000}} (@{name}_low{{0.0000}} to @{name}_high{{0.0000}})") for name in names
+            (shown[band], f"@{band}{{0.0000}} (@{band}_low{{0.0000}} to @{band}_high{{0.0000}})") for band in names
         ]
         plot.add_tools(HoverTool(tooltips=[at, *tips], mode="vline", renderers=lines[:1]))
         if range_name == "level":
@@ -258,45 +264,81 @@ def _spectra_plots(spectra: Spectra, label: str, ratio: bool, labels: Labels = L
         else:
             plot.add_layout(Span(location=0.0, dimension="width", line_color=GREY))
         plots.append(plot)
-    plots[-1].xaxis.axis_label = "number of the band" if spectra.numbered else style.WAVELENGTH_LABEL
-    return column(*plots, sizing_mode="stretch_width")
+    plots[-1].xaxis.axis_label = "number of the band" if numbered else style.WAVELENGTH_LABEL
+    return chart_models(column(*plots, sizing_mode="stretch_width"), name)
 
 
-def _curves(
+@dataclass(frozen=True)
+class _Curves:
+    """What one tab of curves is built of.
+
+    Attributes
+    ----------
+    subjects : each with the sides that it has a curve of, 0 the first, 1 the second
+    is_counted : whether pixels of a collection bound P_FA from below
+    """
+
+    subjects: tuple[tuple[str, tuple[int, ...]], ...]
+    is_counted: bool
+
+
+def _fill_curves(
+    fill: Fill,
+    tab: int,
     keys: Sequence[tuple[str, str, str]],
     predicted: Mapping[Any, RocCurve],
     measured: Mapping[Any, RocCurve],
-    labels: Labels = LABELS,
-) -> Any:
-    """The ROC curves of one detector and unit; the first few are seen, the others when their name is clicked."""
+) -> _Curves:
+    """Note the numbers of the curves of one detector and unit."""
     curves = [c[key] for c in (predicted, measured) for key in keys if key in c]
     lowest = min((float(c.pfa[c.pfa > 0].min()) for c in curves if (c.pfa > 0).any()), default=1e-3)
     counted = [1.0 / c.n_background for c in measured.values() if c.n_background]
     low = max(lowest, min(counted) / 100.0 if counted else lowest)
-    plot = empty_plot(420, Range1d(start=low, end=1.0), "P_D [1]", x_axis_type="log")
+    fill.ranges[f"pfa-{tab}"] = low, 1.0
+    if counted:
+        fill.spans[f"counted-{tab}"] = min(counted)
+    subjects = []
+    for number, key in enumerate(keys):
+        sides = tuple(side for side, own in enumerate((predicted, measured)) if key in own)
+        for side in sides:
+            fill.add(f"curve-{tab}-{number}-{side}", _curve_data((predicted, measured)[side][key], low))
+        subjects.append((key[0], sides))
+    return _Curves(tuple(subjects), bool(counted))
+
+
+@lru_cache(maxsize=64)
+def _curve_models(tabs: tuple[tuple[str, _Curves], ...], labels: Labels) -> str:
+    """Tabs of ROC curves; the first few are seen, the others when their name is clicked."""
+    panels = [TabPanel(title=title, child=_curve_plot(i, own, labels)) for i, (title, own) in enumerate(tabs)]
+    return chart_models(Tabs(tabs=panels, sizing_mode="stretch_width"), "chart-roc")
+
+
+def _curve_plot(tab: int, curves: _Curves, labels: Labels) -> Any:
+    plot = empty_plot(420, Range1d(start=1e-3, end=1.0, name=f"pfa-{tab}"), "P_D [1]", x_axis_type="log")
     plot.y_range = Range1d(start=-0.02, end=1.04)
     lines = []
     plot.xaxis.axis_label = "P_FA per pixel [1]"
-    for number, key in enumerate(keys):
+    second = "measured" if labels == LABELS else labels[1]
+    for number, (subject, sides) in enumerate(curves.subjects):
         colour, seen = CURVE_COLOURS[number % len(CURVE_COLOURS)], number < FIRST_CURVES
-        name = style.shortened(key[0], 30)
-        second = "measured" if labels == LABELS else labels[1]
-        for side, own, dash in ((labels[0], predicted, "dashed"), (second, measured, "solid")):
-            if key not in own:
-                continue
-            source = ColumnDataSource(_curve_data(own[key], low))
+        name = style.shortened(subject, 30)
+        for side in sides:
+            words, dash = ((labels[0], "dashed"), (second, "solid"))[side]
+            empty: dict[str, Any] = dict.fromkeys(("pfa", "pd", "low", "high"), np.empty(0, np.float32))
+            source = ColumnDataSource(empty, name=f"curve-{tab}-{number}-{side}")
             common: dict[str, Any] = {"source": source, "legend_label": name, "visible": seen}
             plot.varea("pfa", "low", "high", fill_color=colour, fill_alpha=0.12, **common)
-            drawn = plot.line if side != "measured" else plot.step
-            more = {} if side != "measured" else {"mode": "after"}
-            look = {"color": colour, "line_dash": dash, "line_width": 1.6, "name": f"{name}, {side}"}
+            drawn = plot.line if words != "measured" else plot.step
+            more = {} if words != "measured" else {"mode": "after"}
+            look = {"color": colour, "line_dash": dash, "line_width": 1.6, "name": f"{name}, {words}"}
             lines.append(drawn("pfa", "pd", **look, **more, **common))
             for curve in plot.renderers[-2:]:
-                curve.tags = [key[0], seen]
+                curve.tags = [subject, seen]
     tips = [("", "$name"), ("P_FA", "@pfa"), ("P_D", "@pd{0.000} (@low{0.000} to @high{0.000})")]
     plot.add_tools(HoverTool(tooltips=tips, renderers=lines, mode="mouse"))
-    if counted:
-        plot.add_layout(Span(location=min(counted), dimension="height", line_color=GREY, line_dash="dotted"))
+    if curves.is_counted:
+        line = Span(location=1.0, dimension="height", line_color=GREY, line_dash="dotted", name=f"counted-{tab}")
+        plot.add_layout(line)
     chart_legend(plot)
     plot.add_layout(plot.legend[0], "right")
     return plot

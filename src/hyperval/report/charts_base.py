@@ -5,11 +5,13 @@ Bokeh writes a chart as data in JSON; the page has its script once, from the ins
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+import numpy.typing as npt
 from bokeh.core.types import ID
 from bokeh.embed import json_item
 from bokeh.models import (
@@ -87,8 +89,55 @@ def chart_legend(plot: Any) -> None:
     plot.legend.label_text_color = GREY
 
 
-def chart_content(model: LayoutDOM, target: str, subjects: Sequence[Mapping[str, Any]] = ()) -> str:
-    """The JSON of a chart, its models numbered as they stand in it: the same run gives the same bytes."""
+def column_text(values: npt.NDArray[Any]) -> str:
+    """Little-endian float32 as base64."""
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
+
+
+@dataclass
+class Fill:
+    """What the script sets in the models of a chart, which are drawn without numbers, by their names.
+
+    Attributes
+    ----------
+    sources : of a source of columns: column -> its place in ``arrays``, which holds each array once
+    ranges : start and end of a range
+    spans : place of a line
+    """
+
+    sources: dict[str, dict[str, int]] = field(default_factory=dict)
+    ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
+    spans: dict[str, float] = field(default_factory=dict)
+    arrays: dict[str, int] = field(default_factory=dict)
+
+    def add(self, source: str, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Columns of a source."""
+        self.sources[source] = {
+            name: self.arrays.setdefault(column_text(values), len(self.arrays)) for name, values in columns.items()
+        }
+
+    def packed(self) -> dict[str, Any]:
+        """As the script reads it."""
+        return {
+            "sources": self.sources,
+            "ranges": self.ranges,
+            "spans": self.spans,
+            "arrays": list(self.arrays),
+        }
+
+
+def chart_content(models: str, fill: Fill, subjects: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The JSON of a chart: its models, and what the script fills them with."""
+    rest = json.dumps({"fill": fill.packed(), "subjects": subjects}, separators=(",", ":"), ensure_ascii=False)
+    # "<" cannot end the script that holds it.
+    return f'{{"item":{models},{rest[1:]}'.replace("<", "\\u003c")
+
+
+def chart_models(model: LayoutDOM, target: str) -> str:
+    """The JSON of a chart's models, numbered as they stand in it: the same chart gives the same bytes.
+
+    It takes long beside the numbers of a run, so callers keep it for every run whose charts are built alike.
+    """
     item: Any = json_item(model, ID(target))
     numbers: dict[str, str] = {}
 
@@ -110,6 +159,4 @@ def chart_content(model: LayoutDOM, target: str, subjects: Sequence[Mapping[str,
         return numbers.get(value, value) if isinstance(value, str) else value
 
     named(item["doc"])
-    content = {"item": renamed(item), "subjects": subjects}
-    # "<" cannot end the script that holds it.
-    return json.dumps(content, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+    return json.dumps(renamed(item), separators=(",", ":"), ensure_ascii=False)

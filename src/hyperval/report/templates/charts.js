@@ -20,9 +20,24 @@ function showCurves(root, name) {
   for (const curve of curves) curve.visible = name === null ? curve.tags[1] : curve.tags[0] === name;
 }
 
+// Numbers of a chart go into its models by their names.
+function fillIn(plots, { sources, ranges, spans, arrays }) {
+  const values = arrays.map(numbers);
+  for (const [name, columns] of Object.entries(sources))
+    plots.get_model_by_name(name).data = Object.fromEntries(Object.entries(columns).map(([column, i]) => [column, values[i]]));
+  setRanges(plots, ranges);
+  for (const [name, location] of Object.entries(spans)) plots.get_model_by_name(name).location = location;
+}
+
+function setRanges(plots, ranges) {
+  for (const [name, [start, end]] of Object.entries(ranges))
+    plots.get_model_by_name(name).setv({ start, end, reset_start: start, reset_end: end });
+}
+
 async function draw(chart) {
   await Bokeh.embed.embed_item(chart.item);
   const plots = Bokeh.documents.at(-1); // charts number their models alike: the last document is this one's
+  fillIn(plots, chart.fill);
   const choice = document.querySelector(`select[data-chart="${chart.item.target_id}"]`);
   if (chart.subjects.length === 0) {
     const chosen = () => showCurves(plots.roots()[0], choice.selectedIndex === 0 ? null : choice.value);
@@ -33,8 +48,7 @@ async function draw(chart) {
   const show = (number) => {
     const subject = chart.subjects[number];
     plots.get_model_by_name("spectra").data = columns(chart, subject);
-    for (const [name, [start, end]] of Object.entries(subject.ranges))
-      plots.get_model_by_name(name).setv({ start, end, reset_start: start, reset_end: end });
+    setRanges(plots, subject.ranges);
   };
   show(Math.max(choice?.selectedIndex ?? 0, 0));
   choice?.addEventListener("change", () => show(choice.selectedIndex));
