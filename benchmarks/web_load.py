@@ -2,9 +2,10 @@
 
     python benchmarks/web_load.py [--users 50] [--seconds 120]
 
-Starts a server with two workers of its own, warms it, and lets each user begin at a random time: a page, a
-prediction with a value of the user's own, its result, its charts, then some seconds to look at them.  Tells the
-times of each kind of request, errors, and results that were another user's.
+Starts a server with two workers of its own, warms it, and lets each user begin at a random time: a page, an order
+that is refused, a prediction with a value of the user's own, its result, its charts, then some seconds to look.
+Tells
+the times of each kind of request, errors, and results that were another user's.
 """
 
 from __future__ import annotations
@@ -37,12 +38,14 @@ class User(threading.Thread):
         self.times: dict[str, list[float]] = defaultdict(list)
         self.errors: list[str] = []
 
-    def timed(self, kind: str, method: str, path: str, **more: object) -> requests.Response:
-        """A request, its time noted."""
+    def timed(
+        self, kind: str, method: str, path: str, status: int | None = None, **more: object
+    ) -> requests.Response:
+        """A request, its time noted; ``status`` where another than success is due."""
         start = time.perf_counter()
         answer = self.session.request(method, ADDRESS + path, timeout=60, **more)  # type: ignore[arg-type]
         self.times[kind].append(time.perf_counter() - start)
-        if answer.status_code >= 400:
+        if answer.status_code >= 400 if status is None else answer.status_code != status:
             self.errors.append(f"{answer.status_code} {method} {path}: {answer.text[:200]}")
         return answer
 
@@ -65,6 +68,8 @@ class User(threading.Thread):
             self.session.headers["X-Hyperval-Token"] = found[1] if found else ""
             time.sleep(chance.uniform(0.5, 1.5) * self.think)
             title = f"user {self.number} round {round_}"
+            wrong = {"name": "yellow-planks-asphalt", "settings": {"processing.samples": 10**9}}
+            self.timed("refusal", "POST", "/api/v1/predictions", 422, json=wrong)
             order = {"name": "yellow-planks-asphalt", "settings": {
                 "title": title, "scene.classes.asphalt.gain": 1.0 + self.number / 100 + round_ / 1000}}  # fmt: skip
             run = self.timed("prediction", "POST", "/api/v1/predictions", json=order).json()
@@ -102,7 +107,7 @@ def main() -> int:
         finally:
             server.terminate()
             server.wait()
-    for kind in ("page", "prediction", "result", "charts"):
+    for kind in ("page", "refusal", "prediction", "result", "charts"):
         times = sorted(t for user in users for t in user.times[kind])
         if times:
             at95 = times[min(int(0.95 * len(times)), len(times) - 1)]

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import jinja2
+from markupsafe import Markup
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 import hyperval
 from hyperval.report.html import strict_templates
+from hyperval.web.forms import Node
 from hyperval.web.sessions import Session
 
 _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
@@ -55,6 +58,21 @@ def page(request: Request, template: str, /, status: int = 200, **content: Any) 
         place=request.url.path, **content,
     )  # fmt: skip
     return HTMLResponse(text, status_code=status)
+
+
+def form_parts(
+    nodes: Sequence[Node], errors: Mapping[str, list[str]], marked: Collection[str] = (), total: str = ""
+) -> Markup:
+    """The fields of a form.
+
+    Parameters
+    ----------
+    errors : path of a field -> what is wrong there
+    marked : groups that stand open for what is wrong in them
+    total : sum of the fractions
+    """
+    macros: Any = _environment().get_template("form.html.j2").make_module({"total": total})
+    return Markup(macros.parts(nodes, errors, marked))  # noqa: S704 - made of escaped parts
 
 
 @lru_cache(maxsize=16)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Request
+from markupsafe import Markup
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData
 from starlette.responses import RedirectResponse, Response
@@ -25,7 +28,7 @@ from hyperval.web.inputs import (
     scenario_form,
     yaml_text,
 )
-from hyperval.web.pages import page, session_of
+from hyperval.web.pages import form_parts, page, session_of
 from hyperval.web.refusal import Mistake, Refused
 from hyperval.web.store import Run
 from hyperval.web.uploads import copies_of, spectra_of
@@ -131,20 +134,36 @@ def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
 
 
 def _form(request: Request, data: dict[str, Any], mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
-    nodes = scenario_form().nodes(data)
-    paths = [node.path for node in walk(nodes)]
-    errors = marked(mistakes, paths)
-    fractions = [c.get("fraction") for c in (data.get("scene") or {}).get("classes") or [] if isinstance(c, dict)]
-    total = sum(f for f in fractions if isinstance(f, int | float))
+    errors: dict[str, list[str]] = {}
+    if mistakes:
+        nodes = scenario_form().nodes(data)
+        errors = marked(mistakes, [node.path for node in walk(nodes)])
+        parts = form_parts(nodes, errors, _holding(errors), _total(data))
+    else:
+        parts = _parts(json.dumps(data))
     try:
         link = f"/predict?s={quote(link_text(data))}"
     except ValueError:  # a number that is none
         link = ""
     return page(
-        request, "predict.html.j2", status=status, nodes=nodes, errors=errors, scenarios=predefined(), link=link,
-        count=sum(map(len, errors.values())), total=f"{total:g}", marked=_holding(errors),
-        uploads=spectra_of(request.app.state.settings, session_of(request).owner), model=Scenario.__name__,
+        request, "predict.html.j2", status=status, parts=parts, errors=errors, scenarios=predefined(), link=link,
+        count=sum(map(len, errors.values())), model=Scenario.__name__,
+        uploads=spectra_of(request.app.state.settings, session_of(request).owner),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=32)
+def _parts(text: str) -> Markup:
+    """The fields of a form without a mistake: most people begin with one that many have begun with."""
+    data = json.loads(text)
+    return form_parts(scenario_form().nodes(data), {}, total=_total(data))
+
+
+def _total(data: dict[str, Any]) -> str:
+    """The sum of the fractions."""
+    classes = (data.get("scene") or {}).get("classes") or []
+    fractions = [c.get("fraction") for c in classes if isinstance(c, dict)]
+    return f"{sum(f for f in fractions if isinstance(f, int | float)):g}"
 
 
 def _holding(errors: dict[str, list[str]]) -> set[str]:

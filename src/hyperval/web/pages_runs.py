@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -56,7 +57,7 @@ def run_page(request: Request, run_id: str, beside: str | None = None) -> Respon
     others = [r for r in store.runs(run.owner, run.kind) if r.id != run.id and r.state == "finished"]
     link = ""
     if run.kind == "prediction":
-        link = f"/predict?s={quote(link_text(load_yaml(store.place(run.id) / 'scenario.yaml')[0]))}"
+        link = f"/predict?s={_link(store.place(run.id) / 'scenario.yaml')}"
     rows = _beside(run, other) if run.kind == "prediction" and run.state == "finished" else []
     maps = (store.place(run.id) / "results" / "scores").is_dir()
     return page(
@@ -64,6 +65,12 @@ def run_page(request: Request, run_id: str, beside: str | None = None) -> Respon
         link=link, rows=rows, ended=run.state in ENDED, source=_source(run),
         files=files_of(store.place(run.id), run),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=1024)
+def _link(path: Path) -> str:
+    """The scenario of a run as a part of a link; it does not change."""
+    return quote(link_text(load_yaml(path)[0]))
 
 
 def _source(run: Run) -> str:

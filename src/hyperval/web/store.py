@@ -170,10 +170,15 @@ class Store:
         return sorted(own, key=lambda r: -r.created)
 
     def change(self, run_id: str, **changes: Any) -> Run:
-        """Set entries of a run; in memory even where the file cannot be written."""
+        """Set entries of a run; in memory even where the file cannot be written.
+
+        That a run has begun stands in memory alone: after a restart it is lost as one that waited is.
+        """
         with self._lock:
             run = replace(self._runs[run_id], **changes)
             self._runs[run_id] = run
+            if run.state == "running":
+                return run
             try:
                 self._write(run)
                 if run.state in ENDED:
@@ -220,4 +225,7 @@ class Store:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
+    database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
+    # Nobody waits for the disk: the folders of runs are the truth, and a damaged index is made again from them.
+    database.execute("PRAGMA synchronous = OFF")
+    return database

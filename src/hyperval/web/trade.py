@@ -20,7 +20,7 @@ from hyperval.web.desk import Order
 from hyperval.web.forms import Form
 from hyperval.web.inputs import checked_scenario, form_data, marked, plain, predefined, yaml_text
 from hyperval.web.limits import Limits
-from hyperval.web.pages import page, session_of
+from hyperval.web.pages import form_parts, page, session_of
 from hyperval.web.pages_predict import scenario_of, texts_of, walk, with_action
 from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
 from hyperval.web.store import Run
@@ -89,10 +89,11 @@ def _page(
     nodes = study_form().nodes(data)
     errors = marked(mistakes or [], [node.path for node in walk(nodes)])
     runs = request.app.state.store.runs(session_of(request).owner, "prediction")
+    open_ = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}
     return page(
-        request, "trade.html.j2", status=status, nodes=nodes, errors=errors, scenarios=predefined(), runs=runs[:20],
-        count=sum(map(len, errors.values())), total="", most=request.app.state.settings.limits.points,
-        marked={path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)},
+        request, "trade.html.j2", status=status, parts=form_parts(nodes, errors, open_), errors=errors,
+        scenarios=predefined(), runs=runs[:20], count=sum(map(len, errors.values())),
+        most=request.app.state.settings.limits.points,
     )  # fmt: skip
 
 
