@@ -29,6 +29,18 @@ class PanelReference(Model):
     correlation_nm: float | None = Field(
         None, gt=0, description="correlation length of that error between bands; None: fully correlated"
     )
+    divisor: Literal["standard_error", "spread"] = Field(
+        "standard_error",
+        description="the standard deviation that the spectrum's file carries is divided by the root of its n, or "
+        "not, where it stands for the difference between the readings and the pixels",
+    )
+
+
+class PathRadiance(Model):
+    """Path radiance that an atmosphere engine gives, as a black panel."""
+
+    scenario: str = Field(description="scenario file with the atmosphere, surroundings and uncertainties")
+    line: str | None = Field(None, description="flight line that it holds for, as its spectra state it")
 
 
 class DarkestPixel(Model):
@@ -46,6 +58,11 @@ class EmpiricalLineSource(Model):
 
     panels: list[PanelReference] = Field(min_length=1)
     darkest_pixel: DarkestPixel | None = Field(None, description="a dark panel where none was laid out")
+    path_radiance: list[PathRadiance] = Field(
+        default_factory=list,
+        description="with spectra: black ground as an engine sees it, for each flight line; used where a single "
+        "other site is known, which makes a one-point line",
+    )
     intercept: bool = Field(True, description="false: a line through the origin, for radiance without path part")
     saturation: float | None = Field(
         None,
@@ -56,10 +73,17 @@ class EmpiricalLineSource(Model):
 
     @model_validator(mode="after")
     def _enough(self) -> EmpiricalLineSource:
-        if self.intercept and len(self.panels) + bool(self.darkest_pixel) < 2:
-            raise ValueError("an empirical line needs two panels, or one and darkest_pixel, or intercept: false")
-        if not self.intercept and self.darkest_pixel:
-            raise ValueError("darkest_pixel measures the path part, which intercept: false says is none")
+        if self.intercept and len(self.panels) + bool(self.darkest_pixel or self.path_radiance) < 2:
+            raise ValueError(
+                "an empirical line needs two panels, or one and darkest_pixel or path_radiance, or intercept: false"
+            )
+        if not self.intercept and (self.darkest_pixel or self.path_radiance):
+            raise ValueError(
+                "darkest_pixel and path_radiance give the path part, which intercept: false says is none"
+            )
+        lines = [entry.line for entry in self.path_radiance]
+        if len(set(lines)) < len(lines):
+            raise ValueError("path_radiance: a flight line stands twice")
         return self
 
 
@@ -122,6 +146,13 @@ class Collection(Model):
             raise ValueError("give exactly one of cube, spectra, radcalnet")
         if self.detector is not None and not (self.spectra and all(site.pixels for site in self.spectra)):
             raise ValueError("detector is for spectra, each of which states its pixels: a cube shows its own noise")
+        line = self.empirical_line
+        if line is not None and self.cube is None and not self.spectra:
+            raise ValueError("empirical_line is for a cube or spectra")
+        if line is not None and line.path_radiance and self.cube is not None:
+            raise ValueError("empirical_line.path_radiance is for spectra; a cube shows its darkest_pixel")
+        if line is not None and self.spectra and (line.darkest_pixel or line.saturation is not None):
+            raise ValueError("empirical_line: spectra show no darkest_pixel and no saturation")
         if self.simulate and self.cube is None:
             raise ValueError("a simulated collection is a cube: give cube.path as simulated:NAME_rad.img")
         cube = self.cube

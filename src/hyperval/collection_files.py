@@ -55,6 +55,7 @@ class SpectrumCollection(Model):
     unit: RadianceUnit | None = Field(None, description="of the radiance; None: the file's, else uW cm-2 sr-1 nm-1")
     wavelength_unit: Literal["nm", "um"] = "nm"
     pixels: int | None = Field(None, ge=1, description="pixels averaged (integrations), when known")
+    line: str | None = Field(None, description="flight line: sites of one line share an empirical line")
 
 
 class RadCalNetSource(Model):

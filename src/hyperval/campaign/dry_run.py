@@ -164,7 +164,7 @@ def _mistakes(
     for scenario, file, lines, at in scenarios:
         lookup = Lookup(file, lines)
         find = partial(resolve, base=scenario.folder or base)
-        measured = reflects or collection.empirical_line is not None
+        measured = reflects or (collection.cube is not None and collection.empirical_line is not None)
         subjects += scenario_mistakes(scenario, lookup, at, offered, measured, find)
         others += lookup.mistakes
     comparison_mistakes(campaign, own, offered, subjects)

@@ -99,6 +99,11 @@ def campaign_mistakes(campaign: Campaign, lookup: Lookup, base: Path) -> Collect
         return Collected(None, (), (), True)
     if collection.spectra:
         subjects = tuple(s.subject for s in collection.spectra)
+        line = collection.empirical_line
+        for i, panel in enumerate(line.panels if line else ()):
+            if panel.region not in subjects:
+                at = ("collection", "empirical_line", "panels", i, "region")
+                lookup.add(at, f"no site {panel.region!r}; expected: one of {', '.join(subjects)}")
         return Collected(None, subjects, (), True)
     offered = _simulated(campaign, lookup, find) if collection.simulate else _opened(campaign, lookup, find)
     if offered is None:

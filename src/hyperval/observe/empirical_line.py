@@ -53,7 +53,7 @@ def empirical_line(
             raise UsageError(
                 f"empirical line: no region {panel.region!r}", expected="one of " + ", ".join(measured)
             )
-        mean, covariance = _field(panel, cube, resolve)
+        mean, covariance = field_reflectance(panel, cube.axis, resolve)
         sample = measured[panel.region]
         error = sampling[panel.region]
         sd = np.sqrt(np.diag(covariance))
@@ -149,22 +149,25 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     return [*notes, *line_warnings(elm, axis)]
 
 
-def _field(panel: PanelReference, cube: Cube, resolve: Callable[[str], Path]) -> tuple[Array, Array]:
+def field_reflectance(
+    panel: PanelReference, axis: SpectralAxis, resolve: Callable[[str], Path]
+) -> tuple[Array, Array]:
     """Reflectance (B,) of a panel as measured on the ground, and its error covariance (B, B).
 
     What replicate spectra say, or the standard error that the file carries, and the stated relative uncertainty;
     the latter two with the stated correlation length, common to all bands without one.  The file's standard error
     holds between its own samples, of which a band may average several.
     """
-    field = Sources(cube.axis, {}, resolve).spectrum(panel.spectrum, panel.region)
-    stated, together = panel.relative_uncertainty * field.mean, correlation(cube.axis, panel.correlation_nm)
+    field = Sources(axis, {}, resolve).spectrum(panel.spectrum, panel.region)
+    stated, together = panel.relative_uncertainty * field.mean, correlation(axis, panel.correlation_nm)
     covariance = np.outer(stated, stated) * together
+    n = 1 if panel.divisor == "spread" else field.n or 1
     if field.mean_error is not None:
         covariance = covariance + field.mean_error
     elif field.sampled_deviation is not None and panel.correlation_nm is not None:
-        spread = band_error_covariance(*field.sampled_deviation, panel.correlation_nm, cube.axis)
-        covariance = covariance + spread / (field.n or 1)
+        spread = band_error_covariance(*field.sampled_deviation, panel.correlation_nm, axis)
+        covariance = covariance + spread / n
     elif field.standard_deviation is not None:
-        spread = field.standard_deviation / np.sqrt(field.n or 1)
+        spread = field.standard_deviation / np.sqrt(n)
         covariance = covariance + np.outer(spread, spread)
     return field.mean, covariance

@@ -11,9 +11,10 @@ import numpy.typing as npt
 from hyperval.collection import Collection
 from hyperval.collection_files import BandTable
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.observe.site_line import site_reflectance, sites_of
 from hyperval.observe.uncertainty import calibration_covariance, detector_covariance, spectral_estimate
 from hyperval.observe.wavelengths import wavelength_notes
-from hyperval.products import Observation
+from hyperval.products import Observation, SpectralEstimate
 from hyperval.sensor.specification import load_sensor
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 from hyperval.spectra.readers import FieldSpectrum, read_spectrum
@@ -28,6 +29,8 @@ SAME_BAND_NM = 0.5
 def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> Observation:
     """Radiance of every site with the uncertainty of its calibration and of its detector's noise.
 
+    With an empirical line also its reflectance, by the line through the other known sites of its flight line.
+
     Raises
     ------
     InputError : files that are missing, malformed, or whose wavelengths are not those of the band table.
@@ -36,6 +39,8 @@ def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> O
         raise UsageError("collected spectra need a band table")
     axis = read_band_table(resolve(collection.bands.path), collection.bands)
     radiance, notes = {}, []
+    own: dict[str, Array] = {}
+    common: dict[str, Array] = {}
     detector = None
     if (name := collection.detector) is not None:
         detector = load_sensor(resolve(name) if name.endswith((".yaml", ".yml")) else name)
@@ -57,12 +62,25 @@ def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> O
         notes += [f"{site.subject}: {note}" for note in (*read.notes, *how)]
         parts = {}
         if collection.calibration is not None:
-            parts["calibration"] = calibration_covariance(mean, axis, collection.calibration, resolve)
+            parts["calibration"] = common[site.subject] = calibration_covariance(
+                mean, axis, collection.calibration, resolve
+            )
         if detector is not None and site.pixels is not None:
-            parts["detector noise"] = detector_covariance(mean, axis, detector, site.pixels)
+            parts["detector noise"] = own[site.subject] = detector_covariance(mean, axis, detector, site.pixels)
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
     notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
-    return Observation(axis=axis, radiance=radiance, notes=tuple(notes), provenance={"quantity": "radiance"})
+    reflectance: dict[str, SpectralEstimate] = {}
+    if collection.empirical_line is not None:
+        sites = sites_of(collection, {name: e.mean for name, e in radiance.items()}, own, common)
+        reflectance, more = site_reflectance(collection.empirical_line, sites, axis, resolve)
+        notes += more
+    return Observation(
+        axis=axis,
+        radiance=radiance,
+        reflectance=reflectance,
+        notes=tuple(notes),
+        provenance={"quantity": "radiance"},
+    )
 
 
 def in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str, ...]]:
