@@ -9,7 +9,6 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
-from scipy.stats import qmc
 
 from hyperval.prediction.budget import ENGINE, ENGINE_LINES, ENGINE_PATH, gas_depth
 from hyperval.prediction.cases import Case, Origins, settings_of, stepped
@@ -229,6 +228,8 @@ def _with_limits(curve: RocCurve, changes: Sequence[Change]) -> RocCurve:
 @lru_cache(maxsize=8)
 def _normal_draws(directions: int) -> Array:
     """(N, directions) standard normal numbers, evenly spread (Sobol, scrambled), the same for all curves."""
+    from scipy.stats import qmc  # a quarter of a second with what it loads, which a certain scenario does not need
+
     draws = np.asarray(ndtri(qmc.Sobol(directions, seed=12).random(_CURVES)))
     draws.setflags(write=False)
     return draws
