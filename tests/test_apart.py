@@ -64,6 +64,23 @@ def test_an_interrupt_ends_both(tmp_path: Path):
         os.kill(child, 0)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux ends a process with its parent")
+def test_a_killed_process_takes_the_other_along(tmp_path: Path):
+    """The copy went on to the end of an observation that nobody waited for."""
+    work = "import time; print(os.getpid(), flush=True); time.sleep(60)"
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM.format(work=work), str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        child = int(process.stdout.readline())
+        process.kill()
+        assert process.stdout.read() == ""  # the end of the pipe: nobody writes into it any more
+    try:
+        state = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        state = "gone"
+    assert state in ("gone", "Z")  # whoever inherits it may not have waited for it yet
+
+
 def test_what_measures_and_what_writes_load_no_more_than_they_need():
     """pandas and xarray take 80 MB, SciPy's statistics 25, its optimisers 13 to 21: one quantile brings them."""
     large = {"pandas", "xarray", "scipy.stats", "scipy.optimize", "matplotlib", "bokeh", "pvlib"}

@@ -1,15 +1,18 @@
-"""A function in a process of its own, whose memory is given back when it has returned."""
+"""Processes of our own: a function whose memory is given back when it has returned; programs that end with us."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import pickle
+import shutil
 import signal
+import subprocess
 import sys
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
@@ -18,6 +21,8 @@ from hyperval.errors import HypervalError
 R = TypeVar("R")
 _MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # of malloc.h
 _RETURNED_FROM = 2 << 20  # bytes
+_PR_SET_PDEATHSIG = 1  # of sys/prctl.h
+_NOT_STARTED = (126, 127)  # exit codes of setpriv, as of a shell
 
 
 class ProcessLostError(HypervalError):
@@ -43,9 +48,10 @@ def call_apart(function: Callable[[], R], scratch: Path) -> R:
         warnings.simplefilter("ignore", DeprecationWarning)
         sys.stdout.flush()
         sys.stderr.flush()
+        parent = os.getpid()
         child = os.fork()
     if child == 0:
-        _return(function, path)
+        _return(function, path, parent)
     try:
         _, status = os.waitpid(child, 0)
     except BaseException:
@@ -80,9 +86,44 @@ def _give_back_arrays() -> None:
     adjust(_ARENA_MAX, 1)
 
 
-def _return(function: Callable[[], object], path: Path) -> NoReturn:
+def ending_with_this_process(command: Sequence[str]) -> list[str]:
+    """The command line by which a program ends with the process that starts it, killed ones too.
+
+    It is the command itself where the system has no such way: there the program goes on until it is done.
+    """
+    return [*_tie(), *command]
+
+
+def is_no_program(code: int) -> bool:
+    """Whether a command that ends with this process ended with ``code`` since it could not be started."""
+    return bool(_tie()) and code in _NOT_STARTED
+
+
+@cache
+def _tie() -> tuple[str, ...]:
+    """The program that asks Linux for it and then becomes the command: nothing runs between fork and exec here."""
+    tie = (shutil.which("setpriv") or "", "--pdeathsig", "KILL", "--")
+    try:
+        done = subprocess.run([*tie, "true"], capture_output=True, check=False)  # noqa: S603 - a program of the system
+    except OSError:
+        return ()
+    return () if done.returncode else tie  # a small system's own setpriv may not know the option
+
+
+def _end_with(parent: int) -> None:
+    """Let the system end this process, as by ``kill``, when the one that made it ends; where it can."""
+    try:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    except (AttributeError, OSError, TypeError):  # another system than Linux
+        return
+    if os.getppid() != parent:  # it ended a moment ago
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _return(function: Callable[[], object], path: Path, parent: int) -> NoReturn:
     """Call, and leave what is returned or raised in a file; the process ends here."""
     code = 1
+    _end_with(parent)
     _give_back_arrays()
     try:
         try:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
+import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -124,3 +128,50 @@ def test_missing_executable(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(EngineError, match="executable is missing"):
         sixs_process.run_sixs(CARD, tmp_path)
+
+
+def test_a_file_that_may_not_be_started(tmp_path, monkeypatch):
+    text = tmp_path / "sixs"
+    text.touch(0o644)
+    monkeypatch.setattr(sixs_process, "sixs_path", lambda: text)
+    for tied in (True, False):  # where the system has a way to end it with its run, and where it has none
+        if not tied:
+            monkeypatch.setattr("hyperval.apart._tie", tuple)
+        with pytest.raises(EngineError, match=r"6S cannot be started: .*Permission denied"):
+            sixs_process._start(CARD, None)
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="the system has no setpriv")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_it_ends_with_the_process_that_started_it(tmp_path, number):
+    """A worker that was killed left it at work for up to five minutes, a processor each."""
+    slow = tmp_path / "sixs"
+    slow.write_text(f"#!/bin/sh\necho $$ > {tmp_path}/new; mv {tmp_path}/new {tmp_path}/pid; exec sleep 60\n")
+    slow.chmod(0o755)
+    code = (
+        "import sys; from pathlib import Path; from hyperval.atmosphere import sixs_process as s;"
+        "s.sixs_path = lambda: Path(sys.argv[1]); s._start('', None)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code, str(slow)]) as worker:
+        engine = int(awaited(lambda: (tmp_path / "pid").is_file() and (tmp_path / "pid").read_text()))
+        worker.send_signal(number)
+    awaited(lambda: is_gone(engine))
+
+
+def awaited(condition):
+    """What the condition gives, as soon as it gives something."""
+    end = time.monotonic() + 30
+    while time.monotonic() < end:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.02)
+    raise AssertionError("nothing came in half a minute")
+
+
+def is_gone(process):
+    """Whether it has ended; one that nobody has waited for yet has too."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hyperval.apart import ending_with_this_process, is_no_program
 from hyperval.atmosphere.cache import Arrays, cached
 from hyperval.atmosphere.modtran_solve import read_modtran_runs
 from hyperval.atmosphere.modtran_write import (
@@ -175,8 +176,8 @@ def _start(command: list[str], folder: Path, timeout_s: float) -> None:
     with open(folder / "messages.txt", "wb") as messages:
         try:
             process = subprocess.Popen(  # noqa: S603
-                command, cwd=folder, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages,
-                start_new_session=True,
+                ending_with_this_process(command), cwd=folder, stdin=subprocess.DEVNULL, stdout=messages,
+                stderr=messages, start_new_session=True,
             )  # fmt: skip
         except OSError as error:
             raise EngineError(
@@ -191,6 +192,8 @@ def _start(command: list[str], folder: Path, timeout_s: float) -> None:
                 with contextlib.suppress(OSError):
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
+    if is_no_program(code):
+        raise EngineError(f"MODTRAN cannot be started: {_last_words(folder)}", where=command[0], mend=_HOW)
     if code != 0:
         raise EngineError(
             f"MODTRAN ended with code {code}: {_last_words(folder)}",

