@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from small_campaign import SmallCampaign, stand_in_atmosphere, write_collection
+from small_campaign import SmallCampaign, with_stand_in_atmosphere, without_figures, write_collection
 
 
 @pytest.fixture(scope="session")
@@ -22,9 +22,7 @@ def small_collection(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def own_atmosphere(monkeypatch: pytest.MonkeyPatch) -> None:
     """Predictions and simulations use the stand-in atmosphere."""
-    monkeypatch.setenv("HYPERVAL_WORKERS", "1")  # a campaign in another process would not see the stand-in
-    monkeypatch.setattr("hyperval.prediction.cases.atmospheric_terms", stand_in_atmosphere)
-    monkeypatch.setattr("hyperval.atmosphere.atmospheric_terms", stand_in_atmosphere)
+    with_stand_in_atmosphere(monkeypatch)
 
 
 @pytest.fixture
@@ -41,13 +39,8 @@ def make_small(
     monkeypatch: pytest.MonkeyPatch,
 ) -> Callable[..., SmallCampaign]:
     """Make copies of the small campaign, each in a folder of its own."""
-    if "figures" not in request.fixturenames:  # they are most of a small run's time
-        monkeypatch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
-        monkeypatch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
-        monkeypatch.setattr("hyperval.report.netcdf.write_products", lambda path, *sides, **words: path.touch())
-        # Sets of objects for p-values that no test of the small campaign asks for: a fifth of what is left.
-        monkeypatch.setattr("hyperval.compare.objects.REPLICATES", 400)
-        monkeypatch.setattr("hyperval.compare.objects.POWER_DRAWS", 40)
+    if "figures" not in request.fixturenames:
+        without_figures(monkeypatch)
 
     def make(name: str = "small") -> SmallCampaign:
         shutil.copytree(small_collection, tmp_path / name)

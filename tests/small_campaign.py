@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import yaml
 from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
 
@@ -34,6 +35,23 @@ def stand_in_atmosphere(state: AtmosphericState, **options: Any) -> AtmosphericT
     blue, haze = blue_and_haze(state.aot550 or 0.2, w)
     direct = sunlight(w) * np.exp(-0.5 * haze - 0.05 * blue) / np.pi
     return smooth_terms(blue, haze, sunlight(w), direct, w=w)
+
+
+def with_stand_in_atmosphere(patch: pytest.MonkeyPatch) -> None:
+    """Let predictions and simulations use the stand-in."""
+    patch.setenv("HYPERVAL_WORKERS", "1")  # a campaign in another process would not see it
+    patch.setattr("hyperval.prediction.cases.atmospheric_terms", stand_in_atmosphere)
+    patch.setattr("hyperval.atmosphere.atmospheric_terms", stand_in_atmosphere)
+
+
+def without_figures(patch: pytest.MonkeyPatch) -> None:
+    """Leave out figures, charts and arrays, which are most of a small run's time."""
+    patch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+    patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+    patch.setattr("hyperval.report.netcdf.write_products", lambda path, *sides, **words: path.touch())
+    # Sets of objects for p-values that no test of the small campaign asks for: a fifth of what is left.
+    patch.setattr("hyperval.compare.objects.REPLICATES", 400)
+    patch.setattr("hyperval.compare.objects.POWER_DRAWS", 40)
 
 
 def sensor_data() -> dict[str, Any]:

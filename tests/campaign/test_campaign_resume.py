@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,7 +23,7 @@ from hyperval.folders import RECORD
 from hyperval.report import RunReport
 from hyperval.report.outputs import write_tables
 from hyperval.results import Result, ResultTable
-from small_campaign import SmallCampaign
+from small_campaign import SmallCampaign, with_stand_in_atmosphere, without_figures
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -55,51 +57,80 @@ def die(*_: object, **__: object) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def killed(paths: list[Path], out: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
-    """Run in a process that is killed in the middle."""
-    child = os.fork()
-    if child == 0:
-        run, keep, write = campaign_jobs.run_campaign, Finished.keep, campaign_jobs.write_outputs
+def interrupted(paths: list[Path], out: Path) -> None:
+    """Run until the second campaign is about to be run."""
+    right = campaign_jobs.run_campaign
 
-        def half_written(report, folder):
-            write(report, folder)
-            if report.campaign == "other":
-                (folder / "results.json").write_text("{")
-                die()
+    def end_at_second(job, **options):
+        if job.campaign.name == "other":
+            raise KeyboardInterrupt
+        return right(job, **options)
 
-        def at_second(job, right, *rest, **options):
-            return die() if job.campaign.name == "other" else right(*rest, **options)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign_jobs, "run_campaign", end_at_second)
+        assert validate(paths, out) == 130
 
+
+def validate_and_die(paths: list[Path], out: Path, where: str) -> None:
+    """Run, and be killed in the middle."""
+    run, keep, write = campaign_jobs.run_campaign, Finished.keep, campaign_jobs.write_outputs
+
+    def half_written(report, folder):
+        write(report, folder)
+        if report.campaign == "other":
+            (folder / "results.json").write_text("{")
+            die()
+
+    def at_second(job, right, *rest, **options):
+        return die() if job.campaign.name == "other" else right(*rest, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        with_stand_in_atmosphere(patch)
+        without_figures(patch)
         if where == "in the second campaign":
-            monkeypatch.setattr(campaign_jobs, "run_campaign", lambda job, **o: at_second(job, run, job, **o))
+            patch.setattr(campaign_jobs, "run_campaign", lambda job, **o: at_second(job, run, job, **o))
         elif where == "in the files of the second":
-            monkeypatch.setattr(campaign_jobs, "write_outputs", half_written)
+            patch.setattr(campaign_jobs, "write_outputs", half_written)
         elif where == "before the second is known to be whole":
-            monkeypatch.setattr(Finished, "keep", lambda self, job, r: at_second(job, keep, self, job, r))
+            patch.setattr(Finished, "keep", lambda self, job, r: at_second(job, keep, self, job, r))
         else:
-            monkeypatch.setattr(campaign_run, "write_index", die)
-        try:
-            validate(paths, out)
-        finally:
-            os._exit(0)
-    _, status = os.waitpid(child, 0)
-    assert os.WIFSIGNALED(status)
-    assert os.WTERMSIG(status) == signal.SIGKILL
+            patch.setattr(campaign_run, "write_index", die)
+        validate(paths, out)
+
+
+KILLED_AND_RUN_AGAIN = {
+    "in the second campaign": ["other"],
+    "in the files of the second": ["other"],
+    "before the second is known to be whole": ["other"],
+    "on the page of both": [],
+}
+
+
+def killed_at_each(folder: Path, paths: list[Path]) -> None:
+    """A run for each place at which it is killed, as copies of this process; their outputs are numbered folders."""
+    for number, where in enumerate(KILLED_AND_RUN_AGAIN):
+        child = os.fork()
+        if child == 0:
+            try:
+                validate_and_die(paths, folder / f"out{number}", where)
+            finally:
+                os._exit(0)
+        _, status = os.waitpid(child, 0)
+        assert os.WIFSIGNALED(status)
+        assert os.WTERMSIG(status) == signal.SIGKILL
 
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bytes(two, tmp_path, monkeypatch):
+    arguments = ["hyperval", "validate", *map(str, two)]
+    monkeypatch.setattr(sys, "argv", arguments)  # as in the program
+    # A program of its own: copies of this process would inherit locks that threads of other tests hold.
+    program = [sys.executable, __file__, str(tmp_path), *arguments]
+    found = {"PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run(program, env=os.environ | found, check=True, timeout=600)
     code = validate(two, tmp_path / "whole")
-    for number, (where, again) in enumerate(
-        (
-            ("in the second campaign", ["other"]),
-            ("in the files of the second", ["other"]),
-            ("before the second is known to be whole", ["other"]),
-            ("on the page of both", []),
-        )
-    ):
+    for number, (where, again) in enumerate(KILLED_AND_RUN_AGAIN.items()):
         out = tmp_path / f"out{number}"
-        killed(two, out, monkeypatch, where)
         assert "results.csv" not in files_of(out), where
         names = runs(monkeypatch)
         assert validate(two, out) == code, where
@@ -109,7 +140,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(two, tmp_path, monkeypatch):
 
 
 def test_only_what_would_come_out_the_same_is_taken_over(two, tmp_path, monkeypatch):
-    killed(two, tmp_path / "out", monkeypatch, "in the second campaign")
+    interrupted(two, tmp_path / "out")
     kept, path = tmp_path / "out.partial", two[0]
     assert [p.name for p in (kept / "campaigns").iterdir()] == ["small"]
     record = kept / "campaigns" / "small" / RECORD
@@ -155,7 +186,7 @@ def test_only_what_would_come_out_the_same_is_taken_over(two, tmp_path, monkeypa
 def test_what_was_skipped_or_went_wrong_is_not_kept(two, tmp_path, monkeypatch):
     (cube,) = two[0].parent.rglob("small_rad.img")
     cube.unlink()
-    killed(two, tmp_path / "out", monkeypatch, "in the second campaign")
+    interrupted(two, tmp_path / "out")
     (folder,) = (tmp_path / "out.partial" / "campaigns").iterdir()
     assert (folder / "results.json").is_file()
     assert not (folder / RECORD).exists()
@@ -224,3 +255,8 @@ def test_a_single_campaign_is_taken_over_wherever_it_stands(make_small, quick, t
     assert (quick, files_of(out)) == ([], first)
     assert cli.run(["-q", "validate", str(path), "-o", str(out), "--again"]) == code
     assert (quick, files_of(out)) == (["small"], first)
+
+
+if __name__ == "__main__":
+    output, *sys.argv = sys.argv[1:]
+    killed_at_each(Path(output), [Path(name) for name in sys.argv[2:]])
