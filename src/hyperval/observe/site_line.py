@@ -13,7 +13,6 @@ import numpy.typing as npt
 from hyperval.collection import Collection, EmpiricalLineSource, PathRadiance
 from hyperval.errors import UsageError
 from hyperval.observe.empirical_line import field_reflectance, line_warnings
-from hyperval.observe.path_radiance import path_estimate
 from hyperval.observe.uncertainty import spectral_estimate
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import PanelErrors, line_error
@@ -127,6 +126,9 @@ def site_reflectance(
 
 def _black(stated: PathRadiance, site: Site, axis: SpectralAxis, resolve: Resolve) -> _Panel:
     """The path radiance as a panel that reflects nothing."""
+    # Here, not above: few observations need the model, and it takes memory.
+    from hyperval.observe.path_radiance import path_estimate
+
     black, zero = path_estimate(stated, axis, resolve), np.zeros(len(axis))
     # A common error of the calibration moves all sites and not the path: as if the path alone had moved.
     error = black.error_covariance + site.relative * np.outer(black.mean, black.mean)
