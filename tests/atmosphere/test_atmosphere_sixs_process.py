@@ -155,7 +155,7 @@ def test_it_ends_with_the_process_that_started_it(tmp_path, number):
     with subprocess.Popen([sys.executable, "-c", code, str(slow)]) as worker:
         engine = int(awaited(lambda: (tmp_path / "pid").is_file() and (tmp_path / "pid").read_text()))
         worker.send_signal(number)
-    awaited(lambda: is_gone(engine))
+    assert awaited(lambda: is_gone(engine))
 
 
 def awaited(condition):
