@@ -160,6 +160,11 @@ class Adjacency(Model):
     effective_neighbours: float | None = Field(
         1000.0, ge=1, description="N_eff; kappa = 1/N_eff of (3.11); null: the neighbourhood does not vary"
     )
+    spectrum: SpectrumSource | None = Field(
+        None,
+        description="reflectance of the surroundings, such as that of the image around a site (measured: REGION); "
+        "null: the average of the classes (3.8)",
+    )
 
     @property
     def kappa(self) -> float:

@@ -213,6 +213,7 @@ class Uncertainty(Model):
     view_azimuth_deg: Spread | None = Field(None, description="absolute [deg]")
     sensor_altitude_km: Spread | None = Field(None, description="absolute [km]")
     ground_altitude_km: Spread | None = Field(None, description="absolute [km]")
+    surroundings_altitude_km: Spread | None = Field(None, description="absolute [km]")
     solar_irradiance_relative: Spread | None = Field(None, description="below 1; common to all bands")
     adjacency_reflectance_relative: Spread | None = Field(
         None, description="below 1; of the reflectance of the surroundings, common to all bands"
@@ -256,7 +257,7 @@ class Uncertainty(Model):
         """Raise ValueError for an uncertainty of a number that the atmosphere leaves to the engine."""
         for name in (
             "meteorological_range_km", "water_vapour_g_cm2", "ozone_atm_cm", "angstrom_exponent",
-            "aerosol_share_below",
+            "aerosol_share_below", "surroundings_altitude_km",
         ):  # fmt: skip
             if getattr(self, name) is not None and getattr(atmosphere, name) is None:
                 raise ValueError(f"{name} is given, but atmosphere.{name} is not: state it there, too")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hyperval.atmosphere.cache import cache_folder
@@ -80,4 +80,12 @@ def atmospheric_terms(
     MissingDataError : the chosen solar spectrum is not at hand.
     UsageError : a state outside the table, or that the engine cannot be told.
     """
-    return ENGINES[state.engine](state, _Surroundings(cache_folder(cache_dir), show_progress, resolve or Path))
+    use = _Surroundings(cache_folder(cache_dir), show_progress, resolve or Path)
+    around, run = state.surroundings_altitude_km, ENGINES[state.engine]
+    if around is None or around == state.ground_altitude_km:
+        return run(state, use)
+    level = state.model_copy(update={"surroundings_altitude_km": None})
+    site, other = run(level, use), run(level.model_copy(update={"ground_altitude_km": around}), use)
+    # Light of the surroundings is lit and scattered above their own ground: B and S of (3.7) are of its height.
+    provenance = {**site.provenance, "surroundings_altitude_km": around}
+    return replace(site, adjacency=other.adjacency, spherical_albedo=other.spherical_albedo, provenance=provenance)

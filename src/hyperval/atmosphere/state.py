@@ -96,6 +96,13 @@ class AtmosphericState(Model):
         description="meteorological range at the ground [km], 2-300, by the LOWTRAN rule",
     )
     ground_altitude_km: float = Field(0.0, ge=0.0, le=5.0, description="ground above sea level [km], 0-5")
+    surroundings_altitude_km: float | None = Field(
+        None,
+        ge=0.0,
+        le=5.0,
+        description="ground of the surroundings above sea level [km], which stated amounts of aerosol and gases "
+        "are above, too; null: as high as the site",
+    )
     sensor_altitude_km: float = Field(
         ge=0.0, le=100_000.0, description="sensor above sea level [km]; 100 and more is space"
     )
@@ -141,6 +148,9 @@ class AtmosphericState(Model):
                 f"sensor_altitude_km ({self.sensor_altitude_km:g}) must lie above "
                 f"ground_altitude_km ({self.ground_altitude_km:g})"
             )
+        around = self.surroundings_altitude_km
+        if around is not None and not self.sensor_altitude_km > around:
+            raise ValueError(f"surroundings_altitude_km ({around:g}) must lie below sensor_altitude_km")
         return self
 
     def _check_aerosol(self) -> None:

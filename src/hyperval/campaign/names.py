@@ -159,6 +159,9 @@ def scenario_mistakes(
         if spread is not None and spread.builtin is not None and axis is not None:
             with lookup.at(*location, "covariance", "builtin"):
                 builtin_class(spread.builtin, axis)
+    if scene.adjacency.spectrum is not None:
+        at_around = (*at, "scene", "adjacency", "spectrum")
+        _spectrum(lookup, at_around, scene.adjacency.spectrum, "surroundings", axis, find, regions)
     names = [s.name for s in (*scene.classes, *scene.panels, *scene.sites)]
     return (*names, *(p.name for t in scene.targets for p in t.populations))
 

@@ -40,6 +40,12 @@ _NUMBERS: tuple[tuple[str, Kind, str, str], ...] = (
     ("view azimuth", "atmosphere", "atmosphere.view_azimuth_deg", "view_azimuth_deg"),
     ("sensor altitude", "atmosphere", "atmosphere.sensor_altitude_km", "sensor_altitude_km"),
     ("ground height", "atmosphere", "atmosphere.ground_altitude_km", "ground_altitude_km"),
+    (
+        "ground height of the surroundings",
+        "atmosphere",
+        "atmosphere.surroundings_altitude_km",
+        "surroundings_altitude_km",
+    ),
     ("solar irradiance", "atmosphere", "light.irradiance", "solar_irradiance_relative"),
     (SURROUNDINGS, "scene", "light.surroundings", "adjacency_reflectance_relative"),
 )

@@ -224,7 +224,9 @@ def settings_of(cases: Sequence[Case]) -> Settings:
             grounds[key] = ground_of(case.setup.surfaces, case.setup.classes, f, like)
     order = {key: i for i, key in enumerate(grounds)}
     which, each = np.array([order[key] for key in keys]), list(grounds.values())
-    average = np.array([each[w].average * c.surroundings for w, c in zip(which, cases, strict=True)])[:, None, :]
+    average = np.array(
+        [c.setup.average(each[w].average) * c.surroundings for w, c in zip(which, cases, strict=True)]
+    )[:, None, :]
     terms = [c.terms for c in cases if c.terms is not None]
     noises = [c.noise for c in cases if c.noise is not None]
     retrieval = None

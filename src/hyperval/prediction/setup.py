@@ -14,7 +14,7 @@ from hyperval.atmosphere.profiles import OZONE_G_CM2_PER_ATM_CM, column_g_cm2, s
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError, UsageError
-from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics
+from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, without_gaps
 from hyperval.scenario import Fill, Scenario, Target
 from hyperval.scenario_uncertainty import Uncertainty
 from hyperval.scene.statistics import ClassStatistics
@@ -163,12 +163,18 @@ class Setup:
     used : sensor, bands and noise
     surfaces : name -> statistics of every class, panel, site and target, where the bands truly stand
     signatures : target -> (B,) reflectance that its filter looks for, where the bands are labelled
+    surroundings : (B,) their reflectance where the scenario states it; None: the average of the classes
     """
 
     scenario: Scenario
     used: Instrument
     surfaces: Mapping[str, SurfaceStatistics]
     signatures: Mapping[str, Array]
+    surroundings: Array | None = None
+
+    def average(self, of_classes: Array) -> Array:
+        """(B,) rho_ave of (3.7): the stated surroundings, or the average of the classes (3.8)."""
+        return of_classes if self.surroundings is None else self.surroundings
 
     @property
     def classes(self) -> list[str]:
@@ -185,7 +191,10 @@ def setup_of(scenario: Scenario, used: Instrument, measured: Mapping[str, ClassS
     """
     sources = Sources(used.true_axis, measured, find, used.axis)
     surfaces, signatures = surfaces_of(scenario, sources, Sources(used.axis, measured, find))
-    return Setup(scenario, used, surfaces, signatures)
+    around, stated = scenario.scene.adjacency.spectrum, None
+    if around is not None:
+        stated = without_gaps(sources.spectrum(around, "surroundings").mean)
+    return Setup(scenario, used, surfaces, signatures, stated)
 
 
 def surfaces_of(

@@ -157,7 +157,7 @@ def _settings(stage: Stage, columns: Columns, count: int, terms_at: TermsAt | No
     elm = scenario.processing.elm
     view = View(
         terms,
-        np.array([g.average for g in grounds])[which][:, None, :],
+        np.array([stage.setup.average(g.average) for g in grounds])[which][:, None, :],
         noise,
         kappa[:, None, None],
         scenario.formulation,
