@@ -16,7 +16,7 @@ from hyperval.campaign.merge import merged, with_pools, without_circles
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import record_of
 from hyperval.campaign.references import check_names, missing_sets
-from hyperval.campaign.schema import Campaign
+from hyperval.campaign.schema import Campaign, Outline
 from hyperval.campaign.truth_check import truth_notes
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError, UsageError
@@ -268,13 +268,8 @@ def _report(job: Job, side: Collected, predictions: Sequence[Prediction], show_p
     notes += truth_notes(observed.place, campaign.detection, scenarios)
     if prediction is not None:
         notes += prediction.notes
-    return RunReport(
-        campaign=campaign.name,
-        title=campaign.title,
-        description=campaign.description,
-        simulated=campaign.simulated,
-        computed=campaign.computed,
-        table=table,
+    return replace(
+        report_of(campaign, table),
         prediction=prediction,
         observation=observed.observation,
         score_maps=score_maps(observed),
@@ -293,6 +288,18 @@ def _report(job: Job, side: Collected, predictions: Sequence[Prediction], show_p
         chosen_after=campaign.every_choice(),
         power=accepted_table(campaign.name) if prediction else None,
         kind="Campaign" if prediction else "Collection of campaign",
+    )
+
+
+def report_of(campaign: Outline, table: ResultTable) -> RunReport:
+    """What a campaign's file and its table alone say."""
+    return RunReport(
+        campaign=campaign.name,
+        title=campaign.title,
+        description=campaign.description,
+        simulated=campaign.simulated,
+        computed=campaign.computed,
+        table=table,
     )
 
 
@@ -356,13 +363,8 @@ def unfinished(job: Job | Waiting, outcome: Outcome, reason: str) -> RunReport:
     ]  # fmt: skip
     log = InputLog(job.folder)
     log.add(job.path.resolve(), job.path.name)
-    return RunReport(
-        campaign=campaign.name,
-        title=campaign.title,
-        description=campaign.description,
-        simulated=campaign.simulated,
-        computed=campaign.computed,
-        table=ResultTable(rows),
+    return replace(
+        report_of(campaign, ResultTable(rows)),
         provenance=record_of(log, [], None, {"campaign": campaign.model_dump(mode="json", by_alias=True)}, []),
         notes=[reason, *campaign.assumptions],
         references=campaign.references,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import hyperval
-from hyperval.campaign.one import SIMULATED, Job
+from hyperval.campaign.one import SIMULATED, Job, report_of
 from hyperval.campaign.provenance import command_without_output, package_versions, source_revision
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError
@@ -100,15 +100,7 @@ def as_before(job: Job, folder: Path) -> RunReport | None:
             and record["outputs"]
             and all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
         ):
-            campaign = job.campaign
-            return RunReport(
-                campaign=campaign.name,
-                title=campaign.title,
-                description=campaign.description,
-                simulated=campaign.simulated,
-                computed=campaign.computed,
-                table=read_results(folder / "results.json"),
-            )
+            return report_of(job.campaign, read_results(folder / "results.json"))
     return None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,9 @@ _COVERAGE = 1.96
 _MOST_ROWS = 30
 _LOWEST_PFA = 1e-9
 _MOST_CURVES = 2 * style.MAX_PANELS
+_Key = tuple[str, str]
+_Estimates = Mapping[Any, Any]
+_Dot = tuple[float, float]
 
 
 def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
@@ -75,23 +78,13 @@ def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         return []
     figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Detector scores", simulated)
     axes = figure.add_subplot()
-    for scores, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
-        rows = [
-            (at + shift, scores[key].mean, _COVERAGE * scores[key].sd)
-            for at, key in enumerate(keys)
-            if key in scores
-        ]
-        _dots(axes, rows, look)
+    _dots_of(axes, keys, predicted, measured, lambda score: (score.mean, _COVERAGE * score.sd))
     axes.axvline(0.0, color="#777777", linewidth=0.8)
     axes.axvline(1.0, color="#777777", linewidth=0.8, linestyle=":")
     _row_labels(axes, keys, {k: measured[k].n for k in keys if k in measured})
     axes.set_xlabel("score [1] (dot: mean; bar: mean ± 1.96 standard deviations)")
     style.add_legend(figure, _dot_legend(predicted, measured))
-    words = "; ".join(
-        f"{s} {d}: " + ", ".join(f"{n} {h[s, d].mean:.3g} ± {h[s, d].sd:.2g}"
-                                 for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
-        for s, d in keys
-    )  # fmt: skip
+    words = _in_words(keys, predicted, measured, lambda score: f"{score.mean:.3g} ± {score.sd:.2g}")
     title = f"Score distributions: predicted and measured{style.left_out([keys], every)}"
     alt = f"Mean and standard deviation of the detector scores. {words}."
     return [Drawing("scores", "scores", title, alt, style.vector_bytes(figure), "svg")]
@@ -109,13 +102,7 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         return []
     figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Target area from abundance", simulated)
     axes = figure.add_subplot()
-    for estimates, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
-        rows = [
-            (at + shift, estimates[key].area_m2, _COVERAGE * estimates[key].standard_uncertainty)
-            for at, key in enumerate(keys)
-            if key in estimates
-        ]
-        _dots(axes, rows, look)
+    _dots_of(axes, keys, predicted, measured, lambda area: (area.area_m2, _COVERAGE * area.standard_uncertainty))
     areas = np.array([h[k].area_m2 for h in (predicted, measured) for k in keys if k in h])
     areas = areas[np.isfinite(areas)]
     if areas.size and areas.min() > 0 and areas.max() > 30 * areas.min():
@@ -127,13 +114,28 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     _row_labels(axes, keys, {})
     axes.set_xlabel("area [m²] (bar: 95 % interval)")
     style.add_legend(figure, _dot_legend(predicted, measured))
-    words = "; ".join(
-        f"{s} {d}: " + ", ".join(f"{n} {h[s, d].area_m2:.3g} m²"
-                                 for n, h in (("predicted", predicted), ("measured", measured)) if (s, d) in h)
-        for s, d in keys
-    )  # fmt: skip
+    words = _in_words(keys, predicted, measured, lambda area: f"{area.area_m2:.3g} m²")
     title = f"Target area from the sum of abundances: predicted and measured{style.left_out([keys], every)}"
     return [Drawing("abundance", "abundance", title, f"Target areas. {words}.", style.vector_bytes(figure), "svg")]
+
+
+def _dots_of(
+    axes: Axes, keys: Sequence[_Key], predicted: _Estimates, measured: _Estimates, dot: Callable[[Any], _Dot]
+) -> None:
+    """A row for each key: the dot with its bar of either side that has one."""
+    for estimates, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
+        _dots(axes, [(at + shift, *dot(estimates[key])) for at, key in enumerate(keys) if key in estimates], look)
+
+
+def _in_words(keys: Sequence[_Key], predicted: _Estimates, measured: _Estimates, text: Callable[[Any], str]) -> str:
+    sides = (("predicted", predicted), ("measured", measured))
+    return "; ".join(
+        f"{subject} {detector}: "
+        + ", ".join(
+            f"{name} {text(side[subject, detector])}" for name, side in sides if (subject, detector) in side
+        )
+        for subject, detector in keys
+    )
 
 
 def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None, low: float) -> None:

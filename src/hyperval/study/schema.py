@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -75,8 +75,8 @@ class Move(Model):
     offset: float = 0.0
 
 
-class Input(Model):
-    """What moves: one entry of the scenario or several together, over values, a grid, or a distribution."""
+class Moving(Model):
+    """A quantity that moves one entry of the scenario, or several together."""
 
     name: Name
     label: str = Field("", description="in words, for axes; default: the name")
@@ -85,21 +85,11 @@ class Input(Model):
         None, description="dotted path into the scenario, or pfa: the false-alarm probability of the outputs"
     )
     moves: list[Move] = Field(default_factory=list, description="in place of path: several entries together")
-    values: list[Value] | None = Field(
-        None, min_length=1, description="as they stand; with moves, a list with one value for each is also taken"
-    )
-    grid: Grid | None = None
-    random: Random | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Input:
+    def _one_of(self) -> Self:
         if (self.path is None) == (not self.moves):
             raise ValueError("give either path or moves")
-        if sum(x is not None for x in (self.values, self.grid, self.random)) != 1:
-            raise ValueError("give exactly one of values, grid, random")
-        plain = all(m.factor == 1.0 and m.offset == 0.0 for m in self.moves)
-        if self.values is not None and not plain and not all(isinstance(v, int | float) for v in self.values):
-            raise ValueError("factor and offset go with numbers")
         return self
 
     @property
@@ -111,6 +101,25 @@ class Input(Model):
     def words(self) -> str:
         """Label with unit, for axes."""
         return (self.label or self.name) + (f" [{self.unit}]" if self.unit != "1" else "")
+
+
+class Input(Moving):
+    """What moves: one entry of the scenario or several together, over values, a grid, or a distribution."""
+
+    values: list[Value] | None = Field(
+        None, min_length=1, description="as they stand; with moves, a list with one value for each is also taken"
+    )
+    grid: Grid | None = None
+    random: Random | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Input:
+        if sum(x is not None for x in (self.values, self.grid, self.random)) != 1:
+            raise ValueError("give exactly one of values, grid, random")
+        plain = all(m.factor == 1.0 and m.offset == 0.0 for m in self.moves)
+        if self.values is not None and not plain and not all(isinstance(v, int | float) for v in self.values):
+            raise ValueError("factor and offset go with numbers")
+        return self
 
 
 class Design(Model):
@@ -172,14 +181,9 @@ class Output(Model):
         return (self.label or self.name) + unit
 
 
-class Required(Model):
+class Required(Moving):
     """An inverse question: the value of an input at which an output takes a value, at every point of the design."""
 
-    name: Name
-    label: str = ""
-    unit: str = "1"
-    path: str | None = None
-    moves: list[Move] = Field(default_factory=list)
     between: tuple[float, float] = Field(description="where it is looked for")
     spacing: Literal["linear", "log"] = Field("linear", description="how it is looked for between the ends")
     scan: int = Field(9, ge=3, le=200, description="values at which it is first looked at, for the bracket")
@@ -189,21 +193,9 @@ class Required(Model):
 
     @model_validator(mode="after")
     def _check(self) -> Required:
-        if (self.path is None) == (not self.moves):
-            raise ValueError("give either path or moves")
         if not self.between[0] < self.between[1] or (self.spacing == "log" and self.between[0] <= 0):
             raise ValueError("between rises, and starts above 0 with spacing: log")
         return self
-
-    @property
-    def targets(self) -> list[Move]:
-        """The entries that it moves."""
-        return self.moves or [Move(path=str(self.path))]
-
-    @property
-    def words(self) -> str:
-        """Label with unit, for axes."""
-        return (self.label or self.name) + (f" [{self.unit}]" if self.unit != "1" else "")
 
 
 class Knee(Model):
