@@ -122,7 +122,7 @@ def warm() -> None:
     """Wait for the server, ask both workers once, and tell how long one prediction takes."""
     for _ in range(300):
         try:
-            requests.get(ADDRESS, timeout=5)
+            requests.get(ADDRESS, timeout=60)
             break
         except requests.ConnectionError:
             time.sleep(0.2)

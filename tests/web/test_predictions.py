@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import io
+import re
 from html.parser import HTMLParser
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +18,11 @@ from typer.testing import CliRunner
 
 from hyperval.cli import app as command
 from hyperval.config import load_yaml
-from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.scenario import Scenario, load_scenario
 from hyperval.web.forms import Form
 from hyperval.web.inputs import from_link, link_text, plain, scenario_form, yaml_text
+from hyperval.web.pages_predict import walk
+from hyperval.web.predefined import needs, predefined
 from hyperval.web.refusal import Refused
 
 EASY = {"name": "yellow-planks-asphalt"}
@@ -58,14 +63,14 @@ class Fields(HTMLParser):
             self._select = ""
 
 
-@pytest.mark.parametrize("name", builtin_scenarios())
+@pytest.mark.parametrize("name", predefined())
 def test_form_of_a_scenario_holds_the_scenario(client, server, name):
     page = client.get(f"{server.address}/predict", params={"scenario": name}).text
     given: dict[str, list[str]] = {}
     for key, value in Fields(page).sent:
         given.setdefault(key, []).append(value)
     sent = Scenario.model_validate({"schema": 1, **scenario_form().data(given)})
-    assert sent.model_dump() == load_scenario(name).model_dump()
+    assert sent.model_dump() == predefined()[name].model_dump()
 
 
 def test_form_tells_unit_limits_default_and_hint(client, server):
@@ -75,6 +80,72 @@ def test_form_tells_unit_limits_default_and_hint(client, server):
     assert nodes["formulation"].default == "corrected"
     assert "water column above the ground" in water.hint
     assert "0.01 to 10" in client.get(f"{server.address}/predict").text
+
+
+def test_rest_of_a_form_is_folded_and_opened_by_a_mistake(client, server):
+    nodes = {n.path: n for n in walk(scenario_form().nodes(plain(load_scenario("yellow-planks-asphalt"))))}
+    assert nodes["scene.classes.0.fraction"].is_shown
+    assert nodes["scene.classes.0"].is_open
+    assert not nodes["scene.classes.0.gain"].is_shown
+    assert not nodes["scene.panels.0"].is_open
+    assert nodes["scene.targets.0.subjects.1"].gist == "fixed 0.05"
+    fields = dict(Fields(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text).sent)
+    sent = {**fields, "scene.classes.0.gain": "-1", "action": "run"}
+    text = client.post(f"{server.address}/predict", data=sent, headers={"accept": "text/html"}).text
+    folds = text[: text.index('id="f-scene-classes-0-gain"')]
+    assert folds.count('<details class="more"') == folds[: folds.index('id="f-scene-classes-0-fraction"')].count(
+        '<details class="more"'
+    ), "before the fold"
+
+
+def test_source_of_each_value_is_told(client, server):
+    url = f"{server.address}/predict"
+    fields = dict(Fields(client.get(url, params={"scenario": EASY["name"]}).text).sent)
+    assert fields["begun"] == EASY["name"]
+    sent = {**fields, "atmosphere.day_of_year": "99", "action": "add:scene.classes"}
+    text = client.post(url, data=sent).text
+    for name, source in (("day_of_year", "entered"), ("solar_zenith_deg", f"as in {EASY['name']}"),
+                         ("view_zenith_deg", "default of the model")):  # fmt: skip
+        field = text[text.index(f'name="atmosphere.{name}"') :]
+        assert f'<span class="source">{source}</span>' in field[: field.index("</div>")]
+    page = client.get(f"{server.address}/sensors/prospectir-vs").text
+    assert "12-bit raw data of the AISA Eagle" in page
+    numbers = client.get(f"{server.address}/api/v1/sensors/prospectir-vs").json()
+    assert all(row["source"] for row in numbers)
+    assert {"name": "VNIR, fixed noise electrons", "value": "60", "unit": "electrons"}.items() <= next(
+        row for row in numbers if row["name"].startswith("VNIR, fixed")
+    ).items()
+
+
+def test_scene_of_a_collection_needs_its_files(client, server, monkeypatch):
+    if not needs(predefined()["hysu"]):
+        run = client.post(f"{server.address}/api/v1/predictions?wait=60", json={"name": "hysu"}).json()
+        assert run["state"] == "finished", run
+        assert {"red metal 0.25 m", "bitumen 3 m"} <= {row["subject"] for row in run["summary"]["detection"]}
+    monkeypatch.setattr("hyperval.web.inputs.is_here", lambda file: False)
+    answer = client.post(f"{server.address}/api/v1/predictions", json={"name": "hysu"})
+    assert answer.json()["errors"][0] == {
+        "field": "scene.targets.0.spectrum.file", "message": "this server lacks the data set hysu"}  # fmt: skip
+
+
+def test_sensor_file_is_brought_and_used(client, server):
+    url = f"{server.address}/api/v1/uploads/sensors"
+    text = (resources.files("hyperval.sensor") / "library" / "enmap.yaml").read_text()
+    assert client.post(url, files=[("sensors", ("mine.yaml", text))]).json() == ["mine.yaml"]
+    assert "<option>mine.yaml</option>" in client.get(f"{server.address}/predict").text
+    orders = [{"name": "panels", "settings": {"sensor": name}} for name in ("mine.yaml", "enmap")]
+    mine, library = (client.post(f"{server.address}/api/v1/predictions", json=order).json() for order in orders)
+    assert mine["summary"]["snr"] == library["summary"]["snr"]
+    assert server.session().post(f"{server.address}/api/v1/predictions", json=orders[0]).status_code == 422
+    for name, content, words in (
+        ("a.yaml", text.replace("calibration_error_percent", "calibration"), "a.yaml: "),
+        ("b.yaml", "a: [", "b.yaml: "),
+        ("c.txt", text, "ends with none"),
+    ):
+        answer = client.post(url, files=[("sensors", (name, content))])
+        assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, "sensors"), name
+        assert words in answer.json()["errors"][0]["message"]
+        assert str(server.folder) not in answer.text
 
 
 def test_every_entry_of_the_schema_has_its_field():
@@ -184,6 +255,24 @@ def test_link_holds_the_whole_scenario(client, server):
     for wrong in ("x", "////", link_text(data)[:-8]):
         with pytest.raises(Refused):
             from_link(wrong)
+
+
+def test_link_reproduces_the_page_in_any_session(client, server):
+    order = {**EASY, "settings": {"atmosphere.meteorological_range_km": 17.5}}
+    first, second = (client.post(f"{server.address}/api/v1/predictions", json=one).json() for one in (order, EASY))
+    page = client.get(f"{server.address}/runs/{first['id']}", params={"beside": second["id"]}).text
+    link = server.address + html.unescape(re.search(r'href="(/result\?[^"]+)" id="link"', page)[1])
+    assert client.get(link).url.endswith(f"/runs/{first['id']}?beside={second['id']}"), "the same runs"
+    other = server.session()
+    answer = other.get(link)
+    own = other.get(f"{server.address}/api/v1/runs").json()
+    assert len(own) == 2
+    assert [r["summary"]["detection"] for r in own if r["id"] in answer.url.split("?")[0]] == [
+        first["summary"]["detection"]
+    ]
+    assert answer.url.count("beside=") == 1
+    assert other.get(link, headers={"Sec-Fetch-Dest": "image"}).status_code == 403
+    assert other.get(f"{server.address}/result?s=x").status_code == 422
 
 
 def test_link_that_unpacks_to_too_much_is_refused():

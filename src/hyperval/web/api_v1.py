@@ -12,16 +12,18 @@ from starlette.responses import JSONResponse, Response
 import hyperval
 from hyperval.errors import UsageError
 from hyperval.scenario import Scenario
-from hyperval.sensor.specification import library_names
+from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.settings import with_settings
 from hyperval.study.schema import Study
-from hyperval.web.bring import form_of, keep_spectra, order_pipeline
+from hyperval.web.bring import form_of, keep_files, order_pipeline
 from hyperval.web.campaigns import known_campaigns, order_campaign
-from hyperval.web.inputs import SURFACES, plain, predefined
+from hyperval.web.inputs import SURFACES, plain
 from hyperval.web.pages import session_of
 from hyperval.web.pages_predict import order_prediction
 from hyperval.web.pages_runs import file_of, files_of, run_charts, run_of
+from hyperval.web.predefined import needs, predefined
 from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
+from hyperval.web.sensors import numbers_of
 from hyperval.web.store import ENDED, Run
 from hyperval.web.trade import order_study
 
@@ -78,12 +80,22 @@ class RunAnswer(BaseModel):
     files: list[str]
 
 
+class SensorNumber(BaseModel):
+    """A number of a sensor file: its value in words, its unit, and the source that the file states."""
+
+    name: str
+    value: str
+    unit: str
+    source: str
+
+
 class ScenarioAnswer(BaseModel):
     """A predefined scenario."""
 
     name: str
     title: str
     description: str
+    needs: str = Field(description="data sets that this server lacks for it; empty where it runs")
     scenario: dict[str, Any]
 
 
@@ -119,6 +131,14 @@ def sensors() -> list[str]:
     return list(library_names())
 
 
+@router.get("/sensors/{name}", responses={k: _PROBLEMS[k] for k in (400, 404)})
+def sensor(name: str) -> list[SensorNumber]:
+    """Every number of a sensor of the library."""
+    if name not in library_names():
+        raise Refused(404, [Mistake("name", "the library has no such sensor")])
+    return [SensorNumber(**row) for row in numbers_of(load_sensor(name).specification)]
+
+
 @router.get("/surfaces", responses={k: _PROBLEMS[k] for k in (400,)})
 def surfaces() -> list[str]:
     """Names of the surfaces that are built in."""
@@ -129,7 +149,7 @@ def surfaces() -> list[str]:
 def scenarios() -> list[ScenarioAnswer]:
     """The predefined scenarios."""
     return [
-        ScenarioAnswer(name=name, title=s.title, description=s.description, scenario=plain(s))
+        ScenarioAnswer(name=name, title=s.title, description=s.description, needs=needs(s), scenario=plain(s))
         for name, s in predefined().items()
     ]
 
@@ -258,7 +278,7 @@ def validations(request: Request, order: ValidationOrder) -> RunAnswer:
 _FILE = {"type": "string", "format": "binary"}
 _BODY: dict[str, Any] = {
     **dict.fromkeys(("cube", "header", "targets"), _FILE),
-    **{key: {"type": "array", "items": _FILE} for key in ("regions", "spectra")},
+    **{key: {"type": "array", "items": _FILE} for key in ("regions", "spectra", "sensors")},
     **{key: {"type": "string"} for key in ("name", "quantity", "unit", "sensor", "time_utc")},
     **{key: {"type": "number"} for key in ("altitude_km", "pixel_size_m")},
 }
@@ -270,7 +290,8 @@ def _files_body(needed: list[str], names: list[str]) -> dict[str, Any]:
 
 
 @router.post(
-    "/uploads", status_code=201, openapi_extra=_files_body(["cube", "header", "regions"], list(_BODY)),
+    "/uploads", status_code=201,
+    openapi_extra=_files_body(["cube", "header", "regions"], [n for n in _BODY if n != "sensors"]),
     responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 429, 503)},
 )  # fmt: skip
 async def uploads(request: Request) -> RunAnswer:
@@ -286,4 +307,14 @@ async def uploads(request: Request) -> RunAnswer:
 async def upload_spectra(request: Request) -> list[str]:
     """Keep field spectra for the scenarios of this session; the names of all that are kept."""
     form = await form_of(request)
-    return await run_in_threadpool(keep_spectra, request, form)
+    return await run_in_threadpool(keep_files, request, form, "spectra")
+
+
+@router.post(
+    "/uploads/sensors", status_code=201, openapi_extra=_files_body(["sensors"], ["sensors"]),
+    responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 503)},
+)  # fmt: skip
+async def upload_sensors(request: Request) -> list[str]:
+    """Keep sensor files for the scenarios of this session; the names of all that are kept."""
+    form = await form_of(request)
+    return await run_in_threadpool(keep_files, request, form, "sensors")

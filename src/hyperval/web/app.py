@@ -16,7 +16,7 @@ from starlette.responses import JSONResponse, Response
 
 import hyperval
 from hyperval.errors import HypervalError
-from hyperval.web import api_v1, bring, campaigns, pages_predict, pages_runs, reference, trade
+from hyperval.web import api_v1, bring, campaigns, pages_predict, pages_runs, reference, sensors, trade
 from hyperval.web.bring import MOST_FILES
 from hyperval.web.desk import Crew, Desk
 from hyperval.web.guard import Guard
@@ -43,6 +43,7 @@ def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> Fast
     @asynccontextmanager
     async def life(app: FastAPI) -> AsyncIterator[None]:
         anyio.to_thread.current_default_thread_limiter().total_tokens = _THREADS
+        await anyio.to_thread.run_sync(pages_predict.warm)
         yield
         app.state.desk.close()
 
@@ -56,7 +57,7 @@ def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> Fast
     app.state.settings = settings
     app.state.store = Store(settings.folder, settings.limits)
     app.state.desk = Desk(settings, app.state.store, pools)
-    for room in (pages_predict, pages_runs, trade, campaigns, bring, reference, api_v1):
+    for room in (pages_predict, pages_runs, trade, campaigns, bring, reference, sensors, api_v1):
         app.include_router(room.router)
 
     @app.get("/static/{name}", include_in_schema=False)

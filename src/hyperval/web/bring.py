@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import secrets
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -17,11 +19,11 @@ from hyperval.web.desk import Order
 from hyperval.web.pages import page, session_of
 from hyperval.web.refusal import Mistake, Refused
 from hyperval.web.store import Run
-from hyperval.web.uploads import SPECTRA, checked_name, folder_of
+from hyperval.web.uploads import SPECTRA, checked_name, files_of, folder_of
 
 router = APIRouter(include_in_schema=False)
 MOST_FILES = 20
-_MOST_SPECTRA = 50
+_MOST_KEPT = 50
 _CUBE = (".img", ".dat", ".raw", ".bsq", ".bil", ".bip", "")
 _ENDINGS = {
     "cube": _CUBE,
@@ -29,6 +31,7 @@ _ENDINGS = {
     "regions": (".txt", ".geojson", ".json", ".csv", ".roi"),
     "targets": (".csv", ".geojson", ".json", ".txt"),
     "spectra": (*SPECTRA, ".hdr"),
+    "sensors": (".yaml", ".yml"),
 }
 _PACKED = {
     b"PK\x03\x04": "a zip archive",
@@ -71,9 +74,19 @@ async def uploads(request: Request) -> Response:
 @router.post("/uploads/spectra")
 async def upload_spectra(request: Request) -> Response:
     """Keep field spectra, which scenarios may then name."""
+    return await _kept(request, "spectra")
+
+
+@router.post("/uploads/sensors")
+async def upload_sensors(request: Request) -> Response:
+    """Keep sensor files, which scenarios may then name."""
+    return await _kept(request, "sensors")
+
+
+async def _kept(request: Request, kind: str) -> Response:
     form = await form_of(request)
     try:
-        await run_in_threadpool(keep_spectra, request, form)
+        await run_in_threadpool(keep_files, request, form, kind)
     except Refused as refusal:
         if refusal.status != 422:
             raise
@@ -94,13 +107,11 @@ async def form_of(request: Request) -> FormData:
 
 
 def _page(request: Request, mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
-    from hyperval.web.uploads import spectra_of
-
-    settings = request.app.state.settings
+    settings, owner = request.app.state.settings, session_of(request).owner
     return page(
         request, "bring.html.j2", status=status, errors={m.field: m.message for m in mistakes},
         most=settings.limits.upload_bytes, sensors=library_names(),
-        spectra=spectra_of(settings, session_of(request).owner),
+        spectra=files_of(settings, owner, ["spectra"]), own_sensors=files_of(settings, owner, ["sensors"]),
     )  # fmt: skip
 
 
@@ -163,27 +174,43 @@ def order_pipeline(request: Request, form: FormData) -> Run:
     return run
 
 
-def keep_spectra(request: Request, form: FormData) -> list[str]:
-    """Keep field spectra of a session; a new one takes the place of one of the same name.
+def keep_files(request: Request, form: FormData, kind: str) -> list[str]:
+    """Keep spectra or sensor files of a session; a new one takes the place of one of the same name.
 
     Raises
     ------
-    Refused : a file that is no spectrum by its name, too large, or one too many.
+    Refused : a file that is none by its name or, of a sensor, by what it says; too large, or one too many.
     """
-    files = list(_files(form, ("spectra",)))
+    files = list(_files(form, (kind,)))
     mistakes = list(_wrong(files))
     if not files:
-        mistakes.append(Mistake("spectra", "no file was sent"))
-    place = folder_of(request.app.state.settings, session_of(request).owner) / "spectra"
+        mistakes.append(Mistake(kind, "no file was sent"))
+    settings, owner = request.app.state.settings, session_of(request).owner
+    place = folder_of(settings, owner) / kind
     place.mkdir(parents=True, exist_ok=True)
-    names = {p.name for p in place.iterdir()} | {f.name for f in files}
-    if len(names) > _MOST_SPECTRA:
-        mistakes.append(Mistake("spectra", f"a session keeps at most {_MOST_SPECTRA}"))
+    names = {*files_of(settings, owner, [kind]), *(f.name for f in files)}
+    if len(names) > _MOST_KEPT:
+        mistakes.append(Mistake(kind, f"a session keeps at most {_MOST_KEPT}"))
     if mistakes:
         raise Refused(422, mistakes)
-    for brought in files:
-        (place / brought.name).write_bytes(brought.file.file.read(_LARGEST_TEXT + 1))
+    for one in files:
+        part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
+        part.write_bytes(one.file.file.read(_LARGEST_TEXT + 1))
+        try:
+            if kind == "sensors":
+                _check_sensor(request, part, one.name)
+            part.replace(place / one.name)
+        finally:
+            part.unlink(missing_ok=True)
     return sorted(names)
+
+
+def _check_sensor(request: Request, path: Path, name: str) -> None:
+    try:
+        request.app.state.desk.ask("sensor", path=str(path))
+    except Refused as refusal:
+        words = refusal.mistakes[0].message.replace(path.name, name)
+        raise Refused(422, [Mistake("sensors", f"{name}: {words}")]) from refusal
 
 
 def _files(form: FormData, fields: Sequence[str]) -> Iterator[Brought]:

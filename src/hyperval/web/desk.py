@@ -188,6 +188,20 @@ class Desk:
         _result(job, self.limits.quick_seconds * 2)
         return path
 
+    def ask(self, task: str, **arguments: Any) -> Any:
+        """What a quick task returns that belongs to no run.
+
+        Raises
+        ------
+        Refused : it came to nothing, or there is no room.
+        """
+        job = Job(task, arguments)
+        try:
+            self.quick.submit(job)
+        except Full:
+            raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
+        return _result(job, self.limits.quick_seconds)
+
     def close(self) -> None:
         """End the workers."""
         for pool in (self.quick, self.long):
@@ -195,9 +209,9 @@ class Desk:
         self.store.close()
 
 
-def _result(job: Job, seconds: float) -> None:
+def _result(job: Job, seconds: float) -> Any:
     try:
-        job.future.result(seconds)
+        return job.future.result(seconds)
     except TimeoutError:
         raise Refused(503, "the server is busy; try again soon", wait=5) from None
     except TaskFailed as error:

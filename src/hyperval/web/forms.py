@@ -7,8 +7,8 @@ out, so that the default of the schema stands.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import BaseModel
@@ -17,9 +17,9 @@ from hyperval.config import parse_yaml
 from hyperval.errors import UsageError
 
 MOST_ROWS = 40
+_MOST_TOLD = 5
 _UNIT = re.compile(r"\[([^\]\[]{1,24})\]")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_SCALARS = {"number", "integer", "string", "boolean"}
 _UNITS = {
     "_deg": "deg", "_km": "km", "_nm": "nm", "_m": "m", "_percent": "%", "_au": "au", "_g_cm2": "g cm-2",
     "_atm_cm": "atm cm", "_pixels": "pixels",
@@ -35,6 +35,9 @@ class Node:
     ----------
     kind : number, text, flag, choice, several, yaml; group, rows, variants
     path, title : dotted path, and its last part in words
+    source : where the value is from
+    is_shown : whether it stands before the fold: a value is given, needed, or asked of most people
+    is_open : of a part that has something in it, whether that is seen at once
     """
 
     kind: str
@@ -50,6 +53,23 @@ class Node:
     children: tuple[Node, ...] = ()
     is_open: bool = False
     chosen: int = 0
+    is_shown: bool = True
+    source: str = ""
+
+    @property
+    def gist(self) -> str:
+        """What is given in a part that is folded, in a few words."""
+        given = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._given()]
+        return "; ".join(given[:_MOST_TOLD]) + (" ..." if len(given) > _MOST_TOLD else "")
+
+    def _given(self) -> Iterator[Node]:
+        if self.kind == "variants":
+            yield from self.children[self.chosen - 1]._given() if self.chosen else ()
+        elif self.children:
+            for child in self.children:
+                yield from child._given()
+        elif self.value and not self.path.endswith(".name"):
+            yield self
 
 
 class Form:
@@ -59,6 +79,8 @@ class Form:
     ----------
     choices : names that may stand at a path, where the schema leaves them open; empty: anything
     left_out : whether a path is no part of the form
+    is_main : whether a field that nothing stands in is shown before the fold
+    is_open : whether a part that something stands in is unfolded
     """
 
     def __init__(
@@ -66,14 +88,30 @@ class Form:
         model: type[BaseModel],
         choices: Choices = lambda path: (),
         left_out: Callable[[str], bool] = lambda path: False,
+        is_main: Callable[[str], bool] = lambda path: False,
+        is_open: Callable[[str], bool] = lambda path: True,
     ):
         self.schema = model.model_json_schema(by_alias=True)
         self._definitions = self.schema.get("$defs", {})
-        self._choices, self._left_out = choices, left_out
+        self._choices, self._left_out, self._is_main, self._is_open = choices, left_out, is_main, is_open
 
-    def nodes(self, data: Mapping[str, Any] | None = None) -> tuple[Node, ...]:
-        """The parts of the form, filled in with ``data``."""
-        return self._group(self.schema, "", data or {})
+    def nodes(
+        self,
+        data: Mapping[str, Any] | None = None,
+        source: tuple[str, Mapping[str, Any]] = ("", {}),
+        more: Mapping[str, tuple[str, ...]] | None = None,
+    ) -> tuple[Node, ...]:
+        """The parts of the form, filled in with ``data``.
+
+        Parameters
+        ----------
+        source : where values are from, and those that are; others were entered
+        more : path -> names that may stand there besides
+        """
+        words, known = source
+        values = {n.path: n.value for node in self._group(self.schema, "", known) for n in _leaves(node)}
+        nodes = self._group(self.schema, "", data or {})
+        return tuple(_finished(node, words, values, more or {}) for node in nodes)
 
     def data(self, given: Mapping[str, list[str]]) -> dict[str, Any]:
         """The nested data of a form as it was sent: name of a field -> what stands in it.
@@ -130,21 +168,23 @@ class Form:
                 title,
                 hint or _summary(members[0]),
                 children=children,
-                is_open=bool(given) or is_needed,
+                is_needed=is_needed,
+                is_open=(bool(given) or is_needed) and self._is_open(path),
+                is_shown=bool(given) or is_needed or any(c.is_shown for c in children),
             )
         if kinds == ["rows"]:
             item = self._members(members[0]["items"])[0]
             rows = value if isinstance(value, list | tuple) else []
             children = tuple(self._row(item, f"{path}.{i}", row, i) for i, row in enumerate(rows[:MOST_ROWS]))
-            return Node(
-                "rows", path, title, hint, children=children, is_needed=is_needed, is_open=bool(rows) or is_needed
-            )
+            is_shown = bool(rows) or is_needed or self._is_main(path)
+            return Node("rows", path, title, hint, children=children, is_needed=is_needed, is_shown=is_shown)
         return self._field(schema, members, kinds, path, title, hint, value, is_needed)
 
     def _row(self, item: Mapping[str, Any], path: str, row: Any, number: int) -> Node:
         given = row if isinstance(row, Mapping) else {}
         title = str(given.get("name") or number + 1)
-        return Node("group", path, title, children=self._group(item, path, given), is_open=True)
+        is_open = self._is_open(path) or not given
+        return Node("group", path, title, children=self._group(item, path, given), is_open=is_open)
 
     def _field(
         self, schema: Mapping[str, Any], members: list[Mapping[str, Any]], kinds: list[str], path: str, title: str,
@@ -176,6 +216,7 @@ class Form:
             value,
             choices,
             is_needed,
+            is_shown=is_needed or bool(value) or self._is_main(path),
         )
 
     def _variants(
@@ -202,7 +243,8 @@ class Form:
             else:
                 field = self._field(member, [member], [kind], path, title, "", own, False)
                 children.append(field)
-        return Node("variants", path, title, hint, children=tuple(children), chosen=chosen, is_open=chosen > 0)
+        is_shown = chosen > 0 or self._is_main(path)
+        return Node("variants", path, title, hint, children=tuple(children), chosen=chosen, is_shown=is_shown)
 
     # From a filled form to data.
 
@@ -241,6 +283,25 @@ class Form:
         if not values:
             return None
         return _value(values[0], kinds, path)
+
+
+def _leaves(node: Node) -> Iterator[Node]:
+    if not node.children:
+        yield node
+    for child in node.children:
+        yield from _leaves(child)
+
+
+def _finished(node: Node, source: str, values: Mapping[str, Any], more: Mapping[str, tuple[str, ...]]) -> Node:
+    """A part with the source of its value, and with the names that may stand there besides."""
+    if node.children:
+        return replace(node, children=tuple(_finished(child, source, values, more) for child in node.children))
+    if node.value:
+        source = source if node.value == values.get(node.path) else "entered"
+    else:
+        source = "default of the model" if node.default else ""
+    extra = tuple(name for name in more.get(node.path, ()) if name not in node.choices)
+    return replace(node, source=source, choices=(*node.choices, *extra))
 
 
 def _kind(schema: Mapping[str, Any]) -> str:

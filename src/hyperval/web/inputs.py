@@ -17,17 +17,28 @@ from pydantic import ValidationError
 
 from hyperval.config import parse_yaml
 from hyperval.errors import UsageError
-from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
+from hyperval.scenario import MODEL_DETECTORS, Scenario
 from hyperval.scene.builtin import BUILTIN_NAMES
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.web.forms import Form
 from hyperval.web.limits import Limits
+from hyperval.web.predefined import is_here, known_files, set_of
 from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
 
 _GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
 SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
 _FILES = ("file", "files", "library", "table", "measured", "replicates")
 _LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
+# What most people look for; the rest of a group is folded until something stands in it.
+_MAIN = re.compile(
+    r"name|sensor|formulation|atmosphere\.(?:model|aot550|meteorological_range_km|water_vapour_g_cm2|.*_altitude_km"
+    r"|solar_zenith_deg|day_of_year|latitude_deg|longitude_deg|time_utc)|scene\.(?:panels|targets)"
+    r"|scene\.classes\.\d+\.(?:name|fraction)|.*\.spectrum\.(?:builtin|file)|.*\.host|.*\.fill\.(?:fixed|mean|sd)"
+    r"|processing\.(?:detectors|bands\.(?:drop_bad|windows_only|ranges))|sensor_changes\.(?!bits).*"
+)
+_FOLDED = re.compile(
+    r"(?:scene\.(?:panels|sites)|.*\.subjects)\.\d+|uncertainty.*|.*covariance|sensor_.*|processing\.elm"
+)
 _GREY = re.compile(r"grey-panel-\d\d")
 _MOST_TEXT = 200
 _MOST_DEPTH = 24
@@ -41,7 +52,12 @@ _LARGEST = {"processing.samples": 20_000, "uncertainty.samples": 1_000}
 @lru_cache(maxsize=1)
 def scenario_form() -> Form:
     """The form of a scenario; files that lie on the server are no part of it."""
-    return Form(Scenario, choices, lambda path: _LEFT_OUT.fullmatch(path) is not None)
+    return Form(
+        Scenario, choices,
+        left_out=lambda path: _LEFT_OUT.fullmatch(path) is not None,
+        is_main=lambda path: _MAIN.fullmatch(path) is not None,
+        is_open=lambda path: _FOLDED.fullmatch(path) is None,
+    )  # fmt: skip
 
 
 def choices(path: str) -> tuple[str, ...]:
@@ -51,12 +67,6 @@ def choices(path: str) -> tuple[str, ...]:
     if path == "processing.detectors":
         return MODEL_DETECTORS
     return SURFACES if path.endswith(".builtin") else ()
-
-
-@lru_cache(maxsize=1)
-def predefined() -> dict[str, Scenario]:
-    """Scenarios that go by name."""
-    return {name: load_scenario(name) for name in builtin_scenarios()}
 
 
 def plain(scenario: Scenario) -> dict[str, Any]:
@@ -119,7 +129,12 @@ def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[Mistake]
 def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[Mistake]:
     for key in _FILES:
         for path, value in _leaves(data, key):
-            if value is not None and not (key == "file" and value in uploads):
+            if value is None or (key == "file" and value in uploads):
+                continue
+            if key == "file" and value in known_files():
+                if not is_here(value):
+                    yield Mistake(path, f"this server lacks the data set {set_of(value)}")
+            else:
                 words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
                 yield Mistake(path, words if key == "file" else "files of the server are not read")
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 from urllib.parse import quote
 
 from fastapi import APIRouter, Request
@@ -14,7 +16,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData
 from starlette.responses import RedirectResponse, Response
 
-from hyperval.scenario import Scenario
+import hyperval
 from hyperval.web.desk import Desk, Order
 from hyperval.web.forms import MOST_ROWS, Node
 from hyperval.web.inputs import (
@@ -24,17 +26,18 @@ from hyperval.web.inputs import (
     link_text,
     marked,
     plain,
-    predefined,
     scenario_form,
     yaml_text,
 )
 from hyperval.web.pages import form_parts, page, session_of
+from hyperval.web.predefined import needs, predefined
 from hyperval.web.refusal import Mistake, Refused
 from hyperval.web.store import Run
-from hyperval.web.uploads import copies_of, spectra_of
+from hyperval.web.uploads import copies_of, files_of
 
 router = APIRouter(include_in_schema=False)
 _WAIT_S = 5.0
+_MOST_COMPARED = 100
 _FREE: dict[str, Any] = {
     "schema": 1,
     "name": "free",
@@ -44,11 +47,28 @@ _FREE: dict[str, Any] = {
 }
 
 
+def warm() -> None:
+    """Load what the first page would wait for."""
+    for name, scenario in predefined().items():
+        needs(scenario)
+        _parts(_key(_named(name)), ())
+
+
 @router.get("/")
 def start(request: Request) -> Response:
     """What can be done here, and what was done last."""
     runs = request.app.state.store.runs(session_of(request).owner)
-    return page(request, "start.html.j2", scenarios=predefined(), runs=runs[:8])
+    missing = {name: needs(scenario) for name, scenario in predefined().items()}
+    return page(request, "start.html.j2", scenarios=predefined(), missing=missing, runs=runs[:8])
+
+
+@dataclass(frozen=True)
+class Filled:
+    """What a form is filled with: the data, and the words and data of what it began with."""
+
+    data: dict[str, Any]
+    source: str = ""
+    begun: dict[str, Any] = field(default_factory=dict)
 
 
 @router.get("/predict")
@@ -57,16 +77,52 @@ def predict_form(
 ) -> Response:
     """The form, filled in with a predefined scenario, that of a link, or that of an earlier run."""
     if s is not None:
-        data = from_link(s)
+        filled = _begun(from_link(s), "as in the link")
     elif run is not None:
-        data = scenario_of(request, run)
-    elif scenario in predefined():
-        data = plain(predefined()[scenario])
-    elif scenario is None or scenario == "free":
-        data = _FREE
+        filled = _begun(scenario_of(request, run), "as in the run")
     else:
-        raise Refused(404, [Mistake("scenario", "no predefined scenario goes by that name")])
-    return _form(request, data)
+        filled = _named(scenario)
+    return _form(request, filled)
+
+
+def _named(scenario: str | None) -> Filled:
+    if scenario in predefined():
+        return _begun(plain(predefined()[scenario]), f"as in {scenario}")
+    if scenario is None or scenario == "free":
+        return _begun(_FREE, "to start with")
+    raise Refused(404, [Mistake("scenario", "no predefined scenario goes by that name")])
+
+
+def _begun(data: dict[str, Any], words: str) -> Filled:
+    return Filled(data, words, data)
+
+
+@router.get("/result")
+def result(request: Request, s: str, beside: str | None = None) -> Response:
+    """The page of a link: the run of its scenario, beside that of another where there are two.
+
+    A run of this session that is the same is shown again; otherwise it is made.
+    """
+    if request.headers.get("sec-fetch-dest", "document") != "document":
+        raise Refused(403, [Mistake("s", "a link is opened as a page")])
+    run, other = (_same_run(request, from_link(text)) if text is not None else None for text in (s, beside))
+    assert run is not None  # noqa: S101
+    for one in filter(None, (run, other)):
+        request.app.state.desk.wait(one.id, _WAIT_S)
+    return RedirectResponse(f"/runs/{run.id}" + (f"?beside={other.id}" if other else ""), status_code=303)
+
+
+def _same_run(request: Request, data: dict[str, Any]) -> Run:
+    owner, store = session_of(request).owner, request.app.state.store
+    known = files_of(request.app.state.settings, owner)
+    text = yaml_text(plain(checked_scenario(data, request.app.state.settings.limits, known)))
+    if not any(name in text for name in known):  # whose content may have changed
+        for run in store.runs(owner, "prediction")[:_MOST_COMPARED]:
+            if run.state == "finished" and run.version == hyperval.__version__:
+                with suppress(OSError):
+                    if (store.place(run.id) / "scenario.yaml").read_text("utf-8") == text:
+                        return cast("Run", run)
+    return order_prediction(request, data)
 
 
 @router.post("/predict")
@@ -79,8 +135,15 @@ async def predict_post(request: Request) -> Response:
     return await run_in_threadpool(_run, request, given)
 
 
+def _filled(given: dict[str, list[str]], data: dict[str, Any]) -> Filled:
+    """What a form that was sent holds, with what it began with where that has a name."""
+    name = given.get("begun", [""])[0]
+    begun = _named(name) if name in predefined() else Filled({})
+    return Filled(data, begun.source, begun.data)
+
+
 def _changed(request: Request, given: dict[str, list[str]]) -> Response:
-    return _form(request, form_data(scenario_form(), given))
+    return _form(request, _filled(given, form_data(scenario_form(), given)))
 
 
 def _run(request: Request, given: dict[str, list[str]]) -> Response:
@@ -92,7 +155,7 @@ def _run(request: Request, given: dict[str, list[str]]) -> Response:
     except Refused as refusal:
         if refusal.status != 422:
             raise
-        return _form(request, data, refusal.mistakes, 422)
+        return _form(request, _filled(given, data), refusal.mistakes, 422)
     request.app.state.desk.wait(run.id, _WAIT_S)
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
@@ -106,10 +169,10 @@ def order_prediction(request: Request, data: dict[str, Any]) -> Run:
     """
     owner = session_of(request).owner
     desk: Desk = request.app.state.desk
-    spectra = spectra_of(request.app.state.settings, owner)
-    scenario = checked_scenario(data, desk.limits, spectra)
+    own = files_of(request.app.state.settings, owner)
+    scenario = checked_scenario(data, desk.limits, own)
     text = yaml_text(plain(scenario))
-    copies = copies_of(request.app.state.settings, owner, text, spectra)
+    copies = copies_of(request.app.state.settings, owner, text, own)
     return desk.order(owner, Order("prediction", scenario.name, scenario.title, {"scenario.yaml": text}, copies))
 
 
@@ -133,30 +196,41 @@ def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
     return data
 
 
-def _form(request: Request, data: dict[str, Any], mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
+def _form(request: Request, filled: Filled, mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
     errors: dict[str, list[str]] = {}
+    settings, owner = request.app.state.settings, session_of(request).owner
+    sensors = files_of(settings, owner, ["sensors"])
     if mistakes:
-        nodes = scenario_form().nodes(data)
+        nodes = _nodes(filled, sensors)
         errors = marked(mistakes, [node.path for node in walk(nodes)])
-        parts = form_parts(nodes, errors, _holding(errors), _total(data))
+        parts = form_parts(nodes, errors, _holding(errors), _total(filled.data))
     else:
-        parts = _parts(json.dumps(data))
+        parts = _parts(_key(filled), sensors)
     try:
-        link = f"/predict?s={quote(link_text(data))}"
+        link = f"/predict?s={quote(link_text(filled.data))}"
     except ValueError:  # a number that is none
         link = ""
     return page(
         request, "predict.html.j2", status=status, parts=parts, errors=errors, scenarios=predefined(), link=link,
-        count=sum(map(len, errors.values())), model=Scenario.__name__,
-        uploads=spectra_of(request.app.state.settings, session_of(request).owner),
+        count=sum(map(len, errors.values())), begun=filled.source.removeprefix("as in "),
+        uploads=files_of(settings, owner, ["spectra"]),
     )  # fmt: skip
 
 
+def _nodes(filled: Filled, sensors: tuple[str, ...]) -> tuple[Node, ...]:
+    return scenario_form().nodes(filled.data, (filled.source, filled.begun), {"sensor": sensors})
+
+
+def _key(filled: Filled) -> str:
+    """What forms that are alike have in common."""
+    return json.dumps([filled.data, filled.source, filled.begun])
+
+
 @lru_cache(maxsize=32)
-def _parts(text: str) -> Markup:
+def _parts(text: str, sensors: tuple[str, ...]) -> Markup:
     """The fields of a form without a mistake: most people begin with one that many have begun with."""
-    data = json.loads(text)
-    return form_parts(scenario_form().nodes(data), {}, total=_total(data))
+    filled = Filled(*json.loads(text))
+    return form_parts(_nodes(filled, sensors), {}, total=_total(filled.data))
 
 
 def _total(data: dict[str, Any]) -> str:

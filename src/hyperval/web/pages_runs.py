@@ -57,7 +57,9 @@ def run_page(request: Request, run_id: str, beside: str | None = None) -> Respon
     others = [r for r in store.runs(run.owner, run.kind) if r.id != run.id and r.state == "finished"]
     link = ""
     if run.kind == "prediction":
-        link = f"/predict?s={_link(store.place(run.id) / 'scenario.yaml')}"
+        link = f"/result?s={_link(store.place(run.id) / 'scenario.yaml')}"
+        if other is not None:
+            link += f"&beside={_link(store.place(other.id) / 'scenario.yaml')}"
     rows = _beside(run, other) if run.kind == "prediction" and run.state == "finished" else []
     maps = (store.place(run.id) / "results" / "scores").is_dir()
     return page(

@@ -35,6 +35,7 @@ from hyperval.report.netcdf_read import read_products
 from hyperval.report.stored import read_results
 from hyperval.report.verdict import verdict
 from hyperval.scenario import Scenario
+from hyperval.sensor.specification import load_sensor
 from hyperval.study.run import study_to_folder
 from hyperval.web import charts
 from hyperval.web.answer import read_answer, write_answer
@@ -170,6 +171,12 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
     return _verdicts(place / "results") | {"header": header, "guesses": guesses}
 
 
+def sensor(path: str) -> dict[str, Any]:
+    """What a sensor file says, where it is one."""
+    known = load_sensor(path)
+    return {"name": known.name, "bands": len(known.axis)}
+
+
 def score_map(folder: str, name: str) -> None:
     """Write a score map as pages draw it: at most a million pixels, 16 bits between its ends."""
     import rasterio
@@ -254,5 +261,5 @@ def _verdicts(results: Path) -> dict[str, Any]:
 
 TASKS: Mapping[str, Callable[..., Any]] = {
     "predict": predict, "draw": draw, "files": files, "study": study, "campaign": campaign,
-    "pipeline": pipeline, "score_map": score_map, "pixel": pixel,
+    "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor,
 }  # fmt: skip

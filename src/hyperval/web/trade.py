@@ -18,13 +18,14 @@ from hyperval.settings import with_settings
 from hyperval.study.schema import Input, Required, Study
 from hyperval.web.desk import Order
 from hyperval.web.forms import Form
-from hyperval.web.inputs import checked_scenario, form_data, marked, plain, predefined, yaml_text
+from hyperval.web.inputs import checked_scenario, form_data, marked, plain, yaml_text
 from hyperval.web.limits import Limits
 from hyperval.web.pages import form_parts, page, session_of
 from hyperval.web.pages_predict import scenario_of, texts_of, walk, with_action
+from hyperval.web.predefined import predefined
 from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
 from hyperval.web.store import Run
-from hyperval.web.uploads import copies_of, spectra_of
+from hyperval.web.uploads import copies_of, files_of
 
 router = APIRouter(include_in_schema=False)
 _LEFT_OUT = re.compile(r"schema|references|atmosphere")
@@ -110,7 +111,7 @@ def order_study(request: Request, data: Mapping[str, Any]) -> Run:
         study = Study.model_validate(data)
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
-    uploads = spectra_of(state.settings, owner)
+    uploads = files_of(state.settings, owner)
     name = study.scenario
     if name.startswith("run:"):
         scenario = checked_scenario(scenario_of(request, name[4:]), limits, uploads)

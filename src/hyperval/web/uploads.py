@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from hyperval.web.limits import Settings
 from hyperval.web.refusal import Mistake, Refused
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}(?:\.[A-Za-z0-9_-]{1,12}){0,2}")
+KINDS = ("spectra", "sensors")
 SPECTRA = (".txt", ".csv", ".asd", ".sli", ".sed", ".sig")
 
 
@@ -31,13 +32,14 @@ def checked_name(name: str) -> str:
     return name
 
 
-def spectra_of(settings: Settings, owner: str) -> tuple[str, ...]:
-    """Names of the spectra that a session brought."""
-    folder = folder_of(settings, owner) / "spectra"
-    return tuple(sorted(p.name for p in folder.iterdir() if p.is_file())) if folder.is_dir() else ()
+def files_of(settings: Settings, owner: str, kinds: Sequence[str] = KINDS) -> tuple[str, ...]:
+    """Names of the spectra and sensor files that a session brought."""
+    folders = [folder_of(settings, owner) / kind for kind in kinds]
+    return tuple(sorted(p.name for folder in folders if folder.is_dir() for p in folder.iterdir() if p.is_file()))
 
 
 def copies_of(settings: Settings, owner: str, text: str, names: Collection[str]) -> dict[str, Path]:
     """Files that the text of a scenario names, by the name that the run keeps them under."""
-    folder = folder_of(settings, owner) / "spectra"
-    return {name: folder / name for name in names if name in text}
+    folder = folder_of(settings, owner)
+    places = {name: folder / kind / name for kind in KINDS for name in files_of(settings, owner, [kind])}
+    return {name: places[name] for name in names if name in text}

@@ -22,3 +22,8 @@ for (const set of document.querySelectorAll("fieldset.variants")) {
 }
 // A form that came back with mistakes begins at the first of them.
 document.querySelector("[aria-invalid]")?.focus();
+// Where a value is from changes when somebody writes another.
+document.addEventListener("change", (event) => {
+  const source = event.target.closest(".field")?.querySelector(".source");
+  if (source) source.textContent = "entered";
+});
