@@ -1,6 +1,6 @@
 """Coverage: how often the 95 % intervals of a comparison hold, over collections whose budgets are known to be true.
 
-    python validation/coverage/study.py [--collections 1000] [--spectra 1000] [--maps 4000] [--output DIR]
+    python validation/coverage/study.py [--collections 1000] [--spectra 1000] [--maps 2000] [--output DIR]
 
 Writes coverage.csv and coverage.json: for every product the share of comparisons whose stated interval of predicted
 minus measured holds 0, and how often the consistency test rejects true cases and tilted ones.  Worlds are counted
@@ -243,7 +243,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--collections", type=int, default=1000, help="with pixels for the detectors")
     parser.add_argument("--spectra", type=int, default=1000, help="collections in all")
-    parser.add_argument("--maps", type=int, default=4000)
+    parser.add_argument("--maps", type=int, default=2000)
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--output", type=Path, default=Path("reports/coverage"))
