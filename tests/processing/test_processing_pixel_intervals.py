@@ -80,9 +80,10 @@ def test_joint_region_covers_both_at_once():
 @pytest.mark.parametrize(
     ("k", "n", "level"), [(1, 0, 0.95), (3, 2, 0.95), (-1, 2, 0.95), (1, 2, 1.0), (np.nan, 2, 0.9)]
 )
-def test_impossible_counts_are_refused(k, n, level):
+@pytest.mark.parametrize("limits", [clopper_pearson, mid_p_limits])
+def test_impossible_counts_are_refused(limits, k, n, level):
     with pytest.raises(UsageError):
-        clopper_pearson(k, n, level)
+        limits(k, n, level)
 
 
 def test_jeffreys_limits_hold_at_their_level_on_average_and_clopper_pearson_s_above_it():
