@@ -97,9 +97,14 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys):
     assert len(said.out.splitlines()) == 2 + 4, "two headers (the acceptance before has one), and failures alone"
     assert "likely cause: the code, the campaign's files or its data" in said.err
     assert f'if the change is meant: hyperval baseline accept {campaign} --reason "..."' in said.err
-    assert sum(r.outcome is Outcome.DISAGREES for r in read_results(place / "out/results.json")) == 4
-    assert (place / "out/report.html").is_file()
-    assert (place / "out/small/report.html").is_file()
+    rows = list(read_results(place / "out/results.json"))
+    assert sum(r.outcome is Outcome.DISAGREES for r in rows) == 4
+    for page in ("out/report.html", "out/small/report.html"):
+        text = (place / page).read_text()
+        assert f"4 of {len(rows)} numbers are not as accepted." in text
+        # What is set beside accepted numbers is no verdict about the model.
+        assert "model gate" not in text
+        assert "Model and collection" not in text
     assert (place / "out/junit.xml").read_bytes() == (place / "moved.xml").read_bytes()
 
     assert cli.run(["baseline", "accept", *given, "--reason", "Mended"]) == 0

@@ -15,6 +15,7 @@ from hyperval.folders import whole_folder
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.outputs import campaign_folders
 from hyperval.report.tables import junit_xml
+from hyperval.report.verdict import accepted_words
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.sensor_check.noise import Engine
 
@@ -164,9 +165,7 @@ def _sentence(item: Checked) -> str:
     """How many numbers are as accepted, and how many are not."""
     if not item.differences:
         return next((row.reason for row in item.rows), "no number")
-    wrong = sum(row.outcome is Outcome.DISAGREES for row in item.rows)
-    total = len(item.differences)
-    return f"{wrong} of {total} numbers are not as accepted." if wrong else f"{total} numbers as accepted."
+    return accepted_words(item.rows)
 
 
 def _inputs(path: Path) -> list[dict[str, str | None]]:

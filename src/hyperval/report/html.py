@@ -51,6 +51,7 @@ SECTIONS = {
 }
 # Gates that the model moves stand apart from checks that it does not.
 _MATRICES = (("Model and collection", (Evidence.MODEL,)), ("Checks of the pipeline", (Evidence.PIPELINE,)))
+_NUMBERS = (("Numbers", tuple(Evidence)),)  # beside the accepted ones
 # Heading of the index, and (simulated, computed) of the campaigns that stand there.
 _GROUPS = (
     ("Collected imagery", (False, False)),
@@ -83,7 +84,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     tone, words = v.verdict(rows)
     compared = [row for row in rows if row.product not in _REASONS]
     matrices = []
-    for title, kinds in _MATRICES if not run.sentence else (("Numbers", tuple(Evidence)),):
+    for title, kinds in _NUMBERS if run.sentence else _MATRICES:
         own = [row for row in compared if row.evidence in kinds]
         matrix = matrix_of(own, lambda r: r.subject, _link, _COMPARED)
         if matrix is not None:
@@ -132,7 +133,8 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
     """The page of several campaigns; ``folders`` maps a campaign to its folder beside the page.
 
     Collected imagery, references that were computed and simulated collections stand apart: agreement with the
-    second compares two programs, with the last it tests the software.
+    second compares two programs, with the last it tests the software.  Runs with a ``sentence`` of their own are set
+    beside accepted numbers.
     """
     titles = {run.campaign: run.title for run in runs}
     groups = []
@@ -150,11 +152,14 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
 
         matrices = [
             (kind_title, matrix_of([r for r in rows if r.evidence in kinds], lambda r: r.campaign, link, _COMPARED))
-            for kind_title, kinds in _MATRICES
+            for kind_title, kinds in (_NUMBERS if own[0].sentence else _MATRICES)
         ]
         entries = [(run, *_first_words(run), f"{folders[run.campaign]}/report.html") for run in own]
         together = [row for run in own for row in run.table]
-        groups.append((heading, *v.verdict(together), [m for m in matrices if m[1] is not None], entries))
+        tone, words = v.verdict(together)
+        if own[0].sentence:
+            words = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
+        groups.append((heading, tone, words, [m for m in matrices if m[1] is not None], entries))
     return environment().get_template("index.html.j2").render(
         title=title, groups=groups, titles=titles, count=len(runs), **common_words()
     )  # fmt: skip

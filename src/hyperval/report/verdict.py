@@ -108,6 +108,16 @@ def outcome_words(rows: Iterable[Result]) -> str:
     return ", ".join(f"{count[key]} {name}" for key, name in names.items() if count[key]) or "no rows"
 
 
+def accepted_words(rows: Iterable[Result]) -> str:
+    """How many numbers are as they were accepted, and how many are not; nothing of what the model agrees with."""
+    outcomes = [row.outcome for row in rows]
+    wrong, right = outcomes.count(Outcome.DISAGREES), outcomes.count(Outcome.AGREES)
+    total = wrong + right
+    if total == 0:
+        return "No number was checked."
+    return f"{wrong} of {total} numbers are not as accepted." if wrong else f"{total} numbers as accepted."
+
+
 def last_line(rows: Iterable[Result]) -> str:
     """The last line of the console: gates by outcome, those that could not be decided among them."""
     gates = [row for row in rows if row.gates]
