@@ -1,11 +1,15 @@
-"""A newcomer can get every file that a campaign names."""
+"""A newcomer can get every file that a campaign names, and reads in words what its comparisons are of."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
+import pytest
+
+from hyperval.config import load_yaml
 from hyperval.datasets import describe
+from hyperval.metrics import plain_words
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,3 +23,10 @@ def test_every_data_reference_of_a_campaign_is_registered():
         if reference and describe(reference)["dataset"] is None
     }
     assert unknown == set()
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "campaigns").glob("*/campaign*.yaml")), ids=lambda p: p.parent.name)
+def test_first_screens_name_no_metric_by_its_identifier(path):
+    for item in load_yaml(path)[0]["comparisons"]:
+        metric = item["metric"] + "_fraction" * ("fraction_at_least" in item)
+        assert "_" not in plain_words(metric, item["product"])

@@ -32,7 +32,7 @@ METRICS = (
            reference="defined here, docs/statistics.md#outcomes-comparegatespy-compareoutcomespy"),
     Metric("*_fraction", "share of the rows of a pooled gate that meet its limit",
            "processing.intervals.clopper_pearson", "k / n", low=0.0, high=1.0, agreement=1.0,
-           interval="exact binomial", tolerance=of_unit(0.02),
+           interval="exact binomial", tolerance=of_unit(0.02), short="share of the {product} inside its range",
            reference="Clopper & Pearson, Biometrika 26, 404, 1934", example="clopper_pearson(10, 10)[0]",
            gives=0.69150289),
     # Attribution and what-ifs.

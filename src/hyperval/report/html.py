@@ -133,8 +133,8 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
     """The page of several campaigns; ``folders`` maps a campaign to its folder beside the page.
 
     Collected imagery, references that were computed and simulated collections stand apart: agreement with the
-    second compares two programs, with the last it tests the software.  Runs with a ``sentence`` of their own are set
-    beside accepted numbers.
+    second compares two programs, with the last it tests the software.  Runs with a ``sentence`` of their own are
+    set beside accepted numbers.
     """
     titles = {run.campaign: run.title for run in runs}
     groups = []
