@@ -18,7 +18,7 @@ export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup validate check power scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage docs bill audit robustness
+.PHONY: help setup validate check power scoreboard test test-slow test-all test-data lint check-style format types lock clean coverage cover docs bill audit robustness
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -64,6 +64,9 @@ coverage: $(READY_DEV)  ## how often the 95 % intervals hold, over simulated col
 
 robustness: $(READY_DEV)  ## a million damaged files through every reader (an hour; goes on where it ended)
 	$(BIN)/python validation/robustness/mutation_study.py --output reports/robustness
+
+cover: $(READY_DEV)  ## lines and branches of the rooms of formulas that their fast tests reach (minutes); COVER_FLAGS=--missing
+	$(BIN)/python validation/robustness/room_coverage.py $(COVER_FLAGS)
 
 bill: $(READY)  ## every package that hyperval needs, with version and licence; BILL_FLAGS=--cyclonedx for other tools
 	$(BIN)/python scripts/bill_of_materials.py $(BILL_FLAGS)
