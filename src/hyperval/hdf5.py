@@ -46,6 +46,8 @@ def _trial(path: str, changed_ns: int, size: int) -> str:
         return ""
     import h5py  # before the fork: the limits are for the file
 
+    if not h5py.is_hdf5(path):
+        return ""  # by its first bytes, which the library looks at before anything else
     return trial(lambda: _walk(h5py, path))
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from test_every_equation_has_evidence import SOURCE, production
 
@@ -45,20 +43,14 @@ def test_no_function_is_called_by_tests_alone():
 
 def test_no_method_is_called_by_tests_alone():
     pages = "\n".join(p.read_text("utf-8") for p in [*(ROOT / "docs").glob("*.md"), *SOURCE.rglob("*.j2")])
-    read = {n.attr for n in nodes(ast.Attribute)} | {
-        n.value for n in nodes(ast.Constant) if isinstance(n.value, str)
-    }
-    methods = {
-        f.name
-        for c in nodes(ast.ClassDef)
-        for f in c.body
-        if isinstance(f, ast.FunctionDef) and not f.name.startswith("_")
-    }
+    read, methods = set(), set()
+    for node in (n for path in SOURCE.rglob("*.py") for n in ast.walk(ast.parse(path.read_text("utf-8")))):
+        if isinstance(node, ast.Attribute):
+            read.add(node.attr)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            read.add(node.value)
+        elif isinstance(node, ast.ClassDef):
+            functions = (f for f in node.body if isinstance(f, ast.FunctionDef))
+            methods |= {f.name for f in functions if not f.name.startswith("_")}
     assert len(methods) > 100
     assert sorted(name for name in methods - read if name not in pages) == []
-
-
-def nodes(kind: type[ast.AST]) -> Iterator[Any]:
-    """Nodes of one kind in all of the package."""
-    for path in SOURCE.rglob("*.py"):
-        yield from (n for n in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(n, kind))

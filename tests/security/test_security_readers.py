@@ -131,8 +131,10 @@ def exit_code(function: Callable[..., Any], path: Path) -> int:
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_files_are_clear_errors(name: str, tmp_path: Path, soon: None):
+    # What is loaded is YAML, whatever its name ends in.
+    endings = ENDINGS[:1] if READERS[name].__name__.startswith("load_") else ENDINGS
     for number, content in enumerate(CONTENTS.values()):
-        for ending in ENDINGS:
+        for ending in endings:
             path = tmp_path / f"a{number}{ending}"
             path.write_bytes(content)
             assert exit_code(READERS[name], path) in (0, 2, 3), path
