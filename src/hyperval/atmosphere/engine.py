@@ -86,6 +86,6 @@ def atmospheric_terms(
         return run(state, use)
     level = state.model_copy(update={"surroundings_altitude_km": None})
     site, other = run(level, use), run(level.model_copy(update={"ground_altitude_km": around}), use)
-    # Light of the surroundings is lit and scattered above their own ground: B and S of (3.7) are of its height.
+    # Light of the surroundings is lit and scattered above their own ground: both terms are of its height.
     provenance = {**site.provenance, "surroundings_altitude_km": around}
     return replace(site, adjacency=other.adjacency, spherical_albedo=other.spherical_albedo, provenance=provenance)
