@@ -28,6 +28,13 @@ from hyperval.spectra.readers_record import MAX_BYTES, FieldSpectrum, Record, fi
 # Printable characters of any 8-bit code, tabulators, ends of lines and pages.
 _TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])
 
+# Beginnings of files that are known and not read.
+_NOT_READ = {
+    b"##TITLE": "JCAMP-DX", b"PE UV": "a PerkinElmer file", b"PE IR": "a PerkinElmer file",
+    b"PEPE": "a PerkinElmer file", b"PK\x03\x04": "a spreadsheet or zip file",
+    b"\xd0\xcf\x11\xe0": "an old spreadsheet", b"MATLAB": "a MATLAB file", b"\x93NUMPY": "a NumPy file",
+    b"{": "JSON", b"<": "XML",
+}  # fmt: skip
 MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 __all__ = ["FieldSpectrum", "read_records", "read_spectrum"]
@@ -52,7 +59,7 @@ def read_spectrum(
     Parameters
     ----------
     path : text or CSV (a spectrum a column, or a row), ENVI ASCII plot, ECOSTRESS text, ENVI spectral library (data
-        or header), SVC .sig, Spectral Evolution .sed, ASD binary, SPECPR
+        or header), SVC or GER .sig, Spectral Evolution .sed, ASD binary, SPECPR
     record : which spectrum of a file with several: its name, a part that only one name has, its number
         from 0, or "mean" for mean, standard deviation and number of all
     quantity : "reflectance" (values are handed out as fractions), "radiance" (uW cm-2 sr-1 nm-1), "irradiance"
@@ -170,6 +177,9 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | Non
         return readers_library.library_records(path, None, root)
     if head.startswith(b"/*** Spectra Vista"):
         return [readers_instruments.svc_record(decoded(raw), path, quantity)]
+    if head.startswith(b"///GER"):
+        return [readers_instruments.ger_record(decoded(raw), path, quantity)]
+    _refuse_others(head, str(path))
     if hypernets.is_hypernets(raw):
         return hypernets.hypernets_records(path)
     if radcalnet.is_radcalnet(head):
@@ -192,6 +202,18 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | Non
     if columns is None and readers_rows.is_row_table(text):
         return readers_rows.row_records(text, path)
     return readers_text.text_records(text, path, columns)
+
+
+def _refuse_others(head: bytes, where: str) -> None:
+    """Raise InputError for formats that are known and not read, with how to get at their numbers."""
+    other = next((name for mark, name in _NOT_READ.items() if head.startswith(mark)), None)
+    if other is not None:
+        raise InputError(
+            f"{other}, which is not read",
+            where=where,
+            expected="text, ENVI spectral library with its header, SPECPR, ASD, SVC or GER .sig, .sed or HYPERNETS",
+            mend="save it as text: a wavelength and a value in every row",
+        )
 
 
 def _read(path: Path) -> bytes:

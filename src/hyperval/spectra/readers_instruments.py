@@ -1,4 +1,4 @@
-"""Text files of field spectrometers: SVC .sig and Spectral Evolution .sed."""
+"""Text files of field spectrometers: SVC and GER .sig, Spectral Evolution .sed."""
 
 from __future__ import annotations
 
@@ -35,27 +35,7 @@ def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     ------
     InputError : not such a file, or a target in counts where radiance is asked for.
     """
-    lines = text.splitlines()
-    entries: dict[str, str] = {}
-    for number, line in enumerate(lines[1:], start=2):
-        if not line.strip():
-            continue
-        key, equals, value = line.partition("=")
-        if not equals:
-            raise InputError(f"not of the form 'key= value': {line[:60]!r}", where=f"{path}:{number}")
-        entries[key.strip().lower()] = value.strip()
-        if key.strip().lower() == "data":
-            break
-    else:
-        raise InputError("no 'data=' line", where=str(path))
-    header, table, start = number_table("\n".join(lines[number:]), path, first=number + 1)
-    if header or table.shape[1] != 4:
-        raise InputError(
-            f"{table.shape[1]} columns",
-            where=f"{path}:{start}",
-            expected="wavelength, reference, target, reflectance in percent",
-        )
-    check_last_line(text, str(path))
+    entries, table = _signature(text, path, (4,), "wavelength, reference, target, reflectance in percent")
     name = entries.get("name", "").removesuffix(".sig") or path.stem
     units = entries.get("units", "").split(",")[-1].strip().lower()
     if quantity in SVC_UNITS:
@@ -81,6 +61,55 @@ def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
         reflectance_unit="percent",
         quantity="reflectance",
     )
+
+
+def ger_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
+    """A spectrum of a GER .sig file: wavelength [nm], target, reference, and perhaps reflectance [percent].
+
+    Where the fourth column is missing, target over reference is the reflectance.
+
+    Raises
+    ------
+    InputError : not such a file, or another quantity than a reflectance.
+    """
+    if quantity in SVC_UNITS:
+        raise InputError(
+            f"the unit of the {quantity} in a GER file is not known",
+            where=str(path),
+            mend="convert the target's column to a table of wavelength and value, and state its unit",
+        )
+    entries, table = _signature(text, path, (3, 4), "wavelength, target, reference, perhaps reflectance in percent")
+    target, reference = table[:, 1], table[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(reference > 0, target / reference, np.nan)
+    values = table[:, 3] if table.shape[1] == 4 else ratio
+    return Record(
+        entries.get("name", "").removesuffix(".sig") or path.stem, table[:, 0], values, str(path),
+        wavelength_unit="nm", reflectance_unit="percent" if table.shape[1] == 4 else "fraction",
+        quantity="reflectance",
+    )  # fmt: skip
+
+
+def _signature(text: str, path: Path, columns: tuple[int, ...], expected: str) -> tuple[dict[str, str], Array]:
+    """The entries ``key= value`` above the line ``data=`` of a .sig file, and the numbers below it."""
+    lines = text.splitlines()
+    entries: dict[str, str] = {}
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        key, equals, value = line.partition("=")
+        if not equals:
+            raise InputError(f"not of the form 'key= value': {line[:60]!r}", where=f"{path}:{number}")
+        entries[key.strip().lower()] = value.strip()
+        if key.strip().lower() == "data":
+            break
+    else:
+        raise InputError("no 'data=' line", where=str(path))
+    header, table, start = number_table("\n".join(lines[number:]), path, first=number + 1)
+    if header or table.shape[1] not in columns:
+        raise InputError(f"{table.shape[1]} columns", where=f"{path}:{start}", expected=expected)
+    check_last_line(text, str(path))
+    return entries, table
 
 
 def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:

@@ -15,7 +15,9 @@ from hyperval.units import only_wavelength_unit
 
 FEWEST_BANDS = 4
 MAX_CELLS = 2_000_000
-_WAVELENGTH = re.compile(r"^[Xx]?([0-9]+(?:\.[0-9]+)?)\s*(nm|um)?$")
+_BEFORE = r"(?:(?:x|r|wl|wvl|wave|wavelength|lambda|refl|reflectance|nm)[_. ]?)?"  # no b: that counts bands
+_WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?(nm|um)?$", re.IGNORECASE)
+_FIRST_TITLE = re.compile(r"^\W*(wave|wvl|wl\b|lambda|nm\b)(?!.*units)", re.IGNORECASE)
 _NAMES = (
     "name",
     "sample_name",
@@ -32,8 +34,18 @@ _NAMES = (
 
 def is_row_table(text: str) -> bool:
     """Whether the first line has wavelengths as titles of its last columns, behind others or at once."""
-    titles = next(csv.reader(io.StringIO(text.split("\n", 1)[0], newline="")), [])
-    return _first_band(titles) is not None
+    first, _, rest = text.partition("\n")
+    delimiter = _delimiter(first)
+    titles = next(csv.reader(io.StringIO(first, newline=""), delimiter=delimiter), [])
+    if _first_band(titles) is None:
+        return False
+    # Numbers under "wavelength" are wavelengths, and the other columns spectra that go by a number.
+    return not (_FIRST_TITLE.match(titles[0]) and _is_number(rest.split(delimiter, 1)[0].strip(' "')))
+
+
+def _delimiter(line: str) -> str:
+    """What divides the cells of a line: of tabulator, semicolon and comma the most frequent."""
+    return max("\t;,", key=line.count)
 
 
 def row_records(text: str, path: Path) -> list[Record]:
@@ -47,7 +59,8 @@ def row_records(text: str, path: Path) -> list[Record]:
     ------
     InputError : rows of another length than the first, cells that are no numbers, or more than can be a table.
     """
-    reader = csv.reader(io.StringIO(text, newline=""))
+    delimiter = _delimiter(text.split("\n", 1)[0])
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     try:
         titles = _without_end([t.strip() for t in next(reader)])
         first = _first_band(titles) or 0
@@ -58,6 +71,8 @@ def row_records(text: str, path: Path) -> list[Record]:
                 continue
             where = f"{path}:{reader.line_num}"
             cells = _without_end([cell.strip() for cell in cells], len(titles))
+            if delimiter != ",":
+                cells[first:] = [cell.replace(",", ".") for cell in cells[first:]]
             if len(cells) != len(titles):
                 raise InputError(
                     f"{len(cells)} cells", where=where, expected=f"{len(titles)}, as in the first line"

@@ -17,11 +17,13 @@ MAX_COLUMNS = 2000
 MAX_TITLE = 1000
 _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 
-_QUOTED = re.compile(r'("[^",;\t]*")([,;\t]"[^",;\t]*")+')
 # No part of a pattern may begin in more than one place of what the part before it takes: a line of a million digits
 # or blanks would take hours.
 _NUMBER = re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
+_WHOLE = re.compile(r"^[-+]?[0-9]+$")
+_END = re.compile(r"^>+\s*End\b")  # of the numbers, in files of Ocean Optics
+_UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
 _SPREAD = re.compile(r"stand\w*[ _.]*dev|std|(?<![a-z])sd(?![a-z])|sigma|uncertainty", re.IGNORECASE)
 _WAVE = re.compile(r"wave|wvl|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|cm\s*(\^\s*)?-1", re.IGNORECASE)
@@ -38,6 +40,8 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     header, table, first_line = number_table(text, path)
     titles = _titles(header, table.shape[1])
     where = str(path)
+    if columns is None and _is_index(table, titles):
+        table, titles = table[:, 1:], titles[1:]
     if columns is not None:
         picked = [_column(c, titles, where) for c in columns]
         if len(picked) not in (2, 3):
@@ -51,6 +55,7 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         for i in range(2, len(titles)):
             if _SPREAD.search(titles[i]) and i - 1 not in spread.values():
                 spread[i - 1] = i
+    unmeasured = {i for i in spread.values() if not table[:, i].any()}
     if table.shape[1] < 2:
         raise InputError(
             "a single column",
@@ -83,7 +88,8 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
                 wavelength=wavelength,
                 values=table[:, i],
                 where=where,
-                standard_deviation=table[:, spread[i]] if i in spread else None,
+                standard_deviation=table[:, spread[i]] if spread.get(i, i) not in {i, *unmeasured} else None,
+                notes=("a standard deviation of 0 everywhere is none",) if spread.get(i) in unmeasured else (),
                 n=int(count.group(1)) if count else None,
                 wavelength_unit=unit,
                 reflectance_unit=reflectance_unit_in(y_units or titles[i]),
@@ -153,13 +159,16 @@ def plot_records(text: str, path: Path) -> list[Record]:
 def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Array, int]:
     """Header lines, the (rows, columns) numbers below them, and the line where the numbers begin.
 
+    A whole number alone above the rows is their count.
+
     Raises
     ------
-    InputError : no numbers, rows of different length, text among the numbers, or too many rows.
+    InputError : no numbers, rows of different length, text among the numbers, too many rows, or not as many as the
+        file says.
     """
     header: list[str] = []
     rows: list[list[float]] = []
-    start = 0
+    start, stated, ended = 0, None, False
     for number, line in enumerate(text.splitlines(), start=first):
         if not line.strip():
             continue
@@ -170,12 +179,17 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
             if len(header) > MAX_HEADER_LINES:
                 raise InputError(f"no numbers in the first {MAX_HEADER_LINES} lines", where=str(path))
             continue
-        if not numbers:
+        if rows and _END.match(line) and not ended:
+            ended = True
+            continue
+        if not numbers or ended:
             raise InputError(
                 f"not a row of numbers: {line.strip()[:60]!r}",
                 where=f"{path}:{number}",
                 expected="one row of numbers per channel",
             )
+        if len(rows) == 1 and len(rows[0]) == 1 < len(cells) and rows[0][0].is_integer():
+            stated, rows, start = str(int(rows[0][0])), [], 0
         if rows and len(cells) != len(rows[0]):
             raise InputError(
                 f"{len(cells)} columns", where=f"{path}:{number}", expected=f"{len(rows[0])}, as above"
@@ -185,8 +199,14 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
         start = start or number
         rows.append([float(c.replace("d", "e").replace("D", "e")) for c in cells])
     if not rows:
-        raise InputError("the file holds no numbers", where=str(path))
-    return header, np.array(rows), start
+        raise InputError(
+            "the file holds no numbers",
+            where=str(path),
+            expected="a wavelength and a value in every row, or a spectrum a row under titles that are wavelengths",
+        )
+    table = np.array(rows)
+    check_stated(table[:, 0], str(path), count=stated, ends=None)
+    return header, table, start
 
 
 def check_stated(wavelength: Array, where: str, *, count: str | None, ends: tuple[float, float] | None) -> None:
@@ -278,13 +298,14 @@ def _entry(header: str, key: str) -> str | None:
 
 def _cells(line: str) -> list[str]:
     text = line.strip()
-    if _QUOTED.fullmatch(text):  # as some spreadsheets export numbers
-        text = text.replace('"', "")
+    if '"' in text and not any(set(part) & set(",;\t") for part in text.split('"')[1::2]):
+        text = text.replace('"', "")  # as some spreadsheets export numbers
     if ";" in text:  # as spreadsheets export where the comma is the decimal sign
         cells = [c.strip() for c in text.rstrip(";").split(";")]
         return [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in cells]
     blanks = text.split()
-    if len(blanks) > 1 and all(_DECIMAL_COMMA.match(c) for c in blanks):
+    commas = [c for c in blanks if _DECIMAL_COMMA.match(c)]
+    if len(blanks) > 1 and commas and all(c in commas or _WHOLE.match(c) for c in blanks):
         return [c.replace(",", ".") for c in blanks]
     return [c for c in re.split(r"[,\s]+", text) if c]
 
@@ -294,10 +315,36 @@ def _only_number(line: str) -> bool:
 
 
 def _titles(header: list[str], count: int) -> list[str]:
-    """Titles of the columns from the last header line; "" where it does not fit."""
+    """Titles of the columns from the last header line, its units behind those of the line above; "" without any.
+
+    Where the last line does not fit, one further up does that begins with a title of wavelengths.
+    """
     if not header:
         return [""] * count
-    line = header[-1].lstrip("#;%/ \t")
+    titles = _split_titles(header[-1], count)
+    if any(titles):
+        above = _split_titles(header[-2], count) if len(header) > 1 and _are_units(titles) else []
+        return [f"{a} {t}".strip() for a, t in zip(above, titles, strict=True)] if any(above) else titles
+    for line in reversed(header[:-1]):
+        further = _split_titles(line, count)
+        if _WAVE.match(further[0]):
+            return further
+    return titles
+
+
+def _are_units(titles: list[str]) -> bool:
+    return all(_UNIT_TITLE.match(t) for t in titles)
+
+
+def _is_index(table: Array, titles: list[str]) -> bool:
+    """Whether the first column counts the rows, and the second has the title of wavelengths."""
+    if table.shape[1] < 3 or _WAVE.search(titles[0]) or not _WAVE.search(titles[1]):
+        return False
+    return bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
+
+
+def _split_titles(line: str, count: int) -> list[str]:
+    line = line.lstrip("#;%/ \t")
     best: list[str] = []
     for pattern in (";", "\t", ",", r"\s{2,}", r"\s+"):
         parts = [p.strip().strip('"') for p in re.split(pattern, line)]
