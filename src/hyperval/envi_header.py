@@ -272,6 +272,9 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
         if not stripped or stripped.startswith(";"):
             continue
         if depth == 0:
+            if stripped.startswith("{") and key in entries and not entries[key]:
+                del entries[key]  # its list begins on the line below
+                line, number = f"{key} = {stripped}", line_of.pop(key)
             key, equals, value = line.partition("=")
             key = " ".join(key.split()).lower()
             value = value.strip()
@@ -279,7 +282,7 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
                 raise InputError(
                     f"not of the form 'key = value': {stripped[:60]!r}",
                     where=f"{name}:{number}",
-                    expected="a list opens its brace on the line of its key",
+                    expected="a list opens its brace on the line of its key, or the next",
                 )
             if not value.startswith("{"):
                 add(key, value, number)

@@ -579,3 +579,10 @@ def test_prisma_reflectance_in_scanner_geometry_has_its_places(tmp_path: Path):
     table, _ = table_of(cube.raster)
     assert table is not None
     assert cube.transform is None
+
+
+def test_prisma_radiance_at_the_surface_is_called_that(tmp_path: Path):
+    vnir, _ = shells.prisma(tmp_path / "p.he5", "L2B")
+    cube = open_cube(tmp_path / "p.he5", quantity="radiance")
+    assert np.allclose(values_of(cube)[..., 0], 0.1 * vnir[:, 2] * 0.9 / 65535.0, rtol=1e-6)
+    assert any(note.startswith("warning: L2B is the radiance that leaves the surface") for note in cube.notes)

@@ -12,7 +12,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.envi_header import parse_header, read_header
-from hyperval.errors import UsageError
+from hyperval.errors import InputError, UsageError
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.georeference import crs_of, pixel_area_m2, transform_of
 from hyperval.imagery.regions import read_regions
@@ -167,3 +167,73 @@ def _ring(wkb: bytes) -> list[tuple[float, float]]:
     start = 9 if kind == 3 else 18  # a polygon, or the first of several
     count = int(np.frombuffer(wkb, "<u4", 1, start)[0])
     return [tuple(p) for p in np.frombuffer(wkb, "<f8", 2 * count, start + 4).reshape(-1, 2).tolist()]
+
+
+def small_cube(tmp_path: Path, entries: str, values: np.ndarray, name: str = "a.img") -> Path:
+    """A BIP file of ``values`` (lines, samples, bands), big-endian 16-bit, with its header."""
+    lines, samples, bands = values.shape
+    values.astype(">i2").tofile(tmp_path / name)
+    (tmp_path / (name + ".hdr")).write_text(
+        f"ENVI\nsamples = {samples}\nlines = {lines}\nbands = {bands}\ndata type = 2\ninterleave = bip\n"
+        f"byte order = 1\n{entries}"
+    )
+    return tmp_path / name
+
+
+AVIRIS = "wavelength units = Nanometers\nwavelength = {400, 500, 600, 590, 700}\nfwhm = {9, 9, 9, 9, 9}\n"
+DIVISORS = "  300.0 1\n  300.0 2\n 600.0 3\n 600.0 4\n 1200.0 5\n"
+
+
+def test_aviris_classic_is_divided_by_its_gain_file(tmp_path: Path):
+    stored = np.arange(1, 41).reshape(2, 4, 5) * 100
+    path = small_cube(tmp_path, AVIRIS, stored, "f130612t01p00r10rdn_e_sc01_ort_img")
+    (tmp_path / "f130612t01p00r10rdn_e.gain").write_text(DIVISORS)
+    (tmp_path / "f130612t01p00r11rdn_e.gain").write_text("1 1\n")  # of another line
+    cube = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1", sort_bands=True)
+    expected = (stored / [300.0, 300.0, 600.0, 600.0, 1200.0])[..., [0, 1, 3, 2, 4]]
+    np.testing.assert_allclose(cube.read(0, 2).values, expected, rtol=1e-12)
+    assert cube.source_files[-1].name == "f130612t01p00r10rdn_e.gain"
+    assert any("f130612t01p00r10rdn_e.gain" in note for note in cube.notes)
+    stated = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=1e-3, sort_bands=True)
+    np.testing.assert_allclose(stated.read(0, 2).values[..., 0], stored[..., 0] * 1e-3, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("300 1\n300 2\n", "2 rows for 5 bands"),
+        (DIVISORS.replace("600.0 3", "0 3"), ":3: '0 3'"),
+        (DIVISORS.replace("600.0 3", "600 4"), "channel that counts from 1"),
+    ],
+)
+def test_a_gain_file_that_is_none(tmp_path: Path, text: str, words: str):
+    path = small_cube(tmp_path, AVIRIS, np.ones((2, 4, 5)), "f1_img")
+    (tmp_path / "f1.gain").write_text(text)
+    with pytest.raises(InputError, match=words):
+        open_cube(path, quantity="radiance", sort_bands=True)
+    (tmp_path / "f1.gain").write_text(DIVISORS)
+    with pytest.raises(UsageError, match=r"f1.gain beside the cube gives uW(?s:.*)or scale:"):
+        open_cube(path, quantity="radiance", unit="W m-2 sr-1 nm-1", sort_bands=True)
+
+
+@pytest.mark.parametrize(
+    ("entries", "note"),
+    [
+        ("band names = {Band 1 (0.400000), Band 2 (0.500000), Band 3 (0.600000)}\n", "names of its bands"),
+        ("band names = {400.0 nm, 500.0 nm, 600.0 nm}\n", "names of its bands"),
+        ("wavelength =\n{\n400,\n500,\n600\n}\n", "can only be nm"),
+    ],
+)
+def test_wavelengths_in_names_and_on_the_line_below(tmp_path: Path, entries: str, note: str):
+    cube = open_cube(small_cube(tmp_path, entries, np.ones((2, 2, 3))), quantity="other")
+    np.testing.assert_allclose(cube.axis.centre_nm, [400, 500, 600])
+    assert any(note in n for n in cube.notes)
+
+
+@pytest.mark.parametrize(
+    "names", ["MNF 1 (12.345), MNF 2 (3.210), MNF 3 (1.100)", "Band 1, Band 2, Band 3", "400 nm, 0.5 um, 600 nm"]
+)
+def test_other_numbers_in_names_are_no_wavelengths(tmp_path: Path, names: str):
+    path = small_cube(tmp_path, f"band names = {{{names}}}\n", np.ones((2, 2, 3)))
+    with pytest.raises(InputError, match="lists no wavelengths"):
+        open_cube(path, quantity="other")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,6 +18,11 @@ Array = npt.NDArray[np.float64]
 Bands = SpectralAxis | Literal["numbers"] | None
 
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
+_UNIT = r"(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)"
+# A number alone in parentheses is taken for a wavelength where it is as fine as ENVI writes it.
+_NAMED = re.compile(
+    rf"\(\s*([0-9]+\.[0-9]{{3,}})\s*\)|(?<![0-9.])([0-9]+(?:\.[0-9]+)?)\s*{_UNIT}(?![a-z])", re.IGNORECASE
+)
 _UNSTATED = ("", "unknown", "none")
 
 
@@ -51,18 +57,21 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
         a bad-band list that does not fit.
     UsageError : the unit is missing or contradicts the header, or the wavelengths are implausible in it.
     """
-    values = header.numbers("wavelength", header.bands)
+    values, key = header.numbers("wavelength", header.bands), "wavelength"
+    in_names = _wavelengths_in_names(header) if values is None else None
+    stated, remarks = header.text("wavelength units"), []
+    if in_names is not None:
+        values, key, stated = in_names[0], "band names", in_names[1] or stated
+        remarks.append("the header lists no wavelengths: those in the names of its bands are taken")
     if values is None:
         raise InputError(
             "the header lists no wavelengths",
             where=str(header.path),
             expected=f"'wavelength = {{...}}' with {header.bands} values",
         )
-    unit, note = stated_unit(
-        header.text("wavelength units"), wavelength_unit, values, header.where("wavelength units")
-    )
-    centre = wavelengths_in_nm(values, unit, header.where("wavelength"))
-    notes = list(note)
+    unit, note = stated_unit(stated, wavelength_unit, values, header.where("wavelength units"))
+    centre = wavelengths_in_nm(values, unit, header.where(key))
+    notes = [*remarks, *note]
     good = np.ones(header.bands, bool)
     flags = header.numbers("bbl", header.bands)
     if flags is not None:
@@ -87,6 +96,27 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
     return ordered_bands(
         centre, width, good, sort_bands=sort_bands, where=header.where("wavelength"), notes=tuple(notes)
     )
+
+
+def lists_wavelengths(header: EnviHeader) -> bool:
+    """Whether a header has wavelengths, as a list or in the names of its bands."""
+    return header.text("wavelength") is not None or _wavelengths_in_names(header) is not None
+
+
+def _wavelengths_in_names(header: EnviHeader) -> tuple[Array, str | None] | None:
+    """The wavelength in the name of every band, and its unit where the names have one; None where not all have it.
+
+    ENVI writes ``Band 7 (0.548000)``, others ``548.3 nm``: a number in parentheses or before a unit.
+    """
+    names = header.strings("band names") or ()
+    hits = [_NAMED.findall(name) for name in names]
+    if len(names) != header.bands or any(len(found) != 1 for found in hits):
+        return None
+    numbers = np.array([float(h[0][0] or h[0][1]) for h in hits])
+    units = {h[0][2] for h in hits}
+    if len(units) != 1 or (units == {""} and not np.all(np.diff(numbers) > 0)):
+        return None
+    return numbers, units.pop() or None
 
 
 def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str) -> BandTable:

@@ -15,10 +15,19 @@ from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster
-from hyperval.imagery.band_table import Bands, BandTable, band_table, given_bands, ordered_bands, wavelengths_in_nm
+from hyperval.imagery.band_table import (
+    Bands,
+    BandTable,
+    band_table,
+    given_bands,
+    lists_wavelengths,
+    ordered_bands,
+    wavelengths_in_nm,
+)
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, open_raster
-from hyperval.imagery.scaling import Scaling, scaling_of
+from hyperval.imagery.scaling import Scaling
+from hyperval.imagery.scaling_files import file_scaling
 from hyperval.imagery.tiff_raster import TiffRaster
 from hyperval.imagery.validity import equals, usable_pixels
 from hyperval.imagery.value_check import check_values_of
@@ -343,15 +352,7 @@ def cube_of(
     if about is not None:
         scaling = about.scaling(quantity, unit, scale, str(raster.path))
     else:
-        scaling = scaling_of(
-            raster.header,
-            raster.bands,
-            quantity=quantity,
-            unit=unit,
-            scale=scale,
-            file_gains=raster.gains if isinstance(raster, TiffRaster) else (),
-            file_offsets=raster.offsets if isinstance(raster, TiffRaster) else (),
-        )
+        scaling = file_scaling(raster, quantity=quantity, unit=unit, scale=scale)
     entries = dict(raster.header.extras) if raster.header is not None else dict(about.entries) if about else {}
     notes = raster.header.notes if raster.header is not None else about.all_notes if about is not None else ()
     notes += table.notes + scaling.notes
@@ -383,7 +384,7 @@ def _table(raster: Raster, axis: Bands, unit: str | None, sort_bands: bool) -> B
     where = str(raster.path)
     if axis is not None:
         return given_bands(axis, raster.bands, where)
-    if raster.header is not None and raster.header.text("wavelength") is not None:
+    if raster.header is not None and lists_wavelengths(raster.header):
         return band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
     if raster.description is not None:
         return raster.description.band_table(unit, where, sort_bands=sort_bands)

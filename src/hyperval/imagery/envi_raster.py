@@ -27,10 +27,16 @@ _PACKED = {
 
 @dataclass(frozen=True)
 class EnviRaster:
-    """An ENVI data file whose size is exactly what its header says."""
+    """An ENVI data file whose size is exactly what its header says.
+
+    Attributes
+    ----------
+    divisors_path : file of what its whole numbers are divided by to give radiance, where one lies beside it
+    """
 
     path: Path
     header: EnviHeader
+    divisors_path: Path | None = None
     description: None = None
 
     @property
@@ -66,7 +72,7 @@ class EnviRaster:
     @property
     def source_files(self) -> tuple[Path, ...]:
         """The files that were read."""
-        return (self.path, self.header.path)
+        return (self.path, self.header.path, *([self.divisors_path] if self.divisors_path else []))
 
     @cached_property
     def _file(self) -> StoredFile:

@@ -55,6 +55,7 @@ class Tree(Model):
     arrays: list[ImageArray] = Field(min_length=1)
     wavelength_unit: str
     source: str
+    remark: str | None = None
     sorts: bool = False
     ignore: Reference | None = None
     bad_ranges_nm: list[str] = Field(default_factory=list)

@@ -8,6 +8,7 @@ from hyperval.envi_header import read_header
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.envi_raster import EnviRaster, check_size, header_beside
+from hyperval.imagery.gain_file import gain_file_beside
 from hyperval.imagery.sidecars import image_of
 from hyperval.imagery.stores import check_own_values
 from hyperval.imagery.tiff_raster import TIFF_SUFFIXES, TiffRaster, open_tiff
@@ -89,7 +90,13 @@ def open_raster(
         )
     parsed = read_header(checked_file(beside, root=root, what="ENVI header"))
     check_size(data, parsed)
-    return EnviRaster(data, parsed)
+    whole = (
+        parsed.dtype.kind in "iu" and not {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
+    )
+    divisors = gain_file_beside(data) if whole else None
+    if divisors is not None:
+        divisors = checked_file(divisors, root=root, what="gain file")
+    return EnviRaster(data, parsed, divisors)
 
 
 def _labelled(path: Path, variable: str | None, engine: str | None) -> ArrayRaster:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,14 +40,16 @@ def scaling_of(
     quantity: str,
     unit: str | None,
     scale: float | None,
-    file_gains: tuple[float, ...] = (),
-    file_offsets: tuple[float, ...] = (),
+    file_gains: Sequence[float] = (),
+    file_offsets: Sequence[float] = (),
+    file_note: str = "scale and offset tags of the GeoTIFF",
 ) -> Scaling:
     """Gain and offset of every band.
 
     ``scale`` replaces whatever the header says.  Without it, reflectance is divided by
     ``reflectance scale factor`` (or multiplied by ``data reflectance gain values``), everything else takes
-    ``data gain values`` and ``data offset values``; the scales of a GeoTIFF count as such gains.
+    ``data gain values`` and ``data offset values``; gains that the file or one beside it has (``file_note`` says
+    where) count as such.
 
     Raises
     ------
@@ -56,15 +59,18 @@ def scaling_of(
     gain, offset, note = np.ones(bands), np.zeros(bands), ""
     if scale is None:
         gain, offset, note = _from_header(header, bands, quantity)
-        tagged = np.array(file_gains or (1.0,) * bands), np.array(file_offsets or (0.0,) * bands)
+        tagged = (
+            np.array(file_gains if len(file_gains) else (1.0,) * bands),
+            np.array(file_offsets if len(file_offsets) else (0.0,) * bands),
+        )
         if np.any(tagged[0] != 1.0) or np.any(tagged[1] != 0.0):
             if note:
                 raise InputError(
-                    "the GeoTIFF and its header both scale the values",
+                    f"its header scales the values, and so do the {file_note}",
                     where=str(header.path) if header else None,
                     mend="state scale: in the campaign",
                 )
-            gain, offset, note = *tagged, "scale and offset tags of the GeoTIFF"
+            gain, offset, note = *tagged, file_note
     return scaled(gain, offset, note, quantity=quantity, unit=unit, scale=scale)
 
 

@@ -161,7 +161,7 @@ def _description(
         sensor or "",
         tree.sorts,
         entries,
-        (*unit_notes, *notes),
+        (*unit_notes, *notes, *([tree.remark] if tree.remark else [])),
     )
 
 
