@@ -16,14 +16,8 @@ from rasterio.crs import CRS
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.band_table import (
-    Bands,
-    BandTable,
-    band_table,
-    given_bands,
-    lists_wavelengths,
-    ordered_bands,
-    wavelengths_in_nm,
-)
+    Bands, BandTable, band_table, given_bands, lists_wavelengths, ordered_bands, wavelengths_in_nm,
+)  # fmt: skip
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, open_raster
 from hyperval.imagery.scaling import Scaling
