@@ -14,10 +14,9 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.imagery import band_table as bands_of
 from hyperval.imagery.array_raster import ArrayRaster
-from hyperval.imagery.band_table import (
-    Bands, BandTable, band_table, given_bands, lists_wavelengths, ordered_bands, wavelengths_in_nm,
-)  # fmt: skip
+from hyperval.imagery.band_table import Bands, BandTable
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, open_raster
 from hyperval.imagery.scaling import Scaling
@@ -377,16 +376,16 @@ def cube_of(
 def _table(raster: Raster, axis: Bands, unit: str | None, sort_bands: bool) -> BandTable:
     where = str(raster.path)
     if axis is not None:
-        return given_bands(axis, raster.bands, where)
-    if raster.header is not None and lists_wavelengths(raster.header):
-        return band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
+        return bands_of.given_bands(axis, raster.bands, where)
+    if raster.header is not None and bands_of.lists_wavelengths(raster.header):
+        return bands_of.band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
     if raster.description is not None:
         return raster.description.band_table(unit, where, sort_bands=sort_bands)
     if isinstance(raster, TiffRaster) and raster.wavelength_um:
-        centre = wavelengths_in_nm(np.array(raster.wavelength_um), "um", where)
+        centre = bands_of.wavelengths_in_nm(np.array(raster.wavelength_um), "um", where)
         good = ~np.isin(np.arange(raster.bands), raster.bad_bands)
         width = 1e3 * np.array(raster.fwhm_um) if raster.fwhm_um else None
-        return ordered_bands(centre, width, good, sort_bands=sort_bands, where=where)
+        return bands_of.ordered_bands(centre, width, good, sort_bands=sort_bands, where=where)
     raise InputError(
         "the file lists no wavelengths",
         where=where,
