@@ -14,6 +14,7 @@ import argparse
 import os
 import random
 import re
+import resource
 import statistics
 import subprocess
 import sys
@@ -107,6 +108,10 @@ def main() -> int:
         finally:
             server.terminate()
             server.wait()
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    rounds = sum(len(user.times["result"]) for user in users)
+    seconds = (used.ru_utime + used.ru_stime) / max(1, rounds)
+    print(f"processor time of the server and its workers: {seconds:.2f} s a round, their start included")
     for kind in ("page", "refusal", "prediction", "result", "charts"):
         times = sorted(t for user in users for t in user.times[kind])
         if times:

@@ -11,6 +11,7 @@ import requests
 
 pytest.importorskip("fastapi", reason="needs the extra web")
 
+from web_browser import BROWSER
 from web_server import Server, serve
 
 from small_campaign import stand_in_atmosphere
@@ -44,6 +45,16 @@ def make_server(tmp_path: Path, atmosphere: None) -> Iterator[Callable[..., Serv
     yield make
     for one in running:
         list(one)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """The distribution's own browser."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    with sync_api.sync_playwright() as play:
+        one = play.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield one
+        one.close()
 
 
 @pytest.fixture

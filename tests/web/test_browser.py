@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -13,14 +11,11 @@ pytest.importorskip("fastapi", reason="needs the extra web")
 sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 
 from axe_playwright_python.sync_playwright import Axe
+from web_browser import NEEDS_BROWSER, careful_page, picture
 
 from small_campaign import SmallCampaign
 
-BROWSER = next(
-    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
-)
-REQUIRED = os.environ.get("HYPERVAL_REQUIRE_BROWSER") == "1"
-pytestmark = pytest.mark.skipif(BROWSER is None and not REQUIRED, reason="no chromium on this machine")
+pytestmark = NEEDS_BROWSER
 PAGES = (
     "/",
     "/predict",
@@ -31,18 +26,9 @@ PAGES = (
     "/runs",
     "/docs",
 )
-PICTURES = os.environ.get("HYPERVAL_SCREENSHOTS")  # a folder that screenshots go into
 _LINES_VISIBLE = """() => Bokeh.documents.flatMap((d) => d.roots()).filter((r) => r.tabs !== undefined)
     .flatMap((r) => r.tabs[0].child.renderers).filter((c) => c.tags.length > 0 && c.visible)
     .map((c) => c.tags[0])"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[sync_api.Browser]:
-    with sync_api.sync_playwright() as play:
-        one = play.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield one
-        one.close()
 
 
 @pytest.fixture(scope="module")
@@ -55,22 +41,8 @@ def context(browser, server) -> Iterator[sync_api.BrowserContext]:
 
 @pytest.fixture
 def page(context, server) -> Iterator[sync_api.Page]:
-    """A page; a request to elsewhere or a word of the browser's about the policy fails its test."""
-    one = context.new_page()
-    amiss: list[str] = []
-    one.on("console", lambda m: amiss.append(m.text) if "Content Security Policy" in m.text else None)
-    one.on("pageerror", lambda e: amiss.append(str(e)))
-    one.on(
-        "request", lambda r: None if r.url.startswith((server.address, "data:", "blob:")) else amiss.append(r.url)
-    )
-    yield one
-    one.close()
-    assert amiss == []
-
-
-def picture(page: sync_api.Page, name: str) -> None:
-    if PICTURES:
-        page.screenshot(path=Path(PICTURES) / f"{name}.png")
+    with careful_page(context, server.address) as one:
+        yield one
 
 
 def predict(page: sync_api.Page, **changes: str) -> None:

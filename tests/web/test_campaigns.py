@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import base64
+import json
+import re
 import shutil
 
 import numpy as np
 import pytest
+from web_browser import NEEDS_BROWSER, careful_page, picture
 from web_server import serve
 
 from hyperval import api
-from small_campaign import SmallCampaign
+from small_campaign import SmallCampaign, scene_data, write_yaml
 
 PLANK = "scene.targets.[yellow plank].subjects"
 STUDY = {
@@ -80,6 +83,41 @@ def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
     assert client.get(f"{own.address}/runs/{told['id']}/map.json", params={"name": "../x"}).status_code == 404
 
 
+@NEEDS_BROWSER
+def test_threshold_is_moved_and_a_pixel_clicked_in_a_browser(own, run, browser):
+    client, told = run
+    context = browser.new_context(base_url=own.address, viewport={"width": 1280, "height": 900})
+    context.set_default_timeout(20_000)
+    context.add_cookies([{"name": c.name, "value": c.value, "url": own.address} for c in client.cookies])
+    url = f"{own.address}/runs/{told['id']}"
+    content = client.get(f"{url}/map.json", params={"name": "yellow-cem"}).json()
+    with careful_page(context, own.address) as page:
+        page.goto(f"{url}/map?name=yellow-cem")
+        page.wait_for_selector("#map-words:has-text('P_FA')")
+        said = []
+        for value in (1000, 600, 0):
+            page.locator("#threshold").fill(str(value))
+            said.append(page.locator("#map-words").inner_text())
+        alarms, pfa, pd = (
+            [float(re.search(pattern, words)[1].replace(",", "")) for words in said]
+            for pattern in (r"^([\d,]+) pixels", r"P_FA ([\d.e+-]+)", r"P_D ([\d.]+)")
+        )
+        assert alarms == sorted(alarms)
+        assert alarms[-1] == pytest.approx(content["known"], abs=1)
+        assert (pfa, pd) == (sorted(pfa), sorted(pd))
+        curve = content["curves"][0]
+        assert (pfa[-1], pd[-1]) == (pytest.approx(max(curve["pfa"]), abs=0.05), 1.0)
+        threshold = float(page.locator("#threshold-value").inner_text())
+        assert threshold == pytest.approx(content["above"][-1][0], rel=1e-3, abs=1e-3)
+        page.locator("#threshold").fill("800")
+        picture(page, "map")
+        page.locator("#map-canvas").click(position={"x": 20, "y": 20})
+        page.wait_for_selector("#pixel figure .bk-Column")
+        assert page.locator("#line").input_value() == page.locator("#sample").input_value() == "6"
+        assert "pixel (6, 6)" in page.locator("#pixel [role=img]").get_attribute("aria-label")
+    context.close()
+
+
 def test_pixel_is_shown_beside_the_prediction(own, run):
     client, told = run
     url = f"{own.address}/runs/{told['id']}/pixel.json"
@@ -88,6 +126,24 @@ def test_pixel_is_shown_beside_the_prediction(own, run):
     assert "field" in chart["subjects"]
     assert client.get(url, params={"line": 6, "sample": 72}).status_code == 409
     assert client.get(url, params={"line": -1, "sample": 0}).status_code == 422
+
+
+def test_pixel_of_a_simulated_campaign_is_made_again(own, run):
+    """Its collection goes when the campaign has run; the seed gives the same one."""
+    client, told = run
+    place, folder = own.app.state.store.place(told["id"]), own.folder.parent / "campaigns" / "small"
+    url = f"{own.address}/runs/{told['id']}/pixel.json"
+    (before,) = client.get(url, params={"line": 40, "sample": 30}).json()
+    (place / "pixel-40-30.json").unlink()
+    small = SmallCampaign(folder)
+    write_yaml(folder / "scene.yaml", scene_data())
+    small.data = json.loads(json.dumps(small.data).replace("collection/", "simulated:"))
+    small.data["collection"]["simulate"] = "scene.yaml"
+    small.write()
+    (again,) = client.get(url, params={"line": 40, "sample": 30}).json()
+    assert again == before
+    assert (place / "collection" / "small_rad.img").is_file()
+    SmallCampaign(folder).write()
 
 
 def test_study_gives_what_the_api_gives_and_the_value_that_is_needed(own, tmp_path):

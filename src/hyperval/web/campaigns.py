@@ -17,7 +17,7 @@ from hyperval.web.desk import Order
 from hyperval.web.pages import page, session_of
 from hyperval.web.pages_runs import run_of
 from hyperval.web.refusal import Mistake, Refused
-from hyperval.web.store import Run
+from hyperval.web.store import COLLECTION, Run
 
 router = APIRouter(include_in_schema=False)
 _MAP = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,100}")
@@ -125,5 +125,7 @@ def pixel_data(
     if known is None:
         raise Refused(409, "the campaign of this run is no longer there")
     arguments: dict[str, Any] = {"path": str(known.path), "line": line, "sample": sample}
+    if "simulate" in (load_yaml(known.path)[0].get("collection") or {}):  # which goes when the campaign has run
+        request.app.state.desk.view(run, COLLECTION, COLLECTION, path=str(known.path))
     path = request.app.state.desk.view(run, "pixel", f"pixel-{line}-{sample}.json", **arguments)
     return FileResponse(path, media_type="application/json")

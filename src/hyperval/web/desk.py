@@ -17,7 +17,7 @@ import hyperval
 from hyperval.files import write_text
 from hyperval.web.limits import Settings
 from hyperval.web.refusal import Refused
-from hyperval.web.store import ENDED, Run, Store
+from hyperval.web.store import COLLECTION, ENDED, Run, Store
 from hyperval.web.workers import Cancelled, Full, Job, Pool, TaskFailed
 
 _TASKS = {"prediction": "predict", "study": "study", "validation": "campaign", "pipeline": "pipeline"}
@@ -168,7 +168,7 @@ class Desk:
         if run.state != "finished":
             raise Refused(409, f"this run has no results: {run.reason or run.state}")
         path = self.store.place(run.id) / name
-        if path.is_file():
+        if path.exists():
             return path
         if task == "files" and run.version != hyperval.__version__:
             raise Refused(
@@ -180,12 +180,14 @@ class Desk:
             if job is None:
                 job = Job(task, {"folder": str(self.store.place(run.id)), **arguments})
                 try:
-                    self.quick.submit(job)
+                    (self.long if task == COLLECTION else self.quick).submit(job)
                 except Full:
                     raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
                 self._views[key] = job
                 job.future.add_done_callback(lambda _: self._views.pop(key, None))
         _result(job, self.limits.quick_seconds * 2)
+        if task == COLLECTION:
+            self._note(run.id)  # its size counts
         return path
 
     def ask(self, task: str, **arguments: Any) -> Any:

@@ -23,6 +23,7 @@ KINDS = ("prediction", "study", "validation", "pipeline")
 ENDED = ("finished", "failed", "cancelled", "lost")
 _ID = re.compile(r"[A-Za-z0-9_-]{16}")
 _DAY_S = 86400.0
+COLLECTION = "collection"  # folder of a run that keeps what its campaign simulates
 _COLUMNS = "id TEXT PRIMARY KEY, owner TEXT, created REAL, state TEXT, bytes INTEGER, record TEXT"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import json
+import shutil
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -36,9 +37,12 @@ from hyperval.report.stored import read_results
 from hyperval.report.verdict import verdict
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
+from hyperval.simulate import load_scene, simulate
+from hyperval.simulate.inputs import load_inputs
 from hyperval.study.run import study_to_folder
 from hyperval.web import charts
 from hyperval.web.answer import read_answer, write_answer
+from hyperval.web.store import COLLECTION
 
 _PFA = (1e-4, 1e-3, 1e-2)
 _MOST_LISTED = 40
@@ -222,13 +226,33 @@ def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     return out
 
 
+def _job(path: str) -> Job | None:
+    return next((job for job in jobs_of(Path(path)) if isinstance(job, Job)), None)
+
+
+def collection(folder: str, path: str) -> None:
+    """Make the simulated collection of a campaign again, as its seed says, and keep it beside the run."""
+    job = _job(path)
+    if job is None or job.campaign.collection is None or job.campaign.collection.simulate is None:
+        raise UsageError("this campaign simulates nothing")
+    file = Inputs(job.folder).resolve(job.campaign.collection.simulate)
+    scene, part = load_scene(file), Path(folder) / "collection.part"
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir()
+    simulate(scene, part, inputs=load_inputs(scene, file.parent), show_progress=False)
+    part.replace(Path(folder) / COLLECTION)
+
+
 def pixel(folder: str, path: str, line: int, sample: int) -> None:
     """Write the chart of a pixel's spectrum beside the predicted ones."""
-    job = next((j for j in jobs_of(Path(path)) if isinstance(j, Job)), None)
+    job = _job(path)
     collection = None if job is None else job.campaign.collection
-    if job is None or collection is None or collection.cube is None or collection.simulate:
-        raise UsageError("the cube of this campaign is not at hand once it has run")
-    cube = open_source(collection.cube, Inputs(job.folder).resolve, collection.bands)
+    if job is None or collection is None or collection.cube is None:
+        raise UsageError("this campaign has no cube")
+    inputs = Inputs(job.folder)
+    if collection.simulate:
+        inputs.simulated = Path(folder) / COLLECTION
+    cube = open_source(collection.cube, inputs.resolve, collection.bands)
     if not (0 <= line < cube.lines and 0 <= sample < cube.samples):
         raise UsageError(f"no such pixel: ({line}, {sample})", expected=f"({cube.lines}, {cube.samples}) pixels")
     values = cube.read(line, 1).values[0, sample]
@@ -261,5 +285,5 @@ def _verdicts(results: Path) -> dict[str, Any]:
 
 TASKS: Mapping[str, Callable[..., Any]] = {
     "predict": predict, "draw": draw, "files": files, "study": study, "campaign": campaign,
-    "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor,
+    "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor, "collection": collection,
 }  # fmt: skip

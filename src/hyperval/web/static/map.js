@@ -18,7 +18,7 @@ function curveAt(curve, threshold) {
   curve.threshold.forEach((t, i) => {
     if (t >= threshold && (at < 0 || t <= curve.threshold[at])) at = i;
   });
-  return at < 0 ? null : { pfa: curve.pfa[at], pd: curve.pd[at] };
+  return at < 0 ? { pfa: 0, pd: 0 } : { pfa: curve.pfa[at], pd: curve.pd[at] }; // above all that were counted
 }
 
 function show() {
@@ -37,7 +37,7 @@ function show() {
   const sampled = map.step > 1 ? `, every ${map.step}th line and sample drawn` : "";
   const words = map.curves.map((curve) => {
     const point = curveAt(curve, threshold);
-    return point === null ? "" : `; ${curve.subject} by ${curve.unit}: P_D ${point.pd.toFixed(3)}, P_FA ${point.pfa.toExponential(1)}`;
+    return `; ${curve.subject} by ${curve.unit}: P_D ${point.pd.toFixed(3)}, P_FA ${point.pfa.toExponential(1)}`;
   });
   document.getElementById("map-words").textContent = `${alarms.toLocaleString("en")} pixels at or above it${sampled}${words.join("")}`;
 }
@@ -69,10 +69,9 @@ async function begin() {
   canvas.style.width = `${Math.min(map.width * 3, 900)}px`;
   slider.addEventListener("input", show);
   canvas.addEventListener("click", (event) => {
-    const box = canvas.getBoundingClientRect();
     const at = (offset, size, count) => Math.min(count - 1, Math.floor((offset / size) * count)) * map.step;
-    const line = at(event.clientY - box.top, box.height, map.height);
-    const sample = at(event.clientX - box.left, box.width, map.width);
+    const line = at(event.offsetY, canvas.clientHeight, map.height);
+    const sample = at(event.offsetX, canvas.clientWidth, map.width);
     document.getElementById("line").value = line;
     document.getElementById("sample").value = sample;
     spectrum(line, sample);
