@@ -94,6 +94,13 @@ class NormalizedDifference(Model):
     below: float = 1.0
 
 
+class Half(Model):
+    """One of the two halves of another region, cut across its longer side."""
+
+    of: str = Field(description="a region that stands above in the list")
+    which: Literal["first", "second"] = Field(description="first: the lower line numbers, or sample numbers")
+
+
 class VectorSource(Model):
     """How the drawings of a vector file are placed and named."""
 
@@ -115,10 +122,13 @@ class RegionSource(VectorSource):
     whole_image: Literal[True] | None = Field(
         None, description="true: every pixel; the statistics leave out targets, as those of every region do"
     )
+    half: Half | None = Field(
+        None, description="of another region: statistics of one half can then predict those of the other"
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> RegionSource:
-        sources = ("file", "rectangle", "normalized_difference", "whole_image")
+        sources = ("file", "rectangle", "normalized_difference", "whole_image", "half")
         if sum(getattr(self, source) is not None for source in sources) != 1:
             raise ValueError("give exactly one of " + ", ".join(sources))
         if self.name is None and self.file is None:

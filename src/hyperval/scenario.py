@@ -180,6 +180,10 @@ class Scene(Model):
     sites: list[Surface] = Field(default_factory=list, description="subjects of no area")
     targets: list[Target] = Field(default_factory=list)
     adjacency: Adjacency = Adjacency()
+    fractions: Literal["stated", "measured"] = Field(
+        "stated",
+        description="measured: in a campaign the pixels of the classes' regions take the place of their fractions",
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Scene:

@@ -6,8 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
+import numpy as np
+
 from hyperval.collection import Detection
 from hyperval.errors import UsageError
+from hyperval.observe.place import Place
 from hyperval.processing.roc import average_roc
 from hyperval.products import Observation, Prediction, Products, RocCurve
 from hyperval.scenario import Scenario
@@ -36,11 +39,23 @@ def merged(predictions: Sequence[Prediction]) -> Prediction:
     )
 
 
-def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Prediction:
-    """The prediction without the spectra that were taken from the collection: they agree whatever is wrong."""
+def without_circles(
+    prediction: Prediction, scenarios: Sequence[Scenario], place: Place | None = None
+) -> Prediction:
+    """The prediction without what was taken from the collection it is compared with: that agrees whatever is wrong.
+
+    A covariance that was measured on other pixels than those of its subject stays: one part of the scene predicts
+    the other.  ``place`` tells the pixels; without it every measured covariance counts as the subject's own.
+    """
     surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
     taken = {s.name for s in surfaces if s.spectrum.measured is not None}
-    spread = {s.name for s in surfaces if s.covariance is not None and s.covariance.measured is not None}
+    spread = {
+        s.name
+        for s in surfaces
+        if s.covariance is not None
+        and s.covariance.measured is not None
+        and _shares_pixels(place, s.name, s.covariance.measured)
+    }
     radiance, reflectance = (
         {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in spectra.items() if k not in taken}
         for spectra in (prediction.radiance, prediction.reflectance)
@@ -52,6 +67,13 @@ def without_circles(prediction: Prediction, scenarios: Sequence[Scenario]) -> Pr
         return prediction
     note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
     return replace(prediction, notes=(*prediction.notes, note))
+
+
+def _shares_pixels(place: Place | None, subject: str, region: str) -> bool:
+    """Whether a subject's region has pixels of another one; taken to be so where it is not known."""
+    if place is None or subject not in place.regions or region not in place.regions:
+        return True
+    return bool(np.any(place.regions[subject] & place.regions[region]))
 
 
 def with_pools(

@@ -208,6 +208,10 @@ def _opened(campaign: Campaign, lookup: Lookup, find: Callable[[str], Path]) -> 
     for i, source in enumerate(collection.regions):
         if source.normalized_difference is not None:
             continue
+        if source.half is not None:
+            lookup.known(("collection", "regions", i, "half", "of"), [source.half.of], [*names, *rules], "region")
+            names.append(str(source.name))
+            continue
         with lookup.at("collection", "regions", i):
             names += open_place(plain.model_copy(update={"regions": [source]}), find, show_progress=False).regions
     for name in sorted({n for n in names if names.count(n) > 1}):

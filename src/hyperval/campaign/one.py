@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from hyperval.campaign.day_scenarios import scenarios_of
 from hyperval.campaign.draft import Waiting, read_texts
 from hyperval.campaign.header_check import scenario_notes
+from hyperval.campaign.measured_fractions import with_measured_fractions
 from hyperval.campaign.merge import merged, with_pools, without_circles
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import record_of
@@ -233,6 +234,7 @@ def collected(
         )
         if observed.place is not None:
             inputs.record_beside(observed.place.source_files)
+        scenarios = [with_measured_fractions(scenario, observed.place) for scenario in scenarios]
         yield Collected(inputs, scenarios, observed, seed)
 
 
@@ -318,7 +320,7 @@ def predicted_side(
     areas = predicted_unmixing(scenarios, predictions, finders, campaign.detection, observed, truths)
     nominal = observed.detected.nominal_area_m2 if observed.detected is not None else {}
     stated = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
-    prediction = replace(without_circles(whole, scenarios), abundance={**stated, **areas})
+    prediction = replace(without_circles(whole, scenarios, observed.place), abundance={**stated, **areas})
     if campaign.detection is None:
         return prediction
     return replace(prediction, roc=with_pools(prediction.roc, observed.observation, campaign.detection))

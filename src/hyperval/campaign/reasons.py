@@ -74,7 +74,7 @@ def reasons(
     def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truth]) -> Iterator[Products]:
         sides = [side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(scenarios)]
         for parts in zip(*sides, strict=True):
-            joined = without_circles(merged(parts), scenarios)
+            joined = without_circles(merged(parts), scenarios, observed.place)
             if campaign.detection is not None:
                 joined = replace(joined, roc=with_pools(joined.roc, observation, campaign.detection))
             yield joined

@@ -23,16 +23,17 @@ _TREES = (".nc", ".nc4", ".h5", ".hdf5", ".he5")
 
 # Parts of names that tell the files of one line apart, such as ang20160217t083024_rdn_v1n2_img and ..._rdn_glt.
 _KINDS = re.compile(
-    r"^(img|rdn|rad|rfl|refl|radiance|reflectance|ort|raw|data|corr|glt|igm|loc|obs|l[0-4][a-d]?|v[0-9]\w*)$"
+    r"^(img|dat|rdn|rad|pol|ref|rfl|refl|radiance|reflectance|ort|raw|data|corr|glt|igm|loc|obs|l[0-4][a-d]?|v[0-9]\w*)$"
 )
 
 
 def companion(image: Path, kind: str) -> Path | None:
     """The file of a kind ("glt", "igm", "loc", "obs") beside an image, by the names that producers give; None else.
 
-    Their names are the same but for the words that say what a file is; none is taken where two would fit.
+    Their names are the same but for the words that say what a file is; of several that fit, the one that has the
+    image's own such words (``x_rad_glt`` for ``x_rad``), and none where that leaves two.
     """
-    own, _ = _name(image)
+    own, kinds = _name(image)
     fits = []
     if image.suffix.lower() in _TREES:
         others = [p for p in sorted(image.parent.glob("*" + image.suffix)) if p != image]
@@ -45,6 +46,8 @@ def companion(image: Path, kind: str) -> Path | None:
         name, words = _name(data)
         if data != image and data.is_file() and kind in words and name == own:
             fits.append(data)
+    if len(fits) > 1:
+        fits = [p for p in fits if kinds <= _name(p)[1]]
     return fits[0] if len(fits) == 1 else None
 
 

@@ -169,6 +169,22 @@ def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int]
     return Region(name, mask, "inline")
 
 
+def half_region(name: str, region: Region, *, first: bool) -> Region:
+    """The half of a region with the lower line numbers, or the other; by samples where it is wider than long.
+
+    The cut lies where half of the pixels are on either side, up to those of one line.
+    """
+    lines, samples = np.nonzero(region.mask)
+    along = lines if np.ptp(lines) >= np.ptp(samples) else samples
+    before = along < np.sort(along)[along.size // 2]
+    chosen = before if first else ~before
+    if not chosen.any():
+        raise InputError(f"the region {region.name!r} is too small to be halved", where=f"region {name!r}")
+    mask = np.zeros(region.mask.shape, bool)
+    mask[lines[chosen], samples[chosen]] = True
+    return Region(name, mask, f"half of {region.name}")
+
+
 def overlaps(regions: Iterable[Region]) -> list[tuple[str, str, int]]:
     """Pairs of regions that share pixels, with the number of shared pixels."""
     listed = list(regions)

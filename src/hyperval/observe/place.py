@@ -29,7 +29,7 @@ from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.location import location_table
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.rasters import open_raster
-from hyperval.imagery.regions import Region, guard, read_regions, rectangle_region
+from hyperval.imagery.regions import Region, guard, half_region, read_regions, rectangle_region
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.shared_pixels import region_notes, target_overlaps
 from hyperval.observe.site_spectra import read_band_table
@@ -250,9 +250,17 @@ def _regions(
             }
         elif source.whole_image:
             new = {name: Region(name, np.broadcast_to(np.True_, cube.shape), "the whole image")}
+        elif source.half is not None:
+            if source.half.of not in regions:
+                raise UsageError(
+                    f"{name!r} is half of {source.half.of!r}, which is no region above it",
+                    where="collection.regions",
+                    expected="one of " + ", ".join(regions) if regions else "a region above it",
+                )
+            new = {name: half_region(name, regions[source.half.of], first=source.half.which == "first")}
         else:
             rule = source.normalized_difference
-            assert rule is not None  # noqa: S101 - one of the four is given
+            assert rule is not None  # noqa: S101 - one of the five is given
             new = {name: Region(name, normalized_difference(cube, rule, show=show), "normalised difference")}
         twice = sorted(set(new) & set(regions))
         if twice:

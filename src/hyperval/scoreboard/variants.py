@@ -258,7 +258,7 @@ def variant_rows(
             agreements.append((Variant(variant.engine, variant.formulation, reason=str(error)), None))
             continue
         predictions += sides
-        whole = without_circles(merged(sides), [s.scenario for s in variant.served])
+        whole = without_circles(merged(sides), [s.scenario for s in variant.served], collection.observed.place)
         agreements.append(
             (variant, agreement_of(_compared(whole, collection.observed.observation, campaign, variant.label)))
         )

@@ -1,0 +1,92 @@
+"""Halves of a region, covariances across them, and fractions that are counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_world import AXIS, BANDS
+
+from hyperval.campaign.measured_fractions import with_measured_fractions
+from hyperval.campaign.merge import without_circles
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.regions import Region, half_region
+from hyperval.products import Prediction, SpectralEstimate
+from hyperval.scenario import Scenario
+
+FIELD = {"name": "field", "rectangle": [35, 5, 10, 20]}
+HALVES = [
+    {"name": "left", "half": {"of": "field", "which": "first"}},
+    {"name": "right", "half": {"of": "field", "which": "second"}},
+]
+
+
+def test_halves_share_no_pixel_and_are_cut_across_the_longer_side(world):
+    world.collection["regions"] = [FIELD, *HALVES]
+    world.detection = None
+    place = world.observe().place
+    left, right = place.region("left"), place.region("right")
+    assert not (left & right).any()
+    assert np.array_equal(left | right, place.region("field"))
+    assert np.argwhere(left)[:, 1].max() == 14  # samples 5 to 24 are the longer side
+    assert left.sum() == right.sum() == 100
+    long = np.zeros((9, 3), bool)
+    long[:, :2] = True
+    first = half_region("a", Region("whole", long, "here"), first=True)
+    assert np.argwhere(first.mask)[:, 0].tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    single = np.zeros((3, 3), bool)
+    single[1, 1] = True
+    with pytest.raises(InputError, match="too small to be halved"):
+        half_region("a", Region("dot", single, "here"), first=True)
+
+
+def test_a_half_of_what_does_not_stand_above_is_refused(world):
+    world.collection["regions"] = [*HALVES, FIELD]
+    world.detection = None
+    with pytest.raises(UsageError, match=r"'left' is half of 'field', which is no region above it"):
+        world.observe()
+
+
+def scenario(classes: list[dict], **scene: object) -> Scenario:
+    return Scenario.model_validate({"name": "s", "scene": {"classes": classes, **scene}, "schema": 1})
+
+
+def test_a_covariance_of_other_pixels_is_evidence_and_of_its_own_is_not(world):
+    world.collection["regions"] = [FIELD, *HALVES]
+    world.detection = None
+    place = world.observe().place
+
+    def surface(name: str, region: str) -> dict:
+        return {"name": name, "spectrum": {"constant": 0.2}, "covariance": {"measured": region}}
+
+    given = scenario(
+        [surface("field", "left") | {"fraction": 1.0}], sites=[surface("right", "left"), surface("left", "left")]
+    )
+    spectra = {
+        n: SpectralEstimate(np.ones(BANDS), np.eye(BANDS), np.eye(BANDS)) for n in ("field", "right", "left")
+    }
+    prediction = Prediction(AXIS, reflectance=spectra)
+    kept = without_circles(prediction, [given], place).reflectance
+    assert {name for name, s in kept.items() if s.pixel_covariance is not None} == {"right"}
+    # Where the pixels are not known, every measured covariance counts as the subject's own.
+    blind = without_circles(prediction, [given]).reflectance
+    assert all(s.pixel_covariance is None for s in blind.values())
+
+
+def test_fractions_are_those_of_the_pixels_that_count(world):
+    corner = {"name": "corner", "rectangle": [5, 5, 10, 20]}  # holds two targets and their guard of one pixel
+    world.collection["regions"] = [FIELD, corner]
+    place = world.observe().place
+    classes = [
+        {"name": "field", "fraction": 0.5, "spectrum": {"constant": 0.2}},
+        {"name": "elsewhere", "fraction": 0.5, "spectrum": {"measured": "corner"}},
+    ]
+    stated = scenario(classes)
+    assert with_measured_fractions(stated, place) is stated
+    counted = with_measured_fractions(scenario(classes, fractions="measured"), place)
+    pixels = np.array([200, 200 - 2 * 5])  # a guard of one pixel is a cross
+    assert [c.fraction for c in counted.scene.classes] == pytest.approx(list(pixels / pixels.sum()), rel=1e-12)
+    classes[0]["name"] = "nowhere"
+    with pytest.raises(UsageError, match="class 'nowhere' has no region"):
+        with_measured_fractions(scenario(classes, fractions="measured"), place)
+    with pytest.raises(UsageError, match="the campaign has no image"):
+        with_measured_fractions(scenario(classes, fractions="measured"), None)
