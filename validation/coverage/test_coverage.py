@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from hyperval.processing.intervals import clopper_pearson
+
 sys.path.insert(0, str(Path(__file__).parent))
 
-from counts import COVERED, FOUND, outcomes
+from counts import COVERED, FOUND, Counts, outcomes
 
 import study
 
@@ -56,3 +58,24 @@ def test_consistency_test_rejects_tilted_collections_and_few_others(found):
             assert o.share > 0.8, o  # P(X <= 48 of 60) = 3e-6 at the 97 % of the whole study
         else:
             assert o.share <= MOST_REJECTED / 60, o
+
+
+@pytest.mark.parametrize("together", [1, 40])
+def test_intervals_that_move_together_count_as_one(together):
+    """Bands of a world that all hold or all miss say no more of the share than one of them."""
+    counts = Counts()
+    for world in range(100):
+        counts.add([float(world >= 6)] * together)
+    assert (counts.share, counts.worlds) == (0.94, 100)
+    assert counts.limits() == pytest.approx(tuple(float(x) for x in clopper_pearson(94, 100)))
+
+
+def test_counts_of_a_batch_are_read_where_they_are_kept(tmp_path, monkeypatch):
+    batch, kept = study.Batch("maps", 0, 1, seed=3), study.Kept(tmp_path, "code")
+    one = Counts(1.0, 1.0, 1.0, 1.0, 1.0, 1)
+    monkeypatch.setattr(study.Batch, "tally", lambda self: {("interval", "independent", "auc", "pixels"): one})
+    first = kept.tally(batch)
+    monkeypatch.setattr(study.Batch, "tally", lambda self: pytest.fail("made anew"))
+    assert kept.tally(batch) == first
+    with pytest.raises(pytest.fail.Exception):
+        study.Kept(tmp_path, "other code").tally(batch)
