@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import re
 import shutil
+import zipfile
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 from web_browser import NEEDS_BROWSER, careful_page, picture
 from web_server import serve
 
 from hyperval import api
+from hyperval.cli import app as command
+from hyperval.report.netcdf_read import read_products
 from small_campaign import SmallCampaign, scene_data, write_yaml
 
 PLANK = "scene.targets.[yellow plank].subjects"
@@ -32,7 +37,7 @@ def own(tmp_path_factory, small_collection, atmosphere):
     SmallCampaign(shutil.copytree(small_collection, folder / "campaigns" / "small")).write()
     (folder / "campaigns" / "broken").mkdir()
     (folder / "campaigns" / "broken" / "campaign.yaml").write_text("a: [")
-    yield from serve(folder / "web", folder / "campaigns")
+    yield from serve(folder / "web", folder / "campaigns", small_collection)
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +149,52 @@ def test_pixel_of_a_simulated_campaign_is_made_again(own, run):
     assert again == before
     assert (place / "collection" / "small_rad.img").is_file()
     SmallCampaign(folder).write()
+
+
+BROUGHT = {
+    "cube_named": "collection/small_rad.img", "header_named": "collection/small_rad.hdr",
+    "regions_named": "collection/regions.geojson", "targets_named": "collection/targets.csv",
+    "spectra_named": "collection/panel_spectra.csv", "name": "mine", "unit": "uW cm-2 sr-1 nm-1",
+    "time_utc": "2012-09-20T16:31:00Z", "altitude_km": "2", "sensor": "prospectir-vs",
+}  # fmt: skip
+
+
+def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp_path, monkeypatch):
+    client = own.session()
+    url = f"{own.address}/api/v1/uploads"
+    with monkeypatch.context() as patch:
+        patch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+        patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+        run = client.post(url, files={k: (None, v) for k, v in BROUGHT.items()}).json()
+        told = client.get(f"{own.address}/api/v1/runs/{run['id']}", params={"wait": 60}).json()
+    assert told["state"] == "finished", told
+    packed = client.get(f"{own.address}/api/v1/runs/{run['id']}/files/campaign.zip").content
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        assert all(not name.startswith(("/", "..")) for name in archive.namelist())
+        archive.extractall(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+        patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+        words = ["validate", str(tmp_path / "campaign.yaml"), "-o", str(tmp_path / "out")]
+        done = CliRunner().invoke(command, words)
+    assert done.exit_code in (0, 1), done.output
+    _, here = read_products(own.app.state.store.place(run["id"]) / "results" / "products.nc")
+    predicted, there = read_products(tmp_path / "out" / "products.nc")
+    assert predicted.radiance
+    for name, spectrum in here.radiance.items():
+        np.testing.assert_array_equal(spectrum.mean, there.radiance[name].mean)
+    assert set(here.roc) == set(there.roc)
+
+
+@pytest.mark.parametrize(
+    "name", ["../web/secret", "/etc/passwd", "collection/../../web/secret", "nothing.img", "collection"]
+)
+def test_no_name_leads_out_of_the_data_folder(own, name):
+    client = own.session()
+    answer = client.post(f"{own.address}/api/v1/uploads", files={"cube_named": (None, name)})
+    assert answer.status_code == 422
+    assert "cube_named" in [e["field"] for e in answer.json()["errors"]]
+    assert str(own.folder.parent) not in answer.text
 
 
 def test_study_gives_what_the_api_gives_and_the_value_that_is_needed(own, tmp_path):

@@ -89,9 +89,9 @@ class Server:
         return own
 
 
-def serve(folder: Path, campaigns: Path | None = None, **limits: Any) -> Iterator[Server]:
+def serve(folder: Path, campaigns: Path | None = None, data: Path | None = None, **limits: Any) -> Iterator[Server]:
     quick, long = Crew(limits.get("queue", 64)), Crew(limits.get("queue", 64))
-    app = make_app(Settings(folder, campaigns, limits=Limits(**limits)), (quick, long))
+    app = make_app(Settings(folder, campaigns, limits=Limits(**limits), data=data), (quick, long))
     config = uvicorn.Config(app, host="127.0.0.1", port=0, log_level="error", server_header=False)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, daemon=True)

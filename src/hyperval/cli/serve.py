@@ -30,6 +30,9 @@ def serve(
     campaigns: Annotated[
         Path | None, typer.Option(help="Folder of campaigns that may be run from the pages.")
     ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder whose cubes, regions and spectra may be named in the pages.")
+    ] = None,
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for predictions.")] = 2,
     long_workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
     memory_mb: Annotated[int, typer.Option(min=500, help="Memory of one process.")] = 3000,
@@ -59,11 +62,12 @@ def serve(
         upload_bytes=upload_mb * _MB, long_seconds=seconds, memory_bytes=memory_mb * _MB, quick_workers=workers,
         long_workers=long_workers, queue=queue, kept_bytes=kept_mb * _MB, kept_days=kept_days,
     )  # fmt: skip
-    if campaigns is not None and not campaigns.is_dir():
-        raise UsageError("is no folder", where=str(campaigns), expected="a folder of campaigns")
+    for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
+        if given is not None and not given.is_dir():
+            raise UsageError("is no folder", where=str(given), expected=words)
     place = folder or Path(platformdirs.user_data_dir("hyperval")) / "web"
     names = tuple(n.lower() for n in name or ())
-    settings = Settings(place, campaigns, (*LOOPBACK, *names), https, limits)
+    settings = Settings(place, campaigns, (*LOOPBACK, *names), https, limits, data)
     application = make_app(settings)
     for words in application.state.store.notices:
         note(words)

@@ -280,6 +280,13 @@ _BODY: dict[str, Any] = {
     **dict.fromkeys(("cube", "header", "targets"), _FILE),
     **{key: {"type": "array", "items": _FILE} for key in ("regions", "spectra", "sensors")},
     **{key: {"type": "string"} for key in ("name", "quantity", "unit", "sensor", "time_utc")},
+    **{
+        f"{part}_named": {
+            "type": "string",
+            "description": "of the server's data folder, not sent",
+        }
+        for part in ("cube", "header", "regions", "targets", "spectra")
+    },
     **{key: {"type": "number"} for key in ("altitude_km", "pixel_size_m")},
 }
 
@@ -291,7 +298,7 @@ def _files_body(needed: list[str], names: list[str]) -> dict[str, Any]:
 
 @router.post(
     "/uploads", status_code=201,
-    openapi_extra=_files_body(["cube", "header", "regions"], [n for n in _BODY if n != "sensors"]),
+    openapi_extra=_files_body([], [n for n in _BODY if n != "sensors"]),
     responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 429, 503)},
 )  # fmt: skip
 async def uploads(request: Request) -> RunAnswer:

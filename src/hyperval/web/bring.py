@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import re
 import secrets
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
 
+from hyperval.errors import HypervalError, UsageError
+from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.web.desk import Order
+from hyperval.web.limits import Settings
 from hyperval.web.pages import page, session_of
 from hyperval.web.refusal import Mistake, Refused
 from hyperval.web.store import Run
@@ -41,15 +46,42 @@ _PACKED = {
 }
 _NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,59}")
 _LARGEST_TEXT = 4_000_000
+_HEAD_BYTES = 8
+_PARTS = ("cube", "header", "regions", "targets", "spectra")
+_INSIDE = re.compile(r"(?:[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}/){0,12}[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}")
 
 
 @dataclass(frozen=True)
 class Brought:
-    """A file of a request: the field, its name, and what holds it."""
+    """A file of a request: the field, its name, its size, and what holds it: the request, or the data folder."""
 
     field: str
     name: str
-    file: UploadFile
+    size: int
+    file: BinaryIO | None = None
+    path: Path | None = None
+
+    def head(self) -> bytes:
+        """Its first bytes."""
+        if self.path is not None:
+            with self.path.open("rb") as file:
+                return file.read(_HEAD_BYTES)
+        assert self.file is not None  # noqa: S101
+        head = self.file.read(_HEAD_BYTES)
+        self.file.seek(0)
+        return head
+
+    def keep(self, path: Path) -> None:
+        """Put its content at ``path``: that of the data folder takes no room where the file system can share it."""
+        if self.path is not None:
+            try:
+                os.link(self.path.resolve(), path)
+            except OSError:
+                shutil.copyfile(self.path, path)
+            return
+        assert self.file is not None  # noqa: S101
+        with path.open("wb") as out:
+            shutil.copyfileobj(self.file, out)
 
 
 @router.get("/bring")
@@ -110,7 +142,7 @@ def _page(request: Request, mistakes: Sequence[Mistake] = (), status: int = 200)
     settings, owner = request.app.state.settings, session_of(request).owner
     return page(
         request, "bring.html.j2", status=status, errors={m.field: m.message for m in mistakes},
-        most=settings.limits.upload_bytes, sensors=library_names(),
+        most=settings.limits.upload_bytes, has_data=settings.data is not None, sensors=library_names(),
         spectra=files_of(settings, owner, ["spectra"]), own_sensors=files_of(settings, owner, ["sensors"]),
     )  # fmt: skip
 
@@ -122,8 +154,10 @@ def order_pipeline(request: Request, form: FormData) -> Run:
     ------
     Refused : what is wrong with them, or there is no room.
     """
-    files = list(_files(form, ("cube", "header", "regions", "targets", "spectra")))
-    mistakes = list(_wrong(files))
+    owner, settings = session_of(request).owner, request.app.state.settings
+    named, mistakes = _named(form, settings)
+    files = [*_files(form, _PARTS), *named]
+    mistakes += _wrong(files, settings.limits.samples * 8)
     cubes = [f for f in files if f.field == "cube"]
     if len(cubes) != 1:
         mistakes.append(Mistake("cube", "one data file of a cube is needed"))
@@ -144,15 +178,12 @@ def order_pipeline(request: Request, form: FormData) -> Run:
         mistakes.append(Mistake("sensor", f"one of {', '.join(library_names())}"))
     if mistakes:
         raise Refused(422, mistakes)
-    owner, settings = session_of(request).owner, request.app.state.settings
-    place = folder_of(settings, owner) / "incoming"
-    place.mkdir(parents=True, exist_ok=True)
+    place = folder_of(settings, owner) / "incoming" / secrets.token_hex(8)
+    place.mkdir(parents=True)
     copies = {}
     for number, brought in enumerate(files):
         path = place / f"{number}-{brought.name}"
-        with path.open("wb") as out:
-            while block := brought.file.file.read(1 << 20):
-                out.write(block)
+        brought.keep(path)
         copies[f"collection/{brought.name}"] = path
     header = next(f"collection/{f.name}" for f in files if f.field == "header")
     sources: dict[str, Any] = {
@@ -169,8 +200,7 @@ def order_pipeline(request: Request, form: FormData) -> Run:
         order = Order("pipeline", name, f"{name}: {cubes[0].name}", copies=copies, arguments={"sources": sources})
         run: Run = request.app.state.desk.order(owner, order)
     finally:
-        for path in copies.values():
-            path.unlink(missing_ok=True)
+        shutil.rmtree(place, ignore_errors=True)
     return run
 
 
@@ -195,8 +225,8 @@ def keep_files(request: Request, form: FormData, kind: str) -> list[str]:
         raise Refused(422, mistakes)
     for one in files:
         part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
-        part.write_bytes(one.file.file.read(_LARGEST_TEXT + 1))
         try:
+            one.keep(part)
             if kind == "sensors":
                 _check_sensor(request, part, one.name)
             part.replace(place / one.name)
@@ -216,10 +246,28 @@ def _check_sensor(request: Request, path: Path, name: str) -> None:
 def _files(form: FormData, fields: Sequence[str]) -> Iterator[Brought]:
     for field, value in form.multi_items():
         if isinstance(value, UploadFile) and field in fields and (value.filename or value.size):
-            yield Brought(field, value.filename or "", value)
+            yield Brought(field, value.filename or "", value.size or 0, value.file)
 
 
-def _wrong(files: Sequence[Brought]) -> Iterator[Mistake]:
+def _named(form: FormData, settings: Settings) -> tuple[list[Brought], list[Mistake]]:
+    """Files of the data folder that a form names, several of a field with commas between."""
+    files, mistakes = [], []
+    for field in _PARTS:
+        value = form.get(f"{field}_named")
+        for name in (n.strip() for n in value.split(",")) if isinstance(value, str) else ():
+            if not name:
+                continue
+            try:
+                if settings.data is None or not _INSIDE.fullmatch(name):
+                    raise UsageError("no file of the data folder")
+                path = checked_file(settings.data / name, root=settings.data)
+                files.append(Brought(field, path.name, path.stat().st_size, path=path))
+            except (HypervalError, OSError):
+                mistakes.append(Mistake(f"{field}_named", "the data folder of this server has no such file"))
+    return files, mistakes
+
+
+def _wrong(files: Sequence[Brought], largest_cube: int = 0) -> Iterator[Mistake]:
     names: set[str] = set()
     for brought in files:
         try:
@@ -233,13 +281,13 @@ def _wrong(files: Sequence[Brought]) -> Iterator[Mistake]:
                 brought.field,
                 f"{brought.name}: ends with none of {', '.join(filter(None, _ENDINGS[brought.field]))}",
             )
-        head = brought.file.file.read(8)
-        brought.file.file.seek(0)
+        head = brought.head()
         for sign, kind in _PACKED.items():
             if head.startswith(sign):
                 yield Mistake(brought.field, f"{brought.name}: is {kind}, which is not taken")
-        if brought.field != "cube" and (brought.file.size or 0) > _LARGEST_TEXT:
-            yield Mistake(brought.field, f"{brought.name}: larger than {_LARGEST_TEXT:,} bytes")
+        largest = largest_cube if brought.field == "cube" else _LARGEST_TEXT
+        if brought.size > largest:
+            yield Mistake(brought.field, f"{brought.name}: larger than {largest:,} bytes")
         if brought.name in names:
             yield Mistake(brought.field, f"{brought.name}: stands twice")
         names.add(brought.name)

@@ -46,6 +46,7 @@ class Settings:
     Attributes
     ----------
     folder : runs, uploads, index;  campaigns : folder of campaigns that may be run, None: none
+    data : folder whose cubes and regions may be named, None: none
     hosts : names under which browsers reach it
     secure : whether it is reached by HTTPS alone, through a proxy
     """
@@ -55,3 +56,4 @@ class Settings:
     hosts: tuple[str, ...] = LOOPBACK
     secure: bool = False
     limits: Limits = field(default_factory=Limits)
+    data: Path | None = None

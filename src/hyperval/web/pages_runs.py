@@ -20,6 +20,7 @@ from hyperval.web.store import ENDED, Run
 
 router = APIRouter(include_in_schema=False)
 _NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9][A-Za-z0-9_.@+-]{0,120}")
+PACKED = "campaign.zip"
 _OWN = {"scenario.yaml": "text/yaml", "study.yaml": "text/yaml", "campaign.yaml": "text/yaml"}
 _TYPES = {
     ".csv": "text/csv", ".json": "application/json", ".nc": "application/x-netcdf", ".svg": "image/svg+xml",
@@ -107,8 +108,9 @@ def files_of(place: Path, run: Run) -> list[str]:
         figures = ("figures/scores.svg", "figures/exceedance.svg") if run.summary.get("detection") else ()
         return ["results.csv", "products.nc", "results.json", "provenance.json", "report.html", *figures]
     results = place / "results"
+    own = [PACKED] if run.kind == "pipeline" else []
     paths = [p for p in sorted(results.rglob("*")) if p.is_file() and not p.name.startswith(".")]
-    return [name for p in paths if _NAME.fullmatch(name := p.relative_to(results).as_posix())]
+    return own + [name for p in paths if _NAME.fullmatch(name := p.relative_to(results).as_posix())]
 
 
 @router.get("/runs/{run_id}/state")
@@ -148,7 +150,9 @@ def file_of(request: Request, run: Run, name: str) -> Response:
     place = request.app.state.store.place(run.id)
     if not _NAME.fullmatch(name) or ".." in name:
         raise Refused(404, "this run has no such file")
-    if name in _OWN:
+    if name == PACKED and run.kind == "pipeline":
+        path, kind = request.app.state.desk.view(run, "pack", PACKED), "application/zip"
+    elif name in _OWN:
         path, kind = place / name, _OWN[name]
     else:
         if run.kind == "prediction":

@@ -8,6 +8,7 @@ import json
 import shutil
 import sys
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
@@ -175,6 +176,18 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
     return _verdicts(place / "results") | {"header": header, "guesses": guesses}
 
 
+def pack(folder: str) -> None:
+    """Write the campaign of a pipeline with its files, so that it runs unchanged wherever it is unpacked."""
+    place = Path(folder)
+    part = place / "campaign.zip.part"
+    with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
+        for path in (place / "campaign.yaml", *sorted((place / "collection").iterdir())):
+            entry = zipfile.ZipInfo(path.relative_to(place).as_posix())  # of no day: the same bytes
+            with path.open("rb") as source, archive.open(entry, "w", force_zip64=True) as target:
+                shutil.copyfileobj(source, target)
+    part.replace(place / "campaign.zip")
+
+
 def sensor(path: str) -> dict[str, Any]:
     """What a sensor file says, where it is one."""
     known = load_sensor(path)
@@ -285,5 +298,6 @@ def _verdicts(results: Path) -> dict[str, Any]:
 
 TASKS: Mapping[str, Callable[..., Any]] = {
     "predict": predict, "draw": draw, "files": files, "study": study, "campaign": campaign,
-    "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor, "collection": collection,
+    "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor, "pack": pack,
+    "collection": collection,
 }  # fmt: skip
