@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hyperval.campaign.one import jobs_of, run_campaign
+from hyperval.errors import UsageError
 from hyperval.results import Outcome
 
 WHAT_IFS = [
@@ -133,3 +134,33 @@ def test_the_change_found_is_the_one_that_was_made(small):
     ]
     units = float(row.reason.partition(": ")[2].split()[0])
     assert np.isclose(units, 4.0, atol=0.3)  # 4 % in steps of 1 %
+
+
+def test_a_collection_that_is_measured_again_and_shares_of_the_variance(small):
+    """Read with the right scale it meets its model; no input has more than all of the variance."""
+    _falsify(small, "sensor gain")
+    _state_surroundings(small)
+    right = {"name": "the header's scale", "question": "was it read wrongly?",
+             "observe": {"collection.cube.scale": 1e-3}}  # fmt: skip
+    small.data["attribution"] = {"what_ifs": [right], "each": ["field"]}
+    table, _ = _reasons(small)
+    by_metric = {r.metric: r for r in table.where(product="what-if", method=right["name"])}
+    (before,) = [r for r in table.where(product="attribution", subject="all") if r.metric == "reduced_chi_square"]
+    assert by_metric["reduced_chi_square"].value < 1.5 < 3.0 < before.value
+    assert by_metric["reduced_chi_square"].reason.startswith(f"{before.value:.4g} before")
+    (alone,) = [r for r in table.where(product="attribution", subject="field") if r.metric == "reduced_chi_square"]
+    assert alone.value > 3.0
+    stated = [r for r in table.where(product="sensitivity") if "share of the variance" in r.reason]
+    shares = [[float(w.split()[0]) for w in r.reason.split("variance ")[1].split(", ")] for r in stated]
+    assert len({r.method for r in stated}) >= 2
+    # No stated input moves what is observed alone, as an SNR: it has no shares, and none is said to be no number.
+    assert not [r for r in table.where(product="sensitivity") if "nan" in r.reason]
+    for first, total in shares:
+        assert -1e-9 <= first <= total + 1e-9 <= 1.0 + 2e-9
+
+
+def test_an_experiment_that_compares_other_things_is_refused(small):
+    small.data["attribution"] = {"totals": False, "what_ifs": [
+        {"name": "fewer", "question": "?", "observe": {"collection.snr_regions": []}}]}  # fmt: skip
+    with pytest.raises(UsageError, match="'fewer' compares other things than the campaign does"):
+        _reasons(small)

@@ -91,7 +91,8 @@ def _sensitivity_rows(attribution: Attribution, campaign: str) -> list[Result]:
             if attribution.indices is not None and candidate in place:
                 total = float(attribution.indices.total[q, place[candidate]])
                 first = float(attribution.indices.first[q, place[candidate]])
-                reason += f"; share of the variance {first:.3g} alone, {total:.3g} in all"
+                if math.isfinite(total):  # no stated input moves some quantities
+                    reason += f"; share of the variance {first:.3g} alone, {total:.3g} in all"
             unit = "stated uncertainty" if candidate.budgeted else candidate.step
             method = f"{candidate.name} / {quantity.method}" if quantity.method else candidate.name
             rows.append(
