@@ -9,6 +9,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+import product_shells
 import rasterio
 import xarray as xr
 from affine import Affine
@@ -18,9 +19,12 @@ from hyperval.atmosphere.modtran_read import RADIANCE_COLUMNS
 from hyperval.atmosphere.table import QUANTITIES, AtmosphericTable
 from hyperval.atmosphere.table_files import write_table
 from hyperval.imagery.envi_write import write_cube
+from hyperval.products import Prediction, RocCurve, ScoreDistribution, SpectralEstimate
+from hyperval.report.netcdf import write_products
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import write_statistics_library
+from hyperval.web.answer import write_answer
 
 SHAPE = (10, 12)
 NM = np.arange(400.0, 1000.0, 50.0)
@@ -147,6 +151,65 @@ def drawn() -> dict[str, tuple[str, bytes]]:
         "roi binary": ("a.roi", roi_binary()),
         "pixel list": ("a.csv", pixels.encode()),
     }
+
+
+def radcalnet() -> str:
+    """A day of a RadCalNet site: heads, the state of the air, reflectances and their errors."""
+    state = "P:\t900\t901\nT:\t290.5\t291.5\nWV:\t0.5\t0.6\nO3:\t280\t281\nAOD:\t0.1\t0.2\nAng:\t1.1\t1.2\n"
+    return (
+        "Site:\tXXXX01\nLat:\t40.5\nLon:\t-109.5\nAlt:\t1270\n\nYear:\t2020\t2020\t\nDOY(U):\t60\t60\t\n"
+        f"UTC:\t03:30\t04:00\nDOY(L):\t60\t60\t\nLocal:\t11:30\t12:00\n{state}Type:\tR\tR\n"
+        f"400\t0.10\t0.20\t\n410\t  9998\t0.21\n420\t0.12\t0.22\n\n{state}"
+        "400\t0.01\t0.02\n410\t9998\t0.03\n420\t0.02\t0.02\n"
+    )
+
+
+def prediction() -> Prediction:
+    """A prediction of two spectra, a curve and scores."""
+    grid = np.linspace(-1.0, 2.0, 9)
+    pfa = np.array([1e-3, 1e-2, 0.1, 1.0])
+    curve = RocCurve(pfa, np.sqrt(pfa), 0.9 * np.sqrt(pfa), np.sqrt(pfa), np.array([3.0, 2.0, 1.0, -9.0]))
+    estimate = SpectralEstimate(RHO, np.diag((0.01 * RHO) ** 2))
+    return Prediction(
+        SpectralAxis(NM, np.full(NM.size, 20.0), np.ones(NM.size, bool)),
+        radiance={"grass": estimate},
+        reflectance={"grass": estimate},
+        scores={("planks", "cem"): ScoreDistribution(1.0, 0.3, None, grid, np.exp(-(grid**2)))},
+        roc={("planks", "cem", "pixel"): curve},
+    )
+
+
+def results(folder: Path) -> dict[str, dict[str, bytes]]:
+    """Files in which a run keeps its products."""
+    write_products(folder / "products.nc", {"predicted": prediction(), "observed": None}, title="t", simulated=True)
+    write_answer(folder / "answer.npz", prediction())
+    return {name: {name: (folder / name).read_bytes()} for name in ("products.nc", "answer.npz")}
+
+
+def products_of_imagers(folder: Path) -> dict[str, dict[str, bytes]]:
+    """Small images in the layouts of their providers; the file that is damaged comes first."""
+    makers = {
+        "aviris": product_shells.aviris,
+        "emit": product_shells.emit,
+        "neon reflectance": product_shells.neon_reflectance,
+        "neon radiance": product_shells.neon_radiance,
+        "prisma l1": product_shells.prisma,
+        "prisma l2d": lambda path: product_shells.prisma(path, "L2D"),
+        "tanager": product_shells.tanager,
+    }
+    out = {}
+    for name, make in makers.items():
+        path = folder / ("a.he5" if name.startswith("prisma") else "a.nc" if name in ("aviris", "emit") else "a.h5")
+        make(path)
+        out[name] = {path.name: path.read_bytes()}
+        path.unlink()
+    (folder / "enmap").mkdir()
+    image, _ = product_shells.enmap(folder / "enmap")
+    files = {path.name: path.read_bytes() for path in (folder / "enmap").iterdir()}
+    data = next(name for name in files if name.endswith(".XML"))
+    out["enmap metadata"] = {data: files[data], image.name: files[image.name]}
+    out["enmap image"] = {image.name: files[image.name], data: files[data]}
+    return out
 
 
 def written(folder: Path) -> dict[str, dict[str, bytes]]:

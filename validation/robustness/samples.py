@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import gzip
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from contents import MAP, NM, SHAPE, UTM, asd, chn, drawn, rows, tape7, texts, written
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "imagery"))
+
+from contents import (
+    MAP,
+    NM,
+    SHAPE,
+    UTM,
+    asd,
+    chn,
+    drawn,
+    products_of_imagers,
+    radcalnet,
+    results,
+    rows,
+    tape7,
+    texts,
+    written,
+)
 
 from hyperval.atmosphere.modtran_read import read_chn_blocks, read_tape7
 from hyperval.atmosphere.modtran_solve import read_chn, terms_from_blocks
@@ -27,6 +46,7 @@ from hyperval.imagery.lookup_table import open_lookup_table
 from hyperval.imagery.regions import read_regions
 from hyperval.imagery.truth import read_targets
 from hyperval.observe.site_spectra import read_band_table
+from hyperval.report.netcdf_read import read_products
 from hyperval.report.stored import read_results
 from hyperval.report.tables import results_json
 from hyperval.results import Result
@@ -36,6 +56,7 @@ from hyperval.simulate.schema import load_scene
 from hyperval.spectra.readers import read_records, read_spectrum
 from hyperval.statistics_library import read_statistics_library
 from hyperval.study.schema import load_study
+from hyperval.web.answer import read_answer
 
 ROOT = Path(__file__).parents[2]
 
@@ -102,12 +123,17 @@ def _table(path: Path) -> None:
         finite(values, name)
 
 
-def _cube(path: Path, **options: Any) -> None:
-    cube = open_cube(path, quantity="other", **options)
+def _cube(path: Path, quantity: str = "other") -> None:
+    cube = open_cube(path, quantity=quantity)
     increasing(cube.axis.centre_nm, "wavelength_nm")
     for block in cube.blocks(2):
         if block.values.shape[1:] != (cube.samples, cube.bands):
             raise ImplausibleError(f"a block of shape {block.values.shape}")
+
+
+def _answer(path: Path) -> None:
+    found = read_answer(path)
+    increasing(found.axis.centre_nm, "wavelength_nm")
 
 
 def _regions(path: Path) -> None:
@@ -210,6 +236,17 @@ def samples(folder: Path) -> list[Sample]:
         Sample("table", made["table"], lambda f: _table(f / "table.nc"), 0.06),
         Sample("statistics library", made["statistics library"], lambda f: _library(f / "library.nc"), 0.06),
     ]  # fmt: skip
+    for kind, content in products_of_imagers(folder).items():
+        image = next(name for name in content if not name.endswith(".XML"))
+        share = 0.3 if kind == "enmap metadata" else 0.03
+        holds = "reflectance" if kind in ("neon reflectance", "prisma l2d") else "radiance"
+        out.append(Sample(f"product: {kind}", content, lambda f, n=image, q=holds: _cube(f / n, q), share))
+    kept = results(folder)
+    out += [
+        Sample("radcalnet", {"a.input": radcalnet().encode()}, lambda f: _spectra(f / "a.input")),
+        Sample("products.nc", kept["products.nc"], lambda f: read_products(f / "products.nc"), 0.03),
+        Sample("answer of the web application", kept["answer.npz"], lambda f: _answer(f / "answer.npz"), 0.1),
+    ]
     for kind, (path, read, share) in _yaml().items():
         content = {"a.yaml": path.read_bytes()}
         out.append(Sample(f"yaml: {kind}", content, lambda f, r=read: r(f / "a.yaml"), share))
