@@ -88,7 +88,9 @@ def test_one_other_site_needs_the_path_radiance(sites, monkeypatch):
     assert any("lawn: no reflectance by other sites" in n and "path_radiance" in n for n in seen.notes)
 
     error = np.outer(0.1 * PATH, 0.1 * PATH)
-    monkeypatch.setattr("hyperval.observe.path_radiance.path_estimate", lambda *_: SpectralEstimate(PATH.copy(), error))
+    monkeypatch.setattr(
+        "hyperval.observe.path_radiance.path_estimate", lambda *_: SpectralEstimate(PATH.copy(), error)
+    )
     line["path_radiance"] = [{"line": "a", "scenario": "air.yaml"}]
     seen = sites.observe().observation
     lawn, rho = seen.reflectance["lawn"], {n: sites.on_bands("field.csv", n) for n in ("lawn", "turf")}
