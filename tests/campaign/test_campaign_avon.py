@@ -19,7 +19,7 @@ from scanned_line import UTM18, ScannedLine, write_table
 
 from hyperval.atmosphere.solar import parse_utc, solar_position
 from hyperval.campaign.draft import read_texts
-from hyperval.campaign.dry_run import dry_run
+from hyperval.campaign.dry_run import dry_run, overview
 from hyperval.campaign.one import jobs_of, run_campaign
 from hyperval.campaign.run import validate
 from hyperval.compare.difference import Z95
@@ -73,6 +73,14 @@ def test_six_lines_each_with_its_files_and_values(no_data):
         assert len(missing) == 9
         assert f"data:share2012/{line}/{line}_rad.dat" in missing
         assert any(i.kind == "comparison" and i.detail.endswith("decides") for i in own)
+
+
+def test_a_dry_run_of_all_fits_on_one_screen(no_data):
+    rows = overview(dry_run(sorted(FOLDER.glob("campaign*.yaml"))))
+    assert len(rows) < 40
+    assert {i.what for i in rows if i.state == "missing"} >= {
+        "data:share2012/{line}/{line}_rad.dat", "data:share2012/{line}/{line}_pol_ref.dat"
+    }  # fmt: skip
 
 
 def test_the_readme_names_every_file_and_every_line(no_data):

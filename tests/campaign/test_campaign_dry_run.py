@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from hyperval import cli
-from hyperval.campaign.dry_run import dry_run, summary
+from hyperval.campaign.dry_run import dry_run, overview, summary
 from hyperval.campaign.one import jobs_of, run_campaign
 from hyperval.campaign.run import validate
 from hyperval.campaign.schema import load_campaign, load_campaigns
@@ -92,7 +92,25 @@ def test_everything_that_is_lacking_is_listed(places):
     assert items[5].detail == "at most 0.1, decides"
     said = summary(items)
     assert said[0] == "line-0920-1638: 2 files missing, 2 values to fill in"
+    assert summary(dry_run([places]))[0] == "line-{line} (2 campaigns): 2 files missing, 2 values to fill in"
     assert "held by Rochester Institute of Technology" in said[1]
+
+
+def test_the_overview_names_once_what_runs_share(places, tmp_path):
+    rows = overview(dry_run([places]))
+    assert [(i.campaign, i.state, i.what) for i in rows] == [
+        ("2 campaigns, line-{line}", "missing", "data:share2012/lines/{line}_rad.dat"),
+        ("2 campaigns, line-{line}", "missing", "rois.geojson"),
+        ("2 campaigns, line-{line}", "found", "scenario.yaml"),
+        ("2 campaigns, line-{line}", "to fill in", "collection.cube.scale"),
+        ("2 campaigns, line-{line}", "to fill in", "scene.classes.0.fraction"),
+        ("2 campaigns, line-{line}", "planned", "1 comparisons, 1 decide"),
+    ]
+    # What one run alone lacks stands under its own name, with its own words.
+    complete(tmp_path)
+    (tmp_path / "data/share2012/lines/0920-1638_rad.dat").unlink()
+    (row,) = [i for i in overview(dry_run([places])) if i.lacking]
+    assert (row.campaign, row.what) == ("line-0920-1638", "data:share2012/lines/0920-1638_rad.dat")
 
 
 def test_exit_codes_and_no_folder(places, tmp_path, capsys):
@@ -102,7 +120,7 @@ def test_exit_codes_and_no_folder(places, tmp_path, capsys):
     path = complete(tmp_path)
     before = sorted(p.name for p in tmp_path.rglob("*"))
     assert cli.run(["validate", "--dry-run", str(path)]) == 0
-    assert "line-0920-1631: ready" in capsys.readouterr().err
+    assert "line-{line} (2 campaigns): ready" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.rglob("*")) == before  # nothing is written
 
 

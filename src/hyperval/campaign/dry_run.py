@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -41,6 +41,7 @@ class Item:
     state : "found", "missing", "to fill in", "planned" or "wrong"
     what : the reference, the key, product and subjects, or file, line and key of a name that does not fit
     detail : size of a file, how to get it, what a value is, the limit of a comparison, what is wrong
+    words : those of the campaign's run
     """
 
     campaign: str
@@ -48,6 +49,13 @@ class Item:
     state: str
     what: str
     detail: str = ""
+    words: Mapping[str, str] = field(default_factory=dict)
+
+    def general(self, text: str) -> str:
+        """A text with the words of the run as they stand in its file, such as {line}: the same in every run."""
+        for word, own in sorted(self.words.items(), key=lambda item: -len(item[1])):
+            text = text.replace(own, f"{{{word}}}") if own else text
+        return text
 
     @property
     def lacking(self) -> bool:
@@ -64,12 +72,45 @@ def dry_run(paths: Sequence[Path]) -> list[Item]:
     UsageError : mistakes in a campaign or scenario in which every value is filled in.
     """
     texts = [text for path in paths for text in read_texts(path)]
-    return [item for text in texts for item in _items(text)]
+    return [replace(item, words=text.words) for text in texts for item in _items(text)]
+
+
+def overview(items: Sequence[Item]) -> list[Item]:
+    """The items on one screen: what several campaigns share once, files at hand and comparisons as their number.
+
+    The words of a run stand in braces where an item is that of several campaigns.
+    """
+    groups: dict[tuple[str, str, str, str], list[Item]] = {}
+    for item in items:
+        what, detail = item.general(item.what), item.general(item.detail)
+        if item.state == PLANNED:
+            what, detail = item.general(item.campaign), ""
+        elif item.state == PRESENT:
+            what = detail = ""
+        groups.setdefault((item.kind, item.state, what, detail), []).append(item)
+    rows = []
+    for (kind, state, what, detail), members in groups.items():
+        names = list(dict.fromkeys(i.campaign for i in members))
+        general = list(dict.fromkeys(i.general(i.campaign) for i in members))
+        one_file = f", {general[0]}" if len(general) == 1 else ""
+        who = names[0] if len(names) == 1 else f"{len(names)} campaigns{one_file}"
+        if len(names) == 1 and state not in (PLANNED, PRESENT):
+            what, detail = members[0].what, members[0].detail
+        elif state == PLANNED:
+            count = len(members) // len(names)
+            deciding = sum(i.detail.endswith(", decides") for i in members) // len(names)
+            products = dict.fromkeys(i.what.split()[0] for i in members)
+            what, detail = f"{count} comparisons, {deciding} decide", ", ".join(products)
+        elif state == PRESENT:
+            paths = {i.what for i in members}
+            what = f"{len(paths)} files" if len(paths) > 1 else members[0].what
+        rows.append(Item(who, kind, state, what, detail))
+    return rows
 
 
 def summary(items: Sequence[Item]) -> list[str]:
-    """One sentence for each campaign."""
-    out = []
+    """One sentence for each campaign, or for several that lack the same; who holds what is missing."""
+    states: dict[tuple[str, str], list[str]] = {}
     for name in dict.fromkeys(i.campaign for i in items):
         own = [i for i in items if i.campaign == name]
         files = sum(i.state == MISSING for i in own)
@@ -77,7 +118,11 @@ def summary(items: Sequence[Item]) -> list[str]:
         wrong = sum(i.state == WRONG for i in own)
         lacking = f"{files} files missing, {values} values to fill in" if files or values else ""
         lacking += f"{', ' if lacking else ''}{wrong} names that do not fit" if wrong else ""
-        out.append(f"{name}: {lacking or 'ready'}")
+        states.setdefault((own[0].general(name), lacking or "ready"), []).append(name)
+    out = [
+        f"{names[0] if len(names) == 1 else f'{general} ({len(names)} campaigns)'}: {state}"
+        for (general, state), names in states.items()
+    ]
     holders = {
         owner.name: owner for i in items if i.state == MISSING and (owner := set_on_request(i.what)) is not None
     }

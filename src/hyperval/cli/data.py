@@ -21,7 +21,7 @@ def data_list() -> int:
     for name, entry in registry().items():
         if not entry.public:
             count = files_at_hand(name)
-            where = f"{count} files here" if count else f"held by {entry.holder}; ask them"
+            where = f"{count} files here" if count else f"held by {entry.holder}: {entry.obtain}"
             rows.append((name, "-", entry.licence, where, entry.title))
             continue
         lacking = len(missing(name))

@@ -96,12 +96,12 @@ def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], outpu
 
 
 def _dry_run(campaigns: list[Path]) -> int:
-    from hyperval.campaign.dry_run import WRONG, dry_run, summary
+    from hyperval.campaign.dry_run import WRONG, dry_run, overview, summary
     from hyperval.errors import InputError
 
     items = dry_run(campaigns)
     header = ("campaign", "kind", "state", "what", "detail")
-    print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in items])
+    print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in overview(items)])
     for line in summary(items):
         note(line)
     if any(i.state == WRONG for i in items):
