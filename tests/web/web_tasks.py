@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 from hyperval.errors import UsageError
+from hyperval.progress import track
 
 
 def warm() -> None:
@@ -35,7 +36,13 @@ def _write(path: str) -> None:
         time.sleep(0.05)
 
 
+def _count(folder: str, seconds: float) -> None:
+    for _ in track(range(int(seconds / 0.02)), "counting", show=False):
+        time.sleep(0.02)
+
+
 TASKS = {
+    "count": _count,
     "add": lambda a, b: a + b, "sleep": time.sleep, "die": _die, "hoard": _hoard, "wrong": _wrong,
     "unforeseen": _unforeseen, "write": _write, "pid": os.getpid,
 }  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hyperval.cli.shared import app, note
+from hyperval.cli.shared import Scheduler, app, note
 from hyperval.errors import UsageError
 
 _MB = 1_000_000
@@ -35,6 +35,7 @@ def serve(
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for predictions.")] = 2,
     long_workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
+    scheduler: Scheduler = None,
     memory_mb: Annotated[int, typer.Option(min=500, help="Memory of one process.")] = 3000,
     seconds: Annotated[float, typer.Option(min=1, help="Longest study or campaign.")] = 3600.0,
     queue: Annotated[int, typer.Option(min=1, max=10_000, help="Runs that may wait.")] = 64,
@@ -68,7 +69,13 @@ def serve(
     place = folder or Path(platformdirs.user_data_dir("hyperval")) / "web"
     names = tuple(n.lower() for n in name or ())
     settings = Settings(place, campaigns, (*LOOPBACK, *names), https, limits, data)
-    application = make_app(settings)
+    if scheduler is not None:
+        from hyperval.web.cluster import Cluster
+
+        crews = (Cluster(scheduler, queue, limits.quick_seconds), Cluster(scheduler, queue, limits.long_seconds))
+    else:
+        crews = None
+    application = make_app(settings, crews)
     for words in application.state.store.notices:
         note(words)
     note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C ends it")

@@ -228,12 +228,15 @@ def serve(connection: Connection, memory_bytes: int, module: str) -> None:
             task, arguments = connection.recv()
         except (EOFError, OSError):
             return
-        connection.send(_outcome(tasks.TASKS[task], arguments))
+        connection.send(outcome(tasks.TASKS[task], arguments))
 
 
-def _outcome(task: Task, arguments: Mapping[str, Any]) -> tuple[str, Any]:
+def outcome(task: Task, arguments: Mapping[str, Any]) -> tuple[str, Any]:
+    """What a task returns, or why it came to nothing, in words for who asked."""
     try:
         return "result", task(**arguments)
+    except Cancelled:
+        raise
     except HypervalError as error:
         return "failed", said(error)
     except MemoryError:
