@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from hyperval.config import Model, RadianceUnit, WavelengthUnit
 
 _SELF_DESCRIBING = (".nc", ".nc4", ".h5", ".hdf5", ".he5", ".hdf", ".zarr", ".xml", ".tif", ".tiff")
+Fwhm = Annotated[float, Field(ge=0, le=8)]
+LeastFill = Annotated[float, Field(gt=0, lt=1)]
 
 
 class CubeSource(Model):
@@ -115,6 +117,12 @@ class RegionSource(VectorSource):
 
     name: str | None = Field(None, description="None: take the names of the file")
     file: str | None = None
+    classes: dict[str, int] = Field(
+        default_factory=dict, description="name: its number in a band of the file, such as a map of materials"
+    )
+    band: int | str | None = Field(
+        None, description="with classes: which band, by number (from 1) or name (* and ? stand for any characters)"
+    )
     rectangle: tuple[int, int, int, int] | None = Field(
         None, description="first line, first sample, lines, samples (0-based pixels)"
     )
@@ -133,6 +141,10 @@ class RegionSource(VectorSource):
             raise ValueError("give exactly one of " + ", ".join(sources))
         if self.name is None and self.file is None:
             raise ValueError("a region that is not read from a file needs a name")
+        if self.classes and (self.file is None or self.name is not None):
+            raise ValueError("classes name the regions of a file: give file, and no name")
+        if self.band is not None and not self.classes:
+            raise ValueError("band says where classes are: give classes")
         return self
 
 
@@ -159,12 +171,75 @@ class TargetRegions(VectorSource):
     side_m: float | None = Field(None, gt=0, le=10_000, description="side of these square targets [m], where known")
 
 
+class BandRange(Model):
+    """Cells of a picture whose value in a band lies between two limits, both of them included."""
+
+    band: int = Field(1, ge=1, description="counted from 1")
+    above: float | None = None
+    below: float | None = None
+
+
+class FinerTruth(Model):
+    """Targets and the fills of their pixels by a map of classes, or a picture, finer than the cube."""
+
+    image: str = Field(description="ENVI or GeoTIFF, its sides along those of the cube")
+    classes: dict[str, int | BandRange] = Field(
+        min_length=1, description="material: value of the first band, or {band, above, below} of a picture"
+    )
+    psf_fwhm_pixels: Fwhm | tuple[Fwhm, Fwhm] = Field(
+        description="FWHM of the sensor's blur besides the aperture [pixels], one number or (along, across)"
+    )
+    registration_m: float | None = Field(
+        None, ge=0, le=1000, description="standard error of its place on the cube, in each direction [m]"
+    )
+    registration_pixels: float | None = Field(None, ge=0, le=10, description="the same [pixels of the cube]")
+    corner: tuple[float, float] | None = Field(
+        None, description="line and sample of the cube, continuous, where it begins; None: by its map position"
+    )
+    times_finer: float | None = Field(
+        None, ge=2, le=1000, description="cells along the side of a pixel, with corner"
+    )
+    objects: Literal["patches", "classes"] = Field(
+        "patches", description="what one object is: cells that touch, or all of a class"
+    )
+    least_fill: LeastFill = Field(0.02, description="pixels that are filled less are none of the target")
+
+    @model_validator(mode="after")
+    def _placed(self) -> FinerTruth:
+        if (self.corner is None) != (self.times_finer is None):
+            raise ValueError("corner and times_finer go together")
+        if self.registration_m is not None and self.registration_pixels is not None:
+            raise ValueError("give registration_m or registration_pixels")
+        if self.registration_m is None and self.registration_pixels is None:
+            raise ValueError(
+                "state the error of registration: registration_m or registration_pixels, 0 if there is none"
+            )
+        return self
+
+
+class AbundanceTruth(Model):
+    """Targets by the bands of a truth image that hold the part of each pixel that a material fills (DIRSIG)."""
+
+    image: str = Field(description="ENVI or GeoTIFF of the cube's size")
+    materials: dict[str, int | str] = Field(
+        min_length=1, description="material: number (from 1) or name of its band; a name may hold * and ?"
+    )
+    objects: Literal["patches", "bands"] = Field(
+        "patches", description="what one object is: pixels that touch, or all of a band"
+    )
+    least_fill: LeastFill = Field(0.02, description="pixels that are filled less are none of the target")
+
+
 class TargetTruth(Model):
     """Where the target objects are."""
 
     regions: list[TargetRegions] = Field(default_factory=list)
     rasters: TargetRasters | None = None
     csv: str | None = None
+    finer: FinerTruth | None = Field(None, description="a finer image, which tells the fill of each pixel as well")
+    abundances: AbundanceTruth | None = Field(
+        None, description="bands of a truth image that hold the fill of each pixel, as DIRSIG writes them"
+    )
     pixels: Literal["touched", "centre"] = Field(
         "touched", description="pixels of an object: all it may touch, or the one that holds its centre (csv only)"
     )
@@ -175,8 +250,9 @@ class TargetTruth(Model):
 
     @model_validator(mode="after")
     def _one_source(self) -> TargetTruth:
-        if sum((bool(self.regions), self.rasters is not None, self.csv is not None)) != 1:
-            raise ValueError("give exactly one of regions, rasters, csv")
+        sources = (self.rasters, self.csv, self.finer, self.abundances)
+        if bool(self.regions) + sum(source is not None for source in sources) != 1:
+            raise ValueError("give exactly one of regions, rasters, csv, finer, abundances")
         if self.csv is None and self.pixels == "centre":
             raise ValueError("only a list (csv) says where a target's centre is: pixels must be 'touched'")
         return self

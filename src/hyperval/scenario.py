@@ -101,10 +101,16 @@ class Fill(Model):
     mean: Fraction | None = Field(None, description="with sd: a beta distribution")
     sd: float | None = Field(None, gt=0, lt=0.5)
     geometry: Geometry | None = None
+    truth: Literal[True] | None = Field(
+        None, description="true: those of the collection's truth, which a finer image or abundances tell by pixel"
+    )
+    listed: list[Annotated[list[Fraction], Field(min_length=1, max_length=4096)]] | None = Field(
+        None, min_length=1, max_length=4096, description="of the pixels of each of some equally likely objects"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Fill:
-        exactly_one(self, ("fixed", "mean", "geometry"))
+        exactly_one(self, ("fixed", "mean", "geometry", "truth", "listed"))
         if (self.mean is None) != (self.sd is None):
             raise ValueError("mean and sd go together")
         return self

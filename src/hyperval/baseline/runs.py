@@ -151,7 +151,7 @@ def _read(job: Job | Waiting, source: Path, *, finished: bool) -> Run:
         campaign_metrics(table),
         versions(packages if isinstance(packages, dict) else None, run.provenance.get("python")),
         skipped_reason(table),
-        job.campaign.simulated,
+        bool(job.campaign.simulated),
         str(job.path),
     )
 

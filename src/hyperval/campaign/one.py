@@ -19,6 +19,7 @@ from hyperval.campaign.provenance import record_of
 from hyperval.campaign.references import check_names, missing_sets
 from hyperval.campaign.schema import Campaign, Outline
 from hyperval.campaign.truth_check import truth_notes
+from hyperval.campaign.truth_fills import with_fills_of_truth
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError, UsageError
 from hyperval.files import scratch_folder
@@ -235,6 +236,7 @@ def collected(
         if observed.place is not None:
             inputs.record_beside(observed.place.source_files)
         scenarios = [with_measured_fractions(scenario, observed.place) for scenario in scenarios]
+        scenarios = with_fills_of_truth(scenarios, observed.place, campaign.detection)
         yield Collected(inputs, scenarios, observed, seed)
 
 
@@ -266,7 +268,13 @@ def _report(job: Job, side: Collected, predictions: Sequence[Prediction], show_p
         from hyperval.campaign.one_side import product_rows
 
         table = ResultTable(product_rows(campaign.name, observed.observation, "observed"))
-    notes = [*campaign.assumptions, *observed.observation.notes, *scenario_notes(observed.place, scenarios)]
+    by_dirsig = ["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []
+    notes = [
+        *by_dirsig,
+        *campaign.assumptions,
+        *observed.observation.notes,
+        *scenario_notes(observed.place, scenarios),
+    ]
     notes += truth_notes(observed.place, campaign.detection, scenarios)
     if prediction is not None:
         notes += prediction.notes
@@ -299,7 +307,7 @@ def report_of(campaign: Outline, table: ResultTable) -> RunReport:
         campaign=campaign.name,
         title=campaign.title,
         description=campaign.description,
-        simulated=campaign.simulated,
+        simulated=bool(campaign.simulated),
         computed=campaign.computed,
         table=table,
     )

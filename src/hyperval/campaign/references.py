@@ -25,6 +25,7 @@ FILE_KEYS = frozenset(
         "library",
         "table",
         "glt",
+        "image",
         "replicates",
         "radcalnet",
     }

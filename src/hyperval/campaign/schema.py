@@ -31,7 +31,10 @@ class Outline(Model):
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9-]*$")
     title: str
     description: str
-    simulated: bool = False
+    simulated: bool | Literal["dirsig"] = Field(
+        False,
+        description="true: by the scene that collection.simulate names; dirsig: by DIRSIG, whose files it reads",
+    )
     references: list[str] = Field(default_factory=list)
     assumptions: list[str] = Field(default_factory=list, description="stated in the report")
     chosen_after: list[Choice] = Field(
@@ -91,6 +94,8 @@ class Campaign(Outline):
 
     @model_validator(mode="after")
     def _consistent(self) -> Campaign:
+        if self.simulated == "dirsig" and (self.collection.simulate or not self.collection.cube):
+            raise ValueError("simulated: dirsig reads DIRSIG's files: give collection.cube, and no simulate")
         if self.collection.simulate and not self.simulated:
             raise ValueError("a campaign with a simulated collection says 'simulated: true'")
         if self.detection and not self.collection.cube:

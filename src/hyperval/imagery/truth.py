@@ -34,13 +34,12 @@ class TargetObject:
     Attributes
     ----------
     name, material : as in the list
-    side_m : side of the (square) target [m], NaN when only the area is known
-    area_m2 : area [m2], NaN when unknown
-    shape : (lines, samples) of the image
-    corner : (line, sample) of the first pixel of the window that holds the target
+    side_m, area_m2 : side of the (square) target [m] and its area [m2], NaN where unknown
+    shape, corner : (lines, samples) of the image, (line, sample) of the first pixel of the target's window
     part : (h, w) within that window, the pixels that may hold a part of the target; need not be connected
     centre_pixel : (line, sample) of the pixel that holds the centre, None where only the mask is known
     attributes : the columns of the list as text, for grouping
+    fills : (K, h, w) part of each pixel of the window that it fills, at K equally likely places; None: unknown
     """
 
     name: str
@@ -52,6 +51,7 @@ class TargetObject:
     part: Mask
     centre_pixel: tuple[int, int] | None = None
     attributes: Mapping[str, str] = field(default_factory=dict)
+    fills: Array | None = None
 
     @property
     def placed(self) -> Placed:

@@ -31,8 +31,10 @@ from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.regions import Region, guard, half_region, read_regions, rectangle_region
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
+from hyperval.observe.finer import finer_targets
 from hyperval.observe.shared_pixels import region_notes, target_overlaps
 from hyperval.observe.site_spectra import read_band_table
+from hyperval.observe.truth_bands import abundance_targets, material_regions
 from hyperval.processing.mask_bits import PackedMasks
 from hyperval.progress import track
 from hyperval.units import RADIANCE_UNIT
@@ -232,7 +234,9 @@ def _regions(
     regions: dict[str, Region] = {}
     for source in sources:
         name, new = str(source.name), dict[str, Region]()
-        if source.file is not None:
+        if source.classes:
+            new = material_regions(source, cube, resolve(str(source.file)))
+        elif source.file is not None:
             path = resolve(source.file)
             only = [] if source.name is None else [escape(source.name)]
             new = _read(cube, table, path, source, patterns=only)
@@ -310,10 +314,14 @@ def _targets(
             pixel_size_m=None if area is None else math.sqrt(area),
         )
         return listed, []
+    if truth.finer is not None:
+        return finer_targets(truth.finer, cube, _pixel_area_m2(cube, table, truth), resolve)
+    if truth.abundances is not None:
+        return abundance_targets(truth.abundances, cube, _pixel_area_m2(cube, table, truth), resolve)
     if truth.regions:
         return _drawn_targets(cube, table, truth.regions, resolve)
     rasters = truth.rasters
-    assert rasters is not None  # noqa: S101 - one of the three is given
+    assert rasters is not None  # noqa: S101 - one of them is given
     masks = {}
     for material, reference in rasters.materials.items():
         union = np.zeros(cube.shape, bool)

@@ -31,6 +31,15 @@ def fill_distribution(fill: Fill) -> FillDistribution:
         return fixed_fill(fill.fixed)
     if fill.geometry is not None:
         return _of_geometry(geometry_of(fill), 0 if fill.geometry.pixels == "touched" else fill.geometry.n or 1)
+    if fill.listed is not None:
+        values = np.concatenate([np.asarray(row, float) for row in fill.listed])
+        return FillDistribution(values, np.full(values.size, 1.0 / values.size)).binned()
+    if fill.truth is not None:
+        raise UsageError(
+            "the fills are those of a collection's truth",
+            expected="a campaign whose targets come from a finer image or from abundances",
+            mend="run it within that campaign, or state fill.mean and fill.sd",
+        )
     return beta_fill(fill.mean or 0.0, fill.sd or 0.0)
 
 
@@ -50,11 +59,17 @@ def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:
     """
     if fill.geometry is not None:
         return object_fills(geometry_of(fill, wider), pixels_of_object(fill))
+    if fill.listed is not None:
+        size = pixels_of_object(fill)
+        rows = [sorted(row, reverse=True) + [0.0] * (size - len(row)) for row in fill.listed]
+        return np.array(rows)
     return fill_distribution(fill).values[:, None]
 
 
 def pixels_of_object(fill: Fill) -> int:
     """Pixels of one object: its fullest, as many as it may touch where those that it touches count."""
+    if fill.listed is not None:
+        return max(len(row) for row in fill.listed)
     if fill.geometry is None:
         return 1
     return (

@@ -275,7 +275,7 @@ def _drawn_fills(objects: _Objects, blur: Array, rng: np.random.Generator) -> tu
     population, beside, thesis = objects.population, objects.beside, objects.thesis
     shape = (blur.size, objects.columns)
     geometry = population.fill.geometry
-    if thesis or geometry is None:
+    if thesis or (geometry is None and population.fill.listed is None):
         fill = moments(population, thesis) if thesis else fill_distribution(population.fill)
         own = rng.choice(fill.values, shape, p=fill.weights)[..., None]
         return own, np.zeros((*own.shape, 0))
@@ -284,7 +284,7 @@ def _drawn_fills(objects: _Objects, blur: Array, rng: np.random.Generator) -> tu
     for width in np.unique(blur):
         rows = np.flatnonzero(blur == width)
         change = width * objects.psf_fwhm_pixels
-        if population.position_m is None:
+        if population.position_m is None or geometry is None:
             fills = fills_of_objects(population.fill, change)
             beside_fills = np.zeros((*fills.shape, 0))
         else:

@@ -238,7 +238,7 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     left, right = _chord(y, c[:, None], d[:, None], length, width)
     x0 = at[:, 0][:, None, None]
     reach_right, reach_left = right[:, :, None] + x0 - pixels, left[:, :, None] + x0 - pixels
-    across = _step_response(reach_right, s_x) - _step_response(reach_left, s_x)
+    across = step_response(reach_right, s_x) - step_response(reach_left, s_x)
     z = (y + at[:, 1:2])[:, :, None] - pixels
     along = _aperture(z, s_y) * dy[:, :, None]
     return np.asarray(np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0))  # rounding alone leaves 0-1
@@ -268,7 +268,7 @@ def _aperture(x: Array, s: float) -> Array:
     return np.asarray(ndtr((x + 0.5) / s) - ndtr((x - 0.5) / s))
 
 
-def _step_response(x: Array, s: float) -> Array:
+def step_response(x: Array, s: float) -> Array:
     """Integral of :func:`_aperture` from minus infinity to ``x``."""
     return _ramp(x + 0.5, s) - _ramp(x - 0.5, s)
 

@@ -127,7 +127,7 @@ def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | Non
             [collection.observed.observation, *predictions],
         )
         notes = list(dict.fromkeys([*chosen.notes, *_halo(chosen), *collection.observed.observation.notes]))
-    return Benchmarked(name, job.campaign.title, job.campaign.simulated, rows + variants, notes, record)
+    return Benchmarked(name, job.campaign.title, bool(job.campaign.simulated), rows + variants, notes, record)
 
 
 def _halo(question: Question) -> list[str]:
@@ -145,7 +145,7 @@ def _stopped(entry: Entry, outcome: Outcome, reason: str, code: int | None = Non
         campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason
     )
     record = record_of(log, [], None, {"campaign": campaign.model_dump(mode="json", by_alias=True)}, [])
-    return Benchmarked(campaign.name, campaign.title, campaign.simulated, [row], [], record, code)
+    return Benchmarked(campaign.name, campaign.title, bool(campaign.simulated), [row], [], record, code)
 
 
 def benchmark(

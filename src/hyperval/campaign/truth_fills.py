@@ -1,0 +1,56 @@
+"""Scenarios whose targets have the fills that the collection's truth tells pixel by pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hyperval.collection import Detection
+from hyperval.errors import UsageError
+from hyperval.imagery.truth import TargetObject
+from hyperval.observe.finer import fills_of
+from hyperval.observe.place import Place
+from hyperval.observe.subjects import target_groups
+from hyperval.scenario import Fill, Scenario, Target
+
+
+def with_fills_of_truth(
+    scenarios: Sequence[Scenario], place: Place | None, detection: Detection | None
+) -> list[Scenario]:
+    """The scenarios with ``fill: {truth: true}`` replaced by the fills of the objects of the same subject.
+
+    Raises
+    ------
+    UsageError : a subject whose objects the truth does not know, or not by the fill of their pixels.
+    """
+    if not any(_asks(item) for scenario in scenarios for item in scenario.scene.targets):
+        return list(scenarios)
+    groups: dict[str, list[TargetObject]] = {}
+    if place is not None and detection is not None:
+        for target in detection.targets:
+            groups |= target_groups(place.targets, target, detection.group)
+    known = fills_of(groups)
+
+    def fill(stated: Fill | None, subject: str) -> Fill | None:
+        if stated is None or stated.truth is None:
+            return stated
+        if subject not in known:
+            raise UsageError(
+                f"fill: {{truth: true}} of {subject!r}: the truth does not tell the fills of its pixels",
+                expected="one of " + ", ".join(known) if known else "targets from a finer image or from abundances",
+                mend="name the subject as detection.group does, or state its fill",
+            )
+        return Fill(listed=known[subject])
+
+    def filled(item: Target) -> Target:
+        subjects = [s.model_copy(update={"fill": fill(s.fill, s.name)}) for s in item.subjects]
+        return item.model_copy(update={"fill": fill(item.fill, item.name), "subjects": subjects})
+
+    out = []
+    for scenario in scenarios:
+        scene = scenario.scene.model_copy(update={"targets": [filled(item) for item in scenario.scene.targets]})
+        out.append(scenario.model_copy(update={"scene": scene}))
+    return out
+
+
+def _asks(item: Target) -> bool:
+    return any(population.fill.truth is not None for population in item.populations)

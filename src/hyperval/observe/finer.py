@@ -1,0 +1,303 @@
+"""Targets with the fill of each of their pixels, from an image finer than the cube or from bands of abundances.
+
+A finer map of classes says which part of the ground is target.  The fill of a pixel is the integral of its
+response, the square aperture convolved with the Gaussian of the sensor, over that part (f of 3.10).  The response
+is a product of one along lines and one along samples, so that the fills of a window are W_y M W_x^T with closed W:
+exact for cells whose sides run along those of the pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from affine import Affine
+from scipy import ndimage
+from scipy.special import ndtri
+
+from hyperval.collection_files import BandRange, FinerTruth
+from hyperval.errors import InputError, UsageError
+from hyperval.imagery.cube import Cube
+from hyperval.imagery.rasters import Raster, open_raster
+from hyperval.imagery.regions import objects
+from hyperval.imagery.truth import TargetObject, cut_out
+from hyperval.scene.fill import step_response
+from hyperval.spectra.response import SIGMA_PER_FWHM
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+MAX_CELLS = 400_000_000
+MAX_OBJECTS = 10_000
+SHIFTS = 32  # drawn places of the finer image, where its registration has an error
+_SQUARE_OFF = 0.02  # pixels that a side of the finer image may run aslant over its whole length
+_REACH_SD = 5.0
+
+
+@dataclass(frozen=True)
+class FinerGrid:
+    """Where the cells of a finer image lie on the cube.
+
+    Attributes
+    ----------
+    line, sample : of the corner of its first cell, continuous pixel coordinates of the cube
+    line_step, sample_step : sides of a cell [pixels]
+    """
+
+    line: float
+    sample: float
+    line_step: float
+    sample_step: float
+
+
+def aperture_weights(edges: npt.ArrayLike, first: int, count: int, psf_fwhm_pixels: float) -> Array:
+    """(count, n) part of the response of each pixel in each cell, along one direction (f of 3.10).
+
+    Parameters
+    ----------
+    edges : (n + 1,) ends of the cells in pixels, increasing
+    first, count : pixels; pixel i reaches from i to i + 1
+    psf_fwhm_pixels : FWHM of the Gaussian besides the aperture [pixels]
+    """
+    centre = first + np.arange(count)[:, None] + 0.5
+    at = step_response(np.asarray(edges, dtype=float)[None, :] - centre, psf_fwhm_pixels * SIGMA_PER_FWHM)
+    return np.diff(at, axis=1)
+
+
+def window_fills(
+    mask: Mask,
+    grid: FinerGrid,
+    corner: tuple[int, int],
+    size: tuple[int, int],
+    blur: tuple[float, float],
+    shifts: Array,
+) -> Array:
+    """(K, lines, samples) fills of the pixels of a window by the cells of a mask (f of 3.10).
+
+    Parameters
+    ----------
+    mask : (h, w) cells that are target
+    grid : where the first of them lies
+    corner, size : first line and sample of the window, and its lines and samples
+    blur : FWHM of the sensor's Gaussian along lines and along samples [pixels]
+    shifts : (K, 2) displacements of the cells along lines and samples [pixels]
+    """
+    y = grid.line + grid.line_step * np.arange(mask.shape[0] + 1)
+    x = grid.sample + grid.sample_step * np.arange(mask.shape[1] + 1)
+    part = mask.astype(float)
+    out = np.empty((len(shifts), *size))
+    for k, (down, right) in enumerate(shifts):
+        along = aperture_weights(y + down, corner[0], size[0], blur[0])
+        across = aperture_weights(x + right, corner[1], size[1], blur[1])
+        out[k] = along @ part @ across.T
+    return np.clip(out, 0.0, 1.0)
+
+
+def registration_shifts(error_pixels: float, count: int = SHIFTS) -> Array:
+    """(K, 2) equally likely displacements, normal with this standard deviation in each direction [pixels].
+
+    A low-discrepancy sequence with mean 0 and exactly that spread; one displacement of 0 where there is no error.
+    """
+    if error_pixels == 0.0:
+        return np.zeros((1, 2))
+    even = (0.5 + np.arange(count)[:, None] * np.array([0.7548776662466927, 0.5698402909980532])) % 1.0
+    normal = ndtri(np.clip(even, 1e-3, 1.0 - 1e-3))
+    normal -= normal.mean(axis=0)
+    return np.asarray(error_pixels * normal / normal.std(axis=0))
+
+
+def finer_targets(
+    truth: FinerTruth, cube: Cube, pixel_area_m2: float | None, resolve: Callable[[str], Path]
+) -> tuple[list[TargetObject], list[str]]:
+    """The targets of a finer image with the fills of their pixels, and what is to be said of them.
+
+    Raises
+    ------
+    InputError : an image that is not finer, lies aslant or elsewhere, has none of the classes, or a target that
+        leaves the cube.
+    UsageError : an image without a place on the cube.
+    """
+    path = resolve(truth.image)
+    raster = open_raster(path)
+    if raster.lines * raster.samples > MAX_CELLS:
+        raise InputError(
+            f"{raster.lines} x {raster.samples} cells", where=str(path), expected=f"at most {MAX_CELLS}"
+        )
+    grid = _grid(truth, raster, cube, str(path))
+    pixel_m = None if pixel_area_m2 is None else math.sqrt(pixel_area_m2)
+    error = truth.registration_pixels or 0.0
+    if truth.registration_m is not None:
+        if pixel_m is None:
+            raise UsageError(
+                "the ground size of a pixel is not known", where=str(path), mend="state targets.pixel_size_m"
+            )
+        error = truth.registration_m / pixel_m
+    shifts = registration_shifts(error)
+    blur = truth.psf_fwhm_pixels
+    both = blur if isinstance(blur, tuple) else (blur, blur)
+    out: list[TargetObject] = []
+    for material, mask in _class_masks(truth, raster, str(path)):
+        cells, count = objects(mask) if truth.objects == "patches" else (mask.astype(np.int32), 1)
+        if count > MAX_OBJECTS:
+            raise InputError(
+                f"{count} patches of {material!r}", where=str(path), expected=f"at most {MAX_OBJECTS}",
+                mend="filter single cells out of the finer map, or state objects: classes",
+            )  # fmt: skip
+        for number, (rows, columns) in enumerate(ndimage.find_objects(cells), start=1):
+            name = material if count == 1 else f"{material} {number}"
+            inside = cells[rows, columns] == number
+            there = FinerGrid(
+                grid.line + grid.line_step * rows.start, grid.sample + grid.sample_step * columns.start,
+                grid.line_step, grid.sample_step,
+            )  # fmt: skip
+            area = np.nan
+            if pixel_area_m2 is not None:
+                area = float(inside.sum()) * grid.line_step * grid.sample_step * pixel_area_m2
+            out.append(
+                _object(name, material, inside, there, cube.shape, both, shifts, area, truth.least_fill, path)
+            )
+    fills = np.concatenate([o.fills.mean(axis=0)[o.part] for o in out if o.fills is not None])
+    spread = np.concatenate([o.fills.std(axis=0)[o.part] for o in out if o.fills is not None])
+    note = (
+        f"{len(out)} targets from {path.name}, {1 / grid.sample_step:.3g} times finer: {fills.size} pixels of fill "
+    )
+    note += f"{fills.min():.3g} to {fills.max():.3g}, mean {fills.mean():.3g}"
+    if error:
+        note += f"; registration of {error:.3g} pixels makes {float(np.sqrt(np.mean(spread**2))):.2g} (RMS) of it"
+    return out, [note]
+
+
+def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGrid:
+    """Place and size of the cells, by the map or as the campaign states them."""
+    if truth.corner is not None and truth.times_finer is not None:
+        step = 1.0 / truth.times_finer
+        grid = FinerGrid(*truth.corner, step, step)
+    else:
+        if raster.transform is None or cube.transform is None:
+            raise UsageError(
+                "the finer image and the cube are not both on a map",
+                where=where,
+                mend="state corner: (line, sample of the cube where it begins) and times_finer:",
+            )
+        if raster.crs is not None and cube.crs is not None and raster.crs != cube.crs:
+            raise InputError(
+                f"the finer image is in {raster.crs.to_string()[:60]}, the cube in {cube.crs.to_string()[:60]}",
+                where=where,
+                mend="warp it to the cube's system",
+            )
+        to_pixels: Affine = ~cube.transform @ raster.transform
+        aslant = max(abs(to_pixels.b) * raster.lines, abs(to_pixels.d) * raster.samples)
+        if aslant > _SQUARE_OFF or to_pixels.a <= 0 or to_pixels.e <= 0:
+            raise InputError(
+                "the finer image does not run along the lines and samples of the cube",
+                where=where,
+                mend="warp it to the cube's grid, some times finer (gdalwarp)",
+            )
+        grid = FinerGrid(to_pixels.f, to_pixels.c, to_pixels.e, to_pixels.a)
+    if max(grid.line_step, grid.sample_step) > 0.5:
+        raise InputError(
+            f"its cells are {grid.line_step:.3g} x {grid.sample_step:.3g} pixels of the cube",
+            where=where,
+            expected="at most half a pixel",
+        )
+    return grid
+
+
+def _class_masks(truth: FinerTruth, raster: Raster, where: str) -> Iterator[tuple[str, Mask]]:
+    """Material -> cells; a class is a value of the first band, or a range of a band."""
+    for material, chosen in truth.classes.items():
+        one = chosen if isinstance(chosen, BandRange) else BandRange(band=1, above=chosen, below=chosen)
+        if one.band > raster.bands:
+            raise InputError(f"no band {one.band}", where=where, expected=f"1 to {raster.bands}")
+        mask = np.empty((raster.lines, raster.samples), bool)
+        for first in range(0, raster.lines, 256):
+            count = min(256, raster.lines - first)
+            values = raster.read_bands(first, count)[one.band - 1]
+            low, high = values.min() if one.above is None else one.above, one.below
+            mask[first : first + count] = (values >= low) & (values <= (values.max() if high is None else high))
+        if not mask.any():
+            raise InputError(f"no cell of {material!r}", where=where, expected="a value that the image holds")
+        yield material, mask
+
+
+def _object(
+    name: str,
+    material: str,
+    inside: Mask,
+    grid: FinerGrid,
+    shape: tuple[int, int],
+    blur: tuple[float, float],
+    shifts: Array,
+    area_m2: float,
+    least: float,
+    path: Path,
+) -> TargetObject:
+    ends = (
+        (grid.line, grid.line + grid.line_step * inside.shape[0]),
+        (grid.sample, grid.sample + grid.sample_step * inside.shape[1]),
+    )
+    if ends[0][0] < 0 or ends[1][0] < 0 or ends[0][1] > shape[0] or ends[1][1] > shape[1]:
+        raise InputError(
+            f"the target {name!r} leaves the cube: it takes lines {ends[0][0]:.1f} to {ends[0][1]:.1f}, samples "
+            f"{ends[1][0]:.1f} to {ends[1][1]:.1f}",
+            where=str(path),
+            expected=f"lines 0 to {shape[0]}, samples 0 to {shape[1]}",
+            mend="check where the finer image lies; a target that the cube cuts is taken out of it",
+        )
+    away = [math.ceil(_REACH_SD * b * SIGMA_PER_FWHM + np.abs(shifts[:, k]).max()) for k, b in enumerate(blur)]
+    low = [max(math.floor(ends[k][0]) - away[k], 0) for k in (0, 1)]
+    high = [min(math.ceil(ends[k][1]) + away[k], shape[k]) for k in (0, 1)]
+    size = high[0] - low[0], high[1] - low[1]
+    fills = window_fills(inside, grid, (low[0], low[1]), size, blur, shifts)
+    return filled_object(name, material, fills, (low[0], low[1]), shape, area_m2, least, str(path))
+
+
+def filled_object(
+    name: str,
+    material: str,
+    fills: Array,
+    corner: tuple[int, int],
+    shape: tuple[int, int],
+    area_m2: float,
+    least: float,
+    where: str,
+) -> TargetObject:
+    """A target by the fills (K, h, w) of a window: its pixels are those of which the mean reaches ``least``."""
+    mask = fills.mean(axis=0) >= least
+    if not mask.any():
+        raise InputError(
+            f"no pixel of {name!r} is filled by {least:g}",
+            where=where,
+            mend="state a lower least_fill, or take the target out",
+        )
+    (line, sample), part = cut_out(mask)
+    kept = fills[:, line : line + part.shape[0], sample : sample + part.shape[1]].copy()
+    attributes = {"material": material, "region": name}
+    return TargetObject(
+        name, material, math.nan, area_m2, shape, (corner[0] + line, corner[1] + sample), part,
+        attributes=attributes, fills=kept,
+    )  # fmt: skip
+
+
+def fills_of(targets: Mapping[str, list[TargetObject]], rows: int = 64) -> dict[str, list[list[float]]]:
+    """Subject -> fills of the pixels of its objects in falling order, a row for each object and drawn place.
+
+    Rows are equally likely; of many drawn places so many are taken that there are about ``rows``.
+    """
+    out: dict[str, list[list[float]]] = {}
+    for subject, members in targets.items():
+        known = [(o.fills, o.part) for o in members if o.fills is not None]
+        if len(known) < len(members):
+            continue
+        most = max(1, rows // len(known))
+        least = min(len(fills) for fills, _ in known)  # each object in as many places as any other
+        count = min(most, least)
+        out[subject] = [
+            np.sort(fills[k][part])[::-1].tolist()
+            for fills, part in known
+            for k in np.linspace(0, len(fills) - 1, count).astype(int)
+        ]
+    return out
