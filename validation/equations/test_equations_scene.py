@@ -15,6 +15,7 @@ from hyperval.scene.builtin import _SURFACES, builtin_class
 from hyperval.scene.fill import (
     Neighbour,
     TargetGeometry,
+    aperture_weights,
     beta_fill,
     fixed_fill,
     lattice_positions,
@@ -292,3 +293,14 @@ def test_3_10_two_targets_share_a_pixel():
     strip = pixel_fills(TargetGeometry(1.0, 2.0, 1.0, 0.0, 0.8), [[0.5, 0.0]], [0.0])[0]
     assert np.max(own + others[..., 0]) == pytest.approx(np.max(strip), abs=2e-4)
     assert own[0, 0] == pytest.approx(np.max(pixel_fills(square, [[0.0, 0.0]], [0.0])), abs=2e-4)
+
+
+def test_3_10_weights_of_cells_along_one_direction():
+    """Without blur, the overlap of intervals; with it, the integral of the response by the trapezium rule."""
+    assert aperture_weights([0.25, 0.5, 1.5], 0, 2, 0.0).tolist() == [[0.25, 0.5], [0.0, 0.5]]
+    sigma = 0.8 / np.sqrt(8.0 * np.log(2.0))
+    below = np.linspace(-6.0, 0.3, 20_001)
+    response = ndtr(below / sigma) - ndtr((below - 1.0) / sigma)
+    weights = aperture_weights([-6.0, 0.3, 7.0], 0, 1, 0.8)[0]
+    assert weights[0] == pytest.approx(float(np.trapezoid(response, below)), abs=1e-7)
+    assert weights.sum() == pytest.approx(1.0, abs=1e-12)

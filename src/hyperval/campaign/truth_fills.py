@@ -41,13 +41,13 @@ def with_fills_of_truth(
             )
         return Fill(listed=known[subject])
 
-    def filled(item: Target) -> Target:
+    def with_fill(item: Target) -> Target:
         subjects = [s.model_copy(update={"fill": fill(s.fill, s.name)}) for s in item.subjects]
         return item.model_copy(update={"fill": fill(item.fill, item.name), "subjects": subjects})
 
     out = []
     for scenario in scenarios:
-        scene = scenario.scene.model_copy(update={"targets": [filled(item) for item in scenario.scene.targets]})
+        scene = scenario.scene.model_copy(update={"targets": [with_fill(item) for item in scenario.scene.targets]})
         out.append(scenario.model_copy(update={"scene": scene}))
     return out
 

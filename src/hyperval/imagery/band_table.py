@@ -110,7 +110,7 @@ def _wavelengths_in_names(header: EnviHeader) -> tuple[Array, str | None] | None
     """
     names = header.strings("band names") or ()
     hits = [_NAMED.findall(name) for name in names]
-    if len(names) != header.bands or any(len(found) != 1 for found in hits):
+    if len(names) != header.bands or any(len(hit) != 1 for hit in hits):
         return None
     numbers = np.array([float(h[0][0] or h[0][1]) for h in hits])
     units = {h[0][2] for h in hits}

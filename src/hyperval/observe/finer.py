@@ -25,7 +25,7 @@ from hyperval.imagery.cube import Cube
 from hyperval.imagery.rasters import Raster, open_raster
 from hyperval.imagery.regions import objects
 from hyperval.imagery.truth import TargetObject, cut_out
-from hyperval.scene.fill import step_response
+from hyperval.scene.fill import aperture_weights
 from hyperval.spectra.response import SIGMA_PER_FWHM
 
 Array = npt.NDArray[np.float64]
@@ -51,20 +51,6 @@ class FinerGrid:
     sample: float
     line_step: float
     sample_step: float
-
-
-def aperture_weights(edges: npt.ArrayLike, first: int, count: int, psf_fwhm_pixels: float) -> Array:
-    """(count, n) part of the response of each pixel in each cell, along one direction (f of 3.10).
-
-    Parameters
-    ----------
-    edges : (n + 1,) ends of the cells in pixels, increasing
-    first, count : pixels; pixel i reaches from i to i + 1
-    psf_fwhm_pixels : FWHM of the Gaussian besides the aperture [pixels]
-    """
-    centre = first + np.arange(count)[:, None] + 0.5
-    at = step_response(np.asarray(edges, dtype=float)[None, :] - centre, psf_fwhm_pixels * SIGMA_PER_FWHM)
-    return np.diff(at, axis=1)
 
 
 def window_fills(
@@ -252,10 +238,10 @@ def _object(
     high = [min(math.ceil(ends[k][1]) + away[k], shape[k]) for k in (0, 1)]
     size = high[0] - low[0], high[1] - low[1]
     fills = window_fills(inside, grid, (low[0], low[1]), size, blur, shifts)
-    return filled_object(name, material, fills, (low[0], low[1]), shape, area_m2, least, str(path))
+    return object_of_fills(name, material, fills, (low[0], low[1]), shape, area_m2, least, str(path))
 
 
-def filled_object(
+def object_of_fills(
     name: str,
     material: str,
     fills: Array,

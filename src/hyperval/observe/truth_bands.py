@@ -20,7 +20,7 @@ from hyperval.imagery.cube import Cube
 from hyperval.imagery.rasters import Raster, open_raster
 from hyperval.imagery.regions import Region, objects
 from hyperval.imagery.truth import TargetObject
-from hyperval.observe.finer import filled_object
+from hyperval.observe.finer import object_of_fills
 
 Array = npt.NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def abundance_targets(
             name = material if count == 1 else f"{material} {number}"
             corner = int(window[0].start), int(window[1].start)
             out.append(
-                filled_object(name, material, part[None], corner, cube.shape, area, truth.least_fill, str(path))
+                object_of_fills(name, material, part[None], corner, cube.shape, area, truth.least_fill, str(path))
             )
     pixels = sum(int(o.part.sum()) for o in out)
     return out, [f"{len(out)} targets of {pixels} pixels by the abundances in {path.name}"]

@@ -238,10 +238,24 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     left, right = _chord(y, c[:, None], d[:, None], length, width)
     x0 = at[:, 0][:, None, None]
     reach_right, reach_left = right[:, :, None] + x0 - pixels, left[:, :, None] + x0 - pixels
-    across = step_response(reach_right, s_x) - step_response(reach_left, s_x)
+    across = _step_response(reach_right, s_x) - _step_response(reach_left, s_x)
     z = (y + at[:, 1:2])[:, :, None] - pixels
     along = _aperture(z, s_y) * dy[:, :, None]
     return np.asarray(np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0))  # rounding alone leaves 0-1
+
+
+def aperture_weights(edges: npt.ArrayLike, first: int, count: int, psf_fwhm_pixels: float) -> Array:
+    """(count, n) part of the response of each pixel in each cell, along one direction (f of 3.10).
+
+    Parameters
+    ----------
+    edges : (n + 1,) ends of the cells in pixels, increasing
+    first, count : pixels; pixel i reaches from i to i + 1
+    psf_fwhm_pixels : FWHM of the Gaussian besides the aperture [pixels]
+    """
+    centre = first + np.arange(count)[:, None] + 0.5
+    at = _step_response(np.asarray(edges, dtype=float)[None, :] - centre, psf_fwhm_pixels * SIGMA_PER_FWHM)
+    return np.diff(at, axis=1)
 
 
 def _sigmas(blur: Blur) -> tuple[float, float]:
@@ -268,7 +282,7 @@ def _aperture(x: Array, s: float) -> Array:
     return np.asarray(ndtr((x + 0.5) / s) - ndtr((x - 0.5) / s))
 
 
-def step_response(x: Array, s: float) -> Array:
+def _step_response(x: Array, s: float) -> Array:
     """Integral of :func:`_aperture` from minus infinity to ``x``."""
     return _ramp(x + 0.5, s) - _ramp(x - 0.5, s)
 
