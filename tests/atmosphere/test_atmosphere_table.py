@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import time
 from dataclasses import replace
@@ -9,6 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from test_atmosphere_modtran import ROWS
+from test_atmosphere_modtran import made_up as chn
 
 from hyperval.atmosphere import (
     AtmosphericState,
@@ -321,6 +324,72 @@ AIRBORNE = {
     "solar_zenith_deg": None, "solar_azimuth_deg": None, "day_of_year": None, "latitude_deg": 34.45333858,
     "longitude_deg": -118.59692454, "time_utc": "2018-09-11T18:57:00Z",
 }  # fmt: skip
+
+
+GEOMETRY = {"H1ALT": 2.3, "IDAY": 100, "IPARM": 12, "PARM1": 160.0, "PARM2": 40.0}
+RUNS = {"MODTRANINPUT": {"ATMOSPHERE": {"MODEL": "ATM_MIDLAT_SUMMER"}, "SURFACE": {"GNDALT": 0.35}}}
+
+
+def channel_folder(folder, change=lambda case: None):
+    """Channel files of two aerosols by two columns of water, which path and transmittance follow."""
+    for aot in (0.1, 0.3):
+        for water in (1.0, 2.0):
+            rows = [
+                (nm, path * (1 + aot), sun, direct / (1 + 0.1 * water), diffuse, bounce)
+                for nm, path, sun, direct, diffuse, bounce in ROWS
+            ]
+            text = "".join(chn(rows, albedo) for albedo in (0.0, 0.1, 0.5))
+            (folder / f"AOT550-{aot}_H2OSTR-{water}.chn").write_text(text)
+    cases = []
+    for albedo in (0.0, 0.1, 0.5):
+        cases.append(copy.deepcopy(RUNS))
+        cases[-1]["MODTRANINPUT"]["GEOMETRY"] = dict(GEOMETRY)
+        cases[-1]["MODTRANINPUT"]["SURFACE"]["SURREF"] = albedo
+        change(cases[-1]["MODTRANINPUT"])
+    (folder / "runs_template.json").write_text(json.dumps({"MODTRAN": cases}))
+    return folder
+
+
+def test_a_folder_of_channel_files_is_a_table(tmp_path):
+    table = read_table(channel_folder(tmp_path))
+    assert {n: v.tolist() for n, v in table.axes.items()} == {
+        "aot550": [0.1, 0.3],
+        "water_vapour_g_cm2": [1.0, 2.0],
+    }
+    assert table.fixed["solar_zenith_deg"] == 40.0
+    assert table.source["terms"] == "from the runs"
+    assert len(table.source["files"]) == 5
+    found = table.quantities["path"][1, 0] / table.quantities["path"][0, 1]
+    np.testing.assert_allclose(found, 1.3 / 1.1, rtol=1e-4)  # as the files were made
+    found = table.quantities["direct"][0, 1] / table.quantities["direct"][1, 0]
+    np.testing.assert_allclose(found, 1.1 / 1.2, rtol=1e-4)
+    again = read_table(tmp_path / "runs_template.json")
+    np.testing.assert_array_equal(again.quantities["path"], table.quantities["path"])
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (lambda f: (f / "AOT550-0.3_H2OSTR-1.0.chn").unlink(), r"not complete: aot550 0\.3, water_vapour_g_cm2 1"),
+        (lambda f: (f / "AOT550-0.5.chn").write_text(chn(ROWS)), "different parts"),
+        (lambda f: (f / "AOT550-0.5_WIND-1.0.chn").write_text(chn(ROWS)), "'WIND' is no axis"),
+        (lambda f: (f / "AOT550-0.30_H2OSTR-1.0.chn").write_text(chn(ROWS)), "a node twice"),
+        (lambda f: (f / "runs_template.json").unlink(), "0 run templates"),
+        (lambda f: channel_folder(f, lambda case: case["GEOMETRY"].pop("PARM2")), "PARM2|sun is not stated"),
+        (lambda f: (f / "AOT550-0.3_H2OSTR-1.0.chn").write_text(chn(ROWS[:2])), "different channels"),
+        (
+            lambda f: (f / "AOT550-0.3_H2OSTR-1.0.chn").write_text(
+                chn([(r[0], r[1], 2 * r[2], *r[3:]) for r in ROWS])
+            ),
+            "different suns",
+        ),
+        (lambda f: [p.unlink() for p in sorted(f.glob("*.chn"))[1:]], "1 channel files"),
+    ],
+)
+def test_folders_that_are_no_table_are_refused(tmp_path, harm, said):
+    harm(channel_folder(tmp_path))
+    with pytest.raises(InputError, match=said):
+        read_table(tmp_path)
 
 
 @pytest.mark.data

@@ -126,6 +126,8 @@ def test_directions_give_back_the_covariance_of_each_form():
         norms = (rows**2).sum(axis=1)
         assert np.all(np.diff(norms) <= 1e-15) or name == "random"
     assert covariance_directions(np.zeros((3, 3))).shape == (0, 3)
+    # Less than a millionth of the variance is left out, and no more directions are kept than that needs.
+    assert covariance_directions(np.diag([1.0, 1e-3, 1e-5, 1e-7, 1e-9])).shape == (3, 5)
     with pytest.raises(UsageError, match="needs a sensor with arms"):
         directions(sd, SpectralForm(correlation="arms"), AXIS)
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.stats import norm
 
+from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.inputs import Sources
 from hyperval.prediction.unmixing import UnmixedSubject, labelled, predicted_areas, predicted_classification
@@ -92,6 +96,39 @@ def test_a_scenario_with_light_is_left_out():
     lit = made.model_copy(update={"atmosphere": object()})
     assert predicted_areas(lit, Prediction(AXIS), [], np.ones(B, bool), {"fcls": None}, 1.0, None) == {}
     assert labelled("fcls", "") == "fcls"
+
+
+WIDE = 30.0 * SPREAD
+
+
+def two_classes(spread=WIDE):
+    means = {"grass": GRASS, "paint": GRASS + 0.02}
+    spectra = {name: SpectralEstimate(mean, np.zeros((B, B)), spread) for name, mean in means.items()}
+    return Prediction(AXIS, radiance=spectra)
+
+
+def test_two_classes_of_one_covariance_are_told_apart_by_their_distance():
+    """The best one errs in Phi(-d / 2) of the pixels, d the Mahalanobis distance; false failure below 1e-4."""
+    bands = SimpleNamespace(name="2 bands", bands_nm=[500.0, 850.0], pca=None)
+    first = SimpleNamespace(name="all", bands_nm=[], pca=2)
+    found = predicted_classification(two_classes(), [("grass", "paint")], [bands, first], "radiance")
+    used = [int(np.argmin(np.abs(AXIS.centre_nm - nm))) for nm in bands.bands_nm]
+    step = np.full(2, 0.02)
+    exact = norm.cdf(-0.5 * np.sqrt(step @ np.linalg.solve(WIDE[np.ix_(used, used)], step)))
+    error = found["grass / paint", "2 bands"]
+    assert 0.001 < exact < 0.2
+    assert abs(error.error - exact) < 4.0 * np.sqrt(exact * (1.0 - exact) / error.n)
+    assert error.distance == pytest.approx(
+        norm.ppf(exact) ** 2 / 2.0, rel=1e-6
+    )  # Bhattacharyya's of one covariance
+    assert set(found) == {("grass / paint", "2 bands"), ("grass / paint", "all")}
+
+
+def test_a_class_without_spread_has_no_classifier():
+    bands = SimpleNamespace(name="2 bands", bands_nm=[500.0, 850.0], pca=None)
+    for spread in (None, np.zeros((B, B))):
+        with pytest.raises(UsageError, match="'grass' has no spread"):
+            predicted_classification(two_classes(spread), [("grass", "paint")], [bands], "radiance")
 
 
 def test_classes_that_are_not_predicted_are_left_out():
