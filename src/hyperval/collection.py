@@ -15,7 +15,7 @@ from hyperval.collection_files import (
     TargetTruth,
 )
 from hyperval.config import Model
-from hyperval.processing.detectors import detector_names
+from hyperval.processing.detectors import ANOMALY_DETECTORS, detector_names
 from hyperval.processing.local_scores import LOCAL_DETECTORS
 from hyperval.scenario import SpectrumSource
 
@@ -271,9 +271,11 @@ class Bootstrap(Model):
 
 
 class Detection(Model):
-    """How targets are looked for in the image."""
+    """How targets are looked for in the image, or anomalies where no target is named."""
 
-    targets: list[DetectionTarget] = Field(min_length=1)
+    targets: list[DetectionTarget] = Field(
+        default_factory=list, description="what is looked for; none: anomalies, by the detector rx alone"
+    )
     detectors: list[str] = Field(default_factory=lambda: ["cem"], min_length=1)
     background: list[str] = Field(
         default_factory=lambda: ["scene"],
@@ -320,6 +322,14 @@ class Detection(Model):
             if name not in detector_names():
                 raise ValueError(f"unknown detector {name!r}; one of {', '.join(detector_names())}")
         return names
+
+    @model_validator(mode="after")
+    def _anomalies_alone(self) -> Detection:
+        if not self.targets and not set(self.detectors) <= set(ANOMALY_DETECTORS):
+            raise ValueError(f"without targets the detectors can only be {', '.join(ANOMALY_DETECTORS)}")
+        if not self.targets and (self.pools or self.areas or self.unmixing or self.halo_pixels):
+            raise ValueError("pools, areas, unmixing and halo_pixels need targets")
+        return self
 
     @model_validator(mode="after")
     def _local_forms(self) -> Detection:

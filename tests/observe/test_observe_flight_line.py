@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 import yaml
+from pydantic import ValidationError
 
-from hyperval.collection import Collection
+from hyperval import cli
+from hyperval.collection import Collection, Detection
 from hyperval.observe import observe
 
 PAGE = Path(__file__).parents[2] / "docs/flight-line.md"
@@ -24,6 +28,7 @@ def delivered(folder: Path) -> np.ndarray:
     brightness = np.full((LINES, SAMPLES), 0.3)
     brightness[20:26, 4:10], brightness[20:26, 20:26] = 0.5, 2.0
     values = level[:, None, None] * brightness * rng.normal(1.0, 0.01, (BANDS, LINES, SAMPLES))
+    values[:, 31:33, 40] *= np.linspace(0.7, 1.4, BANDS)[:, None]  # two pixels of another colour
     stored = np.rint(1000.0 * values).astype("<i2")
     stored.transpose(1, 0, 2).tofile(folder / "Suwannee_0609-1331_rad.dat")
     sizes = "ENVI\nsamples = {}\nlines = {}\nbands = {}\nheader offset = 0\ndata type = {}\n"
@@ -64,3 +69,35 @@ def test_the_pages_campaign_runs_from_the_delivered_folder(tmp_path: Path):
     lit = observe(whole, None, lambda name: tmp_path / name, show_progress=False).observation
     # The line goes through both panels: 0.05 and 0.2 at brightness 0.5 and 2, so water at 0.3 reflects 0.03.
     assert np.allclose(lit.reflectance["water"].mean, 0.03, atol=0.003)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_the_page_as_it_stands_gives_a_report_with_anomalies(tmp_path: Path):
+    """The first block alone, by the command of the page: no target, no truth, no edit."""
+    values = delivered(tmp_path)
+    block = re.findall(r"```yaml\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)[0]
+    (tmp_path / "campaign.yaml").write_text(block)
+    assert cli.run(["-q", "observe", str(tmp_path / "campaign.yaml"), "-o", str(tmp_path / "out")]) == 0
+    with rasterio.open(tmp_path / "out/scores/rx.tif") as stream:
+        scores = stream.read(1)
+    pixels = values.reshape(BANDS, -1)
+    away = pixels - pixels.mean(axis=1, keepdims=True)
+    distance = np.einsum("bn,bn->n", away, np.linalg.solve(np.cov(pixels), away)).reshape(LINES, SAMPLES)
+    np.testing.assert_allclose(scores, distance, rtol=1e-4)
+    assert scores[31:33, 40].min() > np.partition(scores, -3, axis=None)[-3]  # the two that were planted lead
+    report = (tmp_path / "out/report.html").read_text("utf-8")
+    assert re.search(r"rx: \d+ anomalies, groups of touching pixels beyond", report)
+    line = int(np.argmax(scores[31:33, 40])) + 31
+    assert f"line {line}, sample 40: {scores[line, 40]:.4g}, 2 pixels" in report
+    with (tmp_path / "out/results.csv").open(newline="") as stream:
+        rows = {r["metric"]: r for r in csv.DictReader(stream) if r["subject"] == "anomalies"}
+    threshold = float(rows["anomaly_threshold@1e-2"]["value"])
+    assert np.mean(scores > threshold) == pytest.approx(0.01, abs=1.0 / scores.size + 1e-6)
+    assert float(rows["anomaly_threshold@1e-2"]["n"]) == scores.size
+
+
+def test_without_targets_other_detectors_are_refused():
+    with pytest.raises(ValidationError, match="without targets the detectors can only be rx"):
+        Detection(detectors=["rx", "cem"])
+    with pytest.raises(ValidationError, match="halo_pixels need targets"):
+        Detection(detectors=["rx"], halo_pixels=1)

@@ -8,8 +8,9 @@ from hyperval.compare.covariance import compare_distribution
 from hyperval.compare.roc import ALWAYS, IF_BACKGROUND_ALLOWS, LEAST_EXPECTED_ALARMS
 from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, first_detection_rows, joint_rows
 from hyperval.compare.roc_areas import area_rows
-from hyperval.compare.rows import RowMaker
-from hyperval.products import Products, RocCurve
+from hyperval.compare.rows import RowMaker, scientific
+from hyperval.observe.anomalies import ANOMALIES, LEVELS
+from hyperval.products import ExceedanceCurve, Products, RocCurve
 from hyperval.results import Outcome, Result
 
 
@@ -77,6 +78,7 @@ def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
                 )
             )
         rows += _beyond_points(RowMaker(campaign, "roc", subject, f"{detector}/{unit}"), curve)
+    rows += [row for key, curve in products.exceedance.items() for row in _thresholds(campaign, key, curve)]
     for (subject, detector), area in products.abundance.items():
         half_area = 1.96 * area.standard_uncertainty
         rows.append(
@@ -99,6 +101,23 @@ def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
         make = RowMaker(campaign, "classification", classes, features)
         rows.append(make.row("error", errors.error, interval=(errors.lower, errors.upper), n=errors.n))
         rows.append(make.row("distance", errors.distance, n=errors.n))
+    return rows
+
+
+def _thresholds(campaign: str, key: tuple[str, str], curve: ExceedanceCurve) -> list[Result]:
+    """``anomaly_threshold@1e-3``: score that this part of the background exceeds, where no target is looked for."""
+    if key[0] != ANOMALIES or curve.n is None:
+        return []
+    make, rows = RowMaker(campaign, "scores", *key), []
+    for level in sorted(LEVELS, reverse=True):
+        if level * curve.n >= LEAST_EXPECTED_ALARMS:
+            at = int(np.argmin(np.abs(np.log(curve.probability.clip(1e-300)) - np.log(level))))
+            reason = f"{curve.probability[at]:.3g} of {curve.n} background pixels lie above"
+            rows.append(
+                make.row(
+                    f"anomaly_threshold@{scientific(level)}", float(curve.threshold[at]), n=curve.n, reason=reason
+                )
+            )
     return rows
 
 

@@ -129,6 +129,9 @@ METRICS = (
            "of the other, at one threshold; the number after @ is the measured one aimed at",
            "processing.exceedance.exceedance_curve", "median over halves of max(P_1/P_2, P_2/P_1)", low=1.0,
            better="low", tolerance=_ALARM_COUNT, evidence=_PIPELINE, reference=_TOGETHER),
+    Metric("anomaly_threshold", "score that a part of the background exceeds, where no target is looked for; "
+           "after @ that part", "processing.exceedance.exceedance_curve", low=0.0, tolerance=of_value(0.01),
+           evidence=_PIPELINE, formula="(1 - P_FA) quantile of the background's scores", reference=_TOGETHER),
     # ROC.
     Metric("pd", "detection probability of one side alone" + _AFTER, "campaign.one_side.product_rows", low=0.0,
            high=1.0, better="high", interval=_MID_P, tolerance=_PROBABILITY,

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from hyperval.collection import Detection, DetectionTarget
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.truth import TargetMasks, TargetObject
+from hyperval.observe.anomalies import anomaly_note, anomaly_products
 from hyperval.observe.areas import target_areas
 from hyperval.observe.bands import spectrum_by_number
 from hyperval.observe.filter_bank import FilterBank, filter_bank, map_name
@@ -99,6 +100,12 @@ def detect(
         groups = target_groups(place.targets, target, detection.group)
         for detector in detection.detectors:
             scored.add(target, detector, groups)
+    if not detection.targets:
+        for name, scores in maps.items():
+            moments, curves = anomaly_products(name, scores, scored.alarms)
+            scored.scores |= moments
+            scored.exceedance |= curves
+            remarks.append(anomaly_note(place, name, scores, scored.alarms))
     scored.add_pools()
     if detection.halo_pixels:
         remarks.append(

@@ -102,6 +102,9 @@ def filter_bank(
                 if key not in detectors:
                     forms[key] = name, None if name in ANOMALY_DETECTORS else spectrum
                     detectors[key] = pixel_detector(name, spectrum, mean[bands], inverted, undesired)
+        for name in detection.detectors if not detection.targets else ():  # anomalies, which need no target
+            forms[name] = name, None
+            detectors[name] = pixel_detector(name, None, mean[bands], inverted, undesired)
         by_distance = any(d.quadratic == "distance" for d in detectors.values())
         if inverted is not None and (detection.local_window or by_distance):
             whitener = whitener_of(mean[bands], inverted)

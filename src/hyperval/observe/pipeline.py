@@ -129,7 +129,7 @@ def observe(
 
     detected = None
     if detection is not None:
-        if cube.quantity == "radiance" and elm is None:
+        if cube.quantity == "radiance" and elm is None and detection.targets:  # anomalies are the same in radiance
             raise UsageError(
                 "detection on radiance needs an empirical line",
                 mend="add collection.empirical_line with two panels",
