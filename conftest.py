@@ -11,10 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 pytest_plugins = ["pytester"]
 REQUIRED = "HYPERVAL_REQUIRE_DATA"
 DATA_WORDS = re.compile(r"\bdata_dir\b|\bmark\.data\b")
+# A limit of each example by the clock says on a busy machine that tests fail as they stand.
+settings.register_profile("no clock", deadline=None)
+settings.load_profile("no clock")
 
 
 @pytest.fixture(scope="session", autouse=True)

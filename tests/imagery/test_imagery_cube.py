@@ -72,7 +72,7 @@ def test_own_reader_equals_spy_and_rasterio(
     offset=st.integers(0, 9),
     step=st.integers(1, 5),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_round_trip(tmp_path_factory, data, interleave, order, offset, step):
     lines, samples, bands = data.shape
     path = tmp_path_factory.mktemp("trip") / "c.dat"

@@ -174,7 +174,7 @@ def test_a_header_of_400000_lines_is_read(inside: bool):
 
 
 @given(st.text(max_size=300))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_any_text_gives_a_header_or_a_clear_error(text: str):
     for body in (text, "ENVI\n" + text, header_text() + text):
         try:

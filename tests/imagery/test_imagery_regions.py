@@ -180,7 +180,7 @@ def test_pixel_centre_rule():
 @given(
     st.lists(st.tuples(st.floats(0, 12, width=16), st.floats(0, 10, width=16)), min_size=3, max_size=3, unique=True)
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_triangles_hold_the_centres_on_the_inner_side_of_their_edges(points):
     x, y = np.meshgrid(np.arange(12) + 0.5, np.arange(10) + 0.5)
     sides = []
@@ -437,7 +437,7 @@ def test_unknown_format(tmp_path: Path):
 
 
 @given(st.binary(max_size=200), st.sampled_from(["", "<", "{", "JoeB", "; ENVI Output of ROIs\n", "line,sample\n"]))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_any_bytes_give_regions_or_a_clear_error(tmp_path_factory, data: bytes, head: str):
     path = tmp_path_factory.mktemp("fuzz") / "f.csv"
     path.write_bytes(head.encode() + data)

@@ -59,7 +59,7 @@ def test_a_change_that_one_side_alone_makes_widens_that_side_alone():
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_limits_rise_and_hold_the_curve(seed):
     rng = np.random.default_rng(seed)
     base = curve(float(rng.uniform(0, 6)))

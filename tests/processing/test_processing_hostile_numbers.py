@@ -21,7 +21,7 @@ from hyperval.spectra.readers_record import Record, finished
 
 LINES, SAMPLES, BANDS = 7, 6, 4
 SCALES = st.integers(-30, 30).map(lambda k: 10.0**k)
-FEW = settings(max_examples=40, deadline=None, derandomize=True)
+FEW = settings(max_examples=40, derandomize=True)
 
 
 def cube_file(folder: Path, values: np.ndarray) -> Path:

@@ -20,7 +20,7 @@ def random_problem(seed: int, bands: int = 12) -> tuple[np.ndarray, np.ndarray, 
 
 
 @given(st.integers(0, 10_000), st.floats(0.0, 1.0))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_unit_response_and_linearity(seed, fill):
     target, mean, cov = random_problem(seed)
     f = matched_filter_weights(target, mean, cov)
@@ -31,7 +31,7 @@ def test_unit_response_and_linearity(seed, fill):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_scores_do_not_depend_on_units_or_linear_features(seed):
     target, mean, cov = random_problem(seed)
     a = np.random.default_rng(seed + 1).standard_normal((12, 12)) + 3 * np.eye(12)

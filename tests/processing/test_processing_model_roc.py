@@ -33,7 +33,7 @@ def curve(target: RocScores, pfa=None) -> np.ndarray:
 
 
 @given(st.integers(0, 100_000))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_threshold_gives_the_false_alarms_it_was_asked_for(seed):
     scores, grid = backgrounds(seed), false_alarm_grid()
     x = thresholds(grid, scores)
@@ -42,7 +42,7 @@ def test_the_threshold_gives_the_false_alarms_it_was_asked_for(seed):
 
 
 @given(st.integers(0, 100_000), st.floats(-1, 2), st.floats(0.01, 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_printed_procedure_lies_on_the_sweep(seed, mean, sd):
     scores = backgrounds(seed)
     pfa, pd, _ = printed_procedure(mean, sd, scores, np.logspace(-10, -0.5, 60))

@@ -18,7 +18,7 @@ SCORES = st.lists(
 
 
 @given(SCORES, SCORES)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_counts_and_area_equal_sorting(target, background):
     t, b = np.array(target), np.array(background)
     pfa, pd, _ = roc_points(t, b)

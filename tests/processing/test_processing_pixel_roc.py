@@ -164,7 +164,7 @@ def test_a_background_too_small_gives_no_lower_limit():
 
 
 @given(st.integers(0, 2**31))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_unchanged_by_a_monotone_transform(seed):
     rng = np.random.default_rng(seed)
     t, b = rng.normal(1, 1, 15), rng.normal(0, 1, 200)

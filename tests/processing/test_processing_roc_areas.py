@@ -58,7 +58,7 @@ def test_areas_equal_the_exact_curve_with_ties(area, decimals):
     st.lists(st.integers(-3, 3), min_size=2, max_size=12),
     st.sampled_from([WHOLE, RocArea(0.0, 0.07)]),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_variance_is_that_of_the_influence_of_each_score(target, background, area):
     # Each score's influence by a small change of its weight, for the areas that are smooth in it along ties.
     t, b = np.array(target, float), np.array(background, float)

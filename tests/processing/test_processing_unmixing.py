@@ -46,7 +46,7 @@ def by_every_support(x, e, weight):
 
 
 @given(st.integers(2, 4), st.integers(0, 10_000), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_equals_the_best_of_all_supports(m, seed, weighted):
     rng = np.random.default_rng(seed)
     e, x = endmembers(m, rng), rng.normal(0.3, 0.2, B)

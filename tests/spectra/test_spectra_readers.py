@@ -577,7 +577,7 @@ def test_paths_are_checked(tmp_path: Path):
     st.binary(max_size=300),
     st.sampled_from([b"", SVC.encode(), SED.format("Reflect. %").encode(), asd()[:500], b"nm,rho\n"]),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_any_bytes_give_spectra_or_a_clear_error(tmp_path_factory, data: bytes, head: bytes):
     path = tmp_path_factory.mktemp("fuzz") / "f.txt"
     path.write_bytes(head + data)
