@@ -17,7 +17,7 @@ from hyperval.config import parse_yaml
 from hyperval.errors import UsageError
 
 MOST_ROWS = 40
-_MOST_TOLD = 5
+_MOST_MARKED = 5
 _UNIT = re.compile(r"\[([^\]\[]{1,24})\]")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _UNITS = {
@@ -60,7 +60,7 @@ class Node:
     def gist(self) -> str:
         """What is given in a part that is folded, in a few words."""
         given = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._given()]
-        return "; ".join(given[:_MOST_TOLD]) + (" ..." if len(given) > _MOST_TOLD else "")
+        return "; ".join(given[:_MOST_MARKED]) + (" ..." if len(given) > _MOST_MARKED else "")
 
     def _given(self) -> Iterator[Node]:
         if self.kind == "variants":

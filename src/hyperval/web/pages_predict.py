@@ -63,7 +63,7 @@ def start(request: Request) -> Response:
 
 
 @dataclass(frozen=True)
-class Filled:
+class FormContent:
     """What a form is filled with: the data, and the words and data of what it began with."""
 
     data: dict[str, Any]
@@ -77,15 +77,15 @@ def predict_form(
 ) -> Response:
     """The form, filled in with a predefined scenario, that of a link, or that of an earlier run."""
     if s is not None:
-        filled = _begun(from_link(s), "as in the link")
+        content = _begun(from_link(s), "as in the link")
     elif run is not None:
-        filled = _begun(scenario_of(request, run), "as in the run")
+        content = _begun(scenario_of(request, run), "as in the run")
     else:
-        filled = _named(scenario)
-    return _form(request, filled)
+        content = _named(scenario)
+    return _form(request, content)
 
 
-def _named(scenario: str | None) -> Filled:
+def _named(scenario: str | None) -> FormContent:
     if scenario in predefined():
         return _begun(plain(predefined()[scenario]), f"as in {scenario}")
     if scenario is None or scenario == "free":
@@ -93,8 +93,8 @@ def _named(scenario: str | None) -> Filled:
     raise Refused(404, [Mistake("scenario", "no predefined scenario goes by that name")])
 
 
-def _begun(data: dict[str, Any], words: str) -> Filled:
-    return Filled(data, words, data)
+def _begun(data: dict[str, Any], words: str) -> FormContent:
+    return FormContent(data, words, data)
 
 
 @router.get("/result")
@@ -135,15 +135,15 @@ async def predict_post(request: Request) -> Response:
     return await run_in_threadpool(_run, request, given)
 
 
-def _filled(given: dict[str, list[str]], data: dict[str, Any]) -> Filled:
+def _content_of(given: dict[str, list[str]], data: dict[str, Any]) -> FormContent:
     """What a form that was sent holds, with what it began with where that has a name."""
     name = given.get("begun", [""])[0]
-    begun = _named(name) if name in predefined() else Filled({})
-    return Filled(data, begun.source, begun.data)
+    begun = _named(name) if name in predefined() else FormContent({})
+    return FormContent(data, begun.source, begun.data)
 
 
 def _changed(request: Request, given: dict[str, list[str]]) -> Response:
-    return _form(request, _filled(given, form_data(scenario_form(), given)))
+    return _form(request, _content_of(given, form_data(scenario_form(), given)))
 
 
 def _run(request: Request, given: dict[str, list[str]]) -> Response:
@@ -155,7 +155,7 @@ def _run(request: Request, given: dict[str, list[str]]) -> Response:
     except Refused as refusal:
         if refusal.status != 422:
             raise
-        return _form(request, _filled(given, data), refusal.mistakes, 422)
+        return _form(request, _content_of(given, data), refusal.mistakes, 422)
     request.app.state.desk.wait(run.id, _WAIT_S)
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
@@ -196,41 +196,41 @@ def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
     return data
 
 
-def _form(request: Request, filled: Filled, mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
+def _form(request: Request, content: FormContent, mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
     errors: dict[str, list[str]] = {}
     settings, owner = request.app.state.settings, session_of(request).owner
     sensors = files_of(settings, owner, ["sensors"])
     if mistakes:
-        nodes = _nodes(filled, sensors)
+        nodes = _nodes(content, sensors)
         errors = marked(mistakes, [node.path for node in walk(nodes)])
-        parts = form_parts(nodes, errors, _holding(errors), _total(filled.data))
+        parts = form_parts(nodes, errors, _holding(errors), _total(content.data))
     else:
-        parts = _parts(_key(filled), sensors)
+        parts = _parts(_key(content), sensors)
     try:
-        link = f"/predict?s={quote(link_text(filled.data))}"
+        link = f"/predict?s={quote(link_text(content.data))}"
     except ValueError:  # a number that is none
         link = ""
     return page(
         request, "predict.html.j2", status=status, parts=parts, errors=errors, scenarios=predefined(), link=link,
-        count=sum(map(len, errors.values())), begun=filled.source.removeprefix("as in "),
+        count=sum(map(len, errors.values())), begun=content.source.removeprefix("as in "),
         uploads=files_of(settings, owner, ["spectra"]),
     )  # fmt: skip
 
 
-def _nodes(filled: Filled, sensors: tuple[str, ...]) -> tuple[Node, ...]:
-    return scenario_form().nodes(filled.data, (filled.source, filled.begun), {"sensor": sensors})
+def _nodes(content: FormContent, sensors: tuple[str, ...]) -> tuple[Node, ...]:
+    return scenario_form().nodes(content.data, (content.source, content.begun), {"sensor": sensors})
 
 
-def _key(filled: Filled) -> str:
+def _key(content: FormContent) -> str:
     """What forms that are alike have in common."""
-    return json.dumps([filled.data, filled.source, filled.begun])
+    return json.dumps([content.data, content.source, content.begun])
 
 
 @lru_cache(maxsize=32)
 def _parts(text: str, sensors: tuple[str, ...]) -> Markup:
     """The fields of a form without a mistake: most people begin with one that many have begun with."""
-    filled = Filled(*json.loads(text))
-    return form_parts(_nodes(filled, sensors), {}, total=_total(filled.data))
+    content = FormContent(*json.loads(text))
+    return form_parts(_nodes(content, sensors), {}, total=_total(content.data))
 
 
 def _total(data: dict[str, Any]) -> str:
