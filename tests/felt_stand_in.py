@@ -1,8 +1,8 @@
 """Stand-in lines for the felt campaigns: the real headers, masks and felt spectra, every pixel simulated.
 
 A line is marked as such in the description of its header.  Ground comes in three surfaces with random pixels each;
-a felt is a square of the area that the mask marks, turned at random about the middle of its marked pixels, seen
-through the square of a pixel and a Gaussian of one pixel.
+a felt is a square of the area that the mask marks, placed and turned so that it covers the marked pixels best (a
+mask is drawn where a felt is seen), through the square of a pixel and a Gaussian of one pixel.
 """
 
 from __future__ import annotations
@@ -75,12 +75,14 @@ def stand_in(name: str, real: Path, data: Path, *, seed: int = 7) -> None:
     pixels = ground(rng, header.lines, header.samples, axis)
     for mask, spectrum in line.felts.items():
         truth = np.fromfile(real / mask, np.uint8).reshape(header.lines, header.samples) > 0
-        part = felt_fractions(truth, rng)[..., None]
+        part = felt_fractions(truth)
+        on = part > 0
+        share = part[on, None]
         table = np.genfromtxt(real / spectrum, skip_header=3 if "ASCII" in spectrum else 0)
         felt = np.interp(axis.centre_nm / 1000.0, table[:, 0], table[:, 1])
-        spread = 1.0 + 0.03 * rng.standard_normal(truth.shape)[..., None]
-        noise = 0.001 * rng.standard_normal(pixels.shape)
-        pixels = np.where(part > 0, (1.0 - part) * pixels + part * (felt * spread + noise), pixels)
+        spread = 1.0 + 0.03 * rng.standard_normal(share.shape)
+        noise = 0.001 * rng.standard_normal((share.size, len(axis)))
+        pixels[on] = (1.0 - share) * pixels[on] + share * (felt * spread + noise)
     stored = pixels if header.dtype.kind == "f" else np.round(pixels * 10_000.0)
     stored.transpose(0, 2, 1).astype(header.dtype).tofile(data / line.cube)  # by line
 
@@ -100,22 +102,26 @@ def ground(rng: np.random.Generator, lines: int, samples: int, axis: SpectralAxi
     return out
 
 
-def felt_fractions(truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(lines, samples) part of each pixel that squares of the mean marked area fill, one for each patch."""
+def felt_fractions(truth: np.ndarray) -> np.ndarray:
+    """(lines, samples) part of each pixel that squares fill, one for each patch and of the area that it marks."""
     labels, count = ndimage.label(truth, np.ones((3, 3)))
-    side = np.sqrt(truth.sum() / count)
     out = np.zeros(truth.shape)
-    reach = int(np.ceil(side)) + 4
     for number in range(1, count + 1):
         rows, columns = np.nonzero(labels == number)
-        centre = np.array([rows.mean() + 0.5, columns.mean() + 0.5]) + rng.uniform(-0.25, 0.25, 2)
-        first = np.floor(centre).astype(int) - reach
+        side = np.sqrt(rows.size)
+        reach = max(int(np.ceil(side)), int(np.ptp(rows)), int(np.ptp(columns))) + 4
         grid = (np.arange(2 * reach * FINE) + 0.5) / FINE
-        y, x = np.meshgrid(grid + first[0] - centre[0], grid + first[1] - centre[1], indexing="ij")
-        turn = rng.uniform(0.0, np.pi / 2)
-        u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
-        inside = ((np.abs(u) <= side / 2) & (np.abs(v) <= side / 2)).astype(float)
-        blurred = ndimage.gaussian_filter(inside, FINE / 2.354820045)
+        first = np.array([rows.mean(), columns.mean()]).astype(int) - reach
+        marked = np.zeros((2 * reach, 2 * reach), bool)
+        marked[rows - first[0], columns - first[1]] = True
+        y, x = np.meshgrid(grid, grid, indexing="ij")
+        fine = np.repeat(np.repeat(marked, FINE, axis=0), FINE, axis=1)
+        middle = np.array([rows.mean() + 0.5, columns.mean() + 0.5]) - first
+        shifts = np.array(np.meshgrid(*[(-0.25, 0.0, 0.25)] * 2)).reshape(2, -1).T
+        places = [(middle + shift, turn) for turn in np.radians(np.arange(0.0, 90.0, 10.0)) for shift in shifts]
+        cover = [np.count_nonzero(square(y, x, *place, side) & fine) for place in places]
+        centre, turn = places[int(np.argmax(cover))]
+        blurred = ndimage.gaussian_filter(square(y, x, centre, turn, side).astype(float), FINE / 2.354820045)
         part = blurred.reshape(2 * reach, FINE, 2 * reach, FINE).mean(axis=(1, 3))
         part[part < 1e-4] = 0.0
         top, left = np.maximum(first, 0)
@@ -123,3 +129,10 @@ def felt_fractions(truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         window = part[top - first[0] : bottom - first[0], left - first[1] : right - first[1]]
         out[top:bottom, left:right] += window
     return np.minimum(out, 1.0)
+
+
+def square(y: np.ndarray, x: np.ndarray, centre: np.ndarray, turn: float, side: float) -> np.ndarray:
+    """Which points lie in a square about a centre (line, sample), turned by an angle [rad]."""
+    v, u = y - centre[0], x - centre[1]
+    along, across = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
+    return (np.abs(along) <= side / 2) & (np.abs(across) <= side / 2)
