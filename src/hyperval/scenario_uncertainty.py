@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field, GetCoreSchemaHandler, PlainSerializer, PlainValidator, model_validator
 
 from hyperval.config import Model
+from hyperval.spectra.lag_kernel import LagKernel, lag_kernel
 
 Distribution = Literal["normal", "uniform", "triangular", "log-normal"]
 
@@ -75,6 +76,15 @@ class SpectralForm(Model):
 
     distribution: Distribution = Field("normal", description="of the error in each band or group")
     correlation_nm: float | None = Field(None, gt=0, description="correlation length; None: fully correlated")
+    nugget: float = Field(
+        0.0, ge=0, le=1, description="with correlation_nm: part of the variance that is each band's own"
+    )
+    lags: list[tuple[float, float]] = Field(
+        default_factory=list,
+        max_length=200,
+        description="correlations that were measured, [lag in nm, correlation], in place of correlation_nm and "
+        "nugget, which follow from them",
+    )
     correlation: Literal["systematic", "random", "groups", "arms"] | None = Field(
         None,
         description="systematic: one error for all bands; random: one for each; groups: one for each range of "
@@ -86,13 +96,25 @@ class SpectralForm(Model):
 
     @model_validator(mode="after")
     def _one_form(self) -> SpectralForm:
-        if self.correlation_nm is not None and self.correlation is not None:
-            raise ValueError("give correlation or correlation_nm, not both")
+        given = [n for n in ("correlation", "correlation_nm", "lags") if getattr(self, n)]
+        if len(given) > 1:
+            raise ValueError(f"give {' or '.join(given)}, not both")
+        if self.nugget and self.correlation_nm is None:
+            raise ValueError("nugget goes with correlation_nm")
+        if len(self.lags) == 1 or any(d <= 0 or not -1 <= rho <= 1 for d, rho in self.lags):
+            raise ValueError("lags are two or more pairs of a lag above 0 nm and a correlation of -1 to 1")
         if bool(self.groups_nm) != (self.correlation == "groups"):
             raise ValueError("groups_nm goes with correlation: groups")
-        if self.correlation_nm is not None and self.distribution not in ("normal", "log-normal"):
+        if self.kernel is not None and self.distribution not in ("normal", "log-normal"):
             raise ValueError("an error with a correlation length is normal or log-normal")
         return self
+
+    @property
+    def kernel(self) -> LagKernel | None:
+        """Nugget and length, as stated or from the measured lags; None for another form."""
+        if self.lags:
+            return lag_kernel(self.lags)
+        return None if self.correlation_nm is None else LagKernel(self.nugget, self.correlation_nm)
 
 
 class SpectrumUncertainty(SpectralForm):

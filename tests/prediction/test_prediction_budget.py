@@ -15,6 +15,7 @@ from hyperval.prediction.forms import (
     covariance_directions,
     directions,
     form_covariance,
+    form_in_words,
     number_directions,
     standardised,
     value_along,
@@ -116,6 +117,10 @@ def test_directions_give_back_the_covariance_of_each_form():
         "random": (SpectralForm(correlation="random"), np.diag(sd**2)),
         "length": (SpectralForm(correlation_nm=200), np.outer(sd, sd) * correlation(AXIS, 200.0)),
     }
+    whole = np.outer(sd, sd) * correlation(AXIS, 40.0)
+    own = SpectralForm(correlation_nm=40, nugget=0.3)
+    cases["nugget"] = own, 0.7 * whole + 0.3 * np.diag(sd**2)
+    assert form_in_words(own) == "correlation length 40 nm, 30 % of the variance each band's own"
     low = AXIS.centre_nm <= 1000
     groups = SpectralForm.model_validate({"correlation": "groups", "groups_nm": [[300, 1000]]})
     cases["groups"] = (groups, np.outer(sd, sd) * (np.outer(low, low) | np.outer(~low, ~low)))

@@ -23,8 +23,8 @@ def directions(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor
     The error is the sum of the rows, each with a factor of mean 0 and variance 1: its covariance is D^T D.
     """
     u = np.nan_to_num(np.asarray(sd, dtype=float))
-    if form.correlation_nm is not None:
-        return covariance_directions(np.outer(u, u) * correlation(axis, form.correlation_nm))
+    if form.kernel is not None:
+        return covariance_directions(form_covariance(u, form, axis))
     if form.correlation == "random":
         return np.asarray(np.diag(u)[u > 0])
     if form.correlation in ("groups", "arms"):
@@ -50,15 +50,18 @@ def form_covariance(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: S
     """(B, B) covariance of an error with standard deviation ``sd`` (B,)."""
     u = np.asarray(sd, dtype=float)
     if form.correlation is None:
-        return np.asarray(np.outer(u, u) * correlation(axis, form.correlation_nm))
+        nugget, length = form.kernel or (0.0, None)
+        smooth = np.outer(u, u) * correlation(axis, length)
+        return np.asarray(smooth if nugget == 0.0 else (1.0 - nugget) * smooth + nugget * np.diag(u**2))
     rows = directions(u, form, axis, sensor)
     return rows.T @ rows
 
 
 def form_in_words(form: SpectralForm) -> str:
     """The correlation form for people."""
-    if form.correlation_nm is not None:
-        return f"correlation length {form.correlation_nm:g} nm"
+    if (kernel := form.kernel) is not None:
+        own = f", {100 * kernel.nugget:.3g} % of the variance each band's own" if kernel.nugget else ""
+        return f"correlation length {kernel.length_nm:.4g} nm{own}"
     return {
         None: "systematic: one error for all bands",
         "systematic": "systematic: one error for all bands",
