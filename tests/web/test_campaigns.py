@@ -12,7 +12,7 @@ import zipfile
 import numpy as np
 import pytest
 from typer.testing import CliRunner
-from web_browser import NEEDS_BROWSER, careful_page, picture
+from web_browser import NEEDS_BROWSER, WIDER_THAN_SCREEN, careful_page, picture, serious
 from web_server import serve
 
 from hyperval import api
@@ -120,6 +120,15 @@ def test_threshold_is_moved_and_a_pixel_clicked_in_a_browser(own, run, browser):
         page.wait_for_selector("#pixel figure .bk-Column")
         assert page.locator("#line").input_value() == page.locator("#sample").input_value() == "6"
         assert "pixel (6, 6)" in page.locator("#pixel [role=img]").get_attribute("aria-label")
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            assert serious(page) == []
+        for address in (url, f"{own.address}/validate", f"{own.address}/bring"):
+            page.goto(address)
+            assert serious(page) == [], address
+            page.set_viewport_size({"width": 390, "height": 844})
+            assert page.evaluate(WIDER_THAN_SCREEN) <= 1, address
+            page.set_viewport_size({"width": 1280, "height": 900})
     context.close()
 
 

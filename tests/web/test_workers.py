@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("fastapi", reason="needs the extra web")
 
+from hyperval.cli.serve import keep_caches
 from hyperval.web.workers import Cancelled, Job, Pool, TaskFailed
 
 HERE = Path(__file__).parent
@@ -97,3 +98,16 @@ def test_processes_end_with_a_server_that_was_killed(tmp_path):
         time.sleep(0.1)
     else:
         pytest.fail("the worker outlived its server")
+
+
+def test_caches_of_a_user_without_a_home_are_the_servers(tmp_path, monkeypatch):
+    """Under a system's service no worker could start: the engine found no place for its results."""
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "mine"))
+    keep_caches(tmp_path / "web")
+    assert os.environ["HYPERVAL_CACHE"] == str(tmp_path / "mine")
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "file" / "cache"))
+    monkeypatch.setenv("MPLCONFIGDIR", str(tmp_path / "own"))
+    keep_caches(tmp_path / "web")
+    assert os.environ["HYPERVAL_CACHE"] == str(tmp_path / "web" / "cache")
+    assert os.environ["MPLCONFIGDIR"] == str(tmp_path / "own")

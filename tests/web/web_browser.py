@@ -16,6 +16,7 @@ BROWSER = next(
 )
 REQUIRED = os.environ.get("HYPERVAL_REQUIRE_BROWSER") == "1"
 NEEDS_BROWSER = pytest.mark.skipif(BROWSER is None and not REQUIRED, reason="no chromium on this machine")
+WIDER_THAN_SCREEN = "document.scrollingElement.scrollWidth - document.documentElement.clientWidth"
 PICTURES = os.environ.get("HYPERVAL_SCREENSHOTS")  # a folder that screenshots go into
 
 
@@ -30,6 +31,17 @@ def careful_page(context: Any, address: str) -> Iterator[Any]:
     yield one
     one.close()
     assert amiss == []
+
+
+def serious(page: Any) -> list[tuple[str, list[str]]]:
+    """What axe finds serious or worse: the rule, and the first elements."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    return [
+        (item["id"], [node["html"][:120] for node in item["nodes"][:2]])
+        for item in Axe().run(page).response["violations"]
+        if item["impact"] in ("serious", "critical")
+    ]
 
 
 def picture(page: Any, name: str) -> None:

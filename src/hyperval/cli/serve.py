@@ -49,14 +49,17 @@ def serve(
     """Serve the web application, to browsers of this machine by default."""
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # the workers share the processors
+    import platformdirs
+
+    place = folder or Path(platformdirs.user_data_dir("hyperval")) / "web"
+    keep_caches(place)
+
     try:
         import uvicorn
 
         from hyperval.web.app import make_app
     except ModuleNotFoundError as error:
         raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
-    import platformdirs
-
     from hyperval.web.limits import LOOPBACK, Limits, Settings
 
     limits = Limits(
@@ -66,7 +69,6 @@ def serve(
     for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
         if given is not None and not given.is_dir():
             raise UsageError("is no folder", where=str(given), expected=words)
-    place = folder or Path(platformdirs.user_data_dir("hyperval")) / "web"
     names = tuple(n.lower() for n in name or ())
     settings = Settings(place, campaigns, (*LOOPBACK, *names), https, limits, data)
     if scheduler is not None:
@@ -84,3 +86,17 @@ def serve(
         proxy_headers=False, timeout_keep_alive=30,
     )  # fmt: skip
     return 0
+
+
+def keep_caches(place: Path) -> None:
+    """Keep what is computed once in the server's folder, where its user has no home, as that of a service."""
+    from hyperval.datasets import cache_dir
+
+    try:
+        cache_dir().parent.mkdir(parents=True, exist_ok=True)
+        writable = os.access(cache_dir().parent, os.W_OK)
+    except OSError:
+        writable = False
+    if not writable:
+        os.environ["HYPERVAL_CACHE"] = str(place / "cache")
+        os.environ.setdefault("MPLCONFIGDIR", str(place / "cache" / "matplotlib"))
