@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import pickle
@@ -118,6 +119,12 @@ def _end_with(parent: int) -> None:
         return
     if os.getppid() != parent:  # it ended a moment ago
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def give_back_freed() -> None:
+    """Let the C library return to the system what is free between its arrays, after work that made many."""
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library than GNU's
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _return(function: Callable[[], object], path: Path, parent: int) -> NoReturn:

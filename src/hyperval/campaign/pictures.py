@@ -64,8 +64,11 @@ def quicklook(observed: Observed) -> Quicklook | None:
         offset, gain = observed.elm.offset[bands], observed.elm.gain[bands]
     elif cube.quantity == "radiance":
         gain = np.array([irradiance for _, irradiance in COLOURS])
-    thinned = picture[:: max(1, len(picture) * picture.shape[1] // STRETCH_PIXELS)]
-    high = max(float(np.nanpercentile((thinned - offset) / gain, 99.0)), np.finfo(float).tiny)
+    thinned = picture[:: max(1, len(picture) * picture.shape[1] // STRETCH_PIXELS)].astype(float)
+    thinned -= offset
+    thinned /= gain
+    high = max(float(np.nanpercentile(thinned, 99.0, overwrite_input=True)), np.finfo(float).tiny)
+    del thinned
     colours = np.empty(picture.shape, np.uint8)
     for first in range(0, len(picture), LINES_TOGETHER):  # the whole picture in float64 would be the run's peak
         part = (picture[first : first + LINES_TOGETHER] - offset) / gain
