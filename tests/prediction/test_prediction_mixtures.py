@@ -9,7 +9,7 @@ import pytest
 from uncertain_scene import AXIS, scenario
 
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict
+from hyperval.predict import Origins, predict, predictions
 from hyperval.prediction.cases import batch_of, case_of
 from hyperval.prediction.departure import Departure, StatisticsDeparture
 from hyperval.scene.builtin import builtin_class
@@ -99,6 +99,21 @@ def test_false_alarms_are_those_of_drawn_pixels(dof, tail):
     single = curves(of_region(components), mixed("null"))[0]
     at = int(np.argmin(np.abs(np.log(curve.pfa / 1e-2))))  # what the moments alone would say is something else
     assert abs(single.threshold[at] - curve.threshold[at]) > 0.05 * abs(curve.threshold[at])
+
+
+def test_ace_of_two_truths_sees_the_objects_of_each():
+    small = {
+        "fill: {fixed: 0.1}": "fill: {geometry: {side_m: 0.12, gsd_m: 1.0, psf_fwhm_pixels: 1.0}}",
+        "        - {name: loose, fill: {mean: 0.15, sd: 0.05}}\n": "",
+        "detectors: [cem]": "elm: none, samples: 300, detectors: [ace]",
+    }
+    truths = [Departure(), Departure(fill={"tenth": -0.006})]
+    both = [
+        made.roc["tenth", "ace", "object"].pd for made in predictions(scenario("", **small), truths, Origins(AXIS))
+    ]
+    (alone,) = predictions(scenario("", **small), truths[1:], Origins(AXIS))
+    np.testing.assert_allclose(both[1], alone.roc["tenth", "ace", "object"].pd, rtol=1e-9)
+    assert np.max(both[0] - both[1]) > 0.01  # the smaller target is seen less
 
 
 def test_ace_counts_the_same_clusters():
