@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -27,12 +28,19 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "work"
 
 
+@pytest.fixture(scope="module")
+def run_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the run of the small campaign stands that all tests copy; empty until the first asks for it."""
+    return tmp_path_factory.mktemp("run") / "finished"
+
+
 @pytest.fixture
-def finished(small: SmallCampaign, tmp_path: Path) -> Path:
+def finished(small: SmallCampaign, run_once: Path, tmp_path: Path) -> Path:
     """Folder of a finished run of the small campaign."""
-    out = tmp_path / "finished"
-    assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 0
-    return out
+    path = small.write()
+    if not run_once.exists():
+        assert cli.run(["-q", "validate", str(path), "-o", str(run_once)]) == 0
+    return Path(shutil.copytree(run_once, tmp_path / "finished"))
 
 
 def failures(junit: Path) -> dict[str, str]:
