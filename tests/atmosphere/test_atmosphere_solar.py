@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import gzip
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hyperval.atmosphere import solar
+from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError, MissingDataError, UsageError
+from hyperval.spectra.axis import SpectralAxis
 
 GRID = np.arange(340.0, 2600.1, 2.5)
 
@@ -37,6 +40,33 @@ def test_fraunhofer_lines_are_averaged_not_picked(monkeypatch):
     monkeypatch.setattr(solar, "_spectrum", lambda name, root: (nm, comb))
     values = solar.extraterrestrial_irradiance("comb", grid)
     assert values == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.parametrize("fwhm_nm", [3.5, 5.5, 10.0])
+def test_bands_see_the_lines_where_the_source_has_them(fwhm_nm):
+    # Against plain sums over the source by 0.1 nm; the engine's grid of 2.5 nm alone is up to 4 % off below 460 nm.
+    centre = np.arange(400.0, 1000.0, 4.0)
+    axis = SpectralAxis(centre, np.full(centre.size, fwhm_nm))
+    level, rising = solar.extraterrestrial_irradiance("astm-g173", GRID), GRID / 1000.0
+    one = np.ones(GRID.size)
+    terms = AtmosphericTerms(
+        GRID, 0.1 * level, level * rising, level, 0.2 * one, level, rising,
+        diffuser_radiance=level, solar_lines=solar.lines_between("astm-g173", GRID),
+    )  # fmt: skip
+    fine, (nm, e) = np.arange(380.0, 1020.0, 0.1), solar._spectrum("astm-g173", ())
+    x = (fine - centre[:, None]) / (fwhm_nm / 2.3548)
+    weight = np.where(np.abs(x) <= 3.0, np.exp(-0.5 * x**2), 0.0)
+    sun = weight * np.interp(fine, nm, e)
+    seen = terms.at_bands(axis)
+    assert seen.diffuser_radiance == pytest.approx(sun.sum(axis=1) / weight.sum(axis=1), rel=3e-3)
+    assert seen.direct == pytest.approx((sun * fine / 1000.0).sum(axis=1) / weight.sum(axis=1), rel=3e-3)
+    assert seen.path_radiance == pytest.approx(0.1 * seen.diffuser_radiance, rel=1e-12)
+    assert seen.solar_lines is None
+    plain = replace(terms, solar_lines=None).at_bands(axis)
+    assert np.array_equal(plain.spherical_albedo, seen.spherical_albedo)
+    assert np.array_equal(plain.gas_transmittance, seen.gas_transmittance)
+    worst = np.max(np.abs(plain.direct / seen.direct - 1.0))
+    assert worst > {3.5: 0.02, 5.5: 0.01, 10.0: 0.003}[fwhm_nm]
 
 
 @pytest.mark.data

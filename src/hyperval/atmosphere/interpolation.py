@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
 from hyperval.errors import UsageError
 
 Array = npt.NDArray[np.float64]
@@ -232,5 +232,5 @@ def interpolated_terms(
 
 def stacked_values(runs: Sequence[AtmosphericTerms]) -> dict[str, Array]:
     """Term -> (runs, B), for every term that the engine gives."""
-    names = [f.name for f in fields(AtmosphericTerms) if f.name not in ("wavelength_nm", "fwhm_nm", "provenance")]
+    names = [f.name for f in fields(AtmosphericTerms) if f.name not in NOT_AVERAGED]
     return {n: np.stack([getattr(t, n) for t in runs]) for n in names if getattr(runs[0], n) is not None}

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -140,7 +141,7 @@ def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | N
     return _restored(cached(folder, "modtran", inputs, compute), state, modtran)
 
 
-_NAMES = [f.name for f in fields(AtmosphericTerms) if f.name != "provenance"]
+_NAMES = [f.name for f in fields(AtmosphericTerms) if f.name not in ("provenance", "solar_lines")]
 
 
 def _stored(terms: AtmosphericTerms) -> Arrays:
@@ -150,7 +151,7 @@ def _stored(terms: AtmosphericTerms) -> Arrays:
 
 
 def _restored(stored: Arrays, state: AtmosphericState, modtran: Modtran) -> AtmosphericTerms:
-    values = dict(stored)
+    values: dict[str, Any] = dict(stored)
     irradiance = values["ground_irradiance"]
     values["ground_irradiance"] = np.where(irradiance < 0.0, np.nan, irradiance)
     return AtmosphericTerms(

@@ -152,6 +152,7 @@ def _assemble(
         gas_transmittance=gas["full"],
         diffuse_fraction=np.clip(1.0 - beam / value["down"], 0.0, 1.0),
         diffuser_radiance=unit_radiance,
+        solar_lines=solar.lines_between(state.solar_spectrum, GRID_NM),
         provenance={
             "engine": sixs_fingerprint(),
             "scheme": SCHEME,

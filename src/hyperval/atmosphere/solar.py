@@ -25,6 +25,7 @@ _FILES = {
 SPECTRA = ("astm-g173", *_FILES)
 _MAX_BYTES = 64 << 20
 _FINE_NM = 0.1
+_LINES_NM = 0.5  # sampling of the sunlight that bands are averaged over
 _EXTENSION_NM = 110.0
 _REACH_NM = 12.0  # how far the end value of a spectrum may be carried on (TSIS-1 here starts at 350 nm)
 
@@ -102,6 +103,22 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     positions = grid[:, None] + offset[None, :] * step[:, None]
     values = np.interp(positions, source_nm, irradiance)
     return np.asarray(values @ weight / weight.sum()) / distance_au**2
+
+
+def lines_between(name: str, wavelength_nm: Array) -> tuple[Array, Array]:
+    """Finer wavelengths [nm], and there the irradiance over the straight line between its values on a grid [1].
+
+    Values of the grid, and the finer ones every half nanometre, are those of :func:`extraterrestrial_irradiance`.
+    Half a nanometre is the sampling of TSIS-1 here and of ASTM G173 in the ultraviolet; bands of 3 nm and more see
+    the Fraunhofer lines through it as through the source's own samples.  Raises as that function.
+
+    Parameters
+    ----------
+    wavelength_nm : (n,) increasing
+    """
+    fine_nm = np.arange(wavelength_nm[0], wavelength_nm[-1] + 1e-6, _LINES_NM)
+    between = np.interp(fine_nm, wavelength_nm, extraterrestrial_irradiance(name, wavelength_nm))
+    return fine_nm, extraterrestrial_irradiance(name, fine_nm) / between
 
 
 def _places() -> tuple[str, ...]:

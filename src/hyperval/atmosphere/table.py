@@ -107,6 +107,9 @@ class AtmosphericTable:
         if irradiance is None:
             irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, self.wavelength_nm, 1.0)
         unit = np.cos(np.deg2rad(state.sun[0])) * irradiance / state.distance_au**2 / np.pi
+        lines = None
+        if self.solar_irradiance is None and self.fwhm_nm is None:
+            lines = solar.lines_between(state.solar_spectrum, self.wavelength_nm)
         return AtmosphericTerms(
             wavelength_nm=self.wavelength_nm.copy(),
             path_radiance=unit * values["path"],
@@ -127,6 +130,7 @@ class AtmosphericTable:
             fwhm_nm=self.fwhm_nm,
             diffuse_fraction=values.get("diffuse"),
             diffuser_radiance=unit,
+            solar_lines=lines,
             path_uncertainty=path_relative * unit * values["path"],
         )
 

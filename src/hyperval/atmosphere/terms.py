@@ -15,6 +15,11 @@ from hyperval.spectra.response import band_average
 Array = npt.NDArray[np.float64]
 
 _NARROW = 0.5  # channels this much narrower than the bands, or more, can be averaged as samples
+# What goes in proportion to the sunlight; the rest are parts of light, which it leaves as they are.
+_OF_THE_SUN = (
+    "path_radiance", "direct", "adjacency", "ground_irradiance", "path_uncertainty", "diffuser_radiance"
+)  # fmt: skip
+NOT_AVERAGED = ("wavelength_nm", "provenance", "fwhm_nm", "solar_lines")
 _ALIKE = 1.35  # channels within this factor of a band's width stand for it
 
 
@@ -41,6 +46,8 @@ class AtmosphericTerms:
         common to neighbouring wavelengths [uW cm-2 sr-1 nm-1]; None where nothing was interpolated
     diffuser_radiance : mu0 E0 / pi, radiance of a white level diffuser outside the atmosphere, over which radiance
         is top-of-atmosphere reflectance [uW cm-2 sr-1 nm-1]; None where the engine does not give it
+    solar_lines : finer wavelengths [nm], and there the sunlight over the straight line between its values at
+        ``wavelength_nm`` [1]: the Fraunhofer lines that the terms' own sampling smooths; None: it smooths none
     """
 
     wavelength_nm: Array
@@ -55,6 +62,7 @@ class AtmosphericTerms:
     diffuse_fraction: Array | None = None
     path_uncertainty: Array | None = None
     diffuser_radiance: Array | None = None
+    solar_lines: tuple[Array, Array] | None = None
 
     def at_bands(self, axis: SpectralAxis) -> AtmosphericTerms:
         """The terms averaged over the band responses of ``axis``.
@@ -67,18 +75,23 @@ class AtmosphericTerms:
         UsageError : the terms do not cover the bands, or their channels are too wide or of another width.
         """
 
-        names = [f.name for f in fields(self) if f.name not in ("wavelength_nm", "provenance", "fwhm_nm")]
-        names = [name for name in names if getattr(self, name) is not None]
+        names = [f.name for f in fields(self) if f.name not in NOT_AVERAGED and getattr(self, f.name) is not None]
         stack = np.stack([getattr(self, name) for name in names])
         if self._are_channels_of(axis):
             bands = np.stack([np.interp(axis.centre_nm, self.wavelength_nm, row) for row in stack])
         else:
             bands = band_average(self.wavelength_nm, stack, axis)  # one set of weights for all terms
-        return AtmosphericTerms(
-            wavelength_nm=axis.centre_nm,
-            **dict(zip(names, bands, strict=True)),
-            provenance=self.provenance,
-        )
+        found = dict(zip(names, bands, strict=True))
+        if self.solar_lines is not None:
+            found |= self._with_lines_of_the_sun(axis, [name for name in names if name in _OF_THE_SUN])
+        return AtmosphericTerms(wavelength_nm=axis.centre_nm, **found, provenance=self.provenance)
+
+    def _with_lines_of_the_sun(self, axis: SpectralAxis, names: list[str]) -> dict[str, Array]:
+        """Terms in proportion to the sunlight, averaged over bands with its lines where they are."""
+        assert self.solar_lines is not None  # noqa: S101 - the caller's own check
+        at, lines = self.solar_lines
+        fine = lines * np.stack([np.interp(at, self.wavelength_nm, getattr(self, name)) for name in names])
+        return dict(zip(names, band_average(at, fine, axis), strict=True))
 
     def _are_channels_of(self, axis: SpectralAxis) -> bool:
         """True when the terms are averages over channels like those of ``axis``, False when they are samples."""
