@@ -11,9 +11,7 @@ import numpy as np
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, read_chn
 from hyperval.atmosphere.modtran_read import read_chn_blocks
 from hyperval.atmosphere.modtran_solve import terms_from_blocks
-from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.response import band_average
 
 ALBEDOS = (0.0, 0.1, 0.5)
 
@@ -71,13 +69,7 @@ def matched(case: Case, terms: AtmosphericTerms) -> tuple[AtmosphericTerms, Atmo
     reference = terms_from_blocks(blocks, case.albedos) if case.albedos else read_chn(case.path)
     axis = SpectralAxis(block.wavelength_nm, np.clip(block.width_nm * 0.9394, 1.0, None))  # Gaussian of equal width
     ours = terms.at_bands(axis)
-    mu0 = np.cos(np.deg2rad(case.state.sun[0]))
-    own = (
-        mu0
-        / np.pi
-        * extraterrestrial_irradiance(case.state.solar_spectrum, terms.wavelength_nm, case.state.distance_au)
-    )
-    ratio = block.unit_radiance / band_average(terms.wavelength_nm, own, axis)
+    ratio = block.unit_radiance / ours.diffuser_radiance
     return (
         AtmosphericTerms(
             ours.wavelength_nm, ours.path_radiance * ratio, ours.direct * ratio, ours.adjacency * ratio,
