@@ -8,9 +8,10 @@ import pytest
 from hyperval.atmosphere import AtmosphericState, sixs
 from hyperval.atmosphere.engine_ratio import (
     GREATEST_WATER_G_CM2,
-    THINNEST_AOT,
     EngineRatio,
     engine_ratio,
+    low_share,
+    molecular_albedo,
     ways,
 )
 
@@ -19,7 +20,7 @@ STATE = AtmosphericState(
     solar_zenith_deg=45.0, solar_azimuth_deg=150.0, day_of_year=180, view_zenith_deg=0.0,
 )  # fmt: skip
 NM = np.array([400.0, 500.0, 600.0])
-FLAT = EngineRatio(NM, np.full(3, 0.1), np.full(3, 0.2), np.full(3, 0.9), np.full(3, 0.01), np.full(3, 0.02))
+FLAT = EngineRatio(NM, np.full(3, 0.1), np.full(3, 0.2), np.full(3, 0.9), np.full(3, 0.8))
 
 
 def test_transmittances_go_with_the_amounts_and_beyond_the_states_with_their_root():
@@ -30,13 +31,29 @@ def test_transmittances_go_with_the_amounts_and_beyond_the_states_with_their_roo
     assert depth(4.0 * edge) == pytest.approx(3.0 * edge)
 
 
-def test_spherical_albedo_is_lower_in_proportion_to_thin_aerosol_and_never_negative():
-    own = np.full(3, 0.1)
-    assert FLAT.spherical_albedo(NM, own, 0.2) == pytest.approx(0.1 - 0.01 - 0.02 * 0.2)
-    half = FLAT.spherical_albedo(NM, own, THINNEST_AOT / 2)
-    assert half == pytest.approx(0.1 - 0.5 * (0.01 + 0.02 * THINNEST_AOT / 2))
-    assert np.all(FLAT.spherical_albedo(NM, own, 0.0) == own)
-    assert np.all(FLAT.spherical_albedo(NM, np.zeros(3), 0.2) == 0.0)
+def test_spherical_albedo_has_the_aerosol_that_is_below_the_free_troposphere():
+    own, molecules = np.full(3, 0.1), np.full(3, 0.04)
+    assert FLAT.spherical_albedo(NM, own, molecules, 0.75) == pytest.approx(0.04 + 0.8 * 0.75 * 0.06)
+    assert np.array_equal(FLAT.spherical_albedo(NM, molecules, molecules, 0.75), molecules)
+
+
+def test_the_free_troposphere_holds_the_same_aerosol_under_every_haze():
+    above = [
+        (1.0 - low_share(STATE.model_copy(update={"aot550": depth}))) * depth for depth in (0.05, 0.1, 0.2, 0.6)
+    ]
+    assert above == pytest.approx(4 * [0.032], abs=5e-4)
+    assert low_share(STATE.model_copy(update={"aerosol": "none", "aot550": None})) == 1.0
+    # Half of the thin haze is stated to lie above the aircraft at most: no more than that is above 5 km.
+    stated = STATE.model_copy(update={"aot550": 0.05, "aerosol_share_below": 0.7})
+    assert low_share(stated) == pytest.approx(0.7)
+    assert 0.0 <= low_share(STATE.model_copy(update={"aot550": 0.01, "ground_altitude_km": 1.8})) < 0.5
+
+
+def test_albedo_of_molecules_goes_from_their_depth_to_one():
+    # Thin air sends back its depth to the first order; a cloud of molecules all light.
+    assert molecular_albedo(np.array([1e-4]))[0] == pytest.approx(1e-4, rel=2e-3)
+    assert molecular_albedo(np.array([1000.0]))[0] == pytest.approx(1.0, abs=0.01)
+    assert np.all(np.diff(molecular_albedo(np.linspace(0.01, 3.0, 50))) > 0.0)
 
 
 def test_ways_of_the_light():
@@ -75,7 +92,7 @@ def engine(monkeypatch, tmp_path):
 def test_the_engine_dims_each_part_of_the_light_by_its_own_way(engine):
     plain = engine(STATE, None)
     one = np.ones(3)
-    flat = EngineRatio(NM, 0.1 * one, 0.02 * one, one, 0.0 * one, 0.0 * one)
+    flat = EngineRatio(NM, 0.1 * one, 0.02 * one, one, one)
     dimmed = engine(STATE, flat)
     down, both = ways(STATE)
     expected = np.exp(-0.1 * both.air_atm - 0.02 * both.water_g_cm2)
@@ -94,7 +111,7 @@ def test_the_engine_dims_each_part_of_the_light_by_its_own_way(engine):
 
 def test_no_more_than_half_of_the_absorption_is_taken_back(engine):
     one = np.ones(3)
-    bright = EngineRatio(NM, -9.0 * one, -9.0 * one, one, 0.0 * one, 0.0 * one)
+    bright = EngineRatio(NM, -9.0 * one, -9.0 * one, one, one)
     at_600_nm = engine(STATE, bright).gas_transmittance[104]
     assert at_600_nm == pytest.approx(np.sqrt(0.9))  # half of all and half of the water: the dry gas has half left
 
@@ -104,7 +121,7 @@ def test_clear_air_keeps_its_albedo_and_aerosol_of_a_stated_colour_its_path(engi
     for state in (clear, STATE.model_copy(update={"angstrom_exponent": 1.3})):
         np.testing.assert_array_equal(engine(state).spherical_albedo, engine(state, None).spherical_albedo)
     one = np.ones(3)
-    path = EngineRatio(NM, 0.0 * one, 0.0 * one, 0.5 * one, 0.0 * one, 0.0 * one)
+    path = EngineRatio(NM, 0.0 * one, 0.0 * one, 0.5 * one, one)
     less = engine(STATE, path).path_radiance / engine(STATE, None).path_radiance
     assert less == pytest.approx((0.02 * 0.9 + 0.5 * 0.01 * 0.8) / (0.02 * 0.9 + 0.01 * 0.8))
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms, sixs, sixs_text, solar
+from hyperval.atmosphere.engine_ratio import molecular_albedo
 from hyperval.atmosphere.sixs_process import run_sixs
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
@@ -174,6 +175,9 @@ def test_molecular_atmosphere_has_its_published_optical_depth(engine_cache, term
     path = apparent_reflectance(terms, st, 0.0)[i] / terms.gas_transmittance[i]
     assert path == pytest.approx(phase * tau / (4.0 * mu0), rel=0.03)
     assert terms.spherical_albedo[i] == pytest.approx(tau, rel=0.03)
+    # The closed form for molecules, beside what the solver integrates.
+    seen = sixs_text.parse_monochromatic(out)
+    assert seen.spherical_albedo == pytest.approx(float(molecular_albedo(np.array(depth))), rel=0.01)
     e0 = solar.extraterrestrial_irradiance("astm-g173", terms.wavelength_nm)[i]
     down = np.pi * (terms.direct[i] + terms.adjacency[i]) / (mu0 * e0 * terms.gas_transmittance[i])  # T_down T_up
     assert 1.0 - down == pytest.approx(0.5 * tau * (1.0 / mu0 + 1.0), rel=0.03)

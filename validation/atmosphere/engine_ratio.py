@@ -27,7 +27,7 @@ from modtran_cases import Case, cases, matched
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.atmosphere.cache import cache_folder
-from hyperval.atmosphere.engine_ratio import FILE, THINNEST_AOT, EngineRatio, ways
+from hyperval.atmosphere.engine_ratio import FILE, EngineRatio, ways
 from hyperval.atmosphere.sixs import sixs_terms
 
 # Channels where gases absorb next to nothing in both codes: the continuum of the ratio goes through them.
@@ -76,13 +76,11 @@ def fitted(pairs: Sequence[Pair]) -> EngineRatio:
     """The numbers from some states."""
     nm = pairs[0].theirs.wavelength_nm
     none, one = np.zeros(nm.size), np.ones(nm.size)
-    ratio = EngineRatio(nm, none, none, one, none, none)
+    ratio = EngineRatio(nm, none, none, one, one)
     for _pass in range(PASSES):  # the second mends what the average over a channel left of the first
         dry, water = _gas(pairs, ratio)
-        ratio = EngineRatio(nm, ratio.dry + dry, ratio.water + water, one, none, none)
-    path = _path(pairs, ratio)
-    albedo, per_depth = _albedo(pairs, ratio)
-    return EngineRatio(nm, ratio.dry, ratio.water, path, albedo, per_depth)
+        ratio = EngineRatio(nm, ratio.dry + dry, ratio.water + water, one, one)
+    return EngineRatio(nm, ratio.dry, ratio.water, _path(pairs, ratio), _albedo(pairs, ratio))
 
 
 def _gas(pairs: Sequence[Pair], ratio: EngineRatio) -> tuple[np.ndarray, np.ndarray]:
@@ -121,7 +119,7 @@ def _path(pairs: Sequence[Pair], ratio: EngineRatio) -> np.ndarray:
     for pair in pairs:
         if pair.case.albedos is None or pair.case.state.aot550 < LEAST_AOT:
             continue
-        twice = EngineRatio(nm, ratio.dry, ratio.water, 2.0 * ratio.path, ratio.albedo, ratio.albedo_per_depth)
+        twice = EngineRatio(nm, ratio.dry, ratio.water, 2.0 * ratio.path, ratio.albedo)
         once = pair.ours(ratio).path_radiance
         aerosol = pair.ours(twice).path_radiance - once
         factors.append(1.0 + (pair.theirs.path_radiance - once) / np.maximum(aerosol, 1e-9))
@@ -134,18 +132,20 @@ def _path(pairs: Sequence[Pair], ratio: EngineRatio) -> np.ndarray:
     return 1.0 + share * (level - 1.0)
 
 
-def _albedo(pairs: Sequence[Pair], ratio: EngineRatio) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) what the spherical albedo is lower by, a straight line in the aerosol depth."""
+def _albedo(pairs: Sequence[Pair], ratio: EngineRatio) -> np.ndarray:
+    """(n,) factor on the aerosol's part of the spherical albedo."""
     nm = pairs[0].theirs.wavelength_nm
     known = [p for p in pairs if p.case.albedos is not None]
     depth = np.array([p.case.state.aot550 for p in known])
     window = np.all([p.theirs.gas_transmittance > WINDOW for p in known], axis=0)
-    lower = np.array([p.ours(ratio).spherical_albedo - p.theirs.spherical_albedo for p in known])
-    levels = np.unique(depth)  # each amount of haze counts once, however many amounts of water it has
-    lower = np.array([lower[depth == level].mean(axis=0) for level in levels])
-    design = np.stack([np.ones(levels.size), levels], axis=1)
-    line = np.linalg.lstsq(design, lower, rcond=None)[0]
-    return _smooth(nm, line[0], window), _smooth(nm, line[1], window)
+    none = EngineRatio(nm, ratio.dry, ratio.water, ratio.path, np.zeros(nm.size))
+    factors = []
+    for pair in known:
+        molecules, whole = pair.ours(none).spherical_albedo, pair.ours(ratio).spherical_albedo
+        factors.append((pair.theirs.spherical_albedo - molecules) / (whole - molecules))
+    # Each amount of haze counts once, however many amounts of water it has.
+    levels = [np.mean([f for f, d in zip(factors, depth, strict=True) if d == x], axis=0) for x in np.unique(depth)]
+    return _smooth(nm, np.mean(levels, axis=0), window)
 
 
 LEAVE_OUT: dict[str, Callable[[Pair, Pair], bool]] = {
@@ -201,8 +201,7 @@ def text_of(ratio: EngineRatio) -> str:
         "# What MODTRAN 6 has over 6S V2.1, by validation/atmosphere/engine_ratio.py from airborne channel files:",
         "# isofit/isofit examples/topoflux/lut and isofit/isofit-tutorials 20171108_Pasadena (Apache-2.0).",
         "# dry: optical depth per slanted atm; water: per slanted g cm-2; path: factor on rural aerosol;",
-        "# albedo: S is lower by this and by albedo_per_depth times the depth at 550 nm",
-        f"# (from {THINNEST_AOT:g} on; below in proportion).",
+        "# albedo: factor on the part that rural aerosol below the free troposphere has in S.",
         ",".join(f.name for f in fields(EngineRatio)),
     ]
     columns = [getattr(ratio, f.name) for f in fields(EngineRatio)]

@@ -5,7 +5,8 @@ The band model of 6S is off by a pattern that is the same in every state, so it 
     T_MODTRAN / T_6S = exp(-dry(nm) a - water(nm) u)
 
 with a the air on the light's way [atm, slanted] and u the water on it [g cm-2, slanted].  Two further
-patterns belong to the rural aerosol: how much of it 6S sees in the path radiance, and the spherical albedo.
+patterns belong to the rural aerosol: how much of it 6S sees in the path radiance, and its part in the spherical
+albedo, which the aerosol of the free troposphere does not share.
 The numbers (``engine_ratio.csv``) and their errors come from ``validation/atmosphere/engine_ratio.py``;
 docs/atmosphere.md tells how well they predict states that they were not made from.
 """
@@ -20,7 +21,9 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import expn
 
+from hyperval.atmosphere import visibility
 from hyperval.atmosphere.profiles import column_g_cm2, pressure_at, scaled_profile
 from hyperval.atmosphere.state import AtmosphericState
 
@@ -30,7 +33,8 @@ FILE: Final = "engine_ratio.csv"
 # Slanted amounts up to which the states of MODTRAN reach.  Beyond them absorption grows with the root of the
 # amount, as that of strong lines does, with the slope it has there.
 GREATEST_AIR_ATM, GREATEST_WATER_G_CM2 = 1.8, 4.6
-THINNEST_AOT = 0.05  # of those states; without aerosol 6S agrees with SASKTRAN2 and nothing is corrected
+# From this height on LOWTRAN's profile is the same for every haze: finer aerosol than the rural type.
+FREE_TROPOSPHERE_KM = 5.0
 # At most this part of what 6S absorbs is taken back: the absorption of strong lines grows with the root of their
 # amount, so that with half of it left more water lets no more light through.
 _GREATEST_SHARE_BACK = 0.5
@@ -55,7 +59,7 @@ class EngineRatio:
     dry : optical depth per slanted atmosphere of air [1]
     water : optical depth per slanted g cm-2 of water vapour [cm2 g-1]
     path : factor on the rural aerosol's part of the path radiance [1]
-    albedo, albedo_per_depth : what the spherical albedo is lower by, and per aerosol optical depth at 550 nm [1]
+    albedo : factor on the rural aerosol's part of the spherical albedo [1]
     """
 
     wavelength_nm: Array
@@ -63,7 +67,6 @@ class EngineRatio:
     water: Array
     path: Array
     albedo: Array
-    albedo_per_depth: Array
 
     def gas(self, wavelength_nm: Array, air_atm: float, water_g_cm2: float) -> Array:
         """(n,) factor on the transmittance of the gases over a way with so much air and water [1]."""
@@ -88,11 +91,43 @@ class EngineRatio:
         """(n,) factor on the path radiance of rural aerosol [1]."""
         return np.asarray(np.interp(wavelength_nm, self.wavelength_nm, self.path))
 
-    def spherical_albedo(self, wavelength_nm: Array, own: Array, aot550: float) -> Array:
-        """(n,) spherical albedo over rural aerosol of a depth, from the engine's ``own`` [1]."""
-        lower = self.albedo + self.albedo_per_depth * aot550
-        share = min(1.0, aot550 / THINNEST_AOT)
-        return np.asarray(np.maximum(own - share * np.interp(wavelength_nm, self.wavelength_nm, lower), 0.0))
+    def spherical_albedo(self, wavelength_nm: Array, own: Array, molecules: Array, low_share: float) -> Array:
+        """(n,) spherical albedo under rural aerosol, from the engine's ``own`` and that of the molecules alone [1].
+
+        S = S_molecules + albedo * low_share * (S_own - S_molecules) with the share of the depth below the free
+        troposphere (:func:`low_share`): the finer aerosol above sends next to nothing back.
+        """
+        factor = np.interp(wavelength_nm, self.wavelength_nm, self.albedo)
+        return np.asarray(molecules + factor * low_share * (own - molecules))
+
+
+def low_share(state: AtmosphericState) -> float:
+    """Share of the aerosol's depth below the free troposphere, by LOWTRAN's profile [1].
+
+    Where more of the haze is stated to lie below an aircraft than the profile has, no more is above than it leaves.
+    """
+    depth, ground = state.aerosol_optical_depth, state.ground_altitude_km
+    if depth == 0.0:
+        return 1.0
+    above = 1.0 - visibility.fraction_below(depth, ground, max(FREE_TROPOSPHERE_KM, ground + 1.0))
+    if state.aerosol_share_below is not None:
+        above = min(above, 1.0 - state.aerosol_share_below)
+    return 1.0 - above
+
+
+def molecular_albedo(depth: Array) -> Array:
+    """(n,) spherical albedo of molecules of an optical depth (n,) [1].
+
+    [3 t - (4 + 2 t) E3(t) + 2 exp(-t)] / (4 + 3 t).  Source: Vermote & Tanre, J. Quant. Spectrosc. Radiat. Transfer
+    47, 305-314, 1992.
+
+    Examples
+    --------
+    >>> molecular_albedo(np.array([0.01, 0.1])).round(4).tolist()
+    [0.0097, 0.084]
+    """
+    t = np.asarray(depth, dtype=float)
+    return np.asarray((3.0 * t - (4.0 + 2.0 * t) * expn(3, t) + 2.0 * np.exp(-t)) / (4.0 + 3.0 * t))
 
 
 def ways(state: AtmosphericState) -> tuple[Way, Way]:

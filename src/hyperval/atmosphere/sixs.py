@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.cache import Arrays, cached
-from hyperval.atmosphere.engine_ratio import EngineRatio, engine_ratio, ways
+from hyperval.atmosphere.engine_ratio import EngineRatio, engine_ratio, low_share, molecular_albedo, ways
 from hyperval.atmosphere.oxygen_continuum import continuum_depth
 from hyperval.atmosphere.profiles import air_column, altitude_of_air_column, scaled_profile, standard_profile
 from hyperval.atmosphere.sixs_process import run_sixs, sixs_fingerprint
@@ -140,7 +140,8 @@ def _assemble(
     aerosol_path, albedo = value.get("reflectance_aerosol", np.zeros(GRID_NM.size)), value["spherical_albedo"]
     if ratio is not None and _is_rural(state):
         aerosol_path = aerosol_path * ratio.aerosol_path(GRID_NM)
-        albedo = ratio.spherical_albedo(GRID_NM, albedo, state.aerosol_optical_depth)
+        molecules = molecular_albedo(_whole_air(state, setting, value))
+        albedo = ratio.spherical_albedo(GRID_NM, albedo, molecules, low_share(state))
     path = value["reflectance_rayleigh"] * gas["dry"] + aerosol_path * gas["half"]
     return AtmosphericTerms(
         wavelength_nm=GRID_NM.copy(),
@@ -167,14 +168,19 @@ def _assemble(
 
 def _whole_depth(state: AtmosphericState, setting: _Setting, value: Arrays) -> Array:
     """Scattering optical depth from the ground to space: the parts below the sensor over their shares."""
-    if setting.height_km is None:
-        return np.asarray(value["depth_rayleigh"] + value.get("depth_aerosol", 0.0))
-    model, ground = standard_profile(state.model), setting.ground_km
-    below = 1.0 - air_column(model, ground + setting.height_km) / air_column(model, ground)
-    depth = value["depth_rayleigh"] / below
+    depth = _whole_air(state, setting, value)
     if "depth_aerosol" in value:
         depth = depth + value["depth_aerosol"] / state.aerosol_fraction_below
-    return np.asarray(depth)
+    return depth
+
+
+def _whole_air(state: AtmosphericState, setting: _Setting, value: Arrays) -> Array:
+    """That of the molecules alone."""
+    if setting.height_km is None:
+        return value["depth_rayleigh"]
+    model, ground = standard_profile(state.model), setting.ground_km
+    below = 1.0 - air_column(model, ground + setting.height_km) / air_column(model, ground)
+    return np.asarray(value["depth_rayleigh"] / below)
 
 
 def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: bool | None) -> Arrays:
