@@ -84,7 +84,7 @@ def engine():
 
 @pytest.mark.slow
 def test_two_engines_meet_and_planted_errors_of_path_and_albedo_show(engine):
-    # Stated for the engine: 5 % of the path radiance, 1 % of the ground light; its spherical albedo is 4 to 16 %
+    # Stated for the engine: 5 % of the path radiance, 1 % of the ground light; its spherical albedo is 3 to 19 %
     # lower below 700 nm than that of SASKTRAN2, and what it does to the radiance is a part of that 1 %.
     scenario = load_scenario(FOLDER / "scenario.yaml")
     model = engine(scenario.atmosphere).at_bands(AXIS)
