@@ -113,10 +113,10 @@ def campaign_mistakes(campaign: Campaign, lookup: Lookup, base: Path) -> Collect
     lookup.known(("collection", "snr_regions"), collection.snr_regions, regions, "region")
     line = collection.empirical_line
     for i, panel in enumerate(line.panels if line else ()):
-        at = ("collection", "empirical_line", "panels", i)
+        panel_at: Location = ("collection", "empirical_line", "panels", i)
         if panel.region not in regions:
-            lookup.add((*at, "region"), f"no region {panel.region!r}; expected: one of {', '.join(regions)}")
-        _spectrum(lookup, (*at, "spectrum"), panel.spectrum, panel.region, offered.axis, find, ())
+            lookup.add((*panel_at, "region"), f"no region {panel.region!r}; expected: one of {', '.join(regions)}")
+        _spectrum(lookup, (*panel_at, "spectrum"), panel.spectrum, panel.region, offered.axis, find, ())
     if campaign.classification is not None:
         lookup.known(("classification", "classes"), campaign.classification.classes, regions, "region")
     if campaign.detection is not None:
