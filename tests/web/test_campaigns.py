@@ -105,9 +105,11 @@ def test_threshold_is_moved_and_a_pixel_clicked_in_a_browser(own, run, browser):
             said.append(page.locator("#map-words").inner_text())
         alarms, pfa, pd = (
             [float(re.search(pattern, words)[1].replace(",", "")) for words in said]
-            for pattern in (r"^([\d,]+) pixels", r"P_FA ([\d.e+-]+)", r"P_D ([\d.]+)")
+            for pattern in (r"^([\d,]+) pixels", r"P_FA (?:at most )?([\d.e+-]+)", r"P_D (?:at most )?([\d.]+)")
         )
         assert alarms == sorted(alarms)
+        assert "P_D at most" in said[0], "a pixel of a target lies above the first threshold of every curve"
+        assert "at most" not in said[-1]
         assert alarms[-1] == pytest.approx(content["known"], abs=1)
         assert (pfa, pd) == (sorted(pfa), sorted(pd))
         curve = content["curves"][0]

@@ -168,6 +168,8 @@ def test_page_runs_a_scenario_and_shows_its_numbers(client, server):
     assert "/runs/" in answer.url
     assert "yellow plank 0.05" in answer.text
     assert "Probability of detection" in answer.text
+    snr = answer.text[answer.text.index('id="snr"') :].partition("</table>")[0]
+    assert all(f"<td>{name}</td>" in snr for name in ("asphalt", "grass", "soil", "white panel"))
 
 
 def test_wrong_value_is_told_at_its_field_and_nothing_runs(client, server):

@@ -18,7 +18,10 @@ function curveAt(curve, threshold) {
   curve.threshold.forEach((t, i) => {
     if (t >= threshold && (at < 0 || t <= curve.threshold[at])) at = i;
   });
-  return at < 0 ? { pfa: 0, pd: 0 } : { pfa: curve.pfa[at], pd: curve.pd[at] }; // above all that were counted
+  if (at >= 0) return { bound: "", pfa: curve.pfa[at], pd: curve.pd[at] };
+  // Above its first threshold a curve bounds both, and tells no more.
+  at = curve.threshold.indexOf(Math.max(...curve.threshold));
+  return { bound: "at most ", pfa: curve.pfa[at], pd: curve.pd[at] };
 }
 
 function show() {
@@ -37,7 +40,7 @@ function show() {
   const sampled = map.step > 1 ? `, every ${map.step}th line and sample drawn` : "";
   const words = map.curves.map((curve) => {
     const point = curveAt(curve, threshold);
-    return `; ${curve.subject} by ${curve.unit}: P_D ${point.pd.toFixed(3)}, P_FA ${point.pfa.toExponential(1)}`;
+    return `; ${curve.subject} by ${curve.unit}: P_D ${point.bound}${point.pd.toFixed(3)}, P_FA ${point.bound}${point.pfa.toExponential(1)}`;
   });
   document.getElementById("map-words").textContent = `${alarms.toLocaleString("en")} pixels at or above it${sampled}${words.join("")}`;
 }
