@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from hyperval.compare.scores import compare_exceedance
-from hyperval.products import ExceedanceCurve, Observation, Prediction
+from hyperval.products import (
+    ExceedanceCurve,
+    ObjectScores,
+    Observation,
+    Prediction,
+    RocCurve,
+    ScoreDistribution,
+)
 from hyperval.results import Result
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.uncertainty.attribution.residuals import RATE_FLOOR, SCORE_FLOOR, stacked
 from hyperval.uncertainty.attribution.what_ifs import AlarmRatio, alarm_ratios, reason_for
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
@@ -52,6 +62,37 @@ def test_too_few_alarms_give_no_ratio():
     predicted, observed = sides(n=5_000)
     assert [m for _, _, m in alarm_ratios(predicted, observed)] == ["pfa_ratio@1e-2"]
     assert alarm_ratios(Prediction(axis=AXIS), observed) == {}
+
+
+def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
+    """Pixels of one object are one, and a rate is known as well as blocks of the image say, not as its count."""
+    key, n = ("roof planks", "cem"), 50_000
+    draws = np.array([[0.8, 1.0], [1.2, 1.4]])
+    thresholds = {"predicted": stats.norm.isf(P[::-1]), "observed": stats.t.isf(P[::-1], 10.0)}
+    roc = {
+        side: {(*key, "pixel"): RocCurve(P[::-1], P[::-1], P[::-1], P[::-1], t, n_background=n)}
+        for side, t in thresholds.items()
+    }
+    predicted = Prediction(
+        AXIS,
+        scores={key: ScoreDistribution(1.0, 0.3)},
+        object_scores={key: ObjectScores(draws)},
+        roc=roc["predicted"],
+    )
+    observed = Observation(
+        AXIS, scores={key: ScoreDistribution(0.9, 0.3, 40)}, object_scores={key: ObjectScores(np.array([0.7, 0.9, np.nan]))},
+        roc=roc["observed"], exceedance={("roof", "cem"): curve(stats.t.isf(P, 10.0), P, n)},
+    )  # fmt: skip
+    objects, alarms = stacked(predicted, observed).blocks
+    assert objects.observed == pytest.approx([0.8])
+    assert objects.read(predicted) == pytest.approx([1.1])
+    assert objects.covariance == pytest.approx(np.array([[np.var(draws) / 2 + SCORE_FLOOR**2]]))
+    assert np.exp(alarms.observed) == pytest.approx([1e-2, 1e-3])
+    blocks = (np.log(2.0) / stats.norm.ppf(0.975)) ** 2  # limits at half and twice the rate
+    assert np.diag(alarms.covariance) == pytest.approx([blocks, blocks], rel=1e-6)
+    assert np.exp(alarms.read(predicted)) == pytest.approx(stats.norm.sf(stats.t.isf([1e-2, 1e-3], 10.0)), rel=0.02)
+    bare = stacked(predicted, replace(observed, exceedance={})).blocks[1]
+    assert np.diag(bare.covariance) == pytest.approx([1 / (p * n) + RATE_FLOOR**2 for p in (1e-2, 1e-3)])
 
 
 def ratio(value, spread=1.2):
