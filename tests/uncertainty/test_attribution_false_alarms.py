@@ -80,9 +80,12 @@ def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
         roc=roc["predicted"],
     )
     observed = Observation(
-        AXIS, scores={key: ScoreDistribution(0.9, 0.3, 40)}, object_scores={key: ObjectScores(np.array([0.7, 0.9, np.nan]))},
-        roc=roc["observed"], exceedance={("roof", "cem"): curve(stats.t.isf(P, 10.0), P, n)},
-    )  # fmt: skip
+        AXIS,
+        scores={key: ScoreDistribution(0.9, 0.3, 40)},
+        object_scores={key: ObjectScores(np.array([0.7, 0.9, np.nan]))},
+        roc=roc["observed"],
+        exceedance={("roof", "cem"): curve(stats.t.isf(P, 10.0), P, n)},
+    )
     objects, alarms = stacked(predicted, observed).blocks
     assert objects.observed == pytest.approx([0.8])
     assert objects.read(predicted) == pytest.approx([1.1])
