@@ -81,10 +81,10 @@ class AtmosphericTerms:
             bands = np.stack([np.interp(axis.centre_nm, self.wavelength_nm, row) for row in stack])
         else:
             bands = band_average(self.wavelength_nm, stack, axis)  # one set of weights for all terms
-        found = dict(zip(names, bands, strict=True))
+        averages = dict(zip(names, bands, strict=True))
         if self.solar_lines is not None:
-            found |= self._with_lines_of_the_sun(axis, [name for name in names if name in _OF_THE_SUN])
-        return AtmosphericTerms(wavelength_nm=axis.centre_nm, **found, provenance=self.provenance)
+            averages |= self._with_lines_of_the_sun(axis, [name for name in names if name in _OF_THE_SUN])
+        return AtmosphericTerms(wavelength_nm=axis.centre_nm, **averages, provenance=self.provenance)
 
     def _with_lines_of_the_sun(self, axis: SpectralAxis, names: list[str]) -> dict[str, Array]:
         """Terms in proportion to the sunlight, averaged over bands with its lines where they are."""

@@ -48,6 +48,6 @@ def lag_kernel(lags: Sequence[tuple[float, float]]) -> LagKernel:
         misfit = np.sum((rho - smooth[:, None] * e) ** 2, axis=1)
         best = int(np.argmin(misfit))
         low, high = lengths[max(best - 1, 0)], lengths[min(best + 1, _TRIED - 1)]
-        found = LagKernel(float(1.0 - smooth[best]), float(lengths[best]))
+        kernel = LagKernel(float(1.0 - smooth[best]), float(lengths[best]))
         lengths = np.geomspace(low, high, _TRIED)
-    return found
+    return kernel
