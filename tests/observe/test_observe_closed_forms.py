@@ -15,6 +15,7 @@ from hyperval.observe.empirical_line import empirical_line
 from hyperval.observe.unmixing import _ring
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.region_statistics import region_statistics
+from hyperval.products import EstimatedPart
 
 
 def line_of(made, source):
@@ -25,7 +26,7 @@ def line_of(made, source):
     masks = {name: np.zeros((LINES, SAMPLES), bool) for name in ("white", "black")}
     masks["white"][0:4, 30:34] = masks["black"][0:4, 36:40] = True
     measured = region_statistics(cube, masks)
-    sampling = {name: np.zeros((BANDS, BANDS)) for name in measured}
+    sampling = {name: EstimatedPart(np.zeros((BANDS, BANDS)), 15.0) for name in measured}
     return empirical_line(EmpiricalLineSource.model_validate(source), measured, sampling, cube, made.world.resolve)
 
 

@@ -373,7 +373,7 @@ def test_each_field_of_the_detection_has_its_error(world, change, error, message
     [
         ({"detectors": ["amf"]}, "unknown detector 'amf'; one of "),
         ({"detectors": []}, "at least 1 item"),
-        ({"targets": []}, "at least 1 item"),
+        ({"targets": []}, "without targets the detectors can only be rx"),
         ({"targets": [{"name": "a", "material": "paint", "spectrum": {"constant": 0.3}}] * 2},
          "two detection targets are named 'a'"),
         ({"pools": [{"name": "all", "subjects": ["fill 0.8"]}]}, "at least 2 items"),

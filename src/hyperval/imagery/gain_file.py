@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.units import RADIANCE_UNIT, radiance_to_internal
 
 _MAX_BYTES = 1 << 20
@@ -41,10 +41,11 @@ def divided(
             where=str(path),
             mend=f"state unit: {RADIANCE_UNIT}, or scale: and its unit",
         )
-    return 1.0 / read_divisors(path, bands), RADIANCE_UNIT
+    return 1.0 / _divisors(path, bands), RADIANCE_UNIT
 
 
-def read_divisors(path: Path, bands: int) -> npt.NDArray[np.float64]:
+@reader
+def _divisors(path: Path, bands: int) -> npt.NDArray[np.float64]:
     """(B,) what the stored numbers of each band are divided by.
 
     Raises

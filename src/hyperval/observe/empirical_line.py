@@ -18,6 +18,7 @@ from hyperval.processing.elm_error import LineError, PanelErrors, contradiction,
 from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
 from hyperval.processing.region_statistics import darkest_values
 from hyperval.processing.sample import SampleStatistics
+from hyperval.products import EstimatedPart
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -31,7 +32,7 @@ MOST_LEFT_OUT = 0.05  # reflectance that the other panels may be off by
 def empirical_line(
     source: EmpiricalLineSource | None,
     measured: Mapping[str, SampleStatistics],
-    sampling: Mapping[str, Array],
+    sampling: Mapping[str, EstimatedPart],
     cube: Cube,
     resolve: Callable[[str], Path],
 ) -> LineError | None:
@@ -39,7 +40,7 @@ def empirical_line(
 
     Parameters
     ----------
-    sampling : region -> error covariance (B, B) of its mean radiance
+    sampling : region -> error of its mean radiance
 
     Raises
     ------
@@ -55,10 +56,11 @@ def empirical_line(
             )
         mean, covariance = field_reflectance(panel, cube.axis, resolve)
         sample = measured[panel.region]
-        error = sampling[panel.region]
+        part = sampling[panel.region]
+        error = part.covariance
         sd = np.sqrt(np.diag(covariance))
         panels.append(PanelMeasurement(panel.region, mean, sd, sample.mean, np.diag(error).copy(), sample.n))
-        errors.append(PanelErrors(covariance, error))
+        errors.append(PanelErrors(covariance, error, part if sample.n > 1 else None))
     if source.darkest_pixel is not None:
         dark = source.darkest_pixel
         noise = np.full(len(cube.axis), dark.radiance_noise**2)

@@ -115,8 +115,7 @@ def observe(
         name: _with_rounding(place, s, mean_error(place, masks[name], s))
         for name, s in track(list(subjects.items()), "sampling", show=show_progress)
     }
-    errors = {name: part.covariance for name, part in sampling.items()}
-    line = empirical_line(collection.empirical_line, measured, errors, cube, resolve)
+    line = empirical_line(collection.empirical_line, measured, sampling, cube, resolve)
     elm = None if line is None else line.line
 
     radiance: dict[str, SpectralEstimate] = {}
@@ -275,6 +274,7 @@ def _reflectance(
     gains = np.outer(elm.gain, elm.gain)
     parts, estimated = _sampling_part(sample, sampling.of_each(lambda c: c / gains))
     parts["empirical line"] = others.covariance(sample.mean)
+    estimated += others.estimated(sample.mean)
     return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, estimated=estimated)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ from scipy import special
 
 from hyperval.errors import UsageError
 from hyperval.processing.elm import EmpiricalLine, PanelMeasurement
+from hyperval.products import EstimatedPart
 
 Array = npt.NDArray[np.float64]
 Fit = Callable[[Sequence[PanelMeasurement]], EmpiricalLine]
@@ -20,10 +22,14 @@ _STEP = 1e-4  # of the reflectance of a panel, and of its radiance
 
 @dataclass(frozen=True)
 class PanelErrors:
-    """Error covariances (B, B) of one panel: of its reflectance in the field and of its mean radiance."""
+    """Error covariances (B, B) of one panel: of its reflectance in the field and of its mean radiance.
+
+    ``sampled``: that of the radiance with what it is known by, where it was estimated from the panel's pixels.
+    """
 
     reflectance: Array
     radiance: Array
+    sampled: EstimatedPart | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,16 @@ class LineError:
                 e = e + 1.0 / self.line.gain
             total += errors.reflectance * np.outer(d, d) + errors.radiance * np.outer(e, e)
         return total * contradiction(self.line)
+
+    def estimated(self, radiance: npt.ArrayLike) -> tuple[EstimatedPart, ...]:
+        """The parts of :meth:`covariance` that were estimated from the panels' pixels; the rest counts as known."""
+        level, widened = np.asarray(radiance, dtype=float), contradiction(self.line)
+        parts = []
+        for p, errors in enumerate(self.errors):
+            if errors.sampled is not None:
+                e = self._slope(self.by_radiance[p], self.steps[p, 1], level)
+                parts.append(errors.sampled.of_each(partial(np.multiply, widened * np.outer(e, e))))
+        return tuple(parts)
 
     def _slope(self, pair: tuple[EmpiricalLine, EmpiricalLine], step: Array, level: Array) -> Array:
         return (pair[0].reflectance(level) - pair[1].reflectance(level)) / (2.0 * step)

@@ -98,7 +98,8 @@ def _noise(covariance: Array, mean: Array, dof: float) -> _Noise:
             + by_c @ slopes @ by_c
             + 2.0 * noise[b] ** 2 * np.trace(slopes @ slopes)
         )
-        error[b] = squared_error / (squares * max(noise[b], np.finfo(float).tiny)) ** 2
+        if noise[b] > 0.0:  # else the band has no SNR, and no error of one
+            error[b] = squared_error / (squares * noise[b]) ** 2
     # Residuals of neighbouring bands share noise, all share texture; errors of variances go together by the square.
     shared = residuals * noise @ residuals.T + np.outer(unexplained, unexplained)
     size = np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
