@@ -73,6 +73,12 @@ def test_what_disagrees_fails_and_was_skipped_is_named():
     )
 
 
+def test_many_campaigns_are_counted_and_not_named():
+    many = [replace(row(S), campaign=f"line-{i}") for i in range(10)]
+    assert "10 model gates were skipped (10 campaigns)" in verdict(many)[1]
+    assert "line-8" in verdict(many[:9])[1]
+
+
 def test_one_falsified_gate_turns_the_verdict():
     rows = [row(A) for _ in range(20)]
     assert verdict(rows)[0] is A

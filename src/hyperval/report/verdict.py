@@ -197,4 +197,6 @@ def _named(rows: Sequence[Result]) -> str:
     if len(groups) <= _MOST_KINDS:
         return "; ".join(f"{what}: {len(names)}" for what, names in groups.items())
     kinds = Counter(row.campaign if several else product_words(row.product) for row in rows)
+    if several and len(kinds) > _MOST_NAMED:  # the matrix below names them
+        return f"{len(kinds)} campaigns"
     return ", ".join(f"{count} of {kind}" for kind, count in kinds.most_common())
