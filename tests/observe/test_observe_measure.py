@@ -147,6 +147,17 @@ def test_the_line_s_error_is_part_of_the_reflectance(make_radiance):
     assert np.abs((corner.mean - truth) / corner.standard_uncertainty).max() < 4.0
 
 
+def test_the_line_s_error_is_known_by_the_pixels_of_its_panels(make_radiance):
+    made = make_radiance(relative_noise=0.02)
+    corner = made.world.observe().observation.reflectance["corner"]
+    _, *of_panels = corner.estimated  # the first is of its own pixels
+    assert len(of_panels) == len(made.world.collection["empirical_line"]["panels"])
+    error = corner.budget["empirical line"] ** 2
+    sampled = sum(np.diag(part.covariance) for part in of_panels)
+    assert np.all(sampled > 0.0)
+    assert np.all(sampled <= error * (1.0 + 1e-9))  # the rest is of the panels' field spectra
+
+
 def test_a_panel_that_contradicts_the_others_shows_in_the_residuals(make_radiance):
     made = make_radiance(relative_noise=0.002)
     panels = made.world.collection["empirical_line"]["panels"]
