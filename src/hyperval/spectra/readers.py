@@ -6,11 +6,13 @@ and never guessed; where detectors overlap, each join is cut in its middle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from hyperval.envi_header import EnviHeader
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.paths import checked_file
 from hyperval.spectra import (
@@ -163,57 +165,145 @@ def _wanted(candidates: list[Record], wanted: Sequence[str | int] | None, where:
     return [r for i, r in enumerate(candidates) if i in numbers or r.name in wanted]
 
 
+@dataclass(frozen=True)
+class _File:
+    """A file of spectra whose format its content tells.
+
+    ``columns`` and ``quantity`` are what the caller says of it, ``root`` the folder it must lie in.
+    """
+
+    path: Path
+    columns: tuple[str | int, ...] | None
+    root: Path | None
+    quantity: str
+
+    @cached_property
+    def mark(self) -> bytes:
+        """The first bytes of a file of any size."""
+        with open(self.path, "rb") as stream:
+            return stream.read(len(readers_specpr.MARK))
+
+    @cached_property
+    def raw(self) -> bytes:
+        """The whole file (InputError where it is too large, or empty)."""
+        return _read(self.path)
+
+    @cached_property
+    def head(self) -> bytes:
+        """The beginning of the file, without a byte-order mark."""
+        return self.raw[:4096].lstrip(b"\xef\xbb\xbf")
+
+    @cached_property
+    def not_read(self) -> str | None:
+        """The name of its format where that is known and not read."""
+        return next((name for mark, name in _NOT_READ.items() if self.head.startswith(mark)), None)
+
+    @cached_property
+    def text(self) -> str:
+        """The file as text (InputError where it is none)."""
+        raw = without_padding(self.raw) if b"\0" in self.head else self.raw
+        if b"\0" in raw[:4096]:
+            raise InputError("a binary file of unknown format", where=str(self.path), expected=_expected())
+        return decoded(raw)
+
+    @cached_property
+    def header(self) -> EnviHeader | None:
+        """The ENVI header beside it; that beside a table may be a cube's of the same name, and is not its own."""
+        return None if self.path.suffix.lower() in (".txt", ".csv") else readers_library.library_header(self.path)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of spectra: how a file of it is known, and how its records are read."""
+
+    name: str
+    knows: Callable[[_File], bool]
+    records: Callable[[_File], list[Record]]
+
+
+def _expected() -> str:
+    return ", ".join(form.name for form in FORMATS if form.name)
+
+
+def _refused(file: _File) -> list[Record]:
+    """Raise InputError for a format that is known and not read, with how to get at its numbers."""
+    raise InputError(
+        f"{file.not_read}, which is not read",
+        where=str(file.path),
+        expected=_expected(),
+        mend="save it as text: a wavelength and a value in every row",
+    )
+
+
+# The first that knows a file reads it: marks before tables, and text that anything can be at the end.
+FORMATS = (
+    Format(
+        "SPECPR",
+        lambda f: readers_specpr.is_specpr(f.mark),
+        lambda f: readers_specpr.specpr_records(f.path),
+    ),
+    Format(
+        "ASD",
+        lambda f: readers_asd.is_asd(f.raw),
+        lambda f: [readers_asd.asd_record(f.raw, f.path, f.quantity)],
+    ),
+    Format(
+        "ENVI ASCII plot",
+        lambda f: f.head.startswith(b"ENVI ASCII Plot File"),
+        lambda f: readers_text.plot_records(f.text, f.path),
+    ),
+    Format(
+        "header of an ENVI spectral library",
+        lambda f: f.head.startswith(b"ENVI") and f.head[4:5] in (b"\r", b"\n", b" "),
+        lambda f: readers_library.library_records(f.path, None, f.root),
+    ),
+    Format(
+        "SVC .sig",
+        lambda f: f.head.startswith(b"/*** Spectra Vista"),
+        lambda f: [readers_instruments.svc_record(f.text, f.path, f.quantity)],
+    ),
+    Format(
+        "GER .sig",
+        lambda f: f.head.startswith(b"///GER"),
+        lambda f: [readers_instruments.ger_record(f.text, f.path, f.quantity)],
+    ),
+    Format("", lambda f: f.not_read is not None, _refused),
+    Format(
+        "HYPERNETS",
+        lambda f: hypernets.is_hypernets(f.raw),
+        lambda f: hypernets.hypernets_records(f.path),
+    ),
+    Format(
+        "RadCalNet",
+        lambda f: radcalnet.is_radcalnet(f.head),
+        lambda f: radcalnet.radcalnet_records(f.text, f.path),
+    ),
+    Format(
+        "Spectral Evolution .sed",
+        lambda f: b"Instrument:" in f.head and b"Columns [" in f.head,
+        lambda f: [readers_instruments.sed_record(f.text, f.path, f.quantity)],
+    ),
+    Format(
+        "ENVI spectral library with its header",
+        lambda f: f.header is not None,
+        lambda f: readers_library.library_records(f.path, f.header, f.root),
+    ),
+    Format(
+        "text, a spectrum a row",
+        lambda f: f.columns is None and readers_rows.is_row_table(f.text),
+        lambda f: readers_rows.row_records(f.text, f.path),
+    ),
+    Format(
+        "text, a spectrum a column",
+        lambda f: True,
+        lambda f: readers_text.text_records(f.text, f.path, f.columns),
+    ),
+)
+
+
 def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str) -> list[Record]:
-    with open(path, "rb") as stream:
-        if readers_specpr.is_specpr(stream.read(len(readers_specpr.MARK))):
-            return readers_specpr.specpr_records(path)
-    raw = _read(path)
-    head = raw[:4096].lstrip(b"\xef\xbb\xbf")
-    if readers_asd.is_asd(raw):
-        return [readers_asd.asd_record(raw, path, quantity)]
-    if head.startswith(b"ENVI ASCII Plot File"):
-        return readers_text.plot_records(decoded(raw), path)
-    if head.startswith(b"ENVI") and head[4:5] in (b"\r", b"\n", b" "):
-        return readers_library.library_records(path, None, root)
-    if head.startswith(b"/*** Spectra Vista"):
-        return [readers_instruments.svc_record(decoded(raw), path, quantity)]
-    if head.startswith(b"///GER"):
-        return [readers_instruments.ger_record(decoded(raw), path, quantity)]
-    _refuse_others(head, str(path))
-    if hypernets.is_hypernets(raw):
-        return hypernets.hypernets_records(path)
-    if radcalnet.is_radcalnet(head):
-        return radcalnet.radcalnet_records(decoded(raw), path)
-    if b"Instrument:" in head and b"Columns [" in head:
-        return [readers_instruments.sed_record(decoded(raw), path, quantity)]
-    # A table may lie beside a cube of the same name, whose header is not its own.
-    header = None if path.suffix.lower() in (".txt", ".csv") else readers_library.library_header(path)
-    if header is not None:
-        return readers_library.library_records(path, header, root)
-    if b"\0" in head:
-        raw = without_padding(raw)
-    if b"\0" in raw[:4096]:
-        raise InputError(
-            "a binary file of unknown format",
-            where=str(path),
-            expected="text, ENVI spectral library with its header, ASD, SVC .sig, .sed or HYPERNETS",
-        )
-    text = decoded(raw)
-    if columns is None and readers_rows.is_row_table(text):
-        return readers_rows.row_records(text, path)
-    return readers_text.text_records(text, path, columns)
-
-
-def _refuse_others(head: bytes, where: str) -> None:
-    """Raise InputError for formats that are known and not read, with how to get at their numbers."""
-    other = next((name for mark, name in _NOT_READ.items() if head.startswith(mark)), None)
-    if other is not None:
-        raise InputError(
-            f"{other}, which is not read",
-            where=where,
-            expected="text, ENVI spectral library with its header, SPECPR, ASD, SVC or GER .sig, .sed or HYPERNETS",
-            mend="save it as text: a wavelength and a value in every row",
-        )
+    file = _File(path, columns, root, quantity)
+    return next(form for form in FORMATS if form.knows(file)).records(file)
 
 
 def _read(path: Path) -> bytes:
