@@ -103,6 +103,27 @@ class Half(Model):
     which: Literal["first", "second"] = Field(description="first: the lower line numbers, or sample numbers")
 
 
+class Ring(Model):
+    """The ground around another region, by the distance of pixel centres from its nearest pixel."""
+
+    of: str = Field(description="a region that stands above in the list")
+    inner_m: float = Field(0.0, ge=0, le=100_000, description="beyond this distance [m]")
+    outer_m: float | None = Field(None, gt=0, le=100_000, description="up to this distance [m]")
+    inner_pixels: float = Field(0.0, ge=0, le=10_000, description="the same [pixels]")
+    outer_pixels: float | None = Field(None, gt=0, le=10_000, description="the same [pixels]")
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> Ring:
+        if (self.outer_m is None) == (self.outer_pixels is None):
+            raise ValueError("give exactly one of outer_m, outer_pixels")
+        if self.inner_pixels if self.outer_pixels is None else self.inner_m:
+            raise ValueError("inner and outer distance are in one unit: metres, or pixels")
+        inner, outer = self.inner_pixels or self.inner_m, self.outer_pixels or self.outer_m
+        if outer is not None and inner >= outer:
+            raise ValueError(f"the outer distance must exceed the inner one, {inner:g}")
+        return self
+
+
 class VectorSource(Model):
     """How the drawings of a vector file are placed and named."""
 
@@ -133,10 +154,13 @@ class RegionSource(VectorSource):
     half: Half | None = Field(
         None, description="of another region: statistics of one half can then predict those of the other"
     )
+    ring: Ring | None = Field(
+        None, description="around another region: the surroundings that its light is scattered from"
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> RegionSource:
-        sources = ("file", "rectangle", "normalized_difference", "whole_image", "half")
+        sources = ("file", "rectangle", "normalized_difference", "whole_image", "half", "ring")
         if sum(getattr(self, source) is not None for source in sources) != 1:
             raise ValueError("give exactly one of " + ", ".join(sources))
         if self.name is None and self.file is None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from affine import Affine
 from small_world import AXIS, BANDS
 
 from hyperval.campaign.measured_fractions import with_measured_fractions
 from hyperval.campaign.merge import without_circles
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.regions import Region, half_region
+from hyperval.imagery.georeference import pixel_sides_m
+from hyperval.imagery.regions import Region, half_region, ring_region
 from hyperval.products import Prediction, SpectralEstimate
 from hyperval.scenario import Scenario
 
@@ -43,6 +45,51 @@ def test_a_half_of_what_does_not_stand_above_is_refused(world):
     world.collection["regions"] = [*HALVES, FIELD]
     world.detection = None
     with pytest.raises(UsageError, match=r"'left' is half of 'field', which is no region above it"):
+        world.observe()
+
+
+def test_a_ring_is_what_lies_between_two_distances(world):
+    """Against distances from every pixel of the region, one by one."""
+    ring = {"name": "around", "ring": {"of": "field", "inner_m": 3.0, "outer_m": 11.0}}
+    cells = {"name": "near", "ring": {"of": "field", "outer_pixels": 1.5}}
+    world.collection["regions"] = [FIELD, ring, cells]
+    world.detection = None
+    place = world.observe().place
+    side = place.pixel_area_m2**0.5
+    inside = np.argwhere(place.region("field"))
+    every = np.argwhere(np.ones(place.cube.shape, bool))
+    distance = np.sqrt(((every[:, None] - inside[None]) ** 2).sum(axis=-1).min(axis=1)).reshape(place.cube.shape)
+    assert np.array_equal(place.region("around"), (distance * side > 3.0) & (distance * side <= 11.0))
+    assert np.array_equal(place.region("near"), (distance > 0.0) & (distance <= 1.5))
+    assert place.region("around").sum() > 100
+
+
+def test_pixels_that_are_not_square_have_two_sides():
+    """The transform gives the shape, the area the size: lines 4 m apart, samples 1 m, turned by 30 degrees."""
+    turned = Affine.rotation(30.0) @ Affine.scale(0.5, -2.0)
+    assert np.allclose(pixel_sides_m(turned, 4.0), (4.0, 1.0))
+    assert pixel_sides_m(None, 9.0) == (3.0, 3.0)
+    dot = np.zeros((9, 9), bool)
+    dot[4, 4] = True
+    mask = ring_region("r", Region("dot", dot, "here"), 0.0, 4.0, (4.0, 1.0)).mask
+    assert mask[:, 4].tolist() == [False] * 3 + [True, False, True] + [False] * 3
+    assert mask[4].tolist() == [True] * 4 + [False] + [True] * 4
+
+
+@pytest.mark.parametrize(
+    ("ring", "match"),
+    [
+        ({"of": "meadow", "outer_m": 9.0}, "'around' is a ring around 'meadow', which is no region above it"),
+        ({"of": "field", "inner_pixels": 500.0, "outer_pixels": 501.0}, "no pixel of the image lies in the ring"),
+        ({"of": "field", "inner_m": 9.0, "outer_m": 9.0}, "must exceed the inner one, 9"),
+        ({"of": "field", "inner_pixels": 2.0, "outer_m": 9.0}, "one unit"),
+        ({"of": "field"}, "exactly one of outer_m, outer_pixels"),
+    ],
+)
+def test_a_ring_that_cannot_be_is_refused(world, ring, match):
+    world.collection["regions"] = [FIELD, {"name": "around", "ring": ring}]
+    world.detection = None
+    with pytest.raises((UsageError, InputError, ValueError), match=match):
         world.observe()
 
 

@@ -208,8 +208,10 @@ def _opened(campaign: Campaign, lookup: Lookup, find: Callable[[str], Path]) -> 
     for i, source in enumerate(collection.regions):
         if source.normalized_difference is not None:
             continue
-        if source.half is not None:
-            lookup.known(("collection", "regions", i, "half", "of"), [source.half.of], [*names, *rules], "region")
+        part = source.half or source.ring
+        if part is not None:
+            key = "half" if source.half else "ring"
+            lookup.known(("collection", "regions", i, key, "of"), [part.of], [*names, *rules], "region")
             names.append(str(source.name))
             continue
         with lookup.at("collection", "regions", i):

@@ -103,6 +103,17 @@ def _options(parts: tuple[str, ...]) -> dict[str, str]:
     return {pair[0].lower(): pair[1] for pair in pairs if len(pair) == 2}
 
 
+def pixel_sides_m(transform: Affine | None, area_m2: float) -> tuple[float, float]:
+    """Distances between the centres of neighbouring lines and samples [m], for pixels of a known area.
+
+    Square pixels where the transform does not tell their shape.
+    """
+    if transform is None:
+        return math.sqrt(area_m2), math.sqrt(area_m2)
+    unit = math.sqrt(area_m2 / abs(transform.determinant))
+    return unit * math.hypot(transform.b, transform.e), unit * math.hypot(transform.a, transform.d)
+
+
 def pixel_area_m2(transform: Affine | None, crs: CRS | None, header: EnviHeader | None = None) -> float | None:
     """Ground area of a pixel [m2]; None when the map unit is unknown or an angle."""
     if transform is None:

@@ -185,6 +185,32 @@ def half_region(name: str, region: Region, *, first: bool) -> Region:
     return Region(name, mask, f"half of {region.name}")
 
 
+def ring_region(
+    name: str, region: Region, inner: float, outer: float, pixel: tuple[float, float] = (1.0, 1.0)
+) -> Region:
+    """The pixels whose centres lie more than ``inner`` and at most ``outer`` from the nearest of a region.
+
+    ``pixel`` : distance between lines and between samples, in the unit of the other two
+    """
+    lines, samples = (np.flatnonzero(region.mask.any(axis=axis)) for axis in (1, 0))
+    mask = np.zeros(region.mask.shape, bool)
+    if lines.size:
+        margin = [int(min(outer / step, max(mask.shape))) + 1 for step in pixel]
+        part = np.s_[
+            max(lines[0] - margin[0], 0) : lines[-1] + 1 + margin[0],
+            max(samples[0] - margin[1], 0) : samples[-1] + 1 + margin[1],
+        ]
+        distance = ndimage.distance_transform_edt(~region.mask[part], sampling=pixel)
+        mask[part] = (distance > inner) & (distance <= outer)
+    if not mask.any():
+        raise InputError(
+            f"no pixel of the image lies in the ring around {region.name!r}",
+            where=f"region {name!r}",
+            expected="an outer distance of at least a pixel beyond the inner one, within the image",
+        )
+    return Region(name, mask, f"ring around {region.name}")
+
+
 def overlaps(regions: Iterable[Region]) -> list[tuple[str, str, int]]:
     """Pairs of regions that share pixels, with the number of shared pixels."""
     listed = list(regions)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from glob import escape
 from pathlib import Path
 
 import numpy as np
@@ -16,27 +15,24 @@ from hyperval.collection import Collection
 from hyperval.collection_files import (
     BandTable,
     CubeSource,
-    NormalizedDifference,
-    RegionSource,
     TargetRegions,
     TargetTruth,
-    VectorSource,
 )
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import UsageError
 from hyperval.imagery.acquisition import acquisition_notes
 from hyperval.imagery.companions import table_of
 from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.location import location_table
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.rasters import open_raster
-from hyperval.imagery.regions import Region, guard, half_region, read_regions, rectangle_region
+from hyperval.imagery.regions import guard, read_regions
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.finer import finer_targets
+from hyperval.observe.regions import collection_regions, regions_of_file
 from hyperval.observe.shared_pixels import region_notes, target_overlaps
 from hyperval.observe.site_spectra import read_band_table
-from hyperval.observe.truth_bands import abundance_targets, material_regions
+from hyperval.observe.truth_bands import abundance_targets
 from hyperval.processing.mask_bits import PackedMasks
-from hyperval.progress import track
 from hyperval.units import RADIANCE_UNIT
 
 Mask = npt.NDArray[np.bool_]
@@ -125,7 +121,8 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         raise UsageError("the collection has no cube")
     cube = open_source(collection.cube, resolve, collection.bands)
     table, source_of = _lookup_table(cube, collection.cube, resolve)
-    regions = _regions(cube, table, collection.regions, resolve, show_progress)
+    area_m2 = _pixel_area_m2(cube, table, collection.targets)
+    regions = collection_regions(cube, table, collection.regions, resolve, area_m2, show_progress)
     targets, remarks = _targets(cube, table, collection.targets, resolve) if collection.targets else ([], [])
     near = all_pixels(targets, cube.shape)
     if targets and collection.targets and collection.targets.guard_pixels:
@@ -148,7 +145,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
         targets,
         near,
         left_out,
-        _pixel_area_m2(cube, table, collection.targets),
+        area_m2,
         collection.targets.pixels if collection.targets else "touched",
         by_rule,
         tuple(notes),
@@ -209,92 +206,6 @@ def open_source(source: CubeSource, resolve: Resolve, bands: BandTable | None = 
     )
 
 
-def normalized_difference(cube: Cube, rule: NormalizedDifference, *, show: bool | None = None) -> Mask:
-    """Pixels (lines, samples) whose (high - low)/(high + low) lies above and below the limits of ``rule``."""
-    centre = cube.axis.centre_nm
-    chosen = []
-    for low, high in (rule.high_nm, rule.low_nm):
-        bands = np.flatnonzero((centre >= low) & (centre <= high) & cube.axis.good)
-        if bands.size == 0:
-            raise UsageError(f"no usable band between {low:g} and {high:g} nm for a normalised difference")
-        chosen.append(bands)
-    out = np.zeros(cube.shape, bool)
-    for block in track(cube.blocks(dtype=np.float32), "normalised difference", show=show):
-        high, low = (block.values[..., bands].mean(axis=-1, dtype=np.float64) for bands in chosen)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            index = (high - low) / (high + low)
-        rows = slice(block.first_line, block.first_line + block.values.shape[0])
-        out[rows] = block.valid & (index >= rule.above) & (index < rule.below)
-    return out
-
-
-def _regions(
-    cube: Cube, table: LookupTable | None, sources: Sequence[RegionSource], resolve: Resolve, show: bool | None
-) -> dict[str, Region]:
-    regions: dict[str, Region] = {}
-    for source in sources:
-        name, new = str(source.name), dict[str, Region]()
-        if source.classes:
-            new = material_regions(source, cube, resolve(str(source.file)))
-        elif source.file is not None:
-            path = resolve(source.file)
-            only = [] if source.name is None else [escape(source.name)]
-            new = _read(cube, table, path, source, patterns=only)
-            if source.name is not None:
-                if len(new) == 1:
-                    new = {source.name: replace(next(iter(new.values())), name=source.name)}
-                elif source.name in new:
-                    new = {source.name: new[source.name]}
-                else:
-                    raise InputError(f"no region {source.name!r} among {', '.join(new)}", where=str(path))
-        elif source.rectangle is not None:
-            line, sample, lines, samples = source.rectangle
-            new = {
-                name: rectangle_region(name, (line, line + lines - 1), (sample, sample + samples - 1), cube.shape)
-            }
-        elif source.whole_image:
-            new = {name: Region(name, np.broadcast_to(np.True_, cube.shape), "the whole image")}
-        elif source.half is not None:
-            if source.half.of not in regions:
-                raise UsageError(
-                    f"{name!r} is half of {source.half.of!r}, which is no region above it",
-                    where="collection.regions",
-                    expected="one of " + ", ".join(regions) if regions else "a region above it",
-                )
-            new = {name: half_region(name, regions[source.half.of], first=source.half.which == "first")}
-        else:
-            rule = source.normalized_difference
-            assert rule is not None  # noqa: S101 - one of the five is given
-            new = {name: Region(name, normalized_difference(cube, rule, show=show), "normalised difference")}
-        twice = sorted(set(new) & set(regions))
-        if twice:
-            raise UsageError(f"two regions are named {twice[0]!r}")
-        regions.update(new)
-    return regions
-
-
-def _read(
-    cube: Cube,
-    table: LookupTable | None,
-    path: Path,
-    source: VectorSource,
-    *,
-    patterns: Sequence[str] = (),
-    touched: bool = False,
-) -> dict[str, Region]:
-    """Regions of a file, placed by the lookup table where there is one, else as the cube lies."""
-    return read_regions(
-        path,
-        cube.shape,
-        transform=table or cube.transform,
-        crs=table.crs if table else cube.crs,
-        coordinates=source.coordinates,
-        name_field=source.name_field,
-        patterns=patterns,
-        touched=touched,
-    )
-
-
 def _targets(
     cube: Cube, table: LookupTable | None, truth: TargetTruth, resolve: Resolve
 ) -> tuple[list[TargetObject], list[str]]:
@@ -346,7 +257,7 @@ def _drawn_targets(
     remarks: list[str] = []
     for source in sources:
         path = resolve(source.file)
-        drawn = _read(cube, table, path, source, patterns=source.regions, touched=True)
+        drawn = regions_of_file(cube, table, path, source, patterns=source.regions, touched=True)
         for pattern in source.regions:
             if not any(fnmatchcase(name, pattern) for name in drawn):
                 raise UsageError(
