@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import re
 import runpy
 from pathlib import Path
@@ -17,6 +18,17 @@ def test_every_page_stands_in_the_table_of_contents():
     listed = re.findall(r"^([\w/-]+)$", (DOCS / "index.md").read_text("utf-8"), re.MULTILINE)
     pages = {p.stem for p in DOCS.glob("*.md")} - {"index"} | {"gallery/index"}
     assert sorted(listed) == sorted(pages)
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in DOCS.glob("*.md") if ">>> " in p.read_text("utf-8")], ids=lambda p: p.stem
+)
+def test_the_examples_of_a_page_give_what_it_says(page):
+    flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+    text = page.read_text("utf-8").replace("```", "")
+    case = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+    assert case.examples
+    assert doctest.DocTestRunner(optionflags=flags).run(case).failed == 0
 
 
 @pytest.mark.slow
