@@ -9,7 +9,9 @@ import time
 import pytest
 import requests
 
+from hyperval.web.campaigns import campaigns_of
 from hyperval.web.guard import POLICY
+from hyperval.web.limits import Settings
 
 EASY = {"name": "panels"}
 JSON = {"content-type": "application/json"}
@@ -92,9 +94,12 @@ WRONG = {
     "rate": ({**EASY, "settings": {"processing.false_alarm_grid.per_decade": 10**9}}, "per_decade"),
     "sensor-path": ({**EASY, "settings": {"sensor": "/etc/passwd"}}, "sensor"),
     "sensor-up": ({**EASY, "settings": {"sensor": "../../sensor.yaml"}}, "sensor"),
-    "file": ({**EASY, "settings": {"scene.classes.0.spectrum": {"file": "/etc/passwd"}}}, "settings"),
+    "file": ({**EASY, "settings": {"scene.sites.0.spectrum": {"file": "/etc/passwd"}}}, "scene.sites.0.spectrum"),
     "control": ({**EASY, "settings": {"title": "a\u0000b"}}, "title"),
     "path": ({**EASY, "settings": {"scene.[nowhere].x": 1}}, "scene.nowhere"),
+    "list": ({**EASY, "settings": {"processing.bands.ranges": [[1, 2]] * 6000}}, "processing.bands.ranges"),
+    "values": ({**EASY, "settings": {"a": [[1] * 4000] * 6}}, "a.4.3992"),
+    "rows": ({"scenario": {"scene": {"classes": [{"fraction": "q"}] * 4500}}}, "scenario.scene.classes"),
 }  # fmt: skip
 
 
@@ -104,7 +109,29 @@ def test_wrong_order_is_refused_at_its_field_at_once(server, client, case):
     text = json.dumps(order)
     answer = client.post(f"{server.address}/api/v1/predictions", data=text, headers=JSON)
     assert answer.status_code == 422
-    assert any(field in e["field"] for e in answer.json()["errors"]), answer.text
+    assert any(e["field"].endswith(field) for e in answer.json()["errors"]), answer.text
+
+
+def test_body_of_too_much_is_refused_by_its_size_alone(server, client, monkeypatch):
+    """A check of each of 4500 backgrounds took two thirds of a second."""
+    monkeypatch.setattr("hyperval.scenario.Scenario.__pydantic_validator__", None)
+    answer = client.post(f"{server.address}/api/v1/predictions", json=WRONG["rows"][0])
+    assert answer.json()["errors"] == [
+        {"field": "scenario.scene.classes", "message": "4,500 entries; at most 100 are taken"}]  # fmt: skip
+
+
+def test_campaign_file_is_read_again_only_when_it_has_changed(make_server, tmp_path, monkeypatch):
+    """To name a campaign that there is not took 0.7 s beside eleven that there are."""
+    path = tmp_path / "campaigns" / "one" / "campaign.yaml"
+    path.parent.mkdir(parents=True)
+    path.write_text("name: one")
+    settings = Settings(tmp_path, campaigns=tmp_path / "campaigns")
+    assert [c.name for c in campaigns_of(settings)] == ["one"]
+    with monkeypatch.context() as patch:
+        patch.setattr("hyperval.web.campaigns.load_yaml", None)
+        assert [c.name for c in campaigns_of(settings)] == ["one"]
+    path.write_text("name: another")
+    assert [c.name for c in campaigns_of(settings)] == ["another"]
 
 
 def scenario_with(**source):

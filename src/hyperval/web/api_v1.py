@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
@@ -17,7 +17,7 @@ from hyperval.settings import with_settings
 from hyperval.study.schema import Study
 from hyperval.web.bring import form_of, keep_files, order_pipeline
 from hyperval.web.campaigns import known_campaigns, order_campaign
-from hyperval.web.inputs import SURFACES, plain
+from hyperval.web.inputs import SURFACES, plain, refuse_excess
 from hyperval.web.pages import session_of
 from hyperval.web.pages_predict import order_prediction
 from hyperval.web.pages_runs import file_of, files_of, run_charts, run_of
@@ -30,6 +30,16 @@ from hyperval.web.trade import order_study
 router = APIRouter(prefix="/api/v1", tags=["v1"])
 _OF_RUN = ("id", "kind", "name", "title", "state", "reason", "created", "seconds", "version")
 Setting = float | str | bool | list[Any] | None
+
+
+def _small(at: str) -> BeforeValidator:
+    """Looks at the size of an entry of a body before its parts are checked one by one."""
+
+    def bounded(data: Any) -> Any:
+        refuse_excess(data, at)
+        return data
+
+    return BeforeValidator(bounded)
 
 
 class Problem(BaseModel):
@@ -57,8 +67,10 @@ class PredictionOrder(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     name: str | None = Field(None, max_length=100, description="a predefined scenario")
-    scenario: Scenario | None = Field(None, description="in place of the name")
-    settings: dict[str, Setting] = Field(default_factory=dict, max_length=100, description="dotted path: value")
+    scenario: Annotated[Scenario | None, _small("scenario")] = Field(None, description="in place of the name")
+    settings: Annotated[dict[str, Setting], _small("")] = Field(
+        default_factory=dict, max_length=100, description="dotted path: value"
+    )
 
 
 class RunAnswer(BaseModel):
@@ -237,7 +249,7 @@ class StudyOrder(BaseModel):
     """A study; its scenario is a predefined one by name, or ``run:ID``, that of a prediction of this session."""
 
     model_config = ConfigDict(extra="forbid")
-    study: Study
+    study: Annotated[Study, _small("study")]
 
 
 class CampaignAnswer(BaseModel):

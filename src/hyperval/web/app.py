@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 from collections.abc import AsyncIterator
@@ -43,7 +44,7 @@ def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> Fast
     @asynccontextmanager
     async def life(app: FastAPI) -> AsyncIterator[None]:
         anyio.to_thread.current_default_thread_limiter().total_tokens = _THREADS
-        await anyio.to_thread.run_sync(pages_predict.warm)
+        await anyio.to_thread.run_sync(_warm, settings)
         yield
         app.state.desk.close()
 
@@ -73,6 +74,14 @@ def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> Fast
     app.add_exception_handler(HTTPException, _http_error)
     app.add_middleware(Guard, settings=settings, sessions=Sessions(settings.folder))
     return app
+
+
+def _warm(settings: Settings) -> None:
+    """Load what the first requests would wait for."""
+    pages_predict.warm()
+    list(campaigns.campaigns_of(settings))
+    gc.collect()
+    gc.freeze()  # what is loaded stays: to go through it again takes up to half a second, while somebody waits
 
 
 async def has_token(request: Request) -> AsyncIterator[None]:
@@ -126,7 +135,7 @@ def _invalid(request: Request, error: Exception) -> Response:
     mistakes = []
     for item in error.errors()[:40]:
         place, *rest = item["loc"]
-        name = field_name(rest, body) if place == "body" else ".".join(map(str, rest))
+        name = field_name(rest, body, item["type"] == "missing") if place == "body" else ".".join(map(str, rest))
         words = sentence(item["type"], str(item["msg"]), item["loc"])
         mistakes.append(Mistake(name or str(place), without_paths(words)[:500]))
     return _answer(request, 422, mistakes)

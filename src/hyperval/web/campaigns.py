@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from starlette.responses import FileResponse, RedirectResponse, Response
 from hyperval.config import load_yaml
 from hyperval.errors import HypervalError
 from hyperval.web.desk import Order
+from hyperval.web.limits import Settings
 from hyperval.web.pages import page, session_of
 from hyperval.web.pages_runs import run_of
 from hyperval.web.refusal import Mistake, Refused
@@ -35,9 +38,7 @@ class Known:
 
 def known_campaigns(request: Request) -> dict[str, Known]:
     """Campaigns by name: those of the folder of campaigns, then those of this session."""
-    folder: Path | None = request.app.state.settings.campaigns
-    paths = sorted(folder.glob("*/campaign*.yaml")) if folder is not None else []
-    out = {one.name: one for path in paths for one in _read(path)}
+    out = {one.name: one for one in campaigns_of(request.app.state.settings)}
     store = request.app.state.store
     for run in store.runs(session_of(request).owner, "pipeline"):
         path = store.place(run.id) / "campaign.yaml"
@@ -46,13 +47,23 @@ def known_campaigns(request: Request) -> dict[str, Known]:
     return out
 
 
-def _read(path: Path) -> Iterator[Known]:
+def campaigns_of(settings: Settings) -> Iterator[Known]:
+    """The campaigns of a server's folder; a file is read again when it has changed."""
+    for path in sorted(settings.campaigns.glob("*/campaign*.yaml")) if settings.campaigns is not None else ():
+        with suppress(OSError):
+            state = path.stat()
+            yield from _read(path, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=256)
+def _read(path: Path, changed: int, size: int) -> tuple[Known, ...]:
+    """The campaign of a file, where it is one."""
     try:
         data = load_yaml(path)[0]
     except HypervalError:
-        return
+        return ()
     name, title = str(data.get("name", path.parent.name)), str(data.get("title", ""))
-    yield Known(name, title or name, str(data.get("description", "")), path)
+    return (Known(name, title or name, str(data.get("description", "")), path),)
 
 
 @router.get("/validate")

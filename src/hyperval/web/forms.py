@@ -15,27 +15,27 @@ from pydantic import BaseModel
 
 from hyperval.config import parse_yaml
 from hyperval.errors import UsageError
+from hyperval.web.fields import ending_of, kind_of, limits_of, one_kind, summary_of, text_of, unit_of, without_unit
 
 MOST_ROWS = 40
 _MOST_MARKED = 5
-_UNIT = re.compile(r"\[([^\]\[]{1,24})\]")
+_MOST_OPEN = 3  # rows that stand unfolded
+_MOST_KEPT = 2000
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_UNITS = {
-    "_deg": "deg", "_km": "km", "_nm": "nm", "_m": "m", "_percent": "%", "_au": "au", "_g_cm2": "g cm-2",
-    "_atm_cm": "atm cm", "_pixels": "pixels",
-}  # fmt: skip
+BEGUN, ENTERED, DEFAULT = "begun", "entered", "default"
 Choices = Callable[[str], tuple[str, ...]]  # of a path, where the schema leaves them open
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Node:
-    """A part of a form.
+    """A part of a form; parts that hold the same are one object, so that what is drawn of it can be kept.
 
     Attributes
     ----------
     kind : number, text, flag, choice, several, yaml; group, rows, variants
     path, title : dotted path, and its last part in words
-    source : where the value is from
+    source : where the value is from: what the form began with, somebody, or the model; empty without a value
+    changes : values in it that are not those that the form began with
     is_shown : whether it stands before the fold: a value is given, needed, or asked of most people
     is_open : of a part that has something in it, whether that is seen at once
     """
@@ -55,12 +55,18 @@ class Node:
     chosen: int = 0
     is_shown: bool = True
     source: str = ""
+    changes: int = 0
 
     @property
     def gist(self) -> str:
         """What is given in a part that is folded, in a few words."""
         given = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._given()]
         return "; ".join(given[:_MOST_MARKED]) + (" ..." if len(given) > _MOST_MARKED else "")
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is a section of the form whose rows are none of their own."""
+        return self.kind == "group" and "." not in self.path and all(c.kind != "rows" for c in self.children)
 
     def _given(self) -> Iterator[Node]:
         if self.kind == "variants":
@@ -94,24 +100,27 @@ class Form:
         self.schema = model.model_json_schema(by_alias=True)
         self._definitions = self.schema.get("$defs", {})
         self._choices, self._left_out, self._is_main, self._is_open = choices, left_out, is_main, is_open
+        self._kept: dict[tuple[str, str], Node] = {}
+        self._kept_members: dict[int, list[Mapping[str, Any]]] = {}
 
     def nodes(
         self,
         data: Mapping[str, Any] | None = None,
-        source: tuple[str, Mapping[str, Any]] = ("", {}),
+        begun: Mapping[str, Any] | None = None,
         more: Mapping[str, tuple[str, ...]] | None = None,
     ) -> tuple[Node, ...]:
         """The parts of the form, filled in with ``data``.
 
         Parameters
         ----------
-        source : where values are from, and those that are; others were entered
-        more : path -> names that may stand there besides
+        begun : data that the form began with
+        more : entry -> names that may stand there besides
         """
-        words, known = source
-        values = {n.path: n.value for node in self._group(self.schema, "", known) for n in _leaves(node)}
-        nodes = self._group(self.schema, "", data or {})
-        return tuple(_finished(node, words, values, more or {}) for node in nodes)
+        extra = more or {}
+        return tuple(
+            replace(n, choices=tuple(dict.fromkeys((*n.choices, *extra[n.path])))) if n.path in extra else n
+            for n in self._group(self.schema, "", data or {}, begun or {})
+        )
 
     def data(self, given: Mapping[str, list[str]]) -> dict[str, Any]:
         """The nested data of a form as it was sent: name of a field -> what stands in it.
@@ -132,9 +141,12 @@ class Form:
 
     def _members(self, schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         """What may stand there, ``null`` left out."""
-        schema = self._resolved(schema)
-        members = [m for part in schema.get("anyOf", [schema]) for m in self._expanded(part)]
-        return [m for m in members if m.get("type") != "null"]
+        members = self._kept_members.get(id(schema))
+        if members is None:
+            parts = self._resolved(schema)
+            members = [m for part in parts.get("anyOf", [parts]) for m in self._expanded(part)]
+            members = self._kept_members[id(schema)] = [m for m in members if m.get("type") != "null"]
+        return members
 
     def _expanded(self, schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         resolved = self._resolved(schema)
@@ -142,74 +154,104 @@ class Form:
             [m for part in resolved["anyOf"] for m in self._expanded(part)] if "anyOf" in resolved else [resolved]
         )
 
-    def _group(self, schema: Mapping[str, Any], path: str, data: Mapping[str, Any]) -> tuple[Node, ...]:
+    def _group(self, schema: Mapping[str, Any], path: str, data: Any, begun: Any) -> tuple[Node, ...]:
         nodes = []
+        data, begun = (one if isinstance(one, Mapping) else {} for one in (data, begun))
         for name, part in schema.get("properties", {}).items():
             own = f"{path}.{name}" if path else name
             if not self._left_out(own):
-                nodes.append(self._node(part, own, data.get(name), name in schema.get("required", ())))
+                is_needed = name in schema.get("required", ())
+                value, first = data.get(name), begun.get(name)
+                nodes.append(
+                    self._same((own, repr((value, first))), self._node, part, own, value, first, is_needed)
+                )
         return tuple(nodes)
 
-    def _node(self, schema: Mapping[str, Any], path: str, value: Any, is_needed: bool) -> Node:
+    def _same(self, key: tuple[str, str], make: Callable[..., Node], /, *arguments: Any) -> Node:
+        """The part of a form that was made before of the same; large ones, and those of rows, are worth it."""
+        if key[0].count(".") > 2 and not key[0].rsplit(".", 1)[-1].isdigit():
+            return make(*arguments)
+        node = self._kept.get(key)
+        if node is None:
+            if len(self._kept) >= _MOST_KEPT:
+                self._kept.clear()
+            node = self._kept[key] = make(*arguments)
+        return node
+
+    def _node(self, schema: Mapping[str, Any], path: str, value: Any, begun: Any, is_needed: bool) -> Node:
         members = self._members(schema)
         name = path.rsplit(".", 1)[-1]
-        ending = _ending(name)
+        ending = ending_of(name)
         title = name[: len(name) - len(ending)].replace("_", " ")
         hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
-        kinds = [_kind(m) for m in members]
+        kinds = [kind_of(m) for m in members]
         if "group" in kinds and len(members) > 1:
-            return self._variants(members, kinds, path, title, hint, value)
+            return self._variants(members, kinds, path, title, hint, value, begun)
         if kinds == ["group"]:
-            given = value if isinstance(value, Mapping) else {}
-            children = self._group(members[0], path, given)
+            children = self._group(members[0], path, value, begun)
             return Node(
                 "group",
                 path,
                 title,
-                hint or _summary(members[0]),
+                hint or summary_of(members[0]),
                 children=children,
                 is_needed=is_needed,
-                is_open=(bool(given) or is_needed) and self._is_open(path),
-                is_shown=bool(given) or is_needed or any(c.is_shown for c in children),
+                is_open=(bool(value) or is_needed) and self._is_open(path),
+                is_shown=bool(value) or is_needed or any(c.is_shown for c in children),
+                changes=sum(c.changes for c in children),
             )
         if kinds == ["rows"]:
             item = self._members(members[0]["items"])[0]
-            rows = value if isinstance(value, list | tuple) else []
-            children = tuple(self._row(item, f"{path}.{i}", row, i) for i, row in enumerate(rows[:MOST_ROWS]))
+            rows, first = (one if isinstance(one, list | tuple) else [] for one in (value, begun))
+            own = [(row, first[i] if i < len(first) else {}) for i, row in enumerate(rows[:MOST_ROWS])]
+            is_few = len(own) <= _MOST_OPEN
+            children = tuple(
+                self._same((f"{path}.{i}", repr((pair, is_few))), self._row, item, f"{path}.{i}", *pair, is_few)
+                for i, pair in enumerate(own)
+            )
             is_shown = bool(rows) or is_needed or self._is_main(path)
-            return Node("rows", path, title, hint, children=children, is_needed=is_needed, is_shown=is_shown)
-        return self._field(schema, members, kinds, path, title, hint, value, is_needed)
+            changes = sum(c.changes for c in children) + max(0, len(first) - len(own))
+            return Node(
+                "rows", path, title, hint,
+                children=children, is_needed=is_needed, is_shown=is_shown, changes=changes,
+            )  # fmt: skip
+        return self._field(schema, members, kinds, path, title, hint, value, begun, is_needed)
 
-    def _row(self, item: Mapping[str, Any], path: str, row: Any, number: int) -> Node:
+    def _row(self, item: Mapping[str, Any], path: str, row: Any, begun: Any, is_few: bool) -> Node:
         given = row if isinstance(row, Mapping) else {}
-        title = str(given.get("name") or number + 1)
-        is_open = self._is_open(path) or not given
-        return Node("group", path, title, children=self._group(item, path, given), is_open=is_open)
+        title = str(given.get("name") or int(path.rsplit(".", 1)[-1]) + 1)
+        children = self._group(item, path, given, begun)
+        is_open = (is_few and self._is_open(path)) or not given
+        return Node(
+            "group", path, title, children=children, is_open=is_open, changes=sum(c.changes for c in children)
+        )
 
     def _field(
         self, schema: Mapping[str, Any], members: list[Mapping[str, Any]], kinds: list[str], path: str, title: str,
-        hint: str, value: Any, is_needed: bool,
+        hint: str, value: Any, begun: Any, is_needed: bool,
     ) -> Node:  # fmt: skip
-        kind = _together(kinds)
+        kind = one_kind(kinds)
         choices = tuple(str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
         known = self._choices(path)
         if known and kind in ("text", "yaml"):
             kind, choices = ("choice" if kind == "text" else "several"), known
-        unit = next(iter(_UNIT.findall(hint)), _unit_of(path))
-        limits = next((words for m in members if (words := _limits(m))), "")
+        unit = unit_of(hint, path)
+        limits = next((words for m in members if (words := limits_of(m))), "")
         default = schema.get("default")
-        shown = "" if default is None or isinstance(default, dict) else _text(default)
+        shown = "" if default is None or isinstance(default, dict) else text_of(default)
+        is_begun = value == begun or (_blank(value) and _blank(begun))
         if kind == "several":
             value = [str(v) for v in value] if isinstance(value, list | tuple) else []
         else:
-            value = "" if value is None else _text(value)
+            value = "" if value is None else text_of(value)
+        source = (BEGUN if is_begun else ENTERED) if value else DEFAULT if shown else ""
         if kind == "choice" and value and value not in choices:
             choices = (*choices, value)
         return Node(
             kind,
             path,
             title,
-            _UNIT.sub("", hint).replace(" ,", ",").replace(" ;", ";").strip(),
+            without_unit(hint),
             unit,
             limits,
             shown,
@@ -217,34 +259,32 @@ class Form:
             choices,
             is_needed,
             is_shown=is_needed or bool(value) or self._is_main(path),
+            source=source,
+            changes=int(not is_begun),
         )
 
     def _variants(
-        self, members: list[Mapping[str, Any]], kinds: list[str], path: str, title: str, hint: str, value: Any
-    ) -> Node:
-        children, chosen = [], 0
+        self, members: list[Mapping[str, Any]], kinds: list[str], path: str, title: str, hint: str, value: Any,
+        begun: Any,
+    ) -> Node:  # fmt: skip
+        children: list[Node] = []
+        chosen, first = (_chosen(members, kinds, one) for one in (value, begun))
         for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
-            fits = isinstance(value, Mapping) == (kind == "group") and value is not None
-            fits = fits and (kind != "group" or set(value) <= set(member.get("properties", ())))
-            chosen = number if fits and not chosen else chosen
-            own = value if fits else None
+            own, was = value if number == chosen else None, begun if number == first else None
             if kind == "group":
-                inner = self._group(member, path, own or {})
-                children.append(
-                    Node(
-                        "group",
-                        path,
-                        str(member.get("title", number)),
-                        _summary(member),
-                        children=inner,
-                        is_open=True,
-                    )
-                )
+                inner = self._group(member, path, own, was)
+                name = str(member.get("title", number))
+                changes = sum(n.changes for n in inner)
+                words = summary_of(member)
+                children.append(Node("group", path, name, words, children=inner, is_open=True, changes=changes))
             else:
-                field = self._field(member, [member], [kind], path, title, "", own, False)
-                children.append(field)
+                children.append(self._field(member, [member], [kind], path, title, "", own, was, False))
         is_shown = chosen > 0 or self._is_main(path)
-        return Node("variants", path, title, hint, children=tuple(children), chosen=chosen, is_shown=is_shown)
+        changes = children[chosen - 1].changes if chosen else 0
+        return Node(
+            "variants", path, title, hint,
+            children=tuple(children), chosen=chosen, is_shown=is_shown, changes=changes or int(chosen != first),
+        )  # fmt: skip
 
     # From a filled form to data.
 
@@ -260,7 +300,7 @@ class Form:
         return data
 
     def _read(self, members: list[Mapping[str, Any]], path: str, given: Mapping[str, list[str]]) -> Any:
-        kinds = [_kind(m) for m in members]
+        kinds = [kind_of(m) for m in members]
         if "group" in kinds and len(members) > 1:
             number = _count(given, f"{path}?", len(members))
             if not number:
@@ -278,49 +318,27 @@ class Form:
             ]
             return rows if f"{path}#" in given else None
         values = [v.strip() for v in given.get(path, []) if v.strip()]
-        if self._choices(path) and _together(kinds) == "yaml":
+        if self._choices(path) and one_kind(kinds) == "yaml":
             return values or ([] if f"{path}#" in given else None)
         if not values:
             return None
         return _value(values[0], kinds, path)
 
 
-def _leaves(node: Node) -> Iterator[Node]:
-    if not node.children:
-        yield node
-    for child in node.children:
-        yield from _leaves(child)
+def _blank(value: Any) -> bool:
+    """Whether nothing is said: a form cannot tell it from a field that is left alone."""
+    return value is None or (isinstance(value, str | list | tuple | Mapping) and not value)
 
 
-def _finished(node: Node, source: str, values: Mapping[str, Any], more: Mapping[str, tuple[str, ...]]) -> Node:
-    """A part with the source of its value, and with the names that may stand there besides."""
-    if node.children:
-        return replace(node, children=tuple(_finished(child, source, values, more) for child in node.children))
-    if node.value:
-        source = source if node.value == values.get(node.path) else "entered"
-    else:
-        source = "default of the model" if node.default else ""
-    extra = tuple(name for name in more.get(node.path, ()) if name not in node.choices)
-    return replace(node, source=source, choices=(*node.choices, *extra))
-
-
-def _kind(schema: Mapping[str, Any]) -> str:
-    kind = schema.get("type")
-    if "enum" in schema or "const" in schema:
-        return "choice"
-    if kind == "object":
-        return "group" if "properties" in schema else "yaml"
-    if kind == "array":
-        items = schema.get("items", {})
-        return "rows" if "$ref" in items else "yaml"
-    return {"number": "number", "integer": "integer", "boolean": "flag"}.get(str(kind), "text")
-
-
-def _together(kinds: list[str]) -> str:
-    """One kind of field for several kinds of values."""
-    if len(set(kinds)) == 1:
-        return {"integer": "number"}.get(kinds[0], kinds[0])
-    return "yaml" if set(kinds) & {"yaml", "rows"} else "text"
+def _chosen(members: list[Mapping[str, Any]], kinds: list[str], value: Any) -> int:
+    """Number of the first member that a value may be one of, from 1; 0 where there is none."""
+    if value is None:
+        return 0
+    for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
+        fits = isinstance(value, Mapping) == (kind == "group")
+        if fits and (kind != "group" or set(value) <= set(member.get("properties", ()))):
+            return number
+    return 0
 
 
 def _value(text: str, kinds: list[str], path: str) -> Any:
@@ -340,41 +358,3 @@ def _value(text: str, kinds: list[str], path: str) -> Any:
 def _count(given: Mapping[str, list[str]], name: str, most: int) -> int:
     text = given.get(name, ["0"])[0]
     return min(int(text), most) if text.isdecimal() and len(text) < 6 else 0
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_text, value)) + "]"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{k}: {_text(v)}" for k, v in value.items()) + "}"
-    return str(value)
-
-
-def _limits(schema: Mapping[str, Any]) -> str:
-    low, high = schema.get("minimum"), schema.get("maximum")
-    above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
-    if low is not None and high is not None:
-        return f"{low:g} to {high:g}"
-    words = [
-        f"{word} {value:g}"
-        for word, value in (("at least", low), ("above", above), ("at most", high), ("below", below))
-        if value is not None
-    ]
-    return ", ".join(words)
-
-
-def _summary(schema: Mapping[str, Any]) -> str:
-    return str(schema.get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
-
-
-def _unit_of(path: str) -> str:
-    """The unit that the name of a number ends with."""
-    return _UNITS.get(_ending(path), "")
-
-
-def _ending(name: str) -> str:
-    return next((end for end in sorted(_UNITS, key=len, reverse=True) if name.endswith(end)), "")

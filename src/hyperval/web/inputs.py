@@ -9,6 +9,7 @@ import re
 import zlib
 from collections.abc import Collection, Iterator, Mapping
 from functools import lru_cache
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -37,11 +38,16 @@ _MAIN = re.compile(
     r"|processing\.(?:detectors|bands\.(?:drop_bad|windows_only|ranges))|sensor_changes\.(?!bits).*"
 )
 _FOLDED = re.compile(
-    r"(?:scene\.(?:panels|sites)|.*\.subjects)\.\d+|uncertainty.*|.*covariance|sensor_.*|processing\.elm"
+    r"(?:scene\.(?:panels|sites)|.*\.subjects)\.\d+|uncertainty.*|.*covariance|sensor_.*|processing(?:\.elm)?"
+    r"|scene\.adjacency|scene\.panels\.\d+\.spectrum"
 )
 _GREY = re.compile(r"grey-panel-\d\d")
 _MOST_TEXT = 200
 _MOST_DEPTH = 24
+_MOST_ITEMS = 5000  # of a list of numbers
+_MOST_ENTRIES = 100  # of a list of groups, which are checked one by one
+_MOST_VALUES = 20_000
+_MOST_MISTAKES = 40
 _MOST_LINK = 200_000
 _MEMORY_BASE = 600e6
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9 ,()'_/-]*")
@@ -81,31 +87,47 @@ def checked_scenario(data: Mapping[str, Any], limits: Limits, uploads: Collectio
     ------
     Refused : every mistake with its field.
     """
-    mistakes = list(_too_much(data))
-    if mistakes:
-        raise Refused(422, mistakes)
+    refuse_excess(data)
     try:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
-    mistakes = [*_of_names(scenario, uploads), *_of_files(data, uploads), *_of_cost(scenario, limits)]
+    mistakes = [*_of_names(scenario, uploads), *_of_files(data, uploads)] or list(_of_cost(scenario, limits))
     if mistakes:
         raise Refused(422, mistakes)
     return scenario
 
 
-def _too_much(data: Any, at: tuple[str, ...] = ()) -> Iterator[Mistake]:
-    if len(at) > _MOST_DEPTH:
+def refuse_excess(data: Any, at: str = "") -> None:
+    """Look at the size of data before it is checked entry by entry.
+
+    Raises
+    ------
+    Refused : it holds too much, at which field.
+    """
+    place = (at,) if at else ()
+    mistakes = list(islice(_too_much(data, place, [_MOST_VALUES]), _MOST_MISTAKES))
+    if mistakes:
+        raise Refused(422, mistakes)
+
+
+def _too_much(data: Any, at: tuple[str, ...], left: list[int]) -> Iterator[Mistake]:
+    """What there is too much of; ``left`` counts down the values that are still looked at."""
+    left[0] -= 1
+    if left[0] == 0:
+        yield Mistake(".".join(at), f"with it there are more than {_MOST_VALUES:,} values")
+    elif len(at) > _MOST_DEPTH:
         yield Mistake(".".join(at[:4]), "too deep")
-    elif isinstance(data, Mapping):
-        for key, value in data.items():
-            yield from _too_much(value, (*at, str(key)[:60]))
-    elif isinstance(data, list | tuple):
-        if len(data) > 5000:
-            yield Mistake(".".join(at), f"a list of {len(data):,} items")
+    elif isinstance(data, Mapping | list | tuple):
+        is_rows = isinstance(data, Mapping) or (len(data) > 0 and isinstance(data[0], Mapping))
+        most = _MOST_ENTRIES if is_rows else _MOST_ITEMS
+        if len(data) > most:
+            yield Mistake(".".join(at), f"{len(data):,} entries; at most {most:,} are taken")
             return
-        for number, value in enumerate(data):
-            yield from _too_much(value, (*at, str(number)))
+        for key, value in data.items() if isinstance(data, Mapping) else enumerate(data):
+            if left[0] <= 0:
+                return
+            yield from _too_much(value, (*at, str(key)[:60]), left)
     elif isinstance(data, str):
         longest = 2000 if at[-1:] == ("description",) else _MOST_TEXT
         if len(data) > longest:

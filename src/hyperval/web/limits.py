@@ -24,7 +24,7 @@ class Limits:
     points : of a study;  pixels : of an uploaded cube, times its bands
     """
 
-    body_bytes: int = MEGABYTE
+    body_bytes: int = 300_000
     upload_bytes: int = 64 * MEGABYTE
     quick_seconds: float = 60.0
     long_seconds: float = 3600.0

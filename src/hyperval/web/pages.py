@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -60,19 +60,28 @@ def page(request: Request, template: str, /, status: int = 200, **content: Any) 
     return HTMLResponse(text, status_code=status)
 
 
-def form_parts(
-    nodes: Sequence[Node], errors: Mapping[str, list[str]], marked: Collection[str] = (), total: str = ""
-) -> Markup:
+def form_parts(nodes: Sequence[Node], errors: Mapping[str, list[str]], begun: str = "", total: str = "") -> Markup:
     """The fields of a form.
 
     Parameters
     ----------
-    errors : path of a field -> what is wrong there
-    marked : groups that stand open for what is wrong in them
+    errors : path of a field -> what is wrong there; every group that holds one stands open
+    begun : where values are from that the form began with; empty: that is not known
     total : sum of the fractions
     """
-    macros: Any = _environment().get_template("form.html.j2").make_module({"total": total})
-    return Markup(macros.parts(nodes, errors, marked))  # noqa: S704 - made of escaped parts
+    holding = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}
+    return Markup(_macros(begun, total).parts(nodes, errors, holding))  # noqa: S704 - made of escaped parts
+
+
+def _macros(begun: str, total: str = "") -> Any:
+    names = {"begun": begun, "total": total, "drawn": _drawn}
+    return _environment().get_template("form.html.j2").make_module(names)
+
+
+@lru_cache(maxsize=512)
+def _drawn(macro: str, node: Node, prefix: str, id_: str, begun: str) -> Markup:
+    """A part of a form without a mistake, drawn once."""
+    return Markup(getattr(_macros(begun), macro)(node, {}, (), prefix, id_))  # noqa: S704 - made of escaped parts
 
 
 @lru_cache(maxsize=16)

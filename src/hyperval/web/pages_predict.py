@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Any, cast
 from urllib.parse import quote
 
 from fastapi import APIRouter, Request
-from markupsafe import Markup
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData
 from starlette.responses import RedirectResponse, Response
 
 import hyperval
+from hyperval.sensor.specification import load_sensor
 from hyperval.web.desk import Desk, Order
 from hyperval.web.forms import MOST_ROWS, Node
 from hyperval.web.inputs import (
@@ -51,7 +49,9 @@ def warm() -> None:
     """Load what the first page would wait for."""
     for name, scenario in predefined().items():
         needs(scenario)
-        _parts(_key(_named(name)), ())
+        if scenario.sensor is not None:
+            load_sensor(scenario.sensor)
+        form_parts(_nodes(_named(name), ()), {}, _named(name).source)
 
 
 @router.get("/")
@@ -200,37 +200,24 @@ def _form(request: Request, content: FormContent, mistakes: Sequence[Mistake] = 
     errors: dict[str, list[str]] = {}
     settings, owner = request.app.state.settings, session_of(request).owner
     sensors = files_of(settings, owner, ["sensors"])
+    nodes = _nodes(content, sensors)
     if mistakes:
-        nodes = _nodes(content, sensors)
         errors = marked(mistakes, [node.path for node in walk(nodes)])
-        parts = form_parts(nodes, errors, _holding(errors), _total(content.data))
-    else:
-        parts = _parts(_key(content), sensors)
     try:
         link = f"/predict?s={quote(link_text(content.data))}"
     except ValueError:  # a number that is none
         link = ""
     return page(
-        request, "predict.html.j2", status=status, parts=parts, errors=errors, scenarios=predefined(), link=link,
+        request, "predict.html.j2", status=status, errors=errors, scenarios=predefined(), link=link,
+        changes=sum(n.changes for n in nodes),
+        parts=form_parts(nodes, errors, content.source, _total(content.data)),
         count=sum(map(len, errors.values())), begun=content.source.removeprefix("as in "),
         uploads=files_of(settings, owner, ["spectra"]),
     )  # fmt: skip
 
 
 def _nodes(content: FormContent, sensors: tuple[str, ...]) -> tuple[Node, ...]:
-    return scenario_form().nodes(content.data, (content.source, content.begun), {"sensor": sensors})
-
-
-def _key(content: FormContent) -> str:
-    """What forms that are alike have in common."""
-    return json.dumps([content.data, content.source, content.begun])
-
-
-@lru_cache(maxsize=32)
-def _parts(text: str, sensors: tuple[str, ...]) -> Markup:
-    """The fields of a form without a mistake: most people begin with one that many have begun with."""
-    content = FormContent(*json.loads(text))
-    return form_parts(_nodes(content, sensors), {}, total=_total(content.data))
+    return scenario_form().nodes(content.data, content.begun, {"sensor": sensors})
 
 
 def _total(data: dict[str, Any]) -> str:
@@ -238,11 +225,6 @@ def _total(data: dict[str, Any]) -> str:
     classes = (data.get("scene") or {}).get("classes") or []
     fractions = [c.get("fraction") for c in classes if isinstance(c, dict)]
     return f"{sum(f for f in fractions if isinstance(f, int | float)):g}"
-
-
-def _holding(errors: dict[str, list[str]]) -> set[str]:
-    """Every group that holds a field with a mistake, so that it is open."""
-    return {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)} | set(errors)
 
 
 def walk(nodes: Sequence[Node]) -> Iterator[Node]:

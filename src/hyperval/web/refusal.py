@@ -54,8 +54,13 @@ def said(error: HypervalError) -> str:
     return without_paths("; ".join(part for part in parts if part))
 
 
-def field_name(location: Sequence[str | int], data: Any) -> str:
-    """The dotted path of a mistake, without the names of tried members of a union, which ``data`` does not hold."""
+def field_name(location: Sequence[str | int], data: Any, is_missing: bool = True) -> str:
+    """The dotted path of a mistake, without the names of tried members of a union, which ``data`` does not hold.
+
+    Parameters
+    ----------
+    is_missing : whether the last key may be one that ``data`` lacks
+    """
     parts: list[str] = []
     at = data
     for number, part in enumerate(location):
@@ -64,8 +69,8 @@ def field_name(location: Sequence[str | int], data: Any) -> str:
         if inside or (isinstance(at, Mapping) and part in at):
             parts.append(str(part))
             at = at[part]
-        elif isinstance(at, Mapping) and last and isinstance(part, str) and part.isidentifier():
-            parts.append(part)  # a key that is missing
+        elif is_missing and isinstance(at, Mapping) and last and isinstance(part, str) and part.isidentifier():
+            parts.append(part)
     return ".".join(parts)
 
 

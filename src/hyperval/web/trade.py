@@ -87,12 +87,11 @@ def _run(request: Request, given: dict[str, list[str]]) -> Response:
 def _page(
     request: Request, data: dict[str, Any], mistakes: list[Mistake] | None = None, status: int = 200
 ) -> Response:
-    nodes = study_form().nodes(data)
+    nodes = study_form().nodes(data, _FIRST)
     errors = marked(mistakes or [], [node.path for node in walk(nodes)])
     runs = request.app.state.store.runs(session_of(request).owner, "prediction")
-    open_ = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}
     return page(
-        request, "trade.html.j2", status=status, parts=form_parts(nodes, errors, open_), errors=errors,
+        request, "trade.html.j2", status=status, parts=form_parts(nodes, errors, "to start with"), errors=errors,
         scenarios=predefined(), runs=runs[:20], count=sum(map(len, errors.values())),
         most=request.app.state.settings.limits.points,
     )  # fmt: skip

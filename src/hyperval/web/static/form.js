@@ -20,10 +20,40 @@ for (const set of document.querySelectorAll("fieldset.variants")) {
   for (const radio of radios) radio.addEventListener("change", show);
   show();
 }
-// A form that came back with mistakes begins at the first of them.
-document.querySelector("[aria-invalid]")?.focus();
-// Where a value is from changes when somebody writes another.
+// A form that came back with mistakes begins at the first of them; the list of mistakes leads to the others.
+function reach(box) {
+  for (let part = box.closest("details"); part !== null; part = part.parentElement.closest("details")) part.open = true;
+  box.focus();
+}
+const first = document.querySelector("[aria-invalid]:enabled");
+if (first !== null) reach(first);
+for (const link of document.querySelectorAll("#mistakes a")) {
+  link.addEventListener("click", (event) => {
+    const box = document.querySelector(`[name="${CSS.escape(link.textContent)}"]:enabled`);
+    if (box === null) return;
+    event.preventDefault();
+    reach(box);
+  });
+}
+// Where a value is from changes when somebody writes another; sections count what is changed in them.
+const wasChanged = (box) =>
+  box.type === "checkbox" || box.type === "radio" ? box.checked !== box.defaultChecked
+  : box.options ? [...box.options].some((o) => o.selected !== o.defaultSelected) && (box.selectedIndex > 0 || [...box.options].some((o) => o.defaultSelected))
+  : box.value !== box.defaultValue;
+function isChanged(part) {
+  if (part.matches(".field")) return "changed" in part.dataset || [...part.querySelectorAll("input:enabled, select:enabled")].some(wasChanged);
+  return [...part.querySelectorAll(":scope > label > input")].some(wasChanged);
+}
+function count() {
+  for (const words of document.querySelectorAll(".changed")) {
+    const parts = [...words.closest("details, form").querySelectorAll(".field, fieldset.variants")];
+    const changes = parts.filter((part) => part.closest("[hidden]") === null && isChanged(part)).length;
+    words.textContent = `${changes} changed`;
+    words.hidden = changes === 0;
+  }
+}
 document.addEventListener("change", (event) => {
   const source = event.target.closest(".field")?.querySelector(".source");
   if (source) source.textContent = "entered";
+  count();
 });
