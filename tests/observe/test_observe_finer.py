@@ -15,7 +15,7 @@ from hyperval.campaign.schema import load_campaign
 from hyperval.campaign.truth_fills import with_fills_of_truth
 from hyperval.collection import Collection, Detection
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.observe.finer import FinerGrid, registration_shifts, window_fills
+from hyperval.observe.finer import FinerGrid, fills_of, object_of_fills, registration_shifts, window_fills
 from hyperval.observe.place import open_place
 from hyperval.prediction.fills import fill_distribution, fills_of_objects, pixels_of_object
 from hyperval.scenario import Fill, Scenario
@@ -38,6 +38,21 @@ def test_cells_that_make_a_rectangle_have_the_fills_of_its_geometry(blur):
     fills = window_fills(np.ones((16, 9), bool), grid, (0, 0), expected.shape, both, ONE_PLACE)
     np.testing.assert_allclose(fills[0], expected, atol=1e-9)
     assert fills.sum() == pytest.approx(length * width, rel=1e-6)
+
+
+def test_pixels_of_a_target_are_those_whose_mean_fill_reaches_the_least():
+    """Exactly the least fill belongs to it, the next lower number does not; one drawn place alone decides nothing."""
+    least = 0.25
+    below = np.nextafter(least, 0.0)
+    fills = np.array([[[0.0, 0.5, below], [0.0, least, 1.0]], [[0.0, 0.0, below], [0.0, least, 0.0]]])
+    target = object_of_fills("p", "plank", fills, (4, 7), (9, 11), 3.0, least, "there")
+    np.testing.assert_array_equal(target.part, [[True, False], [True, True]])
+    assert target.corner == (4, 8)
+    assert (target.shape, target.area_m2) == ((9, 11), 3.0)
+    np.testing.assert_array_equal(target.fills, fills[:, :, 1:])
+    assert fills_of({"planks": [target]}) == {"planks": [[1.0, 0.5, 0.25], [0.25, 0.0, 0.0]]}
+    with pytest.raises(InputError, match=r"no pixel of 'p' is filled by 0\.9"):
+        object_of_fills("p", "plank", fills, (4, 7), (9, 11), 3.0, 0.9, "there")
 
 
 def scene_of_a_tenth() -> np.ndarray:
