@@ -1,8 +1,9 @@
 """Small changes of the program itself: python validation/robustness/code_mutants.py --each 20 [--room compare]
 
-One operator, comparison, constant or condition of a function is exchanged at a time, and the tests that import
-its module are run; at least one has to fail.  A sample is drawn from each room, by a fixed seed.  Each runs in a
-process of its own with a limit of processor time, which counts as seen: a loop that never ends is no result.
+One operator, comparison, constant or condition of a function is exchanged at a time, and tests are run; at least
+one has to fail.  First those that reach the line, where --reach names the folder that `room_coverage.py --output`
+left, then all of their files.  A sample is drawn from each room, by a fixed seed.  Each runs in a process of its
+own with a limit of processor time, which counts as seen: a loop that never ends is no result.
 """
 
 from __future__ import annotations
@@ -17,16 +18,19 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent))
+
+from reach import ROOMS, tests_by_line
+
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "hyperval"
-ROOMS = ("atmosphere", "scene", "sensor", "processing", "prediction", "compare")
 SECONDS = 300  # of processor time; ten times as much by the clock, on which a busy machine has a say
 WORDS_AND_DATA = ("scene/builtin.py",)  # made-up spectra
 OTHER_ROOMS = {
@@ -154,6 +158,30 @@ def related_tests(module: str) -> list[str]:
     return [str(p) for p in dict.fromkeys([*near, *room])]
 
 
+def lines_of(change: Change) -> range:
+    """Lines of the statement that is changed; of one with a body those of its head."""
+    tree = ast.parse(change.path.read_text("utf-8"))
+    node = places(tree)[change.place]
+    statements = [s for s in ast.walk(tree) if isinstance(s, ast.stmt) and any(n is node for n in ast.walk(s))]
+    one = max(statements, key=lambda s: (s.lineno, -(s.end_lineno or 0)))
+    body = getattr(one, "body", None)
+    return range(one.lineno, max(body[0].lineno, one.lineno + 1) if body else (one.end_lineno or one.lineno) + 1)
+
+
+def rounds(change: Change, reach: Mapping[tuple[str, int], list[str]]) -> Iterator[list[str]]:
+    """What is run one after the other: the tests that reach the change, then all of their files.
+
+    Where it is not known what reaches it, those that import the module and those of its room.
+    """
+    reaching = {test for line in lines_of(change) for test in reach.get((str(change.path), line), ())}
+    if not reaching:
+        yield related_tests(change.module)
+        return
+    files = {test: test.partition("::")[0] for test in reaching}
+    yield sorted(reaching, key=lambda test: (change.path.stem not in files[test], test))
+    yield sorted(set(files.values()))
+
+
 def exit_code(change: Change | None, tests: Sequence[str], seconds: float = SECONDS) -> int:
     """Pytest's exit code with the change, in another process; -1 when it took too long or crashed."""
     child = os.fork()
@@ -201,19 +229,20 @@ def main() -> int:
     parser.add_argument("--each", type=int, default=20, help="changes of each room")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--room", choices=ROOMS, action="append")
+    parser.add_argument("--reach", type=Path, help="a folder of room_coverage.py --output")
     options = parser.parse_args()
     os.chdir(ROOT)
+    reach = tests_by_line(options.reach / "data") if options.reach else {}
     for name in LARGE_LIBRARIES:
         importlib.import_module(name)
     survivors = 0
     for room in options.room or ROOMS:
-        if exit_code(None, [str(ROOT / "tests" / room)]) != 0:
+        if not reach and exit_code(None, [str(ROOT / "tests" / room)]) != 0:
             parser.error(f"tests/{room} fails as it stands")
         seen = 0
         for change in sample(room, options.each, options.seed):
             _, line, words = changed(change.path, change.place)
-            code = exit_code(change, related_tests(change.module))
-            if code not in (0, 5):
+            if any(exit_code(change, tests) not in (0, 5) for tests in rounds(change, reach)):
                 seen += 1
                 continue
             survivors += 1

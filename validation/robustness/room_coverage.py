@@ -2,6 +2,7 @@
 
 Exit code 1 where it is below 95 % of a room's lines and branches together.  Each folder of tests runs in a process
 of its own, as many at a time as there are processors.  --room takes some rooms, and their own tests alone.
+--output keeps what each test reached in FOLDER/data, for code_mutants.py.
 """
 
 from __future__ import annotations
@@ -18,18 +19,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parent))
+
+from reach import ROOMS
+
 ROOT = Path(__file__).parents[2]
-ROOMS = (
-    "processing",
-    "compare",
-    "scene",
-    "sensor",
-    "atmosphere",
-    "spectra",
-    "prediction",
-    "uncertainty",
-    "observe",
-)
 AIM = 0.95
 # What runs whole campaigns is left out: it passes through every line and looks at few.
 OTHER_TESTS = (
@@ -52,11 +46,8 @@ def tests_of(rooms: Sequence[str]) -> list[list[str]]:
 
 def measure(tests: Sequence[str], folder: Path) -> int:
     """Run tests, and leave what they reach in ``folder``; pytest's exit code."""
-    packages = [f"hyperval.{room}" for room in ROOMS]
-    coverage = [sys.executable, "-m", "coverage", "run", "--parallel-mode", f"--source={','.join(packages)}"]
-    options = ["-q", "-p", "no:cacheprovider", "-m", "not slow"]
     done = subprocess.run(  # noqa: S603 - the project's own tests
-        [*coverage, "-m", "pytest", *options, *tests], env=os.environ | {"COVERAGE_FILE": str(folder / "data")},
+        [sys.executable, str(Path(__file__).with_name("reach.py")), str(folder / "data"), *tests],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     if done.returncode:
@@ -67,7 +58,7 @@ def measure(tests: Sequence[str], folder: Path) -> int:
 def report(folder: Path) -> dict[str, Any]:
     """Coverage of every file, as coverage.py writes it."""
     environment = os.environ | {"COVERAGE_FILE": str(folder / "data")}
-    for words in (["combine", "-q"], ["json", "-q", "-o", str(folder / "all.json")]):
+    for words in (["combine", "-q", str(folder)], ["json", "-q", "-o", str(folder / "all.json")]):
         command = [sys.executable, "-m", "coverage", *words]
         subprocess.run(command, env=environment, cwd=ROOT, check=True)  # noqa: S603 - as above
     found: dict[str, Any] = json.loads((folder / "all.json").read_text("utf-8"))
@@ -79,12 +70,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--room", choices=ROOMS, action="append")
     parser.add_argument("--missing", action="store_true", help="name lines and branches that are not reached")
+    parser.add_argument("-o", "--output", type=Path, help="an empty folder, which keeps the data")
     options = parser.parse_args()
     rooms = options.room or ROOMS
     with tempfile.TemporaryDirectory() as name:
+        folder = options.output or Path(name)
+        folder.mkdir(parents=True, exist_ok=True)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            codes = list(pool.map(lambda tests: measure(tests, Path(name)), tests_of(rooms)))
-        files = report(Path(name))["files"]
+            codes = list(pool.map(lambda tests: measure(tests, folder), tests_of(rooms)))
+        files = report(folder)["files"]
     print("| room | lines | branches | both |\n| --- | ---: | ---: | ---: |")
     low = 0
     for room in rooms:
