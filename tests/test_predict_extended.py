@@ -267,6 +267,7 @@ def test_ace_finds_the_full_target_and_less_of_the_rest():
     assert np.array_equal(p.roc["loose", "ace", "pixel"].pd, again.roc["loose", "ace", "pixel"].pd)
 
 
+@pytest.mark.slow
 def test_ace_against_simulated_pixels():
     """1e6 background pixels from the products' own moments: P_FA at three thresholds, |z| < 5 with both errors.
 

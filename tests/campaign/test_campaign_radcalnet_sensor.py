@@ -120,6 +120,7 @@ def test_without_files_it_waits_and_says_for_what(monkeypatch, tmp_path):
     assert {str(r.outcome) for r in read_results(tmp_path / "out" / "results.json")} == {"skipped"}
 
 
+@pytest.mark.slow
 def test_from_files_to_verdict_and_drift(overpasses, tmp_path, capsys):
     out = tmp_path / "out"
     code = cli.run(["-q", "validate", str(overpasses), "-o", str(out)])

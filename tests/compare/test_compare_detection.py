@@ -57,6 +57,7 @@ def test_a_true_prediction_is_inside_and_a_false_one_outside():
     assert bad["auc_difference"].value > good["auc_difference"].value
 
 
+@pytest.mark.slow
 def test_true_predictions_are_inside_95_times_of_100():
     # 300 collections: the rule is conservative; at exactly 95 % the sd is 1.3 %, so above 92 % (2.4 sd, 1 %).
     inside = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import inspect
 import re
@@ -89,6 +90,7 @@ def names_used(source: str) -> set[str]:
     return used
 
 
+@functools.cache
 def production() -> set[str]:
     return set().union(*(names_used(p.read_text(encoding="utf-8")) for p in SOURCE.rglob("*.py")))
 

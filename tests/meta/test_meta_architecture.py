@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from parsed import parsed
 
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "hyperval"
@@ -93,7 +94,7 @@ def test_dependencies_are_those_that_the_package_imports():
     expected = {IMPORT_NAMES.get(name, name) for name in declared - LOADED_BY_NAME}
     used = set()
     for path in SOURCE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.Import):
                 used |= {a.name.split(".")[0] for a in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 import shutil
@@ -14,7 +15,7 @@ import pytest
 
 from hyperval.baseline.differences import Difference, compare
 from hyperval.baseline.metrics import Measured, campaign_metrics
-from hyperval.baseline.schema import Accepted, load_baseline
+from hyperval.baseline.schema import Accepted, Baseline, load_baseline
 from hyperval.baseline.sensors import sensor_metrics
 from hyperval.baseline.store import DEFAULT_FOLDER, SENSORS, accepted_of
 from hyperval.campaign.one import Job, run_campaign
@@ -204,10 +205,16 @@ def baselines() -> list[Path]:
     return sorted((ROOT / DEFAULT_FOLDER).rglob("*.yaml"))
 
 
+@functools.cache
+def accepted(path: Path) -> Baseline:
+    """What the file holds, read once for all tests."""
+    return load_baseline(path)
+
+
 def test_every_accepted_number_is_logged():
     lacking = []
     for path in baselines():
-        baseline = load_baseline(path)
+        baseline = accepted(path)
         if not any(baseline.reason in e and baseline.date in e for e in science_changes()):
             lacking.append(f'{path.name}: "{baseline.date}: {baseline.reason}"')
     assert lacking == [], "not in CHANGELOG.md under Science changes"
@@ -231,7 +238,7 @@ def test_every_baseline_is_of_a_campaign():
 
 
 def test_accepted_numbers_are_numbers():
-    held = [(p, k, m) for p in baselines() for k, m in load_baseline(p).metrics.items()]
+    held = [(p, k, m) for p in baselines() for k, m in accepted(p).metrics.items()]
     assert held
     assert [(p, k) for p, k, m in held if m.accepted is None and m.outcome != "skipped"] == []
     assert all(math.isfinite(m.width) for _, _, m in held)

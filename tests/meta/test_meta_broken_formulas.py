@@ -24,6 +24,7 @@ def test_every_formula_turns_the_evidence_red():
     assert sum(line.startswith("red ") for line in outcome.stdout.splitlines()) >= 20
 
 
+@pytest.mark.slow
 def test_a_formula_that_nothing_looks_at_is_named():
     words = "--factor", "1.0", "--only", "sensor/response.py"  # broken by nothing
     outcome = broken_formulas(*words, "--evidence", "test_equations_sensor.py")

@@ -51,7 +51,9 @@ def test_every_published_ratio_has_a_reference_or_says_that_it_has_none(name):
 
 
 # The atmosphere is the stand-in: ratios published for a scene are compared in it elsewhere, with the solver.
-@pytest.mark.parametrize("name", library_names())
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[] if n in ("hydice", "prisma") else pytest.mark.slow) for n in library_names()]
+)
 def test_every_sensor_passes_the_suite(name):
     check = check_sensor(name, engine=stand_in_atmosphere, vary=0.2)
     scenes = {f"{r[0]:g} nm" for i in check.sensor.specification.published_snr if i.scene for r in i.table}

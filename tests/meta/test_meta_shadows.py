@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+from parsed import parsed
 from test_every_equation_has_evidence import SOURCE, production
 
 ROOT = Path(__file__).parents[2]
@@ -17,7 +18,7 @@ def public_functions() -> dict[str, Path]:
     return {
         node.name: path
         for path in SOURCE.rglob("*.py")
-        for node in ast.parse(path.read_text("utf-8")).body
+        for node in parsed(path).body
         if isinstance(node, ast.FunctionDef) and not node.name.startswith("_") and not node.decorator_list
     }
 
@@ -26,7 +27,7 @@ def exported() -> set[str]:
     """Names that a package hands on in ``__all__``."""
     names: set[str] = set()
     for path in SOURCE.rglob("__init__.py"):
-        for node in ast.parse(path.read_text("utf-8")).body:
+        for node in parsed(path).body:
             if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
                 names |= set(ast.literal_eval(node.value))
     return names
@@ -44,7 +45,7 @@ def test_no_function_is_called_by_tests_alone():
 def test_no_method_is_called_by_tests_alone():
     pages = "\n".join(p.read_text("utf-8") for p in [*(ROOT / "docs").glob("*.md"), *SOURCE.rglob("*.j2")])
     read, methods = set(), set()
-    for node in (n for path in SOURCE.rglob("*.py") for n in ast.walk(ast.parse(path.read_text("utf-8")))):
+    for node in (n for path in SOURCE.rglob("*.py") for n in ast.walk(parsed(path))):
         if isinstance(node, ast.Attribute):
             read.add(node.attr)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):

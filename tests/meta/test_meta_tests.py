@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from parsed import parsed
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("tests", "validation")
@@ -129,7 +130,7 @@ def test_no_test_asserts_a_time():
     found = {
         str(path.relative_to(ROOT)): lines
         for path in sorted(p for folder in FOLDERS for p in (ROOT / folder).rglob("*.py"))
-        if (lines := timed(ast.parse(path.read_text("utf-8"))))
+        if (lines := timed(parsed(path)))
     }
     assert found == {}
 
@@ -138,7 +139,7 @@ def test_every_test_can_fail():
     found = []
     counted = 0
     for path in sorted(p for folder in FOLDERS for p in (ROOT / folder).rglob("test_*.py")):
-        tree = ast.parse(path.read_text("utf-8"))
+        tree = parsed(path)
         name = path.relative_to(ROOT)
         for function in functions_of(tree):
             counted += 1

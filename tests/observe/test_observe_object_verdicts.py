@@ -113,6 +113,7 @@ def test_false_alarms_of_a_true_background(tmp_path):
     assert "pfa_ratio@1e-3" in found
 
 
+@pytest.mark.slow
 def test_heavy_tails_show_and_a_fitted_tail_mends_them(tmp_path):
     world = collection(tmp_path, 24, dof=3.0)
     normal, fitted = rows_of(world), rows_of(world, tail=", tail_dof: measured")

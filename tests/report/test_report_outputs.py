@@ -113,6 +113,7 @@ def test_the_summary_is_what_was_planned(files, run):
 SMALL = {"bands": 12, "subjects": ("grass",), "curves": 1, "shape": (12, 12)}
 
 
+@pytest.mark.slow
 def test_second_write_gives_the_same_bytes(tmp_path):
     """Nor do time, process, hash seed, import order and the user's matplotlib settings change any file."""
     here = written(make_run(**SMALL), tmp_path / "here")
@@ -431,6 +432,7 @@ def test_figures_that_do_not_fit_are_linked():
     assert 'href="figures/tails.png"' in text
 
 
+@pytest.mark.slow
 def test_number_of_figures_is_bounded():
     assert [len(page) for page in pages(range(1000))] == [12, 12]
     assert pages([]) == []

@@ -62,6 +62,7 @@ def test_a_study_writes_everything(make_study, tmp_path, quick):
     assert not (tmp_path / "out.partial").exists()
 
 
+@pytest.mark.slow
 def test_parquet_holds_the_table_of_the_csv(make_study, tmp_path, quick):
     pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
     _, path = make_study(TEXT)

@@ -14,7 +14,7 @@ from web_browser import NEEDS_BROWSER, WIDER_THAN_SCREEN, careful_page, picture,
 
 from small_campaign import SmallCampaign
 
-pytestmark = NEEDS_BROWSER
+pytestmark = [NEEDS_BROWSER, pytest.mark.slow]
 PAGES = (
     "/",
     "/predict",

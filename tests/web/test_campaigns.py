@@ -88,6 +88,7 @@ def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
     assert client.get(f"{own.address}/runs/{told['id']}/map.json", params={"name": "../x"}).status_code == 404
 
 
+@pytest.mark.slow
 @NEEDS_BROWSER
 def test_threshold_is_moved_and_a_pixel_clicked_in_a_browser(own, run, browser):
     client, told = run
@@ -144,6 +145,7 @@ def test_pixel_is_shown_beside_the_prediction(own, run):
     assert client.get(url, params={"line": -1, "sample": 0}).status_code == 422
 
 
+@pytest.mark.slow
 def test_pixel_of_a_simulated_campaign_is_made_again(own, run):
     """Its collection goes when the campaign has run; the seed gives the same one."""
     client, told = run
@@ -170,6 +172,7 @@ BROUGHT = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp_path, monkeypatch):
     client = own.session()
     url = f"{own.address}/api/v1/uploads"

@@ -235,6 +235,7 @@ def test_rows_are_added_and_removed(client, server):
     assert dict(fewer.sent)["scene.classes.1.name"] == "soil"
 
 
+@pytest.mark.slow
 def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, server, tmp_path):
     order = {**EASY, "settings": {"atmosphere.meteorological_range_km": 31.5, "title": "1e5"}}
     run = client.post(f"{server.address}/api/v1/predictions", json=order).json()
@@ -261,6 +262,7 @@ def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, se
     assert client.get(f"{files}/figures/scores.svg").headers["content-type"] == "image/svg+xml"
 
 
+@pytest.mark.slow
 def test_charts_of_two_runs_have_differences(client, server):
     runs = [
         client.post(
