@@ -41,7 +41,7 @@ def test_cells_that_make_a_rectangle_have_the_fills_of_its_geometry(blur):
 
 
 def test_pixels_of_a_target_are_those_whose_mean_fill_reaches_the_least():
-    """Exactly the least fill belongs to it, the next lower number does not; one drawn place alone decides nothing."""
+    """Exactly the least fill belongs to it, the next lower number does not, whatever one drawn place has."""
     least = 0.25
     below = np.nextafter(least, 0.0)
     fills = np.array([[[0.0, 0.5, below], [0.0, least, 1.0]], [[0.0, 0.0, below], [0.0, least, 0.0]]])
