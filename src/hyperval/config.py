@@ -60,7 +60,31 @@ class Placeholder:
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
-    """YAML 1.2 core scalars only: no dates, no octals, no sexagesimals, no yes/no, no underscores."""
+    """YAML 1.2 core scalars only: no dates, no octals, no sexagesimals, no yes/no, no underscores.
+
+    Aliases, anchors, tags and what is too deep or too large are refused while the tree is built: the parser's time
+    grows with the square of the depth.
+    """
+
+    def __init__(self, text: str, name: str):
+        super().__init__(text)
+        self._file, self._depth, self._entries = name, 0, 0
+
+    def get_event(self) -> yaml.Event:
+        """The next event, as the composer of the tree takes it."""
+        event = super().get_event()
+        self._depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        self._entries += isinstance(event, yaml.NodeEvent)
+        tag, problem = getattr(event, "tag", None), None
+        if self._depth > MAX_DEPTH or self._entries > 2 * MAX_NODES:
+            problem = "too deep or too many entries"
+        elif isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+            problem = "anchors and aliases are not allowed"
+        elif tag and tag != "!":
+            problem = f"the tag {tag!r} is not allowed"
+        if problem:
+            raise UsageError(problem, where=f"{self._file}:{event.start_mark.line + 1}")
+        return event
 
 
 _Loader.yaml_implicit_resolvers = {}
@@ -111,20 +135,8 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
 
 def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int]]:
     """Parse YAML text by the rules of :func:`load_yaml`; ``name`` stands for the file in messages."""
-    depth = entries = 0
     try:
-        for event in yaml.parse(text, Loader=_Loader):
-            # Counted here, before the tree is built: the parser's time grows with the square of the depth.
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            entries += isinstance(event, yaml.NodeEvent)
-            if depth > MAX_DEPTH or entries > 2 * MAX_NODES:
-                raise UsageError("too deep or too many entries", where=f"{name}:{event.start_mark.line + 1}")
-            if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-                raise UsageError("anchors and aliases are not allowed", where=f"{name}:{event.start_mark.line + 1}")
-            tag = getattr(event, "tag", None)
-            if tag and tag != "!":
-                raise UsageError(f"the tag {tag!r} is not allowed", where=f"{name}:{event.start_mark.line + 1}")
-        root = yaml.compose(text, Loader=_Loader)
+        root = _Loader(text, name).get_single_node()
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f"{name}:{mark.line + 1}" if mark else name

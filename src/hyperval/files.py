@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 from hyperval.errors import InputError
@@ -106,6 +107,14 @@ def has_digest(path: Path, digest: str) -> bool:
 def size_of(path: Path) -> int:
     """Bytes of a file, or of all files of a folder."""
     return sum(p.stat().st_size for p in files_within(path)) if path.is_dir() else path.stat().st_size
+
+
+def installed_file(package: str, *parts: str) -> Path:
+    """A file of an installed package, which is not imported for it."""
+    spec = find_spec(package)
+    assert spec is not None  # noqa: S101
+    assert spec.origin is not None  # noqa: S101
+    return Path(spec.origin).parent.joinpath(*parts)
 
 
 def files_within(folder: Path) -> list[Path]:

@@ -294,6 +294,9 @@ class ClassificationError:
     bound_upper: float = math.nan
 
 
+ANOMALIES = "anomalies"  # the subject of scores of every pixel, where no target is looked for
+
+
 def background_of(subject: str) -> str:
     """Name under which ``scores`` holds the background's score for the filter of a target subject."""
     return f"{subject} background"

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import gzip
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
 
 from hyperval.atmosphere import solar
+from hyperval.atmosphere.solar import _spectrum, earth_sun_distance_au, solar_position
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError, MissingDataError, UsageError
 from hyperval.spectra.axis import SpectralAxis
@@ -102,3 +104,18 @@ def test_unknown_name_and_uncovered_grid():
         solar.extraterrestrial_irradiance("sunny", GRID)
     with pytest.raises(UsageError, match="covers"):
         solar.extraterrestrial_irradiance("astm-g173", np.array([200.0, 210.0]))
+
+
+def test_sun_and_spectrum_are_those_of_the_package_that_is_not_imported_for_them():
+    import pandas as pd
+    from pvlib import solarposition, spectrum
+
+    for days in range(0, 9000, 1234):
+        when = datetime(1999, 3, 4, 5, 6, 7, tzinfo=UTC) + timedelta(days=days, hours=days % 17)
+        index = pd.DatetimeIndex([pd.Timestamp(when)])
+        frame = solarposition.get_solarposition(index, 43.0, -77.6, method="nrel_numpy")
+        assert solar_position(43.0, -77.6, when) == (frame["zenith"].iloc[0], frame["azimuth"].iloc[0])
+        distance = solarposition.nrel_earthsun_distance(index).iloc[0]
+        assert earth_sun_distance_au(when) == distance
+    table = spectrum.get_reference_spectra(standard="ASTM G173-03")["extraterrestrial"]
+    np.testing.assert_array_equal(_spectrum("astm-g173", ())[1], table.to_numpy() * 100.0)

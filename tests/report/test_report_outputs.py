@@ -22,10 +22,10 @@ from synthetic_run import NASTY, axis, make_run
 from hyperval.products import Observation, Prediction, RocCurve
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.figures import draw_figures
-from hyperval.report.figures_detection import best_counted
 from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.html import MAX_BYTES, index_page, report_page
 from hyperval.report.power import Planted, PowerTable
+from hyperval.report.sides import best_counted
 from hyperval.report.style import Drawing, house_style, pages
 from hyperval.results import Outcome, Result, ResultTable, Role
 
@@ -95,7 +95,7 @@ def test_every_file_of_the_contract_is_there(files):
     expected |= {
         f"figures/{name}"
         for name in (
-            "scene.png", "radiance-budget.svg", "radiance-eigenvalues.svg",
+            "scene.png", "radiance-budget.svg",
             "roc-difference.svg", "scores.svg", "abundance.svg", "score-map-1.png", "score-map-2.png",
         )
     }  # fmt: skip
@@ -131,7 +131,7 @@ def test_second_write_gives_the_same_bytes(tmp_path):
     there = {str(p.relative_to(out)): p.read_bytes() for p in out.rglob("*") if p.is_file()}
     assert [name for name in here if here[name] != there.get(name)] == []
     assert set(here) == set(there)
-    assert sum(name.startswith("figures/") for name in here) == 8
+    assert sum(name.startswith("figures/") for name in here) == 7
 
 
 def without_scripts(page: str) -> str:
@@ -164,7 +164,7 @@ def test_page_runs_no_script_but_those_whose_hash_it_states(files):
     assert len(packed) < 0.4 * len(scripts[0])
     held = re.findall(r'(?s)<script type="application/json" class="chart">(.*?)</script>', text)
     charts = [json.loads(chart) for chart in held]
-    products = ("radiance", "roc", "snr", "reflectance")  # nothing is planned of the last two
+    products = ("radiance", "roc", "snr", "reflectance", "eigenvalues")  # nothing is planned of the last three
     assert [chart["item"]["target_id"] for chart in charts] == [f"chart-{product}" for product in products]
     # Charts are data: nothing in them is code that a policy without unsafe-eval would stop.
     assert "CustomJS" not in "".join(held)
@@ -191,7 +191,7 @@ def test_page_is_balanced_and_every_figure_has_alternative_text(page, files):
     assert page.open == []
     images = [attributes for tag, attributes in page.tags if tag == "img"]
     charts = [attributes for tag, attributes in page.tags if attributes.get("role") == "group"]
-    assert len(charts) == 4
+    assert len(charts) == 5
     assert len(images) == sum(name.startswith("figures/") for name in files)
     assert all(len(text) > 40 for text in [*(i["alt"] for i in images), *(c["aria-label"] for c in charts)])
 

@@ -21,7 +21,6 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
 from hyperval.errors import UsageError
@@ -109,6 +108,8 @@ def node_weights(nodes: Array, x: npt.ArrayLike, rule: Rule) -> Array:
         rows = np.arange(points.size)
         weights[rows, low], weights[rows, high] = 1.0 - w, w
     elif rule.method == "cubic":
+        from scipy.interpolate import CubicSpline  # a quarter of a second, which terms of one state do not need
+
         weights[:, order] = CubicSpline(at[order], np.eye(at.size))(points)
     else:
         raise ValueError(f"a {rule.method} rule has no weights")
@@ -119,6 +120,8 @@ def along(nodes: Array, values: Array, x: float, rule: Rule) -> Array:
     """Values (K, ...) of one quantity at ``x`` along their first dimension."""
     ordinates = np.log(np.maximum(values, _LEAST)) if rule.logarithm else values
     if rule.method == "monotone":
+        from scipy.interpolate import PchipInterpolator
+
         between = np.asarray(PchipInterpolator(rule.scale(nodes), ordinates, axis=0)(rule.scale(np.asarray(x))))
     else:
         between = np.tensordot(node_weights(nodes, x, rule)[0], ordinates, axes=1)

@@ -6,13 +6,13 @@ Source of the table: McClatchey et al., AFCRL-72-0497 (1972), table 1.
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from hyperval.errors import UsageError
 
@@ -101,9 +101,22 @@ def altitude_of_air_column(profile: Profile, column: float) -> float:
     """Altitude above which the profile has a column of molecules [km]; not below 0."""
     if column >= air_column(profile, 0.0):
         return 0.0
-    return float(
-        scipy.optimize.brentq(lambda z: air_column(profile, z) - column, 0.0, float(profile.altitude_km[-1]))
-    )
+    return root_between(lambda z: air_column(profile, z) - column, 0.0, float(profile.altitude_km[-1]))
+
+
+def root_between(falling: Callable[[float], float], low: float, high: float) -> float:
+    """Where a falling function passes zero, to the last bit.
+
+    Halving takes fifty calls, a hundredth of the time that SciPy's searches take to import.
+
+    Examples
+    --------
+    >>> root_between(lambda x: 2.0 - x * x, 0.0, 2.0) ** 2
+    2.0000000000000004
+    """
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if falling(middle) > 0.0 else (low, middle)
+    return middle
 
 
 @cache

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import gzip
 import os
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import lru_cache
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.datasets import resolve
 from hyperval.errors import InputError, MissingDataError, UsageError
+from hyperval.files import installed_file
 from hyperval.units import irradiance_to_internal
 
 Array = npt.NDArray[np.float64]
@@ -24,6 +27,7 @@ _FILES = {
 }
 SPECTRA = ("astm-g173", *_FILES)
 _MAX_BYTES = 64 << 20
+_DELTA_T_S = 67.0  # terrestrial time minus UT1; a second of it moves the sun by 1e-5 deg
 _FINE_NM = 0.1
 _LINES_NM = 0.5  # sampling of the sunlight that bands are averaged over
 _EXTENSION_NM = 110.0
@@ -46,30 +50,35 @@ def parse_utc(text: str) -> datetime:
 
 def solar_position(latitude_deg: float, longitude_deg: float, when: datetime) -> tuple[float, float]:
     """True (not refracted) solar zenith and azimuth, east of north [deg]; longitude east positive."""
-    import pandas as pd  # with pvlib 110 MB, which a run without a sun to place does not need
-    from pvlib import solarposition
-
-    frame = solarposition.get_solarposition(
-        pd.DatetimeIndex([pd.Timestamp(when)]), latitude_deg, longitude_deg, method="nrel_numpy"
+    # Pressure [mbar], temperature and refraction move the apparent zenith alone.
+    at = _algorithm().solar_position(
+        np.array([when.timestamp()]), latitude_deg, longitude_deg, 0.0, 1013.25, 12.0, _DELTA_T_S, 0.5667
     )
-    return float(frame["zenith"].iloc[0]), float(frame["azimuth"].iloc[0])
+    return float(at[1][0]), float(at[4][0])
 
 
 def earth_sun_distance_au(when: datetime) -> float:
     """Distance of the Earth from the Sun [au]."""
-    import pandas as pd
-    from pvlib import solarposition
+    return float(_algorithm().earthsun_distance(np.array([when.timestamp()]), _DELTA_T_S, 1)[0])
 
-    value = solarposition.nrel_earthsun_distance(pd.DatetimeIndex([pd.Timestamp(when)]))
-    return float(np.asarray(value)[0])
+
+@lru_cache(maxsize=1)
+def _algorithm() -> Any:
+    """The module of pvlib with the SPA algorithm, without the rest of the package.
+
+    That loads pandas and twenty parts of SciPy, half of the time of a prediction.
+    """
+    spec = spec_from_file_location("pvlib.spa", installed_file("pvlib", "spa.py"))
+    assert spec is not None  # noqa: S101
+    assert spec.loader is not None  # noqa: S101
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def distance_on_day(day_of_year: int) -> float:
     """Distance at noon UTC of a day of a common year [au]; it differs by 2e-4 from year to year."""
-    import pandas as pd
-
-    start = pd.Timestamp("2018-01-01T12:00Z") + pd.Timedelta(days=day_of_year - 1)
-    return earth_sun_distance_au(start.to_pydatetime())
+    return earth_sun_distance_au(datetime(2018, 1, 1, 12, tzinfo=UTC) + timedelta(days=day_of_year - 1))
 
 
 def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: float = 1.0) -> Array:
@@ -151,11 +160,10 @@ def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, 
 def _spectrum(name: str, places: tuple[str, ...]) -> tuple[Array, Array]:
     """Wavelength [nm] and irradiance at 1 au [uW cm-2 nm-1]; ``places`` tells one data directory from another."""
     if name == "astm-g173":
-        from pvlib import spectrum
-
-        table = spectrum.get_reference_spectra(standard="ASTM G173-03")
-        unit = irradiance_to_internal("W m-2 nm-1")
-        return table.index.to_numpy(float), table["extraterrestrial"].to_numpy(float) * unit
+        table = np.loadtxt(
+            installed_file("pvlib", "data", "ASTMG173.csv"), delimiter=",", skiprows=2, usecols=(0, 1)
+        )
+        return table[:, 0], table[:, 1] * irradiance_to_internal("W m-2 nm-1")
     if name not in _FILES:
         raise UsageError(f"unknown solar spectrum {name!r}", expected="one of " + ", ".join(SPECTRA))
     relative, unit_name = _FILES[name]

@@ -14,8 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
+from hyperval.atmosphere.profiles import root_between
 from hyperval.errors import UsageError
 
 Array = npt.NDArray[np.float64]
@@ -80,10 +80,7 @@ def range_from_aot550(aot550: float, ground_km: float = 0.0) -> float:
         return SHORTEST_KM
     if aot550 <= high:
         return LONGEST_KM
-    root = scipy.optimize.brentq(
-        lambda v: aot550_from_range(1.0 / v, ground_km) - aot550, 1 / LONGEST_KM, 1 / SHORTEST_KM
-    )
-    return 1.0 / float(root)
+    return root_between(lambda km: aot550_from_range(km, ground_km) - aot550, SHORTEST_KM, LONGEST_KM)
 
 
 def fraction_below(aot550: float, ground_km: float, sensor_km: float) -> float:

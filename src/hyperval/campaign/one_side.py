@@ -9,8 +9,8 @@ from hyperval.compare.roc import ALWAYS, IF_BACKGROUND_ALLOWS, LEAST_EXPECTED_AL
 from hyperval.compare.roc_alarms import far_at_detection_rows, far_row, first_detection_rows, joint_rows
 from hyperval.compare.roc_areas import area_rows
 from hyperval.compare.rows import RowMaker, scientific
-from hyperval.observe.anomalies import ANOMALIES, LEVELS
-from hyperval.products import ExceedanceCurve, Products, RocCurve
+from hyperval.processing.exceedance import ANOMALY_LEVELS
+from hyperval.products import ANOMALIES, ExceedanceCurve, Products, RocCurve
 from hyperval.results import Outcome, Result
 
 
@@ -109,7 +109,7 @@ def _thresholds(campaign: str, key: tuple[str, str], curve: ExceedanceCurve) -> 
     if key[0] != ANOMALIES or curve.n is None:
         return []
     make, rows = RowMaker(campaign, "scores", *key), []
-    for level in sorted(LEVELS, reverse=True):
+    for level in sorted(ANOMALY_LEVELS, reverse=True):
         if level * curve.n >= LEAST_EXPECTED_ALARMS:
             at = int(np.argmin(np.abs(np.log(curve.probability.clip(1e-300)) - np.log(level))))
             reason = f"{curve.probability[at]:.3g} of {curve.n} background pixels lie above"

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import PchipInterpolator
 
 from hyperval.compare.difference import difference_interval
 from hyperval.compare.rows import RowMaker
@@ -38,6 +37,8 @@ def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> f
         return math.nan
     if pfa[-1] < 1.0:
         pfa, pd = np.append(pfa, 1.0), np.append(pd, 1.0)
+    from scipy.interpolate import PchipInterpolator  # a tenth of a second, which spectra alone do not need
+
     # A rise from 0 to 1e-300 has an inverse slope that overflows in the harmonic means of the cubic; it is no P_D.
     curve_of = PchipInterpolator(np.log(pfa), np.round(pd, _DECIMALS))
     low = max(area.low, float(pfa[0]))

@@ -8,14 +8,17 @@ import numpy.typing as npt
 from hyperval.imagery.regions import objects
 from hyperval.observe.place import Place
 from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.exceedance import FEWEST_FOR_A_CURVE, LEAST_EXPECTED_ALARMS, exceedance_curve
-from hyperval.products import ExceedanceCurve, ScoreDistribution, background_of
+from hyperval.processing.exceedance import (
+    ANOMALY_LEVELS,
+    FEWEST_FOR_A_CURVE,
+    LEAST_EXPECTED_ALARMS,
+    exceedance_curve,
+)
+from hyperval.products import ANOMALIES, ExceedanceCurve, ScoreDistribution, background_of
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-ANOMALIES = "anomalies"
-LEVELS = (1e-4, 1e-3, 1e-2)
 MOST_NAMED = 10
 
 
@@ -45,7 +48,7 @@ def anomaly_note(place: Place, detector: str, scores: Array, background: Mask) -
     threshold, and belong to the groups themselves where the background is the whole scene.
     """
     noise = scores[background & np.isfinite(scores)]
-    level = next((p for p in LEVELS if p * noise.size >= LEAST_EXPECTED_ALARMS), None)
+    level = next((p for p in ANOMALY_LEVELS if p * noise.size >= LEAST_EXPECTED_ALARMS), None)
     if level is None:
         return f"{detector}: {noise.size} background pixels are too few for a threshold of anomalies"
     threshold = float(np.sort(noise)[noise.size - 1 - int(level * noise.size)])

@@ -10,10 +10,10 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 from scipy.special import ndtri
 
 from hyperval.prediction.batch import Batch, Group
@@ -25,6 +25,9 @@ from hyperval.products import ObjectScores
 from hyperval.scenario import Target, TargetSubject
 from hyperval.scenario_uncertainty import Uncertainty
 from hyperval.scene.fill import PHASES, Neighbour, TargetGeometry, shared_pixel_fills
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -93,6 +96,8 @@ class Evaluations:
     def _responses(self, target: str, detector: str, holds: str) -> list[Response]:
         batch, number = self.batch, self.number(holds)
         points = self.points if target == holds else self.points[:1]
+        from scipy.interpolate import CubicSpline  # a quarter of a second, which spectra alone do not need
+
         responses: dict[int, Response] = {}
         for g in batch.groups:
             here = points[np.isin(batch.points.setting[points], g.numbers)]

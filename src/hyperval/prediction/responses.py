@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from hyperval.prediction.background import Seen, Settings
 from hyperval.prediction.filters import Filters, Population
@@ -14,11 +15,20 @@ from hyperval.processing.elm_model import TwoPanelLine, retrieved_reflectance
 from hyperval.scene.fill import FillDistribution
 from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance
 
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 # Mean and variance of a score are at most quadratic in the fill, which a cubic spline carries exactly.
 FILL_NODES = np.linspace(0.0, 1.0, 9)
-_SPLINE = CubicSpline(FILL_NODES, np.eye(FILL_NODES.size))
+
+
+@cache
+def _spline() -> CubicSpline:
+    from scipy.interpolate import CubicSpline  # a quarter of a second, which spectra alone do not need
+
+    return CubicSpline(FILL_NODES, np.eye(FILL_NODES.size))
 
 
 @dataclass(frozen=True)
@@ -50,7 +60,7 @@ class Responses:
 
         ``shift`` (n,) : by how many standard deviations of the score the true target departs from its spectrum
         """
-        variance, weights = self.variances(target_gain, rows), _SPLINE(fills)  # (n, 9), (n or 1, K, 9)
+        variance, weights = self.variances(target_gain, rows), _spline()(fills)  # (n, 9), (n or 1, K, 9)
         means = (weights * self.means[rows][:, None, :]).sum(axis=2)
         means = means + (np.asarray(shift) * self.error[rows])[:, None] * fills
         return means, np.sqrt(np.clip((weights * variance[:, None, :]).sum(axis=2), 0.0, None))

@@ -19,6 +19,7 @@ _LEAST_ALARMS = 5
 FEWEST_FOR_A_CURVE = 20
 # With fewer alarms expected at a level nothing is said of it.
 LEAST_EXPECTED_ALARMS = 10.0
+ANOMALY_LEVELS = (1e-4, 1e-3, 1e-2)  # rates of the background at which a threshold of anomalies is stated
 
 
 @dataclass(frozen=True)

@@ -8,39 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from bokeh.layouts import column
-from bokeh.models import (
-    ColumnDataSource,
-    HoverTool,
-    Range1d,
-    TabPanel,
-    Tabs,
-)  # fmt: skip
-from bokeh.models.annotations import Span
 
 from hyperval.products import Products, RocCurve, SpectralEstimate
 from hyperval.report import style
 from hyperval.report.charts_base import (
-    CURVE_COLOURS,
-    GREY,
+    LABELS,
     Chart,
+    Curves,
     Fill,
+    Labels,
     chart_content,
-    chart_legend,
-    chart_models,
     column_text,
-    empty_plot,
 )
-from hyperval.report.figures_detection import best_counted
-from hyperval.report.figures_spectra import Sides, both_first, difference_ratio
-from hyperval.report.style import COLLECTED, PREDICTED
+from hyperval.report.sides import MOST_EIGENVALUES, Sides, best_counted, both_first, difference_ratio, eigenvalues
+from hyperval.report.text_cache import chart_models
 from hyperval.results import Outcome, Result
-from hyperval.spectra.windows import ABSORPTION_BANDS_NM, in_window
+from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
 Column = npt.NDArray[np.float32]
@@ -50,15 +37,7 @@ SPECTRA = ("radiance", "toa_reflectance", "snr", "reflectance")
 MOST_SUBJECTS = 24
 MOST_CURVES = 24
 FIRST = "the first few"  # of the subjects of curves
-FIRST_CURVES = 3  # that are seen before a name in the legend is clicked
 _MOST_POINTS = 200
-Labels = tuple[str, str]
-LABELS: Labels = ("predicted", "collected")
-_SPECTRUM_LOOKS = {
-    "predicted": (PREDICTED.colour, "dashed"),
-    "collected": (COLLECTED.colour, "solid"),
-    "difference": (style.DIFFERENCE_COLOUR, "solid"),
-}
 
 
 @dataclass(frozen=True)
@@ -122,7 +101,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
         f"{title} against {over}, a subject at a time: {labels[0]} (dashed) and {labels[1]} (solid) with 95 % "
         f"intervals{', the difference below' if pairs else ''}. Subjects: {', '.join(shown)}.",
         chart_content(
-            _spectra_models(name, tuple(first.bands), first.numbered, label, ratio, labels),
+            chart_models("spectra", name, tuple(first.bands), first.numbered, label, ratio, labels),
             Fill(ranges={"nm": nm}),
             [one.packed(first.nm if i else None) for i, one in enumerate(spectra)],
         ),
@@ -154,8 +133,43 @@ def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
         f"Probability of detection against probability of false alarm (logarithmic), {labels[0]} dashed and "
         f"{second}{' in steps' if second == 'measured' else ''}, with 95 % intervals, a tab for each detector. "
         f"Subjects: {', '.join(names)}.",
-        chart_content(_curve_models(tuple(tabs), labels), fill),
+        chart_content(chart_models("curves", "chart-roc", tuple(tabs), labels), fill),
         (FIRST, *names) if len(names) > 1 else (),
+    )
+
+
+def eigenvalue_chart(sides: Sides) -> Chart | None:
+    """Eigenvalues of the pixel covariance of the radiance of both sides; None without any."""
+    spectra = [
+        {k: e for k, e in _of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
+    ]
+    every = both_first(*spectra)
+    pairs = [subject for subject in every if all(subject in own for own in spectra)]
+    shown = (every if None in sides else pairs)[: style.MAX_PANELS]
+    if not shown:
+        return None
+    fill, built, firsts, ends, sampled = Fill(), [], [], [], False
+    for number, subject in enumerate(shown):
+        built.append((subject, tuple(side for side, own in enumerate(spectra) if subject in own)))
+        for side in built[-1][1]:
+            n, values = spectra[side][subject].n, eigenvalues(spectra[side][subject])
+            # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
+            factor = np.exp(_COVERAGE * np.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
+            sampled |= factor != 1.0
+            columns = {"number": np.arange(1.0, values.size + 1), "value": values}
+            fill.add(f"eigenvalues-{number}-{side}", columns | {"low": values / factor, "high": values * factor})
+            firsts.append(f"{subject} {values[0]:.3g}" if values.size else f"{subject} none")
+            ends += [values.min(initial=np.inf), values.max(initial=0.0)]
+    fill.ranges["number"] = 0.0, float(MOST_EIGENVALUES)
+    fill.ranges["eigenvalue"] = 0.5 * float(min(ends)), 2.0 * float(max(ends))
+    return Chart(
+        "chart-eigenvalues",
+        "covariance",
+        f"Eigenvalues of the pixel covariance of the radiance{', with 95 % sampling intervals' if sampled else ''}"
+        + style.left_out([shown], pairs or every),
+        f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
+        f"logarithmic scale. Largest: {'; '.join(firsts)}.",
+        chart_content(chart_models("eigenvalues", "chart-eigenvalues", tuple(built)), fill),
     )
 
 
@@ -213,82 +227,13 @@ def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array
     return [(value - half)[keep], (value + half)[keep]]
 
 
-@lru_cache(maxsize=64)
-def _spectra_models(
-    name: str, bands: tuple[str, ...], numbered: bool, label: str, ratio: bool, labels: Labels
-) -> str:
-    """The plot of both sides, with that of their difference where ``bands`` has one; the script fills it."""
-    columns = [f"{band}{end}" for band in bands for end in ("", "_low", "_high")]
-    empty: dict[str, Any] = dict.fromkeys(("nm", *columns), np.empty(0, np.float32))
-    source = ColumnDataSource(empty, name="spectra")
-    starts, ends, _ = zip(*ABSORPTION_BANDS_NM, strict=True)
-    absorption = ColumnDataSource({"start": _column(np.array(starts)), "end": _column(np.array(ends))})
-    span = Range1d(name="nm")
-    plots = []
-    shown = {**dict(zip(LABELS, labels, strict=True)), "difference": "difference"}
-    sides = [band for band in bands if band != "difference"]
-    at = ("band", "@nm{0}") if numbered else ("nm", "@nm{0.0}")
-    for height, range_name, axis_label, names in (
-        (300, "level", label, sides),
-        (190, "gap", "difference ratio [1]" if ratio else "difference [1]", ["difference"]),
-    ):
-        if names[0] not in bands:
-            continue
-        plot = empty_plot(height, span, axis_label, None if numbered else absorption)
-        plot.y_range = Range1d(name=range_name)
-        lines = []
-        for band in names:
-            colour, dash = _SPECTRUM_LOOKS[band]
-            plot.varea("nm", f"{band}_low", f"{band}_high", source=source, fill_color=colour, fill_alpha=0.2)
-            named = {} if band == "difference" else {"legend_label": shown[band]}
-            lines.append(
-                plot.line("nm", band, source=source, color=colour, line_dash=dash, line_width=1.6, **named)
-            )
-            # Bands that are chosen in one plot stand out in both: their source is one.
-            plot.scatter(
-                "nm",
-                band,
-                source=source,
-                size=5,
-                color=colour,
-                alpha=0.0,
-                selection_alpha=1.0,
-                nonselection_alpha=0.0,
-            )
-        tips = [
-            (shown[band], f"@{band}{{0.0000}} (@{band}_low{{0.0000}} to @{band}_high{{0.0000}})") for band in names
-        ]
-        plot.add_tools(HoverTool(tooltips=[at, *tips], mode="vline", renderers=lines[:1]))
-        if range_name == "level":
-            chart_legend(plot)
-        else:
-            plot.add_layout(Span(location=0.0, dimension="width", line_color=GREY))
-        plots.append(plot)
-    plots[-1].xaxis.axis_label = "number of the band" if numbered else style.WAVELENGTH_LABEL
-    return chart_models(column(*plots, sizing_mode="stretch_width"), name)
-
-
-@dataclass(frozen=True)
-class _Curves:
-    """What one tab of curves is built of.
-
-    Attributes
-    ----------
-    subjects : each with the sides that it has a curve of, 0 the first, 1 the second
-    is_counted : whether pixels of a collection bound P_FA from below
-    """
-
-    subjects: tuple[tuple[str, tuple[int, ...]], ...]
-    is_counted: bool
-
-
 def _fill_curves(
     fill: Fill,
     tab: int,
     keys: Sequence[tuple[str, str, str]],
     predicted: Mapping[Any, RocCurve],
     measured: Mapping[Any, RocCurve],
-) -> _Curves:
+) -> Curves:
     """Note the numbers of the curves of one detector and unit."""
     curves = [c[key] for c in (predicted, measured) for key in keys if key in c]
     lowest = min((float(c.pfa[c.pfa > 0].min()) for c in curves if (c.pfa > 0).any()), default=1e-3)
@@ -303,45 +248,7 @@ def _fill_curves(
         for side in sides:
             fill.add(f"curve-{tab}-{number}-{side}", _curve_data((predicted, measured)[side][key], low))
         subjects.append((key[0], sides))
-    return _Curves(tuple(subjects), bool(counted))
-
-
-@lru_cache(maxsize=64)
-def _curve_models(tabs: tuple[tuple[str, _Curves], ...], labels: Labels) -> str:
-    """Tabs of ROC curves; the first few are seen, the others when their name is clicked."""
-    panels = [TabPanel(title=title, child=_curve_plot(i, own, labels)) for i, (title, own) in enumerate(tabs)]
-    return chart_models(Tabs(tabs=panels, sizing_mode="stretch_width"), "chart-roc")
-
-
-def _curve_plot(tab: int, curves: _Curves, labels: Labels) -> Any:
-    plot = empty_plot(420, Range1d(start=1e-3, end=1.0, name=f"pfa-{tab}"), "P_D [1]", x_axis_type="log")
-    plot.y_range = Range1d(start=-0.02, end=1.04)
-    lines = []
-    plot.xaxis.axis_label = "P_FA per pixel [1]"
-    second = "measured" if labels == LABELS else labels[1]
-    for number, (subject, sides) in enumerate(curves.subjects):
-        colour, seen = CURVE_COLOURS[number % len(CURVE_COLOURS)], number < FIRST_CURVES
-        name = style.shortened(subject, 30)
-        for side in sides:
-            words, dash = ((labels[0], "dashed"), (second, "solid"))[side]
-            empty: dict[str, Any] = dict.fromkeys(("pfa", "pd", "low", "high"), np.empty(0, np.float32))
-            source = ColumnDataSource(empty, name=f"curve-{tab}-{number}-{side}")
-            common: dict[str, Any] = {"source": source, "legend_label": name, "visible": seen}
-            plot.varea("pfa", "low", "high", fill_color=colour, fill_alpha=0.12, **common)
-            drawn = plot.line if words != "measured" else plot.step
-            more = {} if words != "measured" else {"mode": "after"}
-            look = {"color": colour, "line_dash": dash, "line_width": 1.6, "name": f"{name}, {words}"}
-            lines.append(drawn("pfa", "pd", **look, **more, **common))
-            for curve in plot.renderers[-2:]:
-                curve.tags = [subject, seen]
-    tips = [("", "$name"), ("P_FA", "@pfa"), ("P_D", "@pd{0.000} (@low{0.000} to @high{0.000})")]
-    plot.add_tools(HoverTool(tooltips=tips, renderers=lines, mode="mouse"))
-    if curves.is_counted:
-        line = Span(location=1.0, dimension="height", line_color=GREY, line_dash="dotted", name=f"counted-{tab}")
-        plot.add_layout(line)
-    chart_legend(plot)
-    plot.add_layout(plot.legend[0], "right")
-    return plot
+    return Curves(tuple(subjects), bool(counted))
 
 
 def _curve_data(curve: RocCurve, low: float) -> dict[str, Column]:

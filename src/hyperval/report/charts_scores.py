@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from bokeh.models import ColumnDataSource, HoverTool, Range1d, TabPanel, Tabs
 
 from hyperval.products import Products, ScoreDistribution
-from hyperval.report import style
-from hyperval.report.charts_base import (
-    CURVE_COLOURS,
-    Chart,
-    Fill,
-    chart_content,
-    chart_legend,
-    chart_models,
-    empty_plot,
-)
+from hyperval.report.charts_base import Chart, Fill, chart_content
+from hyperval.report.text_cache import chart_models
 
 Array = npt.NDArray[np.float64]
 _MOST = 12  # populations of a detector
@@ -46,7 +35,7 @@ def scores_chart(sides: Sequence[tuple[str, Products]]) -> Chart | None:
         "Scores: probability density of each population and of the background; a click on a name shows or hides it",
         f"Probability density (logarithmic) of the detector's score, a tab for each detector. "
         f"Populations: {', '.join(names[:_MOST])}.",
-        chart_content(_density_models(tabs), fill),
+        chart_content(chart_models("densities", "chart-scores", tabs), fill),
     )
 
 
@@ -81,38 +70,3 @@ def _fill_densities(
     for place, (*_, x, y) in enumerate(curves):
         fill.add(f"density-{tab}-{place}", {"score": x, "density": np.maximum(y, top * _DEEPEST / 10)})
     return tuple((label, number, subject) for label, number, subject, *_ in curves)
-
-
-@lru_cache(maxsize=64)
-def _density_models(tabs: tuple[tuple[str, tuple[tuple[str, int, str], ...]], ...]) -> str:
-    """Tabs of densities, which the script fills."""
-    panels = [
-        TabPanel(title=detector, child=_plot(i, detector, curves)) for i, (detector, curves) in enumerate(tabs)
-    ]
-    return chart_models(Tabs(tabs=panels, sizing_mode="stretch_width"), "chart-scores")
-
-
-def _plot(tab: int, detector: str, curves: Sequence[tuple[str, int, str]]) -> Any:
-    plot = empty_plot(360, Range1d(name=f"score-{tab}"), "density [1]", y_axis_type="log")
-    plot.y_range = Range1d(start=1e-3, end=1.0, name=f"density-{tab}")
-    plot.xaxis.axis_label = f"score of {detector} [1]"
-    subjects = list(dict.fromkeys(subject for _, _, subject in curves))
-    lines = []
-    for place, (label, number, subject) in enumerate(curves):
-        empty: dict[str, Any] = dict.fromkeys(("score", "density"), np.empty(0, np.float32))
-        source = ColumnDataSource(empty, name=f"density-{tab}-{place}")
-        name = style.shortened(subject, 30)
-        lines.append(
-            plot.line(
-                "score", "density", source=source, legend_label=name, name=f"{name}, {label}",
-                color=CURVE_COLOURS[subjects.index(subject) % len(CURVE_COLOURS)], line_width=1.6,
-                line_dash="dashed" if number else "solid",
-            )
-        )  # fmt: skip
-    plot.add_tools(
-        HoverTool(tooltips=[("", "$name"), ("score", "@score"), ("density", "@density")], renderers=lines)
-    )
-    chart_legend(plot)
-    if curves:
-        plot.add_layout(plot.legend[0], "right")
-    return plot

@@ -15,15 +15,17 @@ from hyperval.report.figures_scores import (
     roc_difference_figures,
     transform_figures,
 )
-from hyperval.report.figures_spectra import Sides, budget_figures, eigenvalue_figures, pair_figures
+from hyperval.report.figures_spectra import budget_figures, eigenvalue_figures, pair_figures
 from hyperval.report.run import RunReport
+from hyperval.report.sides import Sides
 from hyperval.report.style import Drawing, Print, house_style
 
 
 def draw_figures(run: RunReport) -> list[Drawing]:
     """The figures of a run's page; the number is bounded whatever its size.
 
-    Spectra and ROC curves are charts there (``charts``); :func:`print_figures` draws them.
+    Spectra, ROC curves and what has eigenvalues without a band of chance are charts there (``charts``);
+    :func:`print_figures` draws them.
     """
     sides = (run.prediction, run.observation)
     simulated = run.simulated
@@ -32,8 +34,6 @@ def draw_figures(run: RunReport) -> list[Drawing]:
         if run.quicklook is not None:
             drawings.append(quicklook_figure(run.quicklook, simulated=simulated))
         drawings += budget_figures(sides, simulated=simulated)
-        if not run.eigenvalues:  # one side alone: no band of chance to judge by
-            drawings += eigenvalue_figures(sides, simulated=simulated)
         drawings += sampled_eigenvalue_figures(run.eigenvalues, simulated=simulated)
         drawings += tail_figures(run.tails, simulated=simulated)
         drawings += class_error_figures(sides, simulated=simulated)

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Products, RocCurve
 from hyperval.report import style
-from hyperval.report.figures_spectra import Sides, both_first
+from hyperval.report.sides import Sides, best_counted, both_first
 from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
 
 _COVERAGE = 1.96
@@ -160,18 +160,6 @@ def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None
     axes.set_xlim(low, 1.0)
     axes.set_ylim(-0.02, 1.04)
     style.log_ticks(axes.xaxis)
-
-
-def best_counted(keys: list[Any], measured: Mapping[Any, RocCurve], most: int) -> list[Any]:
-    """``keys``, of too many those ``most`` with the most targets (pools of targets among them)."""
-    if len(keys) <= most:
-        return keys
-
-    def count(key: Any) -> int:
-        return (measured[key].n_target or 0) if key in measured else -1
-
-    chosen = set(sorted(keys, key=lambda key: -count(key))[:most])
-    return [key for key in keys if key in chosen]
 
 
 def _lowest_pfa(curves: list[RocCurve]) -> float:

@@ -15,7 +15,7 @@ from scipy.special import betaincinv
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.report import style
-from hyperval.report.figures_spectra import Sides, both_first
+from hyperval.report.sides import Sides, both_first
 from hyperval.report.style import COLLECTED, DIFFERENCE_COLOUR, PREDICTED, Drawing
 
 Array = npt.NDArray[np.float64]

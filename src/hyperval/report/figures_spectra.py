@@ -14,15 +14,14 @@ from matplotlib.patches import Patch
 
 from hyperval.products import Products, SpectralEstimate
 from hyperval.report import style
+from hyperval.report.sides import MOST_EIGENVALUES, Sides, both_first, difference_ratio, eigenvalues
 from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
 from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
-Sides = tuple[Products | None, Products | None]
 
 _COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
 _MOST_SOURCES = 7
-_MOST_EIGENVALUES = 30
 
 
 def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing]:
@@ -170,39 +169,12 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             axes.set_xlabel("number of the eigenvalue [1]")
     style.add_legend(figure, _legend(predicted, collected, difference=False, absorption=False))
     alt = (
-        f"The largest {_MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
+        f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
         f"logarithmic scale, predicted and collected. Largest: {'; '.join(words)}."
     )
     title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
     title += style.left_out([subjects], every)
     return [Drawing("radiance-eigenvalues", "covariance", title, alt, style.vector_bytes(figure), "svg")]
-
-
-def eigenvalues(estimate: SpectralEstimate) -> Array:
-    """(K,) leading eigenvalues of the pixel covariance over its finite bands, largest first."""
-    covariance = np.asarray(estimate.pixel_covariance, dtype=float)
-    finite = np.isfinite(np.diag(covariance))
-    block = covariance[np.ix_(finite, finite)]
-    if block.size == 0 or not np.isfinite(block).all():
-        return np.empty(0)
-    values = np.linalg.eigvalsh(block)[::-1]
-    rank = block.shape[0] if estimate.n is None else min(block.shape[0], max(estimate.n - 1, 0))
-    values = values[: min(rank, _MOST_EIGENVALUES)]
-    return values[values > 1e-13 * max(values[0], 0.0)] if values.size else values
-
-
-def both_first(predicted: Mapping[Any, Any], collected: Mapping[Any, Any]) -> list[Any]:
-    """Keys of either side: those of both sides before those of one."""
-    common = [key for key in predicted if key in collected]
-    return common + [k for k in predicted if k not in collected] + [k for k in collected if k not in predicted]
-
-
-def difference_ratio(predicted: SpectralEstimate, collected: SpectralEstimate) -> tuple[Array, Array]:
-    """(predicted - collected) / collected and its standard uncertainty, both (B,), the sides independent."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        quotient = predicted.mean / collected.mean
-        u = np.hypot(predicted.standard_uncertainty, quotient * collected.standard_uncertainty)
-        return quotient - 1.0, u / np.abs(collected.mean)
 
 
 def _overlay(

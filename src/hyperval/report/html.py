@@ -16,7 +16,7 @@ from markupsafe import Markup
 import hyperval
 from hyperval.metrics import Evidence, explained
 from hyperval.report import verdict as v
-from hyperval.report.charts import draw_charts
+from hyperval.report.charts import draw_charts, eigenvalue_chart
 from hyperval.report.charts_base import Chart
 from hyperval.report.matrix import LETTERS, anchor, matrix_of
 from hyperval.report.run import WARNING, RunReport
@@ -78,7 +78,12 @@ class Section:
 def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
     rows = list(run.table)
-    charts = _worst_first(draw_charts((run.prediction, run.observation), rows), rows)
+    sides = (run.prediction, run.observation)
+    charts = _worst_first(draw_charts(sides, rows), rows)
+    spread = (
+        None if run.eigenvalues else eigenvalue_chart(sides)
+    )  # else a figure has the band of chance to judge by
+    charts += [spread] if spread is not None else []
     embedded = _embedded(drawings, charts)
     sections = _sections(run, drawings, embedded, rows)
     tone, words = v.verdict(rows)

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 from hyperval.files import write_text
 from hyperval.report.geotiff import file_stems, write_score_map
 from hyperval.report.run import RunReport
+from hyperval.report.style import Drawing
 from hyperval.report.tables import json_value, junit_xml, results_csv, results_json
 from hyperval.results import ResultTable
+
+# Fields of a side that no figure shows: charts do, or nothing does.
+_CHARTED = {
+    "axis", "radiance", "snr", "reflectance", "toa_reflectance", "distribution", "noise", "full_scale", "notes",
+    "provenance",
+}  # fmt: skip
 
 
 def write_outputs(run: RunReport, folder: Path) -> None:
@@ -19,9 +27,7 @@ def write_outputs(run: RunReport, folder: Path) -> None:
     results.csv, summary.csv, results.json, junit.xml, provenance.json, products.nc, figures/, scores/ (where there
     are score maps) and report.html.  The same run gives the same bytes.
     """
-    # matplotlib and bokeh take 80 MB: not before the imagery is done with.
-    from hyperval.report.figures import draw_figures
-    from hyperval.report.html import report_page
+    from hyperval.report.html import report_page  # not before the imagery is done with
     from hyperval.report.netcdf import write_products
 
     folder = Path(folder)
@@ -36,11 +42,25 @@ def write_outputs(run: RunReport, folder: Path) -> None:
     for name, score_map in run.score_maps.items():
         (folder / "scores").mkdir(exist_ok=True)
         write_score_map(folder / "scores" / f"{stems[name]}.tif", name, score_map)
-    drawings = draw_figures(run)
+    drawings = _drawings(run)
     (folder / "figures").mkdir(exist_ok=True)
     for drawing in drawings:
         (folder / "figures" / drawing.file_name).write_bytes(drawing.content)
     write_text(folder / "report.html", report_page(run, drawings))
+
+
+def _drawings(run: RunReport) -> list[Drawing]:
+    """The figures of a run; matplotlib, half a second and 60 MB, is left alone where charts show everything."""
+    sides = [side for side in (run.prediction, run.observation) if side is not None]
+    pictured = run.quicklook is not None or run.score_maps or run.eigenvalues or run.tails
+    if len(sides) == 1 and not pictured:
+        side = sides[0]
+        drawn = any(getattr(side, field.name) for field in fields(side) if field.name not in _CHARTED)
+        if not drawn and not any(estimate.budget for estimate in side.radiance.values()):
+            return []
+    from hyperval.report.figures import draw_figures
+
+    return draw_figures(run)
 
 
 def write_index(runs: Sequence[RunReport], folder: Path, title: str = "Validation") -> None:

@@ -13,22 +13,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import matplotlib.style
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.legend_handler import HandlerTuple
-from matplotlib.patches import Patch
-from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
-from PIL import Image
 
-from hyperval.report.layout import lay_out
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import ABSORPTION_BANDS_NM
 from hyperval.units import PLAUSIBLE_NM
+
+if TYPE_CHECKING:  # half a second and 60 MB, which pages with charts alone do not need
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 RADIANCE_LABEL = "radiance\n[µW cm⁻² sr⁻¹ nm⁻¹]"
 DIFFERENCE_COLOUR = "#5B3A8C"
@@ -140,6 +135,8 @@ _PRINT: ContextVar[Print] = ContextVar("_PRINT", default=_SCREEN)
 @contextmanager
 def house_style(print_as: Print | None = None) -> Iterator[None]:
     """The settings of this module, whatever the user's own matplotlib settings are."""
+    import matplotlib.style
+
     print_as = print_as or _SCREEN
     sheets: list[str | dict[str, Any]] = ["default", _RC, *([_JOURNAL_RC] if print_as.journal else [])]
     token = _PRINT.set(print_as)
@@ -154,6 +151,9 @@ def house_style(print_as: Print | None = None) -> Iterator[None]:
 
 def new_figure(width_in: float, height_in: float, title: str, simulated: bool) -> Figure:
     """An empty figure with its title, which says so when the collection is simulated."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     journal = _PRINT.get().journal
     scale = _JOURNAL_SCALE if journal else 1.0
     figure = Figure(figsize=(scale * width_in, scale * height_in))
@@ -167,7 +167,7 @@ def new_figure(width_in: float, height_in: float, title: str, simulated: bool) -
 
 def svg_bytes(figure: Figure) -> bytes:
     """The figure as SVG, coordinates rounded to 0.1 of a point (a seventh of a pixel), not indented."""
-    lay_out(figure)
+    _lay_out(figure)
     out = io.BytesIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue().decode("utf-8")
@@ -183,7 +183,7 @@ def vector_bytes(figure: Figure) -> bytes:
         return svg_bytes(figure)
     if kind == "png":
         return png_bytes(figure, dpi=_PRINT_DPI)
-    lay_out(figure)
+    _lay_out(figure)
     out = io.BytesIO()
     figure.savefig(out, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
     return out.getvalue()
@@ -191,13 +191,21 @@ def vector_bytes(figure: Figure) -> bytes:
 
 def png_bytes(figure: Figure, dpi: float = 120.0) -> bytes:
     """The figure as PNG of 256 colours, without the writer's version in it."""
-    lay_out(figure)
+    from PIL import Image
+
+    _lay_out(figure)
     drawn, out = io.BytesIO(), io.BytesIO()
     figure.savefig(drawn, format="png", dpi=dpi)
     with Image.open(drawn) as image:
         colours = image.convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         colours.save(out, format="png")
     return out.getvalue()
+
+
+def _lay_out(figure: Figure) -> None:
+    from hyperval.report.layout import lay_out
+
+    lay_out(figure)
 
 
 def compact_path(path: str) -> str:
@@ -270,11 +278,15 @@ def left_out(shown: Sequence[Sequence[Any]], every: Sequence[Any]) -> str:
 
 def interval_handle(*colours: str) -> tuple[Any, ...]:
     """A legend entry of patches side by side, in the colours that intervals have in the figure."""
+    from matplotlib.patches import Patch
+
     return tuple(Patch(color=colour, alpha=0.25, linewidth=0) for colour in colours)
 
 
 def add_legend(figure: Figure, entries: Sequence[tuple[Any, str]], columns: int = 6) -> None:
     """A legend below all panels."""
+    from matplotlib.legend_handler import HandlerTuple
+
     figure.legend(
         [handle for handle, _ in entries],
         [plain(label) for _, label in entries],
@@ -300,6 +312,8 @@ def shade_absorption(axes: Axes, low_nm: float, high_nm: float) -> None:
 
 def log_ticks(axis: Any) -> None:
     """Decade ticks with labels that do not crowd."""
+    from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
+
     axis.set_major_locator(LogLocator(base=10, numticks=7))
     axis.set_major_formatter(LogFormatterSciNotation(base=10))
     axis.set_minor_locator(NullLocator())

@@ -1,0 +1,274 @@
+"""Models of the interactive charts, which the script of a page fills: all that needs Bokeh to be imported.
+
+Bokeh writes a chart as data in JSON.  It takes a second to import, and a hundred times as long to build the models
+as a run's numbers take, so ``text_cache.chart_models`` keeps what :func:`models_json` gives.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from bokeh.core.types import ID
+from bokeh.embed import json_item
+from bokeh.layouts import column
+from bokeh.models import (
+    BoxSelectTool,
+    BoxZoomTool,
+    ColumnDataSource,
+    HoverTool,
+    LayoutDOM,
+    PanTool,
+    Range1d,
+    ResetTool,
+    SaveTool,
+    TabPanel,
+    Tabs,
+    WheelZoomTool,
+)
+from bokeh.models.annotations import Span
+from bokeh.plotting import figure
+
+from hyperval.report import style
+from hyperval.report.charts_base import CURVE_COLOURS, FIRST_CURVES, LABELS, Curves, Labels
+from hyperval.report.style import COLLECTED, PREDICTED
+from hyperval.spectra.windows import ABSORPTION_BANDS_NM
+
+GREY = "#7a7f87"  # legible on white and on dark paper
+_ABSORPTION = "#9aa0a8"
+_EIGENVALUE = "eigenvalue [(µW cm⁻² sr⁻¹ nm⁻¹)²]"
+_LOOKS = {
+    "predicted": (PREDICTED.colour, "dashed"),
+    "collected": (COLLECTED.colour, "solid"),
+    "difference": (style.DIFFERENCE_COLOUR, "solid"),
+}
+
+
+def models_json(kind: str, target: str, *arguments: Any) -> str:
+    """The JSON of the models of a kind of chart, for the place ``target`` of a page."""
+    return _numbered(_KINDS[kind](*arguments), target)
+
+
+def spectra(bands: tuple[str, ...], numbered: bool, label: str, ratio: bool, labels: Labels) -> LayoutDOM:
+    """The plot of both sides, with that of their difference where ``bands`` has one; the script fills it."""
+    columns = [f"{band}{end}" for band in bands for end in ("", "_low", "_high")]
+    empty: dict[str, Any] = dict.fromkeys(("nm", *columns), np.empty(0, np.float32))
+    source = ColumnDataSource(empty, name="spectra")
+    starts, ends, _ = zip(*ABSORPTION_BANDS_NM, strict=True)
+    absorption = ColumnDataSource({"start": np.array(starts, np.float32), "end": np.array(ends, np.float32)})
+    span = Range1d(name="nm")
+    plots = []
+    shown = {**dict(zip(LABELS, labels, strict=True)), "difference": "difference"}
+    sides = [band for band in bands if band != "difference"]
+    at = ("band", "@nm{0}") if numbered else ("nm", "@nm{0.0}")
+    for height, range_name, axis_label, names in (
+        (300, "level", label, sides),
+        (190, "gap", "difference ratio [1]" if ratio else "difference [1]", ["difference"]),
+    ):
+        if names[0] not in bands:
+            continue
+        plot = _empty_plot(height, span, axis_label, None if numbered else absorption)
+        plot.y_range = Range1d(name=range_name)
+        lines = []
+        for band in names:
+            colour, dash = _LOOKS[band]
+            plot.varea("nm", f"{band}_low", f"{band}_high", source=source, fill_color=colour, fill_alpha=0.2)
+            named = {} if band == "difference" else {"legend_label": shown[band]}
+            lines.append(
+                plot.line("nm", band, source=source, color=colour, line_dash=dash, line_width=1.6, **named)
+            )
+            # Bands that are chosen in one plot stand out in both: their source is one.
+            plot.scatter(
+                "nm",
+                band,
+                source=source,
+                size=5,
+                color=colour,
+                alpha=0.0,
+                selection_alpha=1.0,
+                nonselection_alpha=0.0,
+            )
+        tips = [
+            (shown[band], f"@{band}{{0.0000}} (@{band}_low{{0.0000}} to @{band}_high{{0.0000}})") for band in names
+        ]
+        plot.add_tools(HoverTool(tooltips=[at, *tips], mode="vline", renderers=lines[:1]))
+        if range_name == "level":
+            _legend(plot)
+        else:
+            plot.add_layout(Span(location=0.0, dimension="width", line_color=GREY))
+        plots.append(plot)
+    plots[-1].xaxis.axis_label = "number of the band" if numbered else style.WAVELENGTH_LABEL
+    return column(*plots, sizing_mode="stretch_width")
+
+
+def curves(tabs: tuple[tuple[str, Curves], ...], labels: Labels) -> LayoutDOM:
+    """Tabs of ROC curves; the first few are seen, the others when their name is clicked."""
+    panels = [TabPanel(title=title, child=_curve_plot(i, own, labels)) for i, (title, own) in enumerate(tabs)]
+    return Tabs(tabs=panels, sizing_mode="stretch_width")
+
+
+def _curve_plot(tab: int, own: Curves, labels: Labels) -> Any:
+    plot = _empty_plot(420, Range1d(start=1e-3, end=1.0, name=f"pfa-{tab}"), "P_D [1]", x_axis_type="log")
+    plot.y_range = Range1d(start=-0.02, end=1.04)
+    lines = []
+    plot.xaxis.axis_label = "P_FA per pixel [1]"
+    second = "measured" if labels == LABELS else labels[1]
+    for number, (subject, sides) in enumerate(own.subjects):
+        colour, seen = CURVE_COLOURS[number % len(CURVE_COLOURS)], number < FIRST_CURVES
+        name = style.shortened(subject, 30)
+        for side in sides:
+            words, dash = ((labels[0], "dashed"), (second, "solid"))[side]
+            empty: dict[str, Any] = dict.fromkeys(("pfa", "pd", "low", "high"), np.empty(0, np.float32))
+            source = ColumnDataSource(empty, name=f"curve-{tab}-{number}-{side}")
+            common: dict[str, Any] = {"source": source, "legend_label": name, "visible": seen}
+            plot.varea("pfa", "low", "high", fill_color=colour, fill_alpha=0.12, **common)
+            drawn = plot.line if words != "measured" else plot.step
+            more = {} if words != "measured" else {"mode": "after"}
+            look = {"color": colour, "line_dash": dash, "line_width": 1.6, "name": f"{name}, {words}"}
+            lines.append(drawn("pfa", "pd", **look, **more, **common))
+            for curve in plot.renderers[-2:]:
+                curve.tags = [subject, seen]
+    tips = [("", "$name"), ("P_FA", "@pfa"), ("P_D", "@pd{0.000} (@low{0.000} to @high{0.000})")]
+    plot.add_tools(HoverTool(tooltips=tips, renderers=lines, mode="mouse"))
+    if own.is_counted:
+        line = Span(location=1.0, dimension="height", line_color=GREY, line_dash="dotted", name=f"counted-{tab}")
+        plot.add_layout(line)
+    _legend(plot)
+    plot.add_layout(plot.legend[0], "right")
+    return plot
+
+
+def densities(tabs: tuple[tuple[str, tuple[tuple[str, int, str], ...]], ...]) -> LayoutDOM:
+    """Tabs of densities, which the script fills."""
+    panels = [
+        TabPanel(title=detector, child=_density_plot(i, detector, curves))
+        for i, (detector, curves) in enumerate(tabs)
+    ]
+    return Tabs(tabs=panels, sizing_mode="stretch_width")
+
+
+def _density_plot(tab: int, detector: str, curves: Sequence[tuple[str, int, str]]) -> Any:
+    plot = _empty_plot(360, Range1d(name=f"score-{tab}"), "density [1]", y_axis_type="log")
+    plot.y_range = Range1d(start=1e-3, end=1.0, name=f"density-{tab}")
+    plot.xaxis.axis_label = f"score of {detector} [1]"
+    subjects = list(dict.fromkeys(subject for _, _, subject in curves))
+    lines = []
+    for place, (label, number, subject) in enumerate(curves):
+        empty: dict[str, Any] = dict.fromkeys(("score", "density"), np.empty(0, np.float32))
+        source = ColumnDataSource(empty, name=f"density-{tab}-{place}")
+        name = style.shortened(subject, 30)
+        lines.append(
+            plot.line(
+                "score", "density", source=source, legend_label=name, name=f"{name}, {label}",
+                color=CURVE_COLOURS[subjects.index(subject) % len(CURVE_COLOURS)], line_width=1.6,
+                line_dash="dashed" if number else "solid",
+            )
+        )  # fmt: skip
+    plot.add_tools(
+        HoverTool(tooltips=[("", "$name"), ("score", "@score"), ("density", "@density")], renderers=lines)
+    )
+    _legend(plot)
+    if curves:
+        plot.add_layout(plot.legend[0], "right")
+    return plot
+
+
+def eigenvalues(subjects: tuple[tuple[str, tuple[int, ...]], ...]) -> Any:
+    """Eigenvalues over their number, a name in the legend for each subject; the second side is solid."""
+    plot = _empty_plot(320, Range1d(start=0.0, end=30.0, name="number"), _EIGENVALUE, y_axis_type="log")
+    plot.y_range = Range1d(start=1e-3, end=1.0, name="eigenvalue")
+    plot.xaxis.axis_label = "number of the eigenvalue [1]"
+    lines = []
+    for number, (subject, sides) in enumerate(subjects):
+        for side in sides:
+            empty: dict[str, Any] = dict.fromkeys(("number", "value", "low", "high"), np.empty(0, np.float32))
+            source = ColumnDataSource(empty, name=f"eigenvalues-{number}-{side}")
+            name, dash = style.shortened(subject, 30), ("dashed", "solid")[side]
+            look: dict[str, Any] = {"color": CURVE_COLOURS[number % len(CURVE_COLOURS)], "legend_label": name}
+            plot.varea("number", "low", "high", source=source, fill_alpha=0.12, **_area(look))
+            lines.append(plot.line("number", "value", source=source, line_dash=dash, line_width=1.6, **look))
+            lines[-1].name = f"{name}, {LABELS[side]}"
+            plot.scatter("number", "value", source=source, size=5, **look)
+    tips = [("", "$name"), ("number", "@number{0}"), ("eigenvalue", "@value (@low to @high)")]
+    plot.add_tools(HoverTool(tooltips=tips, renderers=lines))
+    _legend(plot)
+    plot.add_layout(plot.legend[0], "right")
+    return plot
+
+
+def _area(look: dict[str, Any]) -> dict[str, Any]:
+    return {"fill_color": look["color"], "legend_label": look["legend_label"]}
+
+
+def _empty_plot(
+    height: int, span: Range1d, label: str, absorption: ColumnDataSource | None = None, **more: Any
+) -> Any:
+    """An empty plot in the house's look, legible on white and on dark paper."""
+    plot = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        x_range=span,
+        y_axis_label=label,
+        tools=[PanTool(), BoxZoomTool(), WheelZoomTool(), ResetTool(), SaveTool()],
+        toolbar_location="above",
+        background_fill_alpha=0.0,
+        border_fill_alpha=0.0,
+        outline_line_color=None,
+        min_border_left=72,  # so that plots above each other have one wavelength axis
+        **more,
+    )
+    plot.toolbar.logo = None
+    if absorption is not None:
+        plot.add_tools(BoxSelectTool(dimensions="width"))
+        plot.vstrip("start", "end", source=absorption, fill_color=_ABSORPTION, fill_alpha=0.22, line_alpha=0.0)
+    for axis in (*plot.xaxis, *plot.yaxis):
+        axis.axis_label_text_color = axis.major_label_text_color = axis.axis_line_color = GREY
+        axis.major_tick_line_color = axis.minor_tick_line_color = GREY
+        axis.axis_label_text_font_style = "normal"
+    plot.grid.grid_line_color = GREY
+    plot.grid.grid_line_alpha = 0.25
+    return plot
+
+
+def _legend(plot: Any) -> None:
+    """Names that show or hide their line when they are clicked."""
+    plot.legend.click_policy = "hide"
+    plot.legend.background_fill_alpha = 0.0
+    plot.legend.border_line_alpha = 0.0
+    plot.legend.label_text_color = GREY
+
+
+def _numbered(model: LayoutDOM, target: str) -> str:
+    """The JSON of a chart's models, numbered as they stand in it: the same chart gives the same bytes."""
+    item: Any = json_item(model, ID(target))
+    numbers: dict[str, str] = {}
+
+    def named(value: Any) -> None:
+        if isinstance(value, dict):
+            if isinstance(value.get("id"), str):
+                numbers.setdefault(value["id"], f"c{len(numbers)}")
+            for part in value.values():
+                named(part)
+        elif isinstance(value, list):
+            for part in value:
+                named(part)
+
+    def renamed(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: renamed(part) for key, part in value.items()}
+        if isinstance(value, list):
+            return [renamed(part) for part in value]
+        return numbers.get(value, value) if isinstance(value, str) else value
+
+    named(item["doc"])
+    return json.dumps(renamed(item), separators=(",", ":"), ensure_ascii=False)
+
+
+_KINDS: dict[str, Callable[..., LayoutDOM]] = {
+    "spectra": spectra,
+    "curves": curves,
+    "densities": densities,
+    "eigenvalues": eigenvalues,
+}

@@ -1,0 +1,54 @@
+"""What charts and figures take from the two sides of a run, without what either draws with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.products import Products, RocCurve, SpectralEstimate
+
+Array = npt.NDArray[np.float64]
+Sides = tuple[Products | None, Products | None]
+MOST_EIGENVALUES = 30
+
+
+def eigenvalues(estimate: SpectralEstimate) -> Array:
+    """(K,) leading eigenvalues of the pixel covariance over its finite bands, largest first."""
+    covariance = np.asarray(estimate.pixel_covariance, dtype=float)
+    finite = np.isfinite(np.diag(covariance))
+    block = covariance[np.ix_(finite, finite)]
+    if block.size == 0 or not np.isfinite(block).all():
+        return np.empty(0)
+    values = np.linalg.eigvalsh(block)[::-1]
+    rank = block.shape[0] if estimate.n is None else min(block.shape[0], max(estimate.n - 1, 0))
+    values = values[: min(rank, MOST_EIGENVALUES)]
+    return values[values > 1e-13 * max(values[0], 0.0)] if values.size else values
+
+
+def both_first(predicted: Mapping[Any, Any], collected: Mapping[Any, Any]) -> list[Any]:
+    """Keys of either side: those of both sides before those of one."""
+    common = [key for key in predicted if key in collected]
+    return common + [k for k in predicted if k not in collected] + [k for k in collected if k not in predicted]
+
+
+def difference_ratio(predicted: SpectralEstimate, collected: SpectralEstimate) -> tuple[Array, Array]:
+    """(predicted - collected) / collected and its standard uncertainty, both (B,), the sides independent."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        quotient = predicted.mean / collected.mean
+        u = np.hypot(predicted.standard_uncertainty, quotient * collected.standard_uncertainty)
+        return quotient - 1.0, u / np.abs(collected.mean)
+
+
+def best_counted(keys: list[Any], measured: Mapping[Any, RocCurve], most: int) -> list[Any]:
+    """``keys``, of too many those ``most`` with the most targets (pools of targets among them)."""
+    if len(keys) <= most:
+        return keys
+
+    def count(key: Any) -> int:
+        return (measured[key].n_target or 0) if key in measured else -1
+
+    chosen = set(sorted(keys, key=lambda key: -count(key))[:most])
+    return [key for key in keys if key in chosen]
