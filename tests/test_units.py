@@ -68,12 +68,15 @@ def test_unknown_unit_lists_what_is_known(factor, unit):
     "unit",
     [
         "W/m^2/sr/um", "W/m2/um/sr", "W/(m2 sr um)", "W/(m^2*sr*µm)", "W m^-2 sr^-1 um^-1", "W·m⁻²·sr⁻¹·μm⁻¹",
-        "W m**-2 SR**-1 micron**-1", "W m−2 um-1 sr-1", "watts/meter2/sr/micrometer",
+        "W m**-2 SR**-1 micron**-1", "W m−2 um-1 sr-1", "watts/meter2/sr/micrometer", "W/sqm/str/um",
+        "Watts/(square m * sr * micron)", "watts per square meter per micrometer per steradian",
+        "W/sq. m/sr/um",
     ],
 )  # fmt: skip
 def test_a_unit_may_be_spelled_in_many_ways(unit):
     assert units.radiance_to_internal(unit) == units.radiance_to_internal("W m-2 sr-1 um-1")
     assert units.irradiance_to_internal("µW/cm²/nm") == 1.0
+    assert units.radiance_to_internal("microW/cm^2/nm/sr") == 1.0
 
 
 @pytest.mark.parametrize(

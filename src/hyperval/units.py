@@ -40,6 +40,7 @@ _RADIANCE_TO_INTERNAL = {
     "W cm-2 sr-1 um-1": 1e3,
     "mW cm-2 sr-1 nm-1": 1e3,
     "uW cm-2 sr-1 um-1": 1e-3,
+    "nW cm-2 sr-1 nm-1": 1e-3,
 }
 
 # What one of the named unit is in uW cm-2 nm-1.
@@ -113,7 +114,9 @@ def _factor(table: dict[str, float], unit: str, quantity: str) -> float:
 
 def _parts(unit: str) -> frozenset[tuple[str, int]] | None:
     """Names and powers of a unit: W/m^2/sr/um, W/(m2 sr um) and W m-2 sr-1 um-1 are one; None: not readable."""
-    text = unit.strip().replace("**", "^").translate(_SIGNS).replace("^", "")
+    text = re.sub(r"\b(?:square|sq\.?)\s*([a-z]+)", r"\g<1>2", unit.strip(), flags=re.IGNORECASE)
+    text = re.sub(r"\sper\s", "/", text, flags=re.IGNORECASE)
+    text = text.replace("**", "^").translate(_SIGNS).replace("^", "")
     grouped = re.fullmatch(r"[^()/]+/\s*\([^()/]*\)", text) is not None  # W/(m2 sr um): all are divided by
     if not grouped and re.search(r"[()]", text):
         return None
@@ -145,10 +148,11 @@ _SIGNS = str.maketrans({
 })  # fmt: skip
 
 _SPELLINGS = _spelled(
-    ("sr", "sr steradian steradians ster"),
+    ("sr", "sr steradian steradians ster str"),
     ("W", "w watt watts"),
-    ("mW", "mW milliwatt milliwatts"),
-    ("uW", "uW uw microwatt microwatts"),
+    ("mW", "mW milliw milliwatt milliwatts"),
+    ("nW", "nW nanowatt nanowatts"),
+    ("uW", "uW uw microw microwatt microwatts"),
     ("nm", "nm nanometer nanometers nanometre nanometres"),
     ("um", "um micron microns micrometer micrometers micrometre micrometres"),
     ("cm", "cm centimeter centimeters centimetre centimetres"),

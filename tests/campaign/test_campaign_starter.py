@@ -111,6 +111,85 @@ def write_reflectance():
     return write
 
 
+@pytest.fixture
+def delivery(tmp_path):
+    """A radiance line as others write it: lawn, court, flat panels, felts of two sizes where no class is drawn."""
+    rng, w = np.random.default_rng(5), np.arange(450.0, 900.0, 10.0)
+    lawn, court, felt = 0.05 + 0.4 * (w > 700.0), 0.1 + 0.0002 * (w - 450.0), np.where(w < 600.0, 0.1, 0.6)
+    image = np.where(np.arange(40)[None, :, None] < 20, lawn, court) * rng.normal(1.0, 0.05, (40, 40, 1))
+    names = {
+        "court": np.s_[10:30, 30:38],
+        "lawn": np.s_[34:39, 2:8],
+        "black": np.s_[0:5, 22:28],
+        "white": np.s_[0:5, 32:38],
+    }
+    image[names["black"]], image[names["white"]] = 0.04, 0.6
+    felts = [(8, 5, 1.0), (14, 10, 0.5), (20, 5, 1.0), (26, 10, 0.5)]
+    for line, sample, side in felts:
+        image[line, sample] += side**2 * (felt - image[line, sample])
+    stored = np.round(1000.0 * (image * 10.0 + 1.0 + rng.normal(0.0, 0.02, image.shape))).astype("<i2")
+    (tmp_path / "line.img").write_bytes(stored.transpose(0, 2, 1).tobytes())
+    (tmp_path / "line.hdr").write_text(
+        "ENVI\nsamples = 40\nlines = 40\nbands = 45\nheader offset = 0\ndata type = 2\ninterleave = bil\n"
+        "byte order = 0\nwavelength units = nm\nreflectance scale factor = 1000\ndata units = microW/cm^2/nm/sr\n"
+        "map info = {UTM, 1, 1, 275400, 4753700, 1, 1, 18, North, WGS-84}\n"
+        f"wavelength = {{{', '.join(map(str, w))}}}\n"
+    )
+    classes = np.zeros((40, 40), np.uint8)
+    for number, part in enumerate(names.values(), 1):
+        classes[part] = number
+    (tmp_path / "map.img").write_bytes(classes.tobytes())
+    (tmp_path / "map.hdr").write_text(
+        "ENVI\nsamples = 40\nlines = 40\nbands = 1\nheader offset = 0\nfile type = ENVI Classification\n"
+        "data type = 1\ninterleave = bsq\nbyte order = 0\nclasses = 5\n"
+        f"class names = {{none, {', '.join(names)}}}\n"
+    )
+    table = np.column_stack([w, lawn, court, felt, 0.04 + 0 * w, 0.6 + 0 * w])
+    head = "wavelength_nm,lawn,court,felt,black,white"
+    np.savetxt(tmp_path / "field.csv", table, delimiter=",", header=head, comments="")
+    rows = "".join(f"felt,{line + 0.5},{sample + 0.5},{side:g}\n" for line, sample, side in felts)
+    (tmp_path / "felts.csv").write_text("material,line,sample,side_m\n" + rows)
+    return [
+        "init", "--cube", str(tmp_path / "line.img"), "--regions", str(tmp_path / "map.img"),
+        "--targets", str(tmp_path / "felts.csv"), "--sensor", "aviris-ng", "--time", "2012-07-18T16:00:00Z",
+        "--altitude-km", "1", "-o", str(tmp_path / "new"), "--spectra",
+    ]  # fmt: skip
+
+
+def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(delivery, tmp_path):
+    assert cli.run([*delivery, str(tmp_path / "field.csv")]) == 0
+    items = dry_run([tmp_path / "new" / "campaign.yaml"])
+    assert [i for i in items if i.state == WRONG] == []
+    campaign = load_campaign(tmp_path / "new" / "campaign.yaml")
+    cube, line, scene = campaign.collection.cube, campaign.collection.empirical_line, campaign.scenarios[0].scene
+    assert cube is not None
+    assert (cube.quantity, cube.unit, cube.scale) == ("radiance", "microW/cm^2/nm/sr", 0.001)
+    assert line is not None
+    assert [p.region for p in line.panels] == ["black", "white"]  # by their flat spectra: no name says panel
+    assert scene.targets[0].host == "lawn"  # no class is drawn around them: what is seen there is like the lawn
+    subjects = {s.name: s.fill.geometry.side_m for s in scene.targets[0].subjects}
+    assert subjects == {"felt 1 m": 1.0, "felt 0.5 m": 0.5}
+    assert next(g for g in campaign.comparisons if g.product == "roc").subjects == tuple(subjects)
+
+
+def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path):
+    table = np.loadtxt(tmp_path / "field.csv", delimiter=",", skiprows=1)[:, :4]
+    np.savetxt(tmp_path / "few.csv", table, delimiter=",", header="wavelength_nm,lawn,court,felt", comments="")
+    assert cli.run([*delivery, str(tmp_path / "few.csv")]) == 0
+    path = tmp_path / "new" / "campaign.yaml"
+    campaign = load_campaign(path)
+    assert campaign.detection is None
+    assert any("no detection: in radiance it needs an empirical line" in text for text in campaign.assumptions)
+    assert summary(dry_run([path])) == ["new: ready"]
+    # Written by hand all the same, the dry run says so before the collection is read.
+    content = yaml.safe_load(path.read_text())
+    target = {"name": "felt", "material": "felt", "spectrum": {"file": "../few.csv", "record": "felt"}}
+    content["detection"] = {"group": "{target} {side_m} m", "detectors": ["cem"], "targets": [target]}
+    path.write_text(yaml.safe_dump(content))
+    wrong = [i for i in dry_run([path]) if i.state == WRONG]
+    assert any("detection on radiance needs an empirical line" in str(i) for i in wrong)
+
+
 @pytest.mark.parametrize(
     ("missing", "said"),
     [

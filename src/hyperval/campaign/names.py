@@ -16,7 +16,7 @@ from hyperval.config import Location
 from hyperval.datasets import resolve
 from hyperval.errors import HypervalError
 from hyperval.metrics import foreign
-from hyperval.observe.place import IMAGE, SCENE, Place, open_place
+from hyperval.observe.place import IMAGE, SCENE, Place, check_line_for_detection, open_place
 from hyperval.observe.radcalnet import observe_radcalnet
 from hyperval.observe.subjects import target_groups
 from hyperval.prediction.inputs import Sources
@@ -223,6 +223,9 @@ def _opened(campaign: Campaign, lookup: Lookup, find: Callable[[str], Path]) -> 
             place = open_place(plain.model_copy(update={"targets": collection.targets}), find, show_progress=False)
     groups: dict[str, None] = {}
     detection = campaign.detection
+    if detection is not None and detection.targets:
+        with lookup.at("detection"):
+            check_line_for_detection(place, collection)
     for i, target in enumerate(detection.targets if detection else ()):
         with lookup.at("detection", "targets", i, "material"):
             groups |= dict.fromkeys(target_groups(place.targets, target, detection.group if detection else ""))

@@ -19,6 +19,7 @@ from hyperval.campaign.starter_scene import (
     field_spectra,
     matching_spectrum,
     materials,
+    panels_among,
     scenario,
 )
 from hyperval.campaign.usual import usual_comparisons
@@ -28,7 +29,6 @@ from hyperval.imagery.rasters import Raster, open_raster
 from hyperval.observe.place import Place, open_place
 from hyperval.units import radiance_to_internal
 
-_PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
 _SCALES = (0.01, 0.001, 0.0001)  # percent, and reflectance times 1000 or 10000
 
 
@@ -47,7 +47,7 @@ def starter_campaign(sources: Sources, folder: Path, name: str) -> tuple[str, li
     collection["regions"] = [{"file": draft.reference(path)} for path in sources.regions] or [
         {"name": "whole image", "whole_image": True}
     ]
-    _scale(collection, draft)
+    _scale(collection, raster, draft)
     for entry in collection["regions"] if sources.regions else ():
         _coordinates(collection, entry, draft)
     place = _place(sources, collection, draft)
@@ -62,7 +62,7 @@ def starter_campaign(sources: Sources, folder: Path, name: str) -> tuple[str, li
         "collection": collection,
     }
     matched = {region: match for region in place.regions if (match := matching_spectrum(region, spectra))}
-    panels = [region for region in place.regions if _PANEL.search(region)]
+    panels = panels_among(place.regions, matched)
     if quantity == "radiance":
         empirical_line(draft, panels, matched)
     if panels:
@@ -104,6 +104,8 @@ def stated_quantity(raster: Raster) -> str:
         named = [quantity for quantity, pattern in patterns.items() if re.search(pattern, text)]
         if len(named) == 1:
             return named[0]
+        if not named and _stated_unit(raster) is not None:
+            return "radiance"
     raise UsageError(
         "the files do not say whether the image holds radiance or reflectance",
         where=str(raster.path),
@@ -155,13 +157,26 @@ def _opened(collection: Mapping[str, Any], draft: Draft, **parts: Any) -> Place:
     return open_place(Collection.model_validate(content), resolve, show_progress=False)
 
 
-def _scale(collection: dict[str, Any], draft: Draft) -> None:
-    """State the scale of a reflectance image whose header does not: the largest that makes reflectances of it."""
+def _scale(collection: dict[str, Any], raster: Raster, draft: Draft) -> None:
+    """State the scale of an image whose header does not.
+
+    Of reflectance, the largest that makes reflectances of the values; of radiance, the divisor that the header
+    states for a reflectance, as some programs write it for either.
+    """
     try:
         _opened(collection, draft)
     except InputError as error:
-        if collection["cube"]["quantity"] != "reflectance" or "state scale" not in (error.mend or ""):
+        if "state scale" not in (error.mend or ""):
             raise
+        if collection["cube"]["quantity"] != "reflectance":
+            factor = raster.header.number("reflectance scale factor") if raster.header is not None else None
+            if factor is None or raster.header is None or "data gain values" in raster.header.entries:
+                raise
+            collection["cube"]["scale"] = 1.0 / factor
+            because = f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
+            draft.guess("collection", "cube", "scale", because=because)
+            _opened(collection, draft)
+            return
         for scale in _SCALES:
             collection["cube"]["scale"] = scale
             try:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from rasterio import warp
 
 from hyperval.campaign.starter_draft import Draft, Sources
@@ -21,9 +22,15 @@ from hyperval.observe.place import Place
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.readers import read_records
+from hyperval.spectra.windows import in_window
 
 _REFLECTANCE_UNITS = ("fraction", "percent", "scaled:1000", "scaled:10000")
 _RING_PIXELS = 4.0
+_MOST_SIZES = 12
+_FLAT = 0.06  # standard deviation over mean, of grey cloths and panels
+_PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,7 @@ class Spectrum:
     record: str | None
     unit: str | None
     guessed: bool
+    flat: bool = False
 
     def source(self, draft: Draft) -> dict[str, Any]:
         """As a scenario names it."""
@@ -94,12 +102,30 @@ def _records(path: Path) -> list[Spectrum]:
             several = len(records) > 1
             return [
                 Spectrum(
-                    r.name if several else path.stem, path, r.name if several else None, unit, unit is not None
+                    r.name if several else path.stem,
+                    path,
+                    r.name if several else None,
+                    unit,
+                    unit is not None,
+                    _is_flat(r.values[in_window(r.wavelength_nm)]),
                 )
                 for r in records
             ]
     read_records(path)  # the reader's own words for what is wrong
     raise InputError("no reflectance in any usual unit", where=str(path))
+
+
+def _is_flat(reflectance: Array) -> bool:
+    """Whether it is as flat as that of a calibration panel: known, and of hardly any slope or feature."""
+    if reflectance.size == 0 or not np.all(np.isfinite(reflectance)):
+        return False
+    return bool(np.std(reflectance) < _FLAT * np.mean(reflectance))
+
+
+def panels_among(regions: Iterable[str], matched: Mapping[str, Spectrum]) -> list[str]:
+    """Regions that are calibration panels by their name, or two and more whose field spectra are flat."""
+    flat = [region for region in regions if region in matched and matched[region].flat]
+    return [region for region in regions if _PANEL.search(region) or (len(flat) > 1 and region in flat)]
 
 
 def empirical_line(draft: Draft, panels: Sequence[str], matched: Mapping[str, Spectrum]) -> None:
@@ -109,7 +135,11 @@ def empirical_line(draft: Draft, panels: Sequence[str], matched: Mapping[str, Sp
         return
     entries = [{"region": panel, "spectrum": matched[panel].source(draft)} for panel in known]
     draft.content["collection"]["empirical_line"] = {"panels": entries}
-    draft.guess("collection", "empirical_line", because=f"through {', '.join(known)}: regions named as panels")
+    draft.guess(
+        "collection",
+        "empirical_line",
+        because=f"through {', '.join(known)}: regions named as panels, or of flat spectra",
+    )
 
 
 def scenario(
@@ -222,8 +252,16 @@ def add_targets(place: Place, spectra: Sequence[Spectrum], scenario: dict[str, A
     known = {m: match for m in materials(place) if (match := matching_spectrum(m, spectra))}
     if not known:
         return
+    collection = draft.content["collection"]
+    if collection["cube"]["quantity"] == "radiance" and "empirical_line" not in collection:
+        because = (
+            "no detection: in radiance it needs an empirical line, two panels with a region and a spectrum each"
+        )
+        draft.guess("collection", "targets", because=because)
+        return
+    sizes = {material: _sizes([t for t in place.targets if t.material == material]) for material in known}
     draft.content["detection"] = {
-        "group": "{material}",
+        "group": "{target} {side_m} m" if all(sizes.values()) else "{material}",
         "detectors": ["cem"],
         "targets": [
             {"name": material, "material": material, "spectrum": match.source(draft)}
@@ -234,22 +272,27 @@ def add_targets(place: Place, spectra: Sequence[Spectrum], scenario: dict[str, A
     entries = []
     for material, match in known.items():
         objects = [target for target in place.targets if target.material == material]
-        entries.append(
-            {
-                "name": material,
-                "spectrum": match.source(draft),
-                "covariance": {"relative_sd": 0.03, "band_sd": 0.001},
-                "host": _host(place, objects, classes),
-                "fill": _fill(place, objects),
-            }
-        )
+        entry: dict[str, Any] = {
+            "name": material,
+            "spectrum": match.source(draft),
+            "covariance": {"relative_sd": 0.03, "band_sd": 0.001},
+            "host": _host(place, objects, classes),
+        }
+        if all(sizes.values()):
+            entry["subjects"] = [
+                {"name": f"{material} {size} m", "fill": _fill(place, [t for t in objects if _size(t) == size])}
+                for size in sizes[material]
+            ]
+        else:
+            entry["fill"] = _fill(place, objects)
+        entries.append(entry)
     scenario["scene"]["targets"] = entries
     draft.guess(
         "scenarios",
         "scene",
         "targets",
-        because="host: the class most seen around a target; fill: by a square of the target's size, or of as many "
-        "pixels; a spread of 3 % from pixel to pixel",
+        because="host: the class most seen around a target, or else like what is seen there; fill: by a square of "
+        "the target's size, or of as many pixels; a spread of 3 % from pixel to pixel",
     )
     _spectra_known_to(scenario, list(known), draft)
 
@@ -260,13 +303,41 @@ def _spectra_known_to(scenario: dict[str, Any], subjects: Sequence[str], draft: 
     draft.guess("scenarios", "uncertainty", "field_spectra", because="known to 5 %, the same in all bands")
 
 
+def _size(target: TargetObject) -> str | None:
+    return target.attributes.get("side_m")
+
+
+def _sizes(objects: Sequence[TargetObject]) -> list[str]:
+    """Sides of squares of known sizes, greatest first; empty where they are all alike, not known, or many."""
+    sides = {size: target.side_m for target in objects if (size := _size(target)) and math.isfinite(target.side_m)}
+    complete = all(_size(target) in sides for target in objects)
+    return sorted(sides, key=lambda size: -sides[size]) if complete and 1 < len(sides) <= _MOST_SIZES else []
+
+
 def _host(place: Place, objects: Sequence[TargetObject], classes: Sequence[str]) -> str:
-    """The class with the most pixels around the targets."""
+    """The class with the most pixels around the targets; where none is there, that of the most similar spectrum."""
     own = np.zeros(place.cube.shape, bool)
     for target in objects:
         target.paint(own)
     ring = guard(own, _RING_PIXELS) & ~place.near_targets
-    return max(classes, key=lambda name: int(np.sum(ring & place.region(name))))
+    likeness = [float(np.sum(ring & place.region(name))) for name in classes]
+    if max(likeness) == 0.0 and ring.any():
+        around, *means = _means(place, [ring, *(place.region(name) for name in classes)])
+        likeness = [around @ m / (np.linalg.norm(around) * np.linalg.norm(m)) for m in means]
+    return classes[int(np.argmax(likeness))]
+
+
+def _means(place: Place, masks: Sequence[Mask]) -> Array:
+    """(R, B) mean of the pixels of each mask in the bands that are good."""
+    good = place.cube.axis.good
+    sums, counts = np.zeros((len(masks), int(good.sum()))), np.zeros((len(masks), 1))
+    for block in place.cube.blocks(dtype=np.float32):
+        rows = slice(block.first_line, block.first_line + block.values.shape[0])
+        for i, mask in enumerate(masks):
+            chosen = block.values[mask[rows] & block.valid][:, good]
+            sums[i] += chosen.sum(axis=0, dtype=float)
+            counts[i] += len(chosen)
+    return np.asarray(sums / np.maximum(counts, 1.0))
 
 
 def _fill(place: Place, objects: Sequence[TargetObject]) -> dict[str, Any]:

@@ -40,8 +40,9 @@ def usual_comparisons(content: Mapping[str, Any]) -> list[dict[str, Any]]:
     materials = [target["name"] for target in scene.get("targets", [])]
     if materials:
         backgrounds = [background_of(name) for name in materials]
+        subjects = [s["name"] for target in scene["targets"] for s in target.get("subjects") or [target]]
         out += [
-            _entry("roc", materials, "pd_difference@1e-2", {"within": [-0.15, 0.15]},
+            _entry("roc", subjects, "pd_difference@1e-2", {"within": [-0.15, 0.15]},
                    "a sixth more or fewer target pixels detected is what a user would not act upon",
                    method="cem/pixel"),
             _entry("scores", backgrounds, "pfa_ratio@1e-2", {"within": [0.5, 2.0]},

@@ -12,12 +12,11 @@ import numpy.typing as npt
 
 from hyperval.apart import give_back_freed
 from hyperval.collection import Classification, Collection, Detection
-from hyperval.errors import UsageError
 from hyperval.observe.classification import classification_errors
 from hyperval.observe.detection import Detected, detect
 from hyperval.observe.empirical_line import empirical_line, line_notes, refuse_saturated
 from hyperval.observe.filter_bank import BACKGROUND, in_reflectance
-from hyperval.observe.place import IMAGE, Place, open_place
+from hyperval.observe.place import IMAGE, Place, check_line_for_detection, open_place
 from hyperval.observe.radcalnet import observe_radcalnet
 from hyperval.observe.sampling import mean_error
 from hyperval.observe.site_spectra import observe_spectra
@@ -132,11 +131,8 @@ def observe(
 
     detected = None
     if detection is not None:
-        if cube.quantity == "radiance" and elm is None and detection.targets:  # anomalies are the same in radiance
-            raise UsageError(
-                "detection on radiance needs an empirical line",
-                mend="add collection.empirical_line with two panels",
-            )
+        if detection.targets:  # anomalies are the same in radiance
+            check_line_for_detection(place, collection)
         detected = detect(place, detection, measured, elm, resolve, show_progress=show_progress)
     unmixed = None
     if detection is not None and detection.unmixing is not None and detected is not None:

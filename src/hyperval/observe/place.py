@@ -155,6 +155,14 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     )
 
 
+def check_line_for_detection(place: Place, collection: Collection) -> None:
+    """Raise UsageError where targets are looked for in radiance and no empirical line tells their reflectance."""
+    if place.cube.quantity == "radiance" and collection.empirical_line is None:
+        raise UsageError(
+            "detection on radiance needs an empirical line", mend="add collection.empirical_line with two panels"
+        )
+
+
 def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LookupTable | None, tuple[str, ...]]:
     """What places the pixels of a cube in scanner geometry, stated or found, and notes on it."""
     if source.glt is None:
