@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
+from spectra_shells import CORRELATION, NM, hypernets
 
 from hyperval.errors import InputError
 from hyperval.prediction.inputs import Sources
@@ -17,47 +17,11 @@ from hyperval.spectra.hypernets import read_hypernets
 from hyperval.spectra.readers import read_records, read_spectrum
 from hyperval.spectra.response import band_average
 
-NM = np.arange(400.0, 461.0, 2.0)
 REAL = "hypernets/HYPERNETS_L_GHNA_L2A_REF_20231103T0901_20240124T2246_v2.0.nc"
-# Eight channels correlated by 0.9, the rest by 0.3: to two decimals it has no negative eigenvalue.
-CORRELATION = np.where(np.equal.outer(NM < 416.0, NM < 416.0), 0.9, 0.3) + 0.1 * np.eye(NM.size)
 
 
 def written(tmp_path: Path, **changes) -> Path:
-    """A file of two series with the layout of the network."""
-    path = tmp_path / "sequence.nc"
-    values = {
-        "wavelength": NM,
-        "reflectance": np.stack([np.full(NM.size, 0.2), np.linspace(0.2, 0.4, NM.size)], axis=1),
-        "std_reflectance": np.full((NM.size, 2), 0.003),
-        "u_rel_random_reflectance": np.full((NM.size, 2), 1.0),
-        "u_rel_systematic_reflectance": np.full((NM.size, 2), 3.0),
-        "err_corr_systematic_reflectance": CORRELATION,
-        "viewing_zenith_angle": np.array([30.0, 0.0]),
-        "viewing_azimuth_angle": np.array([263.0, 98.0]),
-        "solar_zenith_angle": np.array([20.0, 20.0]),
-        "solar_azimuth_angle": np.array([10.0, 10.0]),
-        "acquisition_time": np.array([1699002224, 1699002230]),
-        "quality_flag": np.array([0, 16]),
-        "n_valid_scans": np.array([10, 12]),
-        **changes,
-    }
-    with h5py.File(path, "w") as file:
-        file.attrs.update(
-            processor_name="hypernets_processor", site_id="XXXX", site_latitude=-23.6, site_longitude=15.1
-        )
-        for name, array in values.items():
-            if array is not None:
-                file[name] = array
-        file["wavelength"].make_scale("wavelength")
-        series = file.create_dataset("series", data=np.arange(2.0))
-        series.make_scale("series")
-        for name, array in values.items():
-            if name == "wavelength" or array is None:
-                continue
-            for i, size in enumerate(array.shape):
-                file[name].dims[i].attach_scale(file["wavelength"] if size == NM.size else series)
-    return path
+    return hypernets(tmp_path / "sequence.nc", **changes)
 
 
 def test_a_series_and_its_errors(tmp_path):

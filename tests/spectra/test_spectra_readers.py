@@ -13,6 +13,7 @@ import pytest
 import spectral
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from spectra_shells import specpr
 
 from hyperval.errors import HypervalError, InputError, UsageError
 from hyperval.spectra.readers import read_records, read_spectrum
@@ -455,38 +456,6 @@ def test_the_wavelengths_of_a_usgs_spectrum_are_those_beside_it(tmp_path: Path):
     (inner / "second_wavelengths.txt").write_text(head + rows(WAVE / 1000))  # two would fit: none is taken
     with pytest.raises(InputError, match="single column"):
         read_spectrum(path)
-
-
-def specpr_record(flags: int, title: str, values: np.ndarray, **words: int) -> bytes:
-    """The first record of a SPECPR spectrum and its continuations, as the format's description has them."""
-    raw = bytearray(1536)
-    raw[:4] = struct.pack(">i", flags)
-    raw[4:44] = title.encode().ljust(40)
-    places = {"itchan": 80, "irwav": 100, "irespt": 104}
-    for name, word in (("itchan", values.size), *words.items()):
-        struct.pack_into(">i", raw, places[name], word)
-    data = values.astype(">f4").tobytes()
-    raw[512:1536] = data[:1024].ljust(1024, b"\0")
-    out = bytes(raw)
-    for at in range(1024, len(data), 1532):
-        out += struct.pack(">i", flags | 1) + data[at : at + 1532].ljust(1532, b"\0")
-    return out
-
-
-def specpr(harm: Callable[[bytearray], None] = lambda raw: None) -> bytes:
-    """Wavelengths (3 records), widths, a text, a spectrum with errors, one without: records 1, 4, 7, 8, 11, 14."""
-    grid = np.linspace(0.35, 2.5, 700)
-    text = struct.pack(">i", 2) + b"A description".ljust(1532)
-    rho = np.linspace(0.1, 0.6, 700)
-    rho[5] = -1.23e34
-    parts = [b"SPECPR_MAGIC".ljust(1536, b"\0"), specpr_record(0, "Wavelengths in microns", grid)]
-    parts += [specpr_record(0, "Bandpass (FWHM)", np.full(700, 0.01)), text]
-    parts += [specpr_record(8, "Actinolite HS22.3B", rho, irwav=1, irespt=4)]
-    parts += [specpr_record(0, "errors to previous data", np.full(700, 0.02), irwav=1)]
-    parts += [specpr_record(0, "Alunite GDS84", rho + 0.1, irwav=1, irespt=4)]
-    raw = bytearray(b"".join(parts))
-    harm(raw)
-    return bytes(raw)
 
 
 def test_specpr(tmp_path: Path):

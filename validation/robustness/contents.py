@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import product_shells
 import rasterio
+import spectra_shells
 import xarray as xr
 from affine import Affine
 from rasterio.crs import CRS
@@ -54,6 +55,10 @@ def texts() -> dict[str, tuple[str, str]]:
     plot = "ENVI ASCII Plot File [Mon]\nColumn 1: Wavelength (nm)\nColumn 2: grass~~2\n"
     return {
         "columns": ("a.csv", "wavelength_nm,reflectance [1],std\n" + rows(NM, RHO, RHO / 10, sep=",")),
+        "ger": (
+            "a.001",
+            "///GER SIGNATUR FILE///\nname= lawn\ndata= \n" + rows(NM, 5000 * RHO, NM * 0 + 5000, sep="  "),
+        ),
         "decimal comma": ("a.txt", "Wavelength (nm);rho\n" + rows(NM, RHO, sep="; ").replace(".", ",")),
         "envi plot": ("a.txt", plot + rows(NM, RHO, sep="  ")),
         "ecostress": ("a.txt", ecostress + rows(NM[::-1] / 1000, RHO[::-1] * 100)),
@@ -179,6 +184,38 @@ def prediction() -> Prediction:
     )
 
 
+def libraries(folder: Path) -> dict[str, dict[str, bytes]]:
+    """Files of many spectra that come with their errors."""
+    path = spectra_shells.hypernets(folder / "sequence.nc")
+    return {"specpr": {"splib": spectra_shells.specpr()}, "hypernets": {path.name: path.read_bytes()}}
+
+
+def with_text_beside(folder: Path) -> dict[str, dict[str, bytes]]:
+    """Images of which a file beside them says what their numbers are; that file comes first."""
+    counts = np.random.default_rng(2).integers(100, 9000, (*SHAPE, NM.size)).astype(np.int16)
+    axis = SpectralAxis(NM, np.full(NM.size, 20.0))
+    write_cube(folder / "f1rdn_img.dat", counts, data_type=2, interleave="bip", axis=axis)
+    gain = "".join(f"{300.0 if nm < 700 else 600.0:.1f} {i}\n" for i, nm in enumerate(NM, start=1))
+    out = {"aviris gain": {"f1rdn.gain": gain.encode()}}
+    out["aviris gain"] |= {name: (folder / name).read_bytes() for name in ("f1rdn_img.dat", "f1rdn_img.hdr")}
+    (folder / "stac").mkdir()
+    image, _ = product_shells.stac(folder / "stac")
+    item = image.with_suffix(".json")
+    out["stac item"] = {item.name: item.read_bytes(), image.name: image.read_bytes()}
+    # DIRSIG's truth: 64-bit numbers, the header under the whole name, each band with its name.
+    material = np.where(np.arange(SHAPE[0])[:, None] < 5, 3.0, 12.0) * np.ones(SHAPE)
+    abundance = np.zeros(SHAPE)
+    abundance[2:4, 5:7] = 0.75
+    header = (
+        f"ENVI\nsamples = {SHAPE[1]}\nlines = {SHAPE[0]}\nbands = 2\nheader offset = 0\ndata type = 5\n"
+        "interleave = bip\nbyte order = 0\nband names = {Material Index, Abundance - panel 7}\n"
+    )
+    values = np.stack([material, abundance], axis=2).astype("<f8").tobytes()
+    out["dirsig header"] = {"truth.img.hdr": header.encode(), "truth.img": values}
+    out["dirsig truth"] = dict(reversed(out["dirsig header"].items()))
+    return out
+
+
 def results(folder: Path) -> dict[str, dict[str, bytes]]:
     """Files in which a run keeps its products."""
     write_products(folder / "products.nc", {"predicted": prediction(), "observed": None}, title="t", simulated=True)
@@ -194,6 +231,7 @@ def products_of_imagers(folder: Path) -> dict[str, dict[str, bytes]]:
         "neon reflectance": product_shells.neon_reflectance,
         "neon radiance": product_shells.neon_radiance,
         "prisma l1": product_shells.prisma,
+        "prisma l2b": lambda path: product_shells.prisma(path, "L2B"),
         "prisma l2d": lambda path: product_shells.prisma(path, "L2D"),
         "tanager": product_shells.tanager,
     }

@@ -8,11 +8,13 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "imagery"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "shared"))
 
 from contents import (
     MAP,
@@ -22,12 +24,14 @@ from contents import (
     asd,
     chn,
     drawn,
+    libraries,
     products_of_imagers,
     radcalnet,
     results,
     rows,
     tape7,
     texts,
+    with_text_beside,
     written,
 )
 
@@ -38,14 +42,15 @@ from hyperval.atmosphere.table_files import read_table
 from hyperval.baseline.schema import load_baseline
 from hyperval.campaign.draft import read_texts
 from hyperval.campaign.schema import load_campaigns
-from hyperval.collection_files import BandTable
+from hyperval.collection_files import AbundanceTruth, BandTable, RegionSource
 from hyperval.config import load_yaml
 from hyperval.envi_header import read_header
-from hyperval.imagery.cube import open_cube
+from hyperval.imagery.cube import Cube, open_cube
 from hyperval.imagery.lookup_table import open_lookup_table
 from hyperval.imagery.regions import read_regions
 from hyperval.imagery.truth import read_targets
 from hyperval.observe.site_spectra import read_band_table
+from hyperval.observe.truth_bands import abundance_targets, material_regions
 from hyperval.report.netcdf_read import read_products
 from hyperval.report.stored import read_results
 from hyperval.report.tables import results_json
@@ -131,6 +136,20 @@ def _cube(path: Path, quantity: str = "other") -> None:
             raise ImplausibleError(f"a block of shape {block.values.shape}")
 
 
+def _truth(path: Path) -> None:
+    """Truth of a simulation, in the size of a cube that has nothing else to do with it."""
+    size = cast("Cube", SimpleNamespace(lines=SHAPE[0], samples=SHAPE[1], shape=SHAPE))
+    source = RegionSource(file=path.name, band="material*", classes={"grass": 3, "asphalt": 12})
+    for region in material_regions(source, size, path).values():
+        if region.mask.shape != SHAPE or not region.mask.any():
+            raise ImplausibleError(f"region {region.name!r} of shape {region.mask.shape}")
+    truth = AbundanceTruth(image=path.name, materials={"panel": "*panel*"})
+    for target in abundance_targets(truth, size, 4.0, lambda name: path)[0]:
+        finite(target.area_m2, "area_m2")
+        if target.fills is None or target.fills.min() < 0 or target.fills.max() > 1:
+            raise ImplausibleError(f"fills of {target.name!r}")
+
+
 def _answer(path: Path) -> None:
     found = read_answer(path)
     increasing(found.axis.centre_nm, "wavelength_nm")
@@ -196,18 +215,18 @@ def samples(folder: Path) -> list[Sample]:
         out.append(Sample(f"regions: {kind}", {file: content}, lambda f, n=file: _regions(f / n)))
     targets = "name,material,easting,northing,side_m\np1,plank,300010,4699990,1.5\np2,plank,300016,4699986,0.5\n"
     bands = "# centre,fwhm\n" + rows(NM, np.full(NM.size, 20.0), sep=",")
-    many = "".join(chn(rho) for rho in (0.5, 0.0, 0.1))
+    three = "".join(chn(rho) for rho in (0.5, 0.0, 0.1))
     deck = {"MODTRAN": [{"MODTRANINPUT": {"ATMOSPHERE": {"MODEL": "ATM_TROPICAL", "H2OSTR": 1.5, "H2OUNIT": "g"},
             "AEROSOLS": {"IHAZE": "AER_RURAL", "VIS": -0.1}, "SURFACE": {"SURREF": 0.1, "GNDALT": 0.3},
             "GEOMETRY": {"H1ALT": 3.0, "IDAY": 100, "IPARM": 12, "PARM1": 30.0, "PARM2": 40.0}}}]}  # fmt: skip
     compared = [Result("c", "radiance", "s", "m", "bias_ratio", value=1.0 + i, reason="r") for i in range(3)]
-    packed = gzip.compress(many.encode(), mtime=0)
+    packed = gzip.compress(three.encode(), mtime=0)
     out += [
         Sample("targets", {"t.csv": targets.encode()}, lambda f: _targets(f / "t.csv")),
         Sample("band table", {"b.csv": bands.encode()}, lambda f: _band_table(f / "b.csv")),
         Sample("chn", {"a.chn": chn(0.2).encode()}, lambda f: _terms(f / "a.chn")),
         Sample("chn, three runs", {"a.chn.gz": packed}, lambda f: _terms(f / "a.chn.gz")),
-        Sample("chn, three runs unpacked", {"a.chn": many.encode()}, lambda f: _terms(f / "a.chn"), 0.5),
+        Sample("chn, three runs unpacked", {"a.chn": three.encode()}, lambda f: _terms(f / "a.chn"), 0.5),
         Sample("tape7", {"tape7": tape7().encode()}, lambda f: read_tape7(f / "tape7")),
         Sample(
             "modtran json",
@@ -241,6 +260,19 @@ def samples(folder: Path) -> list[Sample]:
         share = 0.3 if kind == "enmap metadata" else 0.03
         holds = "reflectance" if kind in ("neon reflectance", "prisma l2d") else "radiance"
         out.append(Sample(f"product: {kind}", content, lambda f, n=image, q=holds: _cube(f / n, q), share))
+    beside = with_text_beside(folder)
+    many = libraries(folder)
+    out += [
+        Sample("spectra: specpr", many["specpr"], lambda f: _spectra(f / "splib"), 0.5),
+        Sample("spectra: hypernets", many["hypernets"], lambda f: _spectra(f / "sequence.nc"), 0.03),
+    ]
+    out += [
+        Sample("aviris gain", beside["aviris gain"], lambda f: _cube(f / "f1rdn_img.dat", "radiance"), 0.5),
+        Sample("stac item", beside["stac item"],
+               lambda f, n=list(beside["stac item"])[1]: _cube(f / n, "radiance"), 0.3),
+        Sample("dirsig header", beside["dirsig header"], lambda f: _truth(f / "truth.img"), 0.5),
+        Sample("dirsig truth", beside["dirsig truth"], lambda f: _truth(f / "truth.img"), 0.3),
+    ]  # fmt: skip
     kept = results(folder)
     out += [
         Sample("radcalnet", {"a.input": radcalnet().encode()}, lambda f: _spectra(f / "a.input")),

@@ -1,0 +1,82 @@
+"""Small files of spectra in the layouts of their providers: SPECPR and HYPERNETS."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+NM = np.arange(400.0, 461.0, 2.0)
+# Eight channels correlated by 0.9, the rest by 0.3: to two decimals it has no negative eigenvalue.
+CORRELATION = np.where(np.equal.outer(NM < 416.0, NM < 416.0), 0.9, 0.3) + 0.1 * np.eye(NM.size)
+
+
+def specpr_record(flags: int, title: str, values: np.ndarray, **words: int) -> bytes:
+    """The first record of a SPECPR spectrum and its continuations, as the format's description has them."""
+    raw = bytearray(1536)
+    raw[:4] = struct.pack(">i", flags)
+    raw[4:44] = title.encode().ljust(40)
+    places = {"itchan": 80, "irwav": 100, "irespt": 104}
+    for name, word in (("itchan", values.size), *words.items()):
+        struct.pack_into(">i", raw, places[name], word)
+    data = values.astype(">f4").tobytes()
+    raw[512:1536] = data[:1024].ljust(1024, b"\0")
+    out = bytes(raw)
+    for at in range(1024, len(data), 1532):
+        out += struct.pack(">i", flags | 1) + data[at : at + 1532].ljust(1532, b"\0")
+    return out
+
+
+def specpr(harm: Callable[[bytearray], None] = lambda raw: None) -> bytes:
+    """Wavelengths (3 records), widths, a text, a spectrum with errors, one without: records 1, 4, 7, 8, 11, 14."""
+    grid = np.linspace(0.35, 2.5, 700)
+    text = struct.pack(">i", 2) + b"A description".ljust(1532)
+    rho = np.linspace(0.1, 0.6, 700)
+    rho[5] = -1.23e34
+    parts = [b"SPECPR_MAGIC".ljust(1536, b"\0"), specpr_record(0, "Wavelengths in microns", grid)]
+    parts += [specpr_record(0, "Bandpass (FWHM)", np.full(700, 0.01)), text]
+    parts += [specpr_record(8, "Actinolite HS22.3B", rho, irwav=1, irespt=4)]
+    parts += [specpr_record(0, "errors to previous data", np.full(700, 0.02), irwav=1)]
+    parts += [specpr_record(0, "Alunite GDS84", rho + 0.1, irwav=1, irespt=4)]
+    raw = bytearray(b"".join(parts))
+    harm(raw)
+    return bytes(raw)
+
+
+def hypernets(path: Path, **changes: np.ndarray | None) -> Path:
+    """A file of two series with the layout of the network."""
+    values = {
+        "wavelength": NM,
+        "reflectance": np.stack([np.full(NM.size, 0.2), np.linspace(0.2, 0.4, NM.size)], axis=1),
+        "std_reflectance": np.full((NM.size, 2), 0.003),
+        "u_rel_random_reflectance": np.full((NM.size, 2), 1.0),
+        "u_rel_systematic_reflectance": np.full((NM.size, 2), 3.0),
+        "err_corr_systematic_reflectance": CORRELATION,
+        "viewing_zenith_angle": np.array([30.0, 0.0]),
+        "viewing_azimuth_angle": np.array([263.0, 98.0]),
+        "solar_zenith_angle": np.array([20.0, 20.0]),
+        "solar_azimuth_angle": np.array([10.0, 10.0]),
+        "acquisition_time": np.array([1699002224, 1699002230]),
+        "quality_flag": np.array([0, 16]),
+        "n_valid_scans": np.array([10, 12]),
+        **changes,
+    }
+    with h5py.File(path, "w") as file:
+        file.attrs.update(
+            processor_name="hypernets_processor", site_id="XXXX", site_latitude=-23.6, site_longitude=15.1
+        )
+        for name, array in values.items():
+            if array is not None:
+                file[name] = array
+        file["wavelength"].make_scale("wavelength")
+        series = file.create_dataset("series", data=np.arange(2.0))
+        series.make_scale("series")
+        for name, array in values.items():
+            if name == "wavelength" or array is None:
+                continue
+            for i, size in enumerate(array.shape):
+                file[name].dims[i].attach_scale(file["wavelength"] if size == NM.size else series)
+    return path
