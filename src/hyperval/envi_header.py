@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from hyperval.errors import InputError, reader
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_KEYS = 1000
+MAX_WORDS = 40  # characters of a byte order in words
 
 # ENVI data type code -> NumPy kind and size. Complex types (6, 9) have no meaning here.
 DATA_TYPES: dict[int, str] = {
@@ -21,7 +22,17 @@ DATA_TYPES: dict[int, str] = {
 }  # fmt: skip
 INTERLEAVES = ("bsq", "bil", "bip")
 BYTE_ORDERS = {0: "<", 1: ">"}
+# Words that have one meaning; "host" alone and "ieee" alone have two.
+_ORDER_WORDS = {
+    0: r"(host\s*)?\(?intel\)?|lsf|ieee-le|little([- ]endian)?|0\s*\(.*(intel|little).*\)",
+    1: r"network(\s*\(ieee\))?|msf|ieee-be|big([- ]endian)?|motorola|1\s*\(.*(ieee|network|big).*\)",
+}
 
+# How a header in UTF-16 begins, with its mark and without.
+_WIDE = {
+    "utf-16-le": (b"\xff\xfe", b"E\0N\0V\0I\0"),
+    "utf-16-be": (b"\xfe\xff", b"\0E\0N\0V\0I"),
+}
 _STRUCTURE = frozenset(
     {
         "samples", "lines", "bands", "header offset", "data type", "interleave", "byte order",
@@ -99,6 +110,8 @@ class EnviHeader:
         parts = self.strings(key)
         if parts is None:
             return None
+        if count is not None and len(parts) == 1 < count == len(parts[0].split()):  # blanks in place of commas
+            parts = tuple(parts[0].split())
         if parts[-1] == "" and len(parts) > 1:  # a comma before the closing brace
             parts = parts[:-1]
         out = np.empty(len(parts))
@@ -146,8 +159,8 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
     path : the .hdr file
     sidecar : True for a header that lies beside a GeoTIFF: sizes are then enough, as the GeoTIFF has its own layout
 
-    A header without byte order is little-endian, as for ENVI, GDAL and SPy, and that is noted; so is a key that
-    stands twice and says the same.
+    A header without byte order is little-endian, as for ENVI, GDAL and SPy, and that is noted; so are a byte order
+    in words, a header in UTF-16 and a key that stands twice and says the same.
 
     Raises
     ------
@@ -165,6 +178,10 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
         raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
     if len(raw) > MAX_HEADER_BYTES:
         raise InputError(f"the header is larger than {MAX_HEADER_BYTES} bytes", where=str(path))
+    wide = next((name for name, start in _WIDE.items() if raw.startswith(start)), None)
+    if wide is not None:
+        header = parse_header(raw.decode(wide, errors="replace").lstrip("\ufeff"), path, sidecar=sidecar)
+        return replace(header, notes=("the header is written in UTF-16", *header.notes))
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -200,15 +217,9 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
             where=where("data type"),
             expected="one of " + ", ".join(f"{code} ({np.dtype(name).name})" for code, name in DATA_TYPES.items()),
         )
-    byte_order = integer("byte order", default=0)
-    if "byte order" not in entries and data_type not in (0, 1):  # a single byte has no order
-        notes.append("the header states no byte order: read as little-endian")
-    if byte_order not in BYTE_ORDERS:
-        raise InputError(
-            f"unknown byte order {byte_order}",
-            where=where("byte order"),
-            expected="0 (little-endian) or 1 (big-endian)",
-        )
+    byte_order, remark = _byte_order(entries.get("byte order"), where("byte order"))
+    if remark and data_type not in (0, 1):  # a single byte has no order
+        notes.append(remark)
     allowed = (*INTERLEAVES, "tif") if sidecar else INTERLEAVES
     if "interleave" not in entries and bands > 1 and not sidecar:
         raise InputError("the key 'interleave' is missing", where=str(path))
@@ -242,6 +253,24 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     )
 
 
+def _byte_order(value: str | None, where: str) -> tuple[int, str]:
+    """0 or 1, and a note where the header says it in words or not at all."""
+    if value is None:
+        return 0, "the header states no byte order: read as little-endian"
+    bare = _bare(value)
+    if bare in ("0", "1"):
+        return int(bare), ""
+    for order, words in _ORDER_WORDS.items():
+        if len(bare) <= MAX_WORDS and re.fullmatch(words, bare.lower()):
+            return order, f"byte order {bare!r}: read as {order}, {('little', 'big')[order]}-endian"
+    raise InputError(
+        f"unknown byte order {bare[:40]!r}",
+        where=where,
+        expected="0 (little-endian) or 1 (big-endian)",
+        mend="write 0 where the values were written on a PC, 1 where in network order",
+    )
+
+
 def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list[str]]:
     """Keys in lower case with their text and line, and notes on keys that stand twice: one pass over the lines."""
     entries: dict[str, str] = {}
@@ -262,7 +291,7 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
         if len(entries) > MAX_KEYS:
             raise InputError(f"more than {MAX_KEYS} keys", where=f"{name}:{number}")
 
-    lines = text.splitlines()
+    lines = text.rstrip("\0\x1a \t\r\n").splitlines()  # some programs fill up a block, or mark the end of the text
     if not lines or lines[0].strip() != "ENVI":
         raise InputError("the first line is not 'ENVI'", where=f"{name}:1", expected="an ENVI header")
     key, start, depth = "", 0, 0

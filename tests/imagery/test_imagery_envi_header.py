@@ -59,6 +59,22 @@ def test_encodings(tmp_path: Path, encoding: str):
     assert read_header(path).text("description") == "Größe µm"
 
 
+@pytest.mark.parametrize(("encoding", "mark"), [("utf-16", b""), ("utf-16-le", b""), ("utf-16-be", b"\xfe\xff")])
+def test_a_header_in_utf_16_is_read_and_noted(tmp_path: Path, encoding: str, mark: bytes):
+    path = tmp_path / "a.hdr"
+    path.write_bytes(mark + header_text(description="{Größe µm}").encode(encoding))
+    header = read_header(path)
+    assert (header.text("description"), header.notes) == ("Größe µm", ("the header is written in UTF-16",))
+    path.write_bytes(path.read_bytes()[:-1])  # half a character
+    with pytest.raises(InputError, match="after the closing brace"):
+        read_header(path)
+
+
+@pytest.mark.parametrize("end", ["\0" * 300, "\x1a", "\r\n\x1a\0"])
+def test_what_fills_a_block_behind_the_text_is_none_of_it(end: str):
+    assert parse_header(header_text() + end, NAME).byte_order == 0
+
+
 @pytest.mark.parametrize("code", sorted(DATA_TYPES))
 @pytest.mark.parametrize("order", [0, 1])
 def test_types_are_those_of_spy(code: int, order: int):
@@ -85,6 +101,7 @@ def test_types_are_those_of_spy(code: int, order: int):
         ({"interleave": None}, "'interleave' is missing", ""),
         ({"interleave": "tif"}, "unknown interleave", ":7"),
         ({"byte_order": "9"}, "0 (little-endian) or 1", ":8"),
+        ({"byte_order": "1.0"}, "unknown byte order '1.0'", ":8"),
         ({"header_offset": "-1"}, "0 or more", ":5"),
         ({"file_compression": "1"}, "compressed", ":9"),
         ({"major_frame_offsets": "{4, 0}"}, "frame offsets", ":9"),
@@ -107,6 +124,27 @@ def test_a_missing_byte_order_is_little_endian_and_noted_but_for_bytes():
     assert header.dtype == np.dtype("<i2")
     assert header.notes == ("the header states no byte order: read as little-endian",)
     assert parse_header(header_text(byte_order=None, data_type="1"), NAME).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("words", "order"),
+    [
+        ("Host (Intel)", 0), ("Network (IEEE)", 1), ("0 (Host (Intel))", 0), ("1 (Network (IEEE)) ; ENVI", 1),
+        ("ieee-le", 0), ("IEEE-BE", 1), ("LSF", 0), ("MSF", 1), ("Little Endian", 0), ("big-endian", 1),
+    ],
+)  # fmt: skip
+def test_a_byte_order_in_words_is_read_and_noted(words: str, order: int):
+    header = parse_header(header_text(byte_order=words), NAME)
+    assert header.dtype == np.dtype("<>"[order] + "i2")
+    assert header.notes == (
+        f"byte order {words.split(' ;')[0]!r}: read as {order}, {('little', 'big')[order]}-endian",
+    )
+
+
+@pytest.mark.parametrize("words", ["Host", "IEEE", "0 (big endian)", "01", "", "intel" * 100_000])
+def test_a_byte_order_of_two_meanings_or_none_is_refused(words: str):
+    with pytest.raises(InputError, match=r"a\.hdr:8: unknown byte order.*(?s:.)*write 0 where"):
+        parse_header(header_text(byte_order=words), NAME)
 
 
 def test_a_key_that_stands_twice_and_says_the_same_is_noted():
@@ -147,6 +185,7 @@ def test_not_a_header(text: str):
         ("{1, 2}", "2 values for 4 bands"),
         ("{1, 2_0, 3, 4}", "not a number"),
         ("{1, , 3, 4}", "not a number"),
+        ("{1 2 3}", "not a number"),  # of four: blanks take the place of commas where the count is right
     ],
 )
 def test_number_lists(text: str, message: str):

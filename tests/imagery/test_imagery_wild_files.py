@@ -221,7 +221,13 @@ def test_a_gain_file_that_is_none(tmp_path: Path, text: str, words: str):
     [
         ("band names = {Band 1 (0.400000), Band 2 (0.500000), Band 3 (0.600000)}\n", "names of its bands"),
         ("band names = {400.0 nm, 500.0 nm, 600.0 nm}\n", "names of its bands"),
+        (
+            "band names = {B 1 : 400.0 +/- 2.4 nm, B 2 : 500.0 +/- 2.4 nm, B 3 : 600.0 ± 2.4 nm}\n",
+            "names of its bands",
+        ),
         ("wavelength =\n{\n400,\n500,\n600\n}\n", "can only be nm"),
+        ("wavelength = {400 500\n600}\n", "can only be nm"),
+        ('wavelength = {0.4, 0.5, 0.6}\nwavelength units = "Micrometers"\n', "no fwhm"),
     ],
 )
 def test_wavelengths_in_names_and_on_the_line_below(tmp_path: Path, entries: str, note: str):
@@ -237,3 +243,48 @@ def test_other_numbers_in_names_are_no_wavelengths(tmp_path: Path, names: str):
     path = small_cube(tmp_path, f"band names = {{{names}}}\n", np.ones((2, 2, 3)))
     with pytest.raises(InputError, match="lists no wavelengths"):
         open_cube(path, quantity="other")
+
+
+# As HYDICE scenes were distributed: big-endian, bands below 400 nm, two lists that begin on the line of their key.
+HYDICE = """ENVI
+description = {
+  HYDICE radiance, run 7}
+samples = 2
+lines   = 2
+bands   = 3
+header offset = 0
+file type = ENVI Standard
+data type = 2
+interleave = bil
+sensor type = HYDICE
+byte order = 1
+default bands = {3, 2, 1}
+wavelength units = Micrometers
+z plot titles = {Wavelength, Radiance}
+wavelength = {
+ 0.39900,  0.40250,
+ 0.40610}
+fwhm = {
+ 0.00301,  0.00303,
+ 0.00305}
+bbl = {
+ 0, 1, 1}
+"""
+
+
+@pytest.mark.parametrize("order", ["1", "Network (IEEE)", "0", "Host (Intel)"])
+def test_a_header_of_hydice_with_its_byte_order_in_numbers_or_words(tmp_path: Path, order: str):
+    import spectral
+
+    stored = np.arange(1, 13, dtype="i2").reshape(2, 3, 2)
+    stored.astype("<i2" if order in ("0", "Host (Intel)") else ">i2").tofile(tmp_path / "a.img")
+    text = HYDICE.replace("byte order = 1", f"byte order = {order}")
+    (tmp_path / "a.hdr").write_text(text)
+    cube = open_cube(tmp_path / "a.img", quantity="radiance", unit="W m-2 sr-1 um-1", scale=1.0)
+    np.testing.assert_allclose(cube.axis.centre_nm, [399.0, 402.5, 406.1])
+    np.testing.assert_allclose(cube.axis.fwhm_nm, [3.01, 3.03, 3.05])
+    assert cube.axis.good.tolist() == [False, True, True]
+    number = {"Network (IEEE)": "1", "Host (Intel)": "0"}.get(order, order)
+    (tmp_path / "a.hdr").write_text(text.replace(f"byte order = {order}", f"byte order = {number}"))
+    theirs = spectral.open_image(str(tmp_path / "a.hdr"))
+    np.testing.assert_allclose(cube.read(0, 2).values, 0.1 * np.asarray(theirs.load()), rtol=1e-6)

@@ -19,9 +19,10 @@ Bands = SpectralAxis | Literal["numbers"] | None
 
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNIT = r"(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)"
+_SPREAD = r"(?:(?:\+\s*/?\s*-|±)\s*[0-9.]+\s*)?"  # half a width, as ITRES writes it
 # A number alone in parentheses is taken for a wavelength where it is as fine as ENVI writes it.
 _NAMED = re.compile(
-    rf"\(\s*([0-9]+\.[0-9]{{3,}})\s*\)|(?<![0-9.])([0-9]+(?:\.[0-9]+)?)\s*{_UNIT}(?![a-z])", re.IGNORECASE
+    rf"\(\s*([0-9]+\.[0-9]{{3,}})\s*\)|(?<![0-9.])([0-9]+(?:\.[0-9]+)?)\s*{_SPREAD}{_UNIT}(?![a-z])", re.IGNORECASE
 )
 _UNSTATED = ("", "unknown", "none")
 
@@ -207,7 +208,7 @@ def stated_unit(in_file: str | None, given: str | None, values: Array, where: st
     InputError : a unit that is no wavelength.
     UsageError : the caller contradicts the file, or nobody states the unit of values that fit two, or none.
     """
-    text = (in_file or "").strip()
+    text = (in_file or "").strip(" \t\"'")
     if text.lower() in _UNSTATED:
         if given is not None:
             return given, ()
