@@ -45,6 +45,7 @@ def call_apart(function: Callable[[], R], scratch: Path) -> R:
     if not hasattr(os, "fork") or "numpy" in sys.modules:
         return function()
     path = scratch / "returned"
+    _give_back_arrays()  # here and in the copy
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         sys.stdout.flush()
@@ -131,7 +132,6 @@ def _return(function: Callable[[], object], path: Path, parent: int) -> NoReturn
     """Call, and leave what is returned or raised in a file; the process ends here."""
     code = 1
     _end_with(parent)
-    _give_back_arrays()
     try:
         try:
             out: tuple[bool, object] = (True, function())

@@ -7,9 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import spectral
-from skimage.exposure import adjust_gamma
-from skimage.util import img_as_ubyte
 
 from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.cube import Cube
@@ -52,6 +49,10 @@ def quicklook(observed: Observed) -> Quicklook | None:
     """
     if observed.place is None:
         return None
+    import spectral  # not before the imagery is done with: 5 MB
+    from skimage.exposure import adjust_gamma
+    from skimage.util import img_as_ubyte
+
     cube = observed.place.cube
     centre = cube.axis.centre_nm
     bands = [int(np.argmin(np.abs(centre - at))) for at, _ in COLOURS]
@@ -74,6 +75,7 @@ def quicklook(observed: Observed) -> Quicklook | None:
         part = (picture[first : first + LINES_TOGETHER] - offset) / gain
         shown = spectral.get_rgb(np.nan_to_num(part), (0, 1, 2), bounds=[(0.0, high)] * 3)
         colours[first : first + LINES_TOGETHER] = img_as_ubyte(adjust_gamma(np.clip(shown, 0.0, 1.0), GAMMA))
+    del picture
     size = observed.place.pixel_area_m2
     shown_regions = [n for n in observed.place.regions if n not in observed.place.by_rule]
     outlines = {name: observed.place.region(name)[::step, ::step].copy() for name in shown_regions}

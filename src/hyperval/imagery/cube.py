@@ -218,7 +218,7 @@ class Cube:
     def spectra(self, where: Where) -> Array:
         """(m, B) values of the valid pixels among ``where``."""
         values, valid = self.marked_pixels(where)
-        return values[valid]
+        return values if valid.all() else values[valid]
 
     def marked_pixels(self, where: Where) -> tuple[Array, Mask]:
         """(n, B) values of :meth:`pixels` and (n,) which of them are valid, read once."""

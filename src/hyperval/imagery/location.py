@@ -25,7 +25,6 @@ Array = npt.NDArray[np.float64]
 MOST_NODES = 160_000  # of the coarse grid that a place is first looked for in
 _STEPS = 8  # of the search from the nearest node to the nearest pixel
 _FARTHEST = 1.5  # [pixel] beyond the image that a place may lie
-_WGS84 = CRS.from_epsg(4326)
 _EQUATOR_M, _FLATTENING_SQUARED = 6_378_137.0, 6.694379990141e-3  # WGS 84: radius, first eccentricity squared
 _AREAS = 400
 
@@ -207,4 +206,4 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
     if not good.any():
         raise InputError("no pixel has a place", where=str(raster.path))
     degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
-    return LocationTable(raster, Affine.identity(), _WGS84 if degrees else raster.crs, shape)
+    return LocationTable(raster, Affine.identity(), CRS.from_epsg(4326) if degrees else raster.crs, shape)

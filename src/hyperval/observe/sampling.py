@@ -55,7 +55,9 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
 
     def windows() -> Iterator[tuple[Array, Mask]]:
         for pixels, inside in pixels_of_windows(place, region, known, rng):
-            yield along.scores(np.where(inside[..., None], pixels, mean) - mean), inside
+            pixels[~inside] = mean
+            pixels -= mean  # in place: a window of all bands is 9 MB
+            yield along.scores(pixels), inside
 
     reach = min(REACH, max(*region.shape) - 1)
     independent, of_variance = independent_pixels(windows(), neighbour_shares(region, reach, rng), n, reach)

@@ -156,7 +156,7 @@ def pixels_of_windows(
         for some in range(0, len(inside), LINES_TOGETHER):
             part = slice(some, some + LINES_TOGETHER)
             pixels, usable = place.cube.marked_pixels((lines[part].ravel(), samples[part].ravel()))
-            values[part] = pixels[:, bands].reshape(*inside[part].shape, -1)
+            np.take(pixels, bands, axis=1, out=values[part].reshape(-1, bands.size), mode="clip")  # no copy between
             valid[part] = usable.reshape(inside[part].shape)
             del pixels
         yield values, inside & valid & np.isfinite(values).all(axis=-1)

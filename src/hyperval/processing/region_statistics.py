@@ -133,6 +133,7 @@ def _statistics_once(
                     total[key].merge(value)
                 else:
                     total[key] = value
+            del sums  # 2 MB for each kind of pixels: not beside those of the next segment
         out = {}
         errors = _rounding_errors(cube, directions, step) if directions is not None else []
         for i, name in enumerate(regions.names):
