@@ -90,6 +90,7 @@ class ScoreDistribution:
     mean, sd : moments of the score [1]
     n : pixels behind them, None for a prediction
     grid, density : (G,) scores and the probability density at each [per unit of score]; None without
+    greatest : (m,) the greatest scores of measured pixels, falling, all of them where they are few; None without
     """
 
     mean: float
@@ -97,6 +98,7 @@ class ScoreDistribution:
     n: int | None = None
     grid: Array | None = field(default=None, compare=False, repr=False)
     density: Array | None = field(default=None, compare=False, repr=False)
+    greatest: Array | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)

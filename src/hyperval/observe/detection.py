@@ -33,6 +33,7 @@ from hyperval.products import Abundance, ExceedanceCurve, ObjectScores, RocCurve
 from hyperval.progress import watch_lines
 
 BY_PIXEL = "object-by-pixel"  # objects by their halos, alarms by pixel
+_MOST_SCORES = 500  # that a product keeps of one population: the exact ends of a curve
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
@@ -256,4 +257,7 @@ class _Curves:
 
 def _moments(values: Array) -> ScoreDistribution:
     sd = float(np.std(values, ddof=1)) if values.size > 1 else float("nan")
-    return ScoreDistribution(float(np.mean(values)), sd, int(values.size))
+    tail = (
+        np.partition(values, values.size - _MOST_SCORES)[-_MOST_SCORES:] if values.size > _MOST_SCORES else values
+    )
+    return ScoreDistribution(float(np.mean(values)), sd, int(values.size), greatest=np.sort(tail)[::-1])

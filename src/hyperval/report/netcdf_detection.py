@@ -134,6 +134,10 @@ def _add_scores(data: LabelledArrays, products: Products) -> None:
         for name, text in (("grid", "detector score"), ("density", "probability density per unit of score")):
             values = ragged([getattr(score, name) for score in scores])
             data[f"score_{name}"] = (("score_entry", "score_point"), values, {"units": "1", "long_name": text})
+    if any(score.greatest is not None for score in scores):
+        values = ragged([score.greatest for score in scores])
+        text = "greatest scores of measured pixels, falling"
+        data["score_greatest"] = (("score_entry", "score_rank"), values, {"units": "1", "long_name": text})
 
 
 def _add_object_scores(data: LabelledArrays, products: Products) -> None:

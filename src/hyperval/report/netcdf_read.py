@@ -19,6 +19,7 @@ from hyperval.products import (
     Abundance,
     ClassificationError,
     ExceedanceCurve,
+    ObjectScores,
     Observation,
     Prediction,
     RocCurve,
@@ -63,9 +64,15 @@ def _content(data: xr.Dataset) -> dict[str, Any]:
     content["roc"] = dict(_entries(data, "roc", ("subject", "detector", "unit"), _roc))
     content["scores"] = dict(
         _entries(
-            data, "score", ("subject", "detector"), lambda e: ScoreDistribution(e["mean"], e["sd"], _count(e["n"]))
+            data,
+            "score",
+            ("subject", "detector"),
+            lambda e: ScoreDistribution(
+                e["mean"], e["sd"], _count(e["n"]), greatest=_trimmed(e["greatest"])[0] if "greatest" in e else None
+            ),
         )
     )
+    content["object_scores"] = _object_scores(data)
     content["abundance"] = dict(
         _entries(data, "abundance", ("subject", "detector"), lambda e: Abundance(
             e["area_m2"], e["standard_uncertainty"], _count(e["n"]), _known(e["nominal_m2"])))
@@ -116,6 +123,17 @@ def _entries(
     for i in range(data.sizes[dim]):
         entry = {k: v[i] if v.ndim > 1 else float(v[i]) for k, v in columns.items()}
         yield tuple(str(values[i]) for values in names), make({**entry, "key": tuple(str(v[i]) for v in names)})
+
+
+def _object_scores(data: xr.Dataset) -> dict[tuple[str, str], ObjectScores]:
+    """Scores of the measured objects; of predicted ones the file has quantiles alone."""
+    if "object_score" not in data:
+        return {}
+    names = (data[f"object_score_{part}"].to_numpy() for part in ("subject", "detector", "name"))
+    out: dict[tuple[str, str], list[tuple[str, float]]] = {}
+    for subject, detector, name, value in zip(*names, data["object_score"].to_numpy(), strict=True):
+        out.setdefault((str(subject), str(detector)), []).append((str(name), float(value)))
+    return {key: ObjectScores(np.array([v for _, v in own]), tuple(n for n, _ in own)) for key, own in out.items()}
 
 
 def _roc(entry: Mapping[str, Any]) -> RocCurve:

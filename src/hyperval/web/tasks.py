@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperval import api
 from hyperval.campaign.forward import predict_to_folder
@@ -30,7 +31,7 @@ from hyperval.files import write_text
 from hyperval.imagery.rasters import open_raster
 from hyperval.observe.place import open_source
 from hyperval.processing.roc_reading import detection_at
-from hyperval.products import Observation, Prediction, SpectralEstimate
+from hyperval.products import Observation, Prediction, SpectralEstimate, background_of
 from hyperval.report.charts import spectra_chart
 from hyperval.report.geotiff import file_stems
 from hyperval.report.netcdf_read import read_products
@@ -210,18 +211,28 @@ def score_map(folder: str, name: str) -> None:
     part = (shown.astype(float) - low) / (high - low or 1.0)
     scaled = np.nan_to_num(np.rint(part * 65534) + 1, nan=0.0).astype("<u2")  # 0: no score
     ordered = np.sort(values[known])[::-1]
-    at = np.unique(np.geomspace(1, max(ordered.size, 1), 200).astype(int)) - 1
+    curves = _curves(folder, name)
     content = {
         "width": shown.shape[1], "height": shown.shape[0], "step": step, "low": low, "high": high,
         "pixels": base64.b64encode(scaled.tobytes()).decode(), "known": int(known.sum()),
-        "above": [[float(ordered[i]), int(i) + 1] for i in at] if ordered.size else [],
-        "curves": _curves(folder, name),
+        "above": _thresholds(ordered, curves), "curves": curves,
     }  # fmt: skip
     _write(Path(folder) / f"map-{name}.json", content)
 
 
+def _thresholds(ordered: npt.NDArray[Any], curves: list[dict[str, Any]]) -> list[list[float]]:
+    """Thresholds, and how many pixels lie at each or above: evenly in that number, and at every target's score."""
+    if not ordered.size:
+        return []
+    evenly = ordered[np.unique(np.geomspace(1, ordered.size, 200).astype(int)) - 1].astype(float)
+    targets = [score for curve in curves for score in curve["target_scores"]]
+    values = np.unique(np.concatenate([evenly, targets]))[::-1]
+    counts = np.searchsorted(-ordered.astype(float), -values, side="right")
+    return [[float(v), int(n)] for v, n in zip(values, counts, strict=True) if n]
+
+
 def _curves(folder: str, name: str) -> list[dict[str, Any]]:
-    """Measured curves whose scores the map shows: threshold, P_FA, P_D."""
+    """Measured curves whose scores the map shows: threshold, P_FA, P_D, and the scores at their upper ends."""
     _, observed = read_products(Path(folder) / "results" / "products.nc")
     curves = [] if observed is None else list(observed.roc.items())
     detectors = {detector for _, detector, _ in dict(curves) if name.endswith(f"-{detector}")}
@@ -233,10 +244,25 @@ def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     for (subject, detector, unit), c in curves:
         own = detector == own_detector and (is_only or file_stems([subject])[subject].startswith(target))
         known = np.isfinite(c.threshold) & np.isfinite(c.pd)
-        if own and known.any():
+        if observed is not None and own and known.any():
             parts = {part: getattr(c, part)[known].tolist() for part in ("threshold", "pfa", "pd")}
-            out.append({"subject": subject, "unit": unit, **parts})
+            targets, background = _scores(observed, subject, detector, unit)
+            out.append({"subject": subject, "unit": unit, "target_scores": targets, "n_target": c.n_target,
+                        "background_scores": background, "n_background": c.n_background, **parts})  # fmt: skip
     return out
+
+
+def _scores(observed: Observation, subject: str, detector: str, unit: str) -> tuple[list[float], list[float]]:
+    """Greatest scores of what a curve counts and of its background, as a map has them; none where halos count."""
+    objects = observed.object_scores.get((subject, detector))
+    if objects is None:
+        return [], []
+    pixels, background = (observed.scores.get((name, detector)) for name in (subject, background_of(subject)))
+    targets = objects.values if unit == "object" else None if pixels is None else pixels.greatest
+    alarms = None if background is None else background.greatest
+    both = (np.empty(0) if values is None else values[np.isfinite(values)] for values in (targets, alarms))
+    first, second = (np.sort(values.astype("<f4"))[::-1].tolist() for values in both)
+    return first, second
 
 
 def _job(path: str) -> Job | None:

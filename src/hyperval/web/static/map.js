@@ -13,25 +13,37 @@ function thresholdAt(part) {
   return best;
 }
 
+// The part of some scores that lies at a threshold or above, where all of them that do are known.
+function partAbove(scores, count, threshold) {
+  const above = scores.filter((s) => s >= threshold).length;
+  return scores.length > 0 && (above < scores.length || above === count) ? above / count : null;
+}
+
+// A point of the curve, between two of its own; above its first threshold it bounds both, and tells no more.
+function pointAt(curve, threshold) {
+  const after = curve.threshold.findIndex((t) => t < threshold);
+  if (after === 0) return { bound: "at most ", pfa: curve.pfa[0], pd: curve.pd[0] };
+  const i = after < 0 ? curve.threshold.length - 1 : after;
+  const j = Math.max(i - 1, 0);
+  const [high, low] = [curve.threshold[j], curve.threshold[i]];
+  const part = after < 0 || high === low ? 1 : (high - threshold) / (high - low);
+  return { bound: "", pfa: curve.pfa[j] * (curve.pfa[i] / curve.pfa[j]) ** part, pd: curve.pd[j] + (curve.pd[i] - curve.pd[j]) * part };
+}
+
 function curveAt(curve, threshold) {
-  let at = -1;
-  curve.threshold.forEach((t, i) => {
-    if (t >= threshold && (at < 0 || t <= curve.threshold[at])) at = i;
-  });
-  if (at >= 0) return { bound: "", pfa: curve.pfa[at], pd: curve.pd[at] };
-  // Above its first threshold a curve bounds both, and tells no more.
-  at = curve.threshold.indexOf(Math.max(...curve.threshold));
-  return { bound: "at most ", pfa: curve.pfa[at], pd: curve.pd[at] };
+  const point = pointAt(curve, threshold);
+  const pd = partAbove(curve.target_scores, curve.n_target, threshold);
+  const pfa = partAbove(curve.background_scores, curve.n_background, threshold);
+  const bounds = { pd: pd === null ? point.bound : "", pfa: pfa === null ? point.bound : "" };
+  return { bounds, pd: pd ?? point.pd, pfa: pfa ?? point.pfa };
 }
 
 function show() {
-  const [threshold] = thresholdAt(Number(slider.value) / 1000);
+  const [threshold, alarms] = thresholdAt(Number(slider.value) / 1000);
   const cut = ((threshold - map.low) / (map.high - map.low || 1)) * 65534 + 1;
   const picture = new ImageData(map.width, map.height);
-  let alarms = 0;
   scores.forEach((value, i) => {
     const hit = value >= Math.floor(cut);
-    alarms += hit && value > 0;
     const grey = Math.round((value / 65535) ** 0.5 * 200);
     picture.data.set(hit && value > 0 ? [255, 190, 0, 255] : [grey, grey, grey, value === 0 ? 0 : 255], 4 * i);
   });
@@ -40,7 +52,7 @@ function show() {
   const sampled = map.step > 1 ? `, every ${map.step}th line and sample drawn` : "";
   const words = map.curves.map((curve) => {
     const point = curveAt(curve, threshold);
-    return `; ${curve.subject} by ${curve.unit}: P_D ${point.bound}${point.pd.toFixed(3)}, P_FA ${point.bound}${point.pfa.toExponential(1)}`;
+    return `; ${curve.subject} by ${curve.unit}: P_D ${point.bounds.pd}${point.pd.toFixed(3)}, P_FA ${point.bounds.pfa}${point.pfa.toExponential(1)}`;
   });
   document.getElementById("map-words").textContent = `${alarms.toLocaleString("en")} pixels at or above it${sampled}${words.join("")}`;
 }
