@@ -78,6 +78,8 @@ def test_common_datums_are_those_of_gdal(tmp_path: Path, info: str, epsg: int):
         "UTM, 1, 1, 4e5, 4e6, 1, 1, 11, South, North America 1983",
         "Geographic Lat/Lon, 1, 1, -118.2, 34.1, 0.001, 0.001",
         "Lambert, 1, 1, 4e5, 4e6, 1, 1, WGS-84",
+        "UTM, 1, 1, 4e5, 4e6, 1, 1, 15, North, WGS-84, units=Feet",
+        "Geographic Lat/Lon, 1, 1, -425520, 122760, 1, 1, WGS-84, units=Seconds",
     ],
 )
 def test_other_systems_are_unknown_and_not_guessed(info: str):
@@ -288,3 +290,81 @@ def test_a_header_of_hydice_with_its_byte_order_in_numbers_or_words(tmp_path: Pa
     (tmp_path / "a.hdr").write_text(text.replace(f"byte order = {order}", f"byte order = {number}"))
     theirs = spectral.open_image(str(tmp_path / "a.hdr"))
     np.testing.assert_allclose(cube.read(0, 2).values, 0.1 * np.asarray(theirs.load()), rtol=1e-6)
+
+
+# What comes after the sizes, as each program writes it, and the first wavelength [nm].
+PROGRAMS = {
+    "HySpex": (
+        "data type = 12\nheader offset = 32\nID = VNIR\nComment = a = b\n"
+        "wavelength = {400.0 ,500.0 ,600.0}\n",
+        400,
+    ),
+    "Headwall": (
+        "data type=12\nrotation={{1, 2}, {3, 4}}\nlabel= VNIR\ntimestamp=;\nwavelength = {400\n,500\n"
+        ",600\n}\n",
+        400,
+    ),
+    "Specim FX": (
+        "data type = 12\nfile type = ENVI\n\nStart Time = UTC TIME: 08:18:33\n\nerrors = {none}\n"
+        "temperature = {\n28.65\n}\nwavelength = {\n400.0,\n500.0,\n600.0\n}\nfwhm = {\n5.0,\n5.0,\n"
+        "5.0\n}\n",
+        400,
+    ),
+    "Resonon": (
+        "data type = 12\nrotation = {0,0}\nflip radiometric calibration = False\nlabel = {}\n"
+        "ceiling = 4095\nwavelength = {400.0, 500.0, 600.0}\n",
+        400,
+    ),
+    "ITRES": (
+        "data type = 2\nwavelength units = nanometers\nband names = {\n Band 1 : 400.0 +/- 2.4 nm,\n"
+        " Band 2 : 500.0 +/- 2.4 nm,\n Band 3 : 600.0 +/- 2.4 nm}\n",
+        400,
+    ),
+    "HyMap": (
+        "data type = 2\nbyte order = 1\nwavelength units = Micrometers\nwavelength = {\n"
+        " 0.4361,0.4503,\n0.4652}\nfwhm = {0.0155,0.0152,0.015}\n",
+        436.1,
+    ),
+    "Hyperion": (
+        "data type = 2\nbyte order = 1\nbbl = {0,1,1}\nwavelength units = Nanometers\n"
+        "wavelength={355.59,365.76,375.94}\nfwhm={11.39,11.39,11.39}\n",
+        355.59,
+    ),
+    "IDL": (
+        "data type = 4\nz plot range = {0.00, 1.00}\nwavelength = {\n 4.0e-001, 5.0e-001,\n"
+        " 6.0e-001}\n",
+        400,
+    ),
+    "MATLAB": (
+        "data type = 4\nbyte order = ieee-le\ndescription = {}\nwavelength units = Unknown\n"
+        "wavelength = {400 500 600}\n",
+        400,
+    ),
+    "R": (
+        "data type = 4\nwavelength units = \"Nanometers\"\nwavelength = {400, 500, 600,}\n",
+        400,
+    ),
+    "GDAL": (
+        "data type = 4\nband names = {\n400 Nanometers,\n500 Nanometers,\n600 Nanometers}\n"
+        "data ignore value = 0\n",
+        400,
+    ),
+    "DOS": (
+        "data type = 4\nWavelength\t=\t{ .4,.5,.6 }\r\nwavelength units = Micrometer\r\n\x1a\0\0",
+        400,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_headers_as_other_programs_write_them(tmp_path: Path, program: str):
+    entries, first_nm = PROGRAMS[program]
+    text = "ENVI\nsamples = 2\nlines   = 2\nbands   = 3\ninterleave = bil\n" + entries
+    (tmp_path / "a.hdr").write_bytes(text.encode())
+    header = read_header(tmp_path / "a.hdr")
+    stored = np.arange(1, 13).reshape(2, 3, 2)
+    (tmp_path / "a.img").write_bytes(bytes(header.header_offset) + stored.astype(header.dtype).tobytes())
+    assert header.byte_order == (program in ("HyMap", "Hyperion"))
+    cube = open_cube(tmp_path / "a.img", quantity="other")
+    assert cube.axis.centre_nm[0] == pytest.approx(first_nm)
+    assert np.array_equal(cube.read(0, 2).values, stored.transpose(0, 2, 1))

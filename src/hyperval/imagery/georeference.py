@@ -13,6 +13,7 @@ from hyperval.envi_header import EnviHeader
 from hyperval.errors import InputError
 
 _METRES = ("meters", "metres", "meter", "metre", "m")
+_DEGREES = ("degrees", "degree", "deg")
 # Names of datums, without blanks and signs: EPSG code of longitude and latitude, of UTM zone 0 north and south, and
 # the zones that EPSG lists.
 _DATUMS: dict[str, tuple[int, int, int | None, range]] = {
@@ -62,8 +63,8 @@ def transform_of(header: EnviHeader) -> Affine | None:
 def crs_of(header: EnviHeader) -> CRS | None:
     """Coordinate reference system from the WKT string, or from ``map info``; None when unknown.
 
-    ``map info`` tells it for UTM and Geographic Lat/Lon on a common datum.  The hemisphere stands as a word
-    ("South") or as the letter of a latitude band, of which C to M lie south of the equator and N to X north.
+    ``map info`` tells it for UTM in metres and Geographic Lat/Lon in degrees on a common datum.  The hemisphere
+    stands as a word ("South") or as the letter of a latitude band: C to M lie south of the equator, N to X north.
     """
     wkt = header.text("coordinate system string")
     if wkt is not None:
@@ -73,6 +74,9 @@ def crs_of(header: EnviHeader) -> CRS | None:
             pass
     parts = header.strings("map info") or ()
     projection = parts[0].strip().lower() if parts else ""
+    units = _options(parts).get("units")
+    if units is not None and units.lower() not in (_DEGREES if projection.startswith("geographic") else _METRES):
+        return None  # a grid in feet is in no system of metres
     if projection.startswith("geographic lat"):
         codes = _datum(parts[7]) if len(parts) > 7 else None
         return CRS.from_epsg(codes[0]) if codes is not None else None
