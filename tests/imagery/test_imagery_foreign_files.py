@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 from rasterio.errors import NotGeoreferencedWarning
 from scipy.io import savemat
 
@@ -58,6 +59,47 @@ def test_tags_without_unit_or_number_are_not_believed(tmp_path: Path, values, sp
     tags = [{"wavelength": f"{w}", "wavelength_units": "nm", **spoil} for w in CENTRE]
     with pytest.raises(InputError, match=message):
         open_cube(tagged(tmp_path / "c.tif", values, tags), quantity="reflectance")
+
+
+def test_a_file_that_gdal_converted_keeps_its_wavelengths(tmp_path: Path, values):
+    """GDAL writes them twice, once rounded to a nanometre, and the widths rounded alone."""
+    header = "\n".join([
+        "ENVI", f"samples = {values.shape[1]}", f"lines = {values.shape[0]}", "bands = 4", "data type = 4",
+        "interleave = bsq", "byte order = 0", "wavelength units = Nanometers",
+        "wavelength = {433.29, 446.58, 659.87, 873.15}", "fwhm = {5.3, 5.3, 5.4, 5.4}",
+    ])  # fmt: skip
+    (tmp_path / "a.hdr").write_text(header + "\n")
+    (tmp_path / "a.img").write_bytes(values.astype("<f4").transpose(2, 0, 1).tobytes())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        rasterio.shutil.copy(tmp_path / "a.img", tmp_path / "a.tif", driver="GTiff")
+    (tmp_path / "a.hdr").rename(tmp_path / "no.header")
+    cube = open_cube(tmp_path / "a.tif", quantity="reflectance")
+    assert cube.axis.centre_nm == pytest.approx([433.29, 446.58, 659.87, 873.15], abs=1e-9)
+    assert cube.axis.fwhm_nm == pytest.approx([5.0] * 4)
+    assert any("whole nanometres" in note for note in cube.notes)
+
+
+def test_wavelengths_in_the_names_of_the_bands(tmp_path: Path, values):
+    path = tagged(tmp_path / "n.tif", values, [{}] * 4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "r+") as out:
+            out.descriptions = [f"{w:.2f} Nanometers" for w in CENTRE]
+    cube = open_cube(path, quantity="reflectance")
+    assert cube.axis.centre_nm == pytest.approx(CENTRE)
+    assert any("names of the bands" in note for note in cube.notes)
+
+
+def test_two_wavelengths_of_a_band_are_refused(tmp_path: Path, values):
+    path = tagged(tmp_path / "t.tif", values, [{"wavelength": f"{w}", "wavelength_units": "nm"} for w in CENTRE])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "r+") as out:
+            for band, w in enumerate(CENTRE, start=1):
+                out.update_tags(band, ns="IMAGERY", CENTRAL_WAVELENGTH_UM=f"{w / 1e3 + 0.002:.4f}")
+    with pytest.raises(InputError, match="the bands have two wavelengths"):
+        open_cube(path, quantity="reflectance")
 
 
 def test_tags_in_falling_order_are_sorted_on_request(tmp_path: Path, values):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -59,7 +60,7 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
     UsageError : the unit is missing or contradicts the header, or the wavelengths are implausible in it.
     """
     values, key = header.numbers("wavelength", header.bands), "wavelength"
-    in_names = _wavelengths_in_names(header) if values is None else None
+    in_names = _in_header_names(header) if values is None else None
     stated, remarks = header.text("wavelength units"), []
     if in_names is not None:
         values, key, stated = in_names[0], "band names", in_names[1] or stated
@@ -101,17 +102,21 @@ def band_table(header: EnviHeader, *, wavelength_unit: str | None = None, sort_b
 
 def lists_wavelengths(header: EnviHeader) -> bool:
     """Whether a header has wavelengths, as a list or in the names of its bands."""
-    return header.text("wavelength") is not None or _wavelengths_in_names(header) is not None
+    return header.text("wavelength") is not None or _in_header_names(header) is not None
 
 
-def _wavelengths_in_names(header: EnviHeader) -> tuple[Array, str | None] | None:
+def _in_header_names(header: EnviHeader) -> tuple[Array, str | None] | None:
+    names = header.strings("band names") or ()
+    return wavelengths_in_names(names) if len(names) == header.bands else None
+
+
+def wavelengths_in_names(names: Sequence[str]) -> tuple[Array, str | None] | None:
     """The wavelength in the name of every band, and its unit where the names have one; None where not all have it.
 
     ENVI writes ``Band 7 (0.548000)``, others ``548.3 nm``: a number in parentheses or before a unit.
     """
-    names = header.strings("band names") or ()
     hits = [_NAMED.findall(name) for name in names]
-    if len(names) != header.bands or any(len(hit) != 1 for hit in hits):
+    if not hits or any(len(hit) != 1 for hit in hits):
         return None
     numbers = np.array([float(h[0][0] or h[0][1]) for h in hits])
     units = {h[0][2] for h in hits}

@@ -381,11 +381,12 @@ def _table(raster: Raster, axis: Bands, unit: str | None, sort_bands: bool) -> B
         return bands_of.band_table(raster.header, wavelength_unit=unit, sort_bands=sort_bands)
     if raster.description is not None:
         return raster.description.band_table(unit, where, sort_bands=sort_bands)
-    if isinstance(raster, TiffRaster) and raster.wavelength_um:
-        centre = bands_of.wavelengths_in_nm(np.array(raster.wavelength_um), "um", where)
+    if isinstance(raster, TiffRaster) and raster.tagged.wavelength_um:
+        tagged = raster.tagged
+        centre = bands_of.wavelengths_in_nm(np.array(tagged.wavelength_um), "um", where)
         good = ~np.isin(np.arange(raster.bands), raster.bad_bands)
-        width = 1e3 * np.array(raster.fwhm_um) if raster.fwhm_um else None
-        return bands_of.ordered_bands(centre, width, good, sort_bands=sort_bands, where=where)
+        width = 1e3 * np.array(tagged.fwhm_um) if tagged.fwhm_um else None
+        return bands_of.ordered_bands(centre, width, good, sort_bands=sort_bands, where=where, notes=tagged.notes)
     raise InputError(
         "the file lists no wavelengths",
         where=where,

@@ -21,6 +21,7 @@ from rasterio.windows import Window
 
 from hyperval.envi_header import EnviHeader, read_header
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.imagery.band_table import wavelengths_in_names
 from hyperval.imagery.description import Description
 from hyperval.imagery.envi_raster import header_beside
 from hyperval.imagery.georeference import crs_of, transform_of
@@ -33,8 +34,33 @@ MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
 MAX_TILE_BYTES = 1 << 30
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
 TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
-_PER_UM = {"nanometers": 1e-3, "nanometer": 1e-3, "nm": 1e-3, "micrometers": 1.0, "micrometer": 1.0, "um": 1.0}
+_PER_UM = {
+    "nanometers": 1e-3,
+    "nanometer": 1e-3,
+    "nm": 1e-3,
+    "micrometers": 1.0,
+    "micrometer": 1.0,
+    "um": 1.0,
+    "µm": 1.0,
+    "μm": 1.0,
+    "micron": 1.0,
+    "microns": 1.0,
+    "nanometre": 1e-3,
+    "nanometres": 1e-3,
+    "micrometre": 1.0,
+    "micrometres": 1.0,
+}
+_ROUNDED_UM = 0.00051  # half of the last digit that GDAL writes into its own domain
 _OPENING = threading.Lock()
+
+
+@dataclass(frozen=True)
+class _Bands:
+    """Centres and widths [um] of the bands as the file itself states them, and what was taken for them."""
+
+    wavelength_um: tuple[float, ...] = ()
+    fwhm_um: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -51,8 +77,7 @@ class TiffRaster:
     nodata: float | None = None
     gains: tuple[float, ...] = ()
     offsets: tuple[float, ...] = ()
-    wavelength_um: tuple[float, ...] = ()
-    fwhm_um: tuple[float, ...] = ()
+    tagged: _Bands = _Bands()
     bad_bands: tuple[int, ...] = ()  # from 0, as we mark them ourselves
     header: EnviHeader | None = None
     description: Description | None = None
@@ -132,7 +157,7 @@ def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffR
                 f"one block of the file needs more than {MAX_TILE_BYTES >> 20} MiB", where=str(path),
                 mend="rewrite it with smaller strips or tiles",
             )  # fmt: skip
-        waves, widths = _band_wavelengths_um(dataset, path)
+        bands = _bands_in_tags(dataset, path)
         raster = TiffRaster(
             path=path,
             lines=dataset.height,
@@ -144,8 +169,7 @@ def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffR
             nodata=dataset.nodata,
             gains=tuple(dataset.scales),
             offsets=tuple(dataset.offsets),
-            wavelength_um=waves,
-            fwhm_um=widths,
+            tagged=bands,
             bad_bands=tuple(i - 1 for i in dataset.indexes if dataset.tags(i).get("GOOD_BAND") == "0"),
         )
     sidecar = Path(header) if header is not None else header_beside(path)
@@ -166,11 +190,12 @@ def open_tiff(path: Path, header: Path | str | None, root: Path | None) -> TiffR
     return replace(raster, header=parsed, transform=transform, crs=crs)
 
 
-def _band_wavelengths_um(dataset: Any, path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Band centres and widths [um] in the tags of the bands; empty where a band has none, or where no unit stands.
+def _bands_in_tags(dataset: Any, path: Path) -> _Bands:
+    """What the tags of the bands say of their places; empty where a band has none, or where no unit stands.
 
-    Either in GDAL's own domain for them (CENTRAL_WAVELENGTH_UM, FWHM_UM), or as its ENVI driver hands them to other
-    formats: ``wavelength`` and ``wavelength_units``, at times with ``fwhm``.
+    ``wavelength`` and ``wavelength_units``, at times with ``fwhm``, as GDAL's ENVI driver hands them on; the domain
+    that GDAL has for them (CENTRAL_WAVELENGTH_UM, FWHM_UM), which the same driver fills with whole nanometres; or
+    the names of the bands.
     """
     imagery = [dataset.tags(i, ns="IMAGERY") for i in dataset.indexes]
     plain = [{key.lower(): value for key, value in dataset.tags(i).items()} for i in dataset.indexes]
@@ -178,20 +203,34 @@ def _band_wavelengths_um(dataset: Any, path: Path) -> tuple[tuple[float, ...], t
     per_um = {_PER_UM.get(unit) for unit in units}
     factor = per_um.pop() if len(per_um) == 1 else None
 
-    def listed(domain_key: str, key: str) -> tuple[float, ...]:
-        own = [tags.get(domain_key) for tags in imagery]
-        factors, texts = (1.0, own) if all(own) else (factor, [tags.get(key) for tags in plain])
-        if factors is None or not all(texts):
+    def numbers(tags: list[dict[str, str]], key: str, factor: float | None) -> tuple[float, ...]:
+        texts = [entry.get(key) for entry in tags]
+        if factor is None or not all(texts):
             return ()
         try:
-            numbers = tuple(factors * float(str(text)) for text in texts)
+            values = tuple(factor * float(str(text)) for text in texts)
         except ValueError:
-            numbers = (0.0,)
-        if not all(0.0 < number < np.inf for number in numbers):  # NaN is none either
+            values = (0.0,)
+        if not all(0.0 < value < np.inf for value in values):  # NaN is none either
             raise InputError(f"tags {key!r} of the bands that are no positive numbers", where=str(path))
-        return numbers
+        return values
 
-    return listed("CENTRAL_WAVELENGTH_UM", "wavelength"), listed("FWHM_UM", "fwhm")
+    centres, rounded = numbers(plain, "wavelength", factor), numbers(imagery, "CENTRAL_WAVELENGTH_UM", 1.0)
+    if centres and rounded and max(abs(a - b) for a, b in zip(centres, rounded, strict=True)) > _ROUNDED_UM:
+        raise InputError(
+            "the bands have two wavelengths: 'wavelength' and CENTRAL_WAVELENGTH_UM of the domain IMAGERY differ",
+            where=str(path), mend="name a table of the bands (collection.bands)",
+        )  # fmt: skip
+    widths, notes = numbers(plain, "fwhm", factor), []
+    if not widths:
+        widths = numbers(imagery, "FWHM_UM", 1.0)
+        if widths and all(abs(1e3 * value - round(1e3 * value)) < 1e-6 for value in widths):
+            notes.append("the widths are whole nanometres, to which GDAL rounds them when it converts a file")
+    named = None if centres or rounded else wavelengths_in_names([name or "" for name in dataset.descriptions])
+    if named is not None and (factor := _PER_UM.get((named[1] or "").lower())) is not None:
+        centres = tuple(float(factor * value) for value in named[0])
+        notes.append("no tag lists wavelengths: those in the names of the bands are taken")
+    return _Bands(centres or rounded, widths, tuple(notes))
 
 
 @contextmanager
