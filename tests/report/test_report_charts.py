@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from synthetic_run import make_run
 
-from hyperval.products import RocCurve
+from hyperval.products import ObjectScores, Observation, Prediction, RocCurve
 from hyperval.report.charts import (
     MOST_SUBJECTS,
     draw_charts,
@@ -20,8 +20,10 @@ from hyperval.report.charts import (
     spectra_chart,
 )
 from hyperval.report.charts_base import FIRST_CURVES, LABELS
+from hyperval.report.charts_objects import MANY_OBJECTS, map_objects, objects_chart
 from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.netcdf import labelled_arrays
+from hyperval.report.run import ScoreMap
 from hyperval.report.sides import difference_ratio, eigenvalues
 from hyperval.report.style import house_style
 from hyperval.report.text_cache import chart_models
@@ -203,3 +205,48 @@ def test_models_of_a_chart_are_kept_on_disk_and_damaged_ones_are_built_again(mon
     assert build("spectra", "chart-y", ("predicted",), False, "radiance", True, LABELS) == "built"
     kept.write_bytes(kept.read_bytes()[:-1])
     assert build("spectra", "chart-x", ("predicted",), False, "radiance", True, LABELS) == "built"
+
+
+@pytest.fixture(scope="module")
+def planks():
+    """A map of 50 objects of two subjects in a row, the measured scores 0.1 above the predicted median."""
+    rng = np.random.default_rng(5)
+    outlines, predicted, measured = {}, {}, {}
+    for number, subject in enumerate(("large", "small")):
+        names = tuple(f"{subject}-{i:02d}" for i in range(25))
+        for i, name in enumerate(names):
+            mask = np.zeros((9, 120), bool)
+            mask[2 + 4 * number, 4 * i : 4 * i + 2] = True
+            outlines[name] = mask
+        draws = rng.normal(0.5 + number, 0.05, (400, 5))
+        predicted[subject, "cem"] = ObjectScores(draws)
+        measured[subject, "cem"] = ObjectScores(np.full(25, np.median(draws) + 0.1), names)
+    axis_of = SpectralAxis(np.array([500.0, 600.0]), 10.0)
+    sides = (Prediction(axis_of, object_scores=predicted), Observation(axis_of, object_scores=measured))
+    return {"planks-cem": ScoreMap(np.zeros((9, 120)), outlines=outlines)}, sides
+
+
+def test_many_objects_are_a_map_and_a_histogram(planks):
+    maps, sides = planks
+    own = map_objects("planks-cem", maps["planks-cem"], sides)
+    np.testing.assert_allclose(own.measured - own.predicted, 0.1, atol=1e-12)
+    assert (own.line[0], own.sample[0]) == (2.5, 1.0), "the middle of its two pixels"
+    _, measured, expected = own.histogram()
+    assert measured.sum() == len(own.names) == 50
+    assert expected.sum() == pytest.approx(50.0)
+    content = json.loads(objects_chart(maps, sides).content)
+    fill = content["fill"]
+    columns = {name: numbers(fill["arrays"][i]) for name, i in fill["sources"]["objects-0"].items()}
+    np.testing.assert_allclose(columns["difference"], 0.1, atol=1e-6)
+    assert fill["texts"]["objects-0"]["name"] == list(own.names)
+    assert fill["colours"]["difference-0"] == pytest.approx([-0.1, 0.1])
+    sources = [m["name"] for m in models(json.dumps(content["item"]), "ColumnDataSource")]
+    assert sorted(sources) == ["bins-0", "objects-0"], "map and histogram share what is chosen"
+
+
+def test_few_objects_stay_a_list(planks):
+    maps, sides = planks
+    some = dict(list(maps["planks-cem"].outlines.items())[:MANY_OBJECTS])
+    assert objects_chart({"planks-cem": dataclasses.replace(maps["planks-cem"], outlines=some)}, sides) is None
+    assert objects_chart({"planks-ace": maps["planks-cem"]}, sides) is None, "another detector's map"
+    assert objects_chart(maps, (sides[0], None)) is None

@@ -18,8 +18,10 @@ from bokeh.models import (
     BoxSelectTool,
     BoxZoomTool,
     ColumnDataSource,
+    DataRange1d,
     HoverTool,
     LayoutDOM,
+    LinearColorMapper,
     PanTool,
     Range1d,
     ResetTool,
@@ -28,7 +30,8 @@ from bokeh.models import (
     Tabs,
     WheelZoomTool,
 )
-from bokeh.models.annotations import Span
+from bokeh.models.annotations import ColorBar, Span
+from bokeh.palettes import RdBu11
 from bokeh.plotting import figure
 
 from hyperval.report import style
@@ -198,13 +201,60 @@ def eigenvalues(subjects: tuple[tuple[str, tuple[int, ...]], ...]) -> Any:
     return plot
 
 
+def objects(maps: tuple[str, ...]) -> LayoutDOM:
+    """A map of objects above the histogram of their scores, a tab for each score map; both share what is chosen."""
+    return Tabs(
+        tabs=[TabPanel(title=name, child=_objects_of(tab)) for tab, name in enumerate(maps)],
+        sizing_mode="stretch_width",
+    )
+
+
+def _objects_of(tab: int) -> LayoutDOM:
+    columns = ("sample", "line", "measured", "predicted", "difference")
+    empty: dict[str, Any] = dict.fromkeys(columns, np.empty(0, np.float32))
+    source = ColumnDataSource({**empty, "name": []}, name=f"objects-{tab}")
+    mapper = LinearColorMapper(palette=RdBu11, low=-1.0, high=1.0, name=f"difference-{tab}")
+    place = _empty_plot(380, DataRange1d(), "line [pixel]", match_aspect=True)
+    place.y_range = DataRange1d(flipped=True)
+    place.xaxis.axis_label = "sample [pixel]"
+    chosen: dict[str, Any] = {"nonselection_alpha": 0.12}
+    dots = place.scatter(
+        "sample", "line", source=source, size=9, line_color=GREY,
+        fill_color={"field": "difference", "transform": mapper}, **chosen,
+    )  # fmt: skip
+    bar = ColorBar(color_mapper=mapper, title="measured - predicted", background_fill_alpha=0.0)
+    bar.title_text_color = bar.major_label_text_color = GREY
+    place.add_layout(bar, "right")
+    tips = [("", "@name"), ("measured", "@measured"), ("predicted median", "@predicted")]
+    place.add_tools(HoverTool(tooltips=tips, renderers=[dots]), BoxSelectTool())
+    bins: dict[str, Any] = dict.fromkeys(("left", "right", "measured", "predicted"), np.empty(0, np.float32))
+    counts = ColumnDataSource(bins, name=f"bins-{tab}")
+    scores = _empty_plot(240, Range1d(name=f"score-{tab}"), "objects")
+    scores.y_range = Range1d(name=f"count-{tab}")
+    scores.xaxis.axis_label = "greatest score over the object's pixels [1]"
+    edges: dict[str, Any] = {"left": "left", "right": "right", "bottom": 0, "source": counts}
+    bars = [
+        scores.quad(
+            top="measured", legend_label="measured", fill_color=COLLECTED.colour, fill_alpha=0.35,
+            line_color=COLLECTED.colour, **edges,
+        ),
+        scores.quad(
+            top="predicted", legend_label="predicted", fill_alpha=0.0, line_color=PREDICTED.colour,
+            line_dash="dashed", line_width=1.6, **edges,
+        ),
+    ]  # fmt: skip
+    scores.scatter("measured", 0, source=source, size=7, color=COLLECTED.colour, **chosen)
+    tips = [("score", "@left to @right"), ("measured", "@measured"), ("predicted", "@predicted{0.0}")]
+    scores.add_tools(HoverTool(tooltips=tips, renderers=bars[:1]), BoxSelectTool(dimensions="width"))
+    _legend(scores)
+    return column(place, scores, sizing_mode="stretch_width")
+
+
 def _area(look: dict[str, Any]) -> dict[str, Any]:
     return {"fill_color": look["color"], "legend_label": look["legend_label"]}
 
 
-def _empty_plot(
-    height: int, span: Range1d, label: str, absorption: ColumnDataSource | None = None, **more: Any
-) -> Any:
+def _empty_plot(height: int, span: Any, label: str, absorption: ColumnDataSource | None = None, **more: Any) -> Any:
     """An empty plot in the house's look, legible on white and on dark paper."""
     plot = figure(
         height=height,
@@ -271,4 +321,5 @@ _KINDS: dict[str, Callable[..., LayoutDOM]] = {
     "curves": curves,
     "densities": densities,
     "eigenvalues": eigenvalues,
+    "objects": objects,
 }

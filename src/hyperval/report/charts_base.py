@@ -52,12 +52,16 @@ class Fill:
     sources : of a source of columns: column -> its place in ``arrays``, which holds each array once
     ranges : start and end of a range
     spans : place of a line
+    colours : ends of a scale of colours
+    texts : of a source of columns: column -> its texts
     """
 
     sources: dict[str, dict[str, int]] = field(default_factory=dict)
     ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
     spans: dict[str, float] = field(default_factory=dict)
     arrays: dict[str, int] = field(default_factory=dict)
+    colours: dict[str, tuple[float, float]] = field(default_factory=dict)
+    texts: dict[str, dict[str, list[str]]] = field(default_factory=dict)
 
     def add(self, source: str, columns: Mapping[str, npt.NDArray[Any]]) -> None:
         """Columns of a source."""
@@ -72,6 +76,8 @@ class Fill:
             "ranges": self.ranges,
             "spans": self.spans,
             "arrays": list(self.arrays),
+            "colours": self.colours,
+            "texts": self.texts,
         }
 
 

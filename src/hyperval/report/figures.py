@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from hyperval.report.charts_objects import map_objects
 from hyperval.report.figures_attribution import attribution_figures
 from hyperval.report.figures_covariance import sampled_eigenvalue_figures, tail_figures
 from hyperval.report.figures_detection import abundance_figures, roc_figures, score_figures
@@ -38,7 +39,10 @@ def draw_figures(run: RunReport) -> list[Drawing]:
         drawings += tail_figures(run.tails, simulated=simulated)
         drawings += class_error_figures(sides, simulated=simulated)
         drawings += score_figures(sides, simulated=simulated)
-        drawings += object_score_figures(sides, simulated=simulated)
+        if not any(
+            map_objects(name, one, sides) for name, one in run.score_maps.items()
+        ):  # else a map and a histogram
+            drawings += object_score_figures(sides, simulated=simulated)
         drawings += transform_figures(sides, simulated=simulated)
         drawings += exceedance_figures(sides, simulated=simulated)
         drawings += score_map_figures(run.score_maps, simulated=simulated)

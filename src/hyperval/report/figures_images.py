@@ -75,7 +75,7 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
         title = f"Score map {name}{', targets outlined' if score_map.outlines else ''}{note}"
         alt = (
             f"Map of the detector score {name}, {scores.shape[0]} lines by {scores.shape[1]} samples{note}; "
-            f"outlined: {', '.join(score_map.outlines) or 'nothing'}."
+            f"outlined: {_words_of(score_map.outlines) or 'nothing'}."
         )
         drawings.append(
             Drawing(
@@ -247,6 +247,10 @@ def _numbered_names(regions: Mapping[str, Any]) -> str:
     if len(regions) > _MOST_NUMBERED:
         return f"{len(regions)} outlines"
     return "; ".join(f"{number} {name}" for number, name in enumerate(regions, start=1))
+
+
+def _words_of(regions: Mapping[str, Any]) -> str:
+    return f"{len(regions)} objects" if len(regions) > _MOST_NUMBERED else ", ".join(regions)
 
 
 def _figure_size(view: Window) -> tuple[float, float]:

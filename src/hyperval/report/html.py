@@ -18,6 +18,7 @@ from hyperval.metrics import Evidence, explained
 from hyperval.report import verdict as v
 from hyperval.report.charts import draw_charts, eigenvalue_chart
 from hyperval.report.charts_base import Chart
+from hyperval.report.charts_objects import objects_chart
 from hyperval.report.matrix import LETTERS, anchor, matrix_of
 from hyperval.report.run import WARNING, RunReport
 from hyperval.report.scripts import packed_library, page_script, page_script_hash, script_hashes, starter
@@ -83,7 +84,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     spread = (
         None if run.eigenvalues else eigenvalue_chart(sides)
     )  # else a figure has the band of chance to judge by
-    charts += [spread] if spread is not None else []
+    charts += [chart for chart in (objects_chart(run.score_maps, sides), spread) if chart is not None]
     embedded = _embedded(drawings, charts)
     sections = _sections(run, drawings, embedded, rows)
     tone, words = v.verdict(rows)

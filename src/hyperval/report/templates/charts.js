@@ -21,10 +21,13 @@ function showCurves(root, name) {
 }
 
 // Numbers of a chart go into its models by their names.
-function fillIn(plots, { sources, ranges, spans, arrays }) {
+function fillIn(plots, { sources, ranges, spans, arrays, colours, texts }) {
   const values = arrays.map(numbers);
   for (const [name, columns] of Object.entries(sources))
-    plots.get_model_by_name(name).data = Object.fromEntries(Object.entries(columns).map(([column, i]) => [column, values[i]]));
+    plots.get_model_by_name(name).data = {
+      ...Object.fromEntries(Object.entries(columns).map(([column, i]) => [column, values[i]])), ...texts[name],
+    };
+  for (const [name, [low, high]] of Object.entries(colours)) plots.get_model_by_name(name).setv({ low, high });
   setRanges(plots, ranges);
   for (const [name, location] of Object.entries(spans)) plots.get_model_by_name(name).location = location;
 }
