@@ -47,11 +47,11 @@ power: $(READY)  ## plant standard errors in the model of every campaign: which 
 scoreboard: $(READY)  ## rank detectors, engines and formulations on every campaign; the page is in reports/scoreboard
 	$(BIN)/hyperval benchmark campaigns/*/campaign.yaml -o $(SCORES)
 
-test: $(READY_DEV)  ## run the tests, but for the slow ones
-	$(PYTEST) -m "not slow" $(TEST_FLAGS)
+test: $(READY_DEV)  ## run the tests, but for slow ones and studies of chance
+	$(PYTEST) -m "not slow and not simulation" $(TEST_FLAGS)
 
-test-slow: $(READY_DEV)  ## run the slow tests: twins, grids of the atmosphere engine, a cluster that loses a worker
-	$(PYTEST) -m slow $(TEST_FLAGS)
+test-slow: $(READY_DEV)  ## run the others: twins, grids of the atmosphere engine, pages in a browser, how often intervals hold
+	$(PYTEST) -m "slow or simulation" $(TEST_FLAGS)
 
 test-all: $(READY_DEV)  ## both in one run, which sets up once what both need
 	$(PYTEST) $(TEST_FLAGS)

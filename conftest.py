@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import ipaddress
 import os
 import re
@@ -52,6 +53,17 @@ def data_dir() -> Callable[[str], Path]:
         return path
 
     return locate
+
+
+def pytest_sessionstart() -> None:
+    """Nothing is garbage while tests are collected."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Thousands of tests stay to the end: they are not looked through for garbage again and again."""
+    gc.enable()
+    gc.freeze()
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

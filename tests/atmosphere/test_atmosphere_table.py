@@ -444,6 +444,7 @@ def test_a_real_table_written_as_netcdf_is_the_same(data_dir, tmp_path):
     np.testing.assert_array_equal(found.fwhm_nm, table.fwhm_nm)
 
 
+@pytest.mark.slow
 def test_a_table_of_the_embedded_engine_meets_it_at_the_nodes(engine_cache, tmp_path):
     # Without aerosol 6S runs a third as often.
     clear = {"aerosol": "none", "aot550": None}

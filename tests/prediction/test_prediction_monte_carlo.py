@@ -100,6 +100,7 @@ def test_the_same_seed_gives_the_same_and_another_one_not():
     assert other.provenance["propagation"]["agreements"][0]["drawn_sd"] != first[0]["drawn_sd"]
 
 
+@pytest.mark.slow
 def test_where_the_ways_differ_the_draws_give_the_interval_of_pd():
     # A fill that is uncertain by its own size and cannot be below 0: P_D has a tail that no straight line knows.
     text = SMALL.replace(
@@ -115,6 +116,7 @@ def test_where_the_ways_differ_the_draws_give_the_interval_of_pd():
     np.testing.assert_array_equal(p.roc[loose].pd_lower, linear.roc[loose].pd_lower)
 
 
+@pytest.mark.slow
 def test_monte_carlo_alone_scales_spectra_and_takes_every_curve():
     p, linear = run(with_method("monte-carlo")), run(with_method("linear"))
     ratio = p.radiance["grass"].standard_uncertainty / linear.radiance["grass"].standard_uncertainty

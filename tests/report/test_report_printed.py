@@ -49,7 +49,9 @@ def test_products_are_read_as_they_were_written(run, folder):
         assert side.abundance == original.abundance
 
 
-@pytest.mark.parametrize(("kind", "style"), [("pdf", "journal"), ("png", "house")])
+@pytest.mark.parametrize(
+    ("kind", "style"), [pytest.param("pdf", "journal", marks=pytest.mark.slow), ("png", "house")]
+)
 def test_figures_are_drawn_in_each_format(folder, tmp_path, kind, style):
     assert command(["figures", str(folder), "-o", str(tmp_path / "out"), "--format", kind, "--style", style]) == 0
     files = {p.name: p.read_bytes() for p in (tmp_path / "out").glob(f"*.{kind}")}

@@ -91,6 +91,7 @@ def test_every_detector_engine_and_formulation_has_its_rows_and_the_folder_repea
     assert "SIMULATED" in page
 
 
+@pytest.mark.slow
 def test_the_recipes_of_the_page_each_add_their_row(make_small, tmp_path, no_drawing):
     one, other = make_small("one"), make_small("other")
     other.data["name"] = "another"
@@ -127,6 +128,7 @@ def test_what_cannot_run_is_skipped_with_the_reason(small, tmp_path, no_drawing)
     assert rows["ace/object", "auc"]["outcome"] == "none"
 
 
+@pytest.mark.slow
 def test_a_detector_that_the_collection_refuses_leaves_the_campaigns_own(small, tmp_path, no_drawing):
     (tmp_path / "bad.py").write_text(
         "from hyperval.errors import UsageError\n"

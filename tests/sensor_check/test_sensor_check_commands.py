@@ -113,6 +113,7 @@ def test_exit_codes_of_wrong_input(here, arguments, code):
     assert run(["sensor", "check", *arguments]) == code
 
 
+@pytest.mark.slow
 def test_two_writes_give_the_same_bytes(tmp_path):
     write(tmp_path / "good.yaml", good_sensor())
     check = check_sensor(sensor_of(good_sensor()), engine=stand_in_atmosphere)
@@ -170,6 +171,7 @@ def test_the_new_file_is_valid_once_it_is_filled_in():
 # --- the how-to page ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_page_s_own_commands_on_its_own_files(here):
     text = PAGE.read_text("utf-8")
     files = re.findall(r"<!-- file: (\S+) -->\n```yaml\n(.*?)```", text, re.DOTALL)
