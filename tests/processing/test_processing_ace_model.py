@@ -82,7 +82,7 @@ def test_stated_error_is_the_scatter_of_repetition(space):
 
 def test_probability_of_a_quadratic_by_its_roots():
     def one(*abc):
-        return float(_positive(*(np.array([float(x)]) for x in abc))[0])
+        return float(_positive(*(np.array([float(x)]) for x in abc), opens_upwards=abc[0] >= 0)[0])
 
     assert one(1, 0, -4) == pytest.approx(2 * ndtr(-2.0), rel=1e-14)
     assert one(-1, 0, 4) == pytest.approx(1 - 2 * ndtr(-2.0), rel=1e-14)

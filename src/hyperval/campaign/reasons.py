@@ -14,6 +14,7 @@ from hyperval.predict import Origins, predictions
 from hyperval.prediction.budget import given_of, inputs_of
 from hyperval.prediction.departure import Departure, departs
 from hyperval.prediction.inputs import Resolve
+from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.products import Prediction, Products
 from hyperval.results import Result
 from hyperval.scenario import Scenario
@@ -54,8 +55,12 @@ def reasons(
     draws = OBJECT_DRAWS if whole else False
 
     def of_truths(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[Prediction]:
-        # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects.
-        return predictions(scenario, truths, origins_of(scenario), objects=draws, object_curves=False)
+        # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects, and
+        # not what takes draws of its own for each of a hundred truths.
+        closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
+        processing = scenario.processing.model_copy(update={"detectors": closed})
+        lighter = scenario.model_copy(update={"processing": processing}) if closed else scenario
+        return predictions(lighter, truths, origins_of(scenario), objects=draws, object_curves=False)
 
     as_stated: list[tuple[Scenario, Prediction]] = []  # predicted once, however often nothing is moved in it
 

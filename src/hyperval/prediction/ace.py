@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
 from hyperval.prediction.batch import Batch, Group
+from hyperval.prediction.fills import Fills
 from hyperval.prediction.filters import FilterBase, Population, noise_of
 from hyperval.processing.ace_model import (
     AceSpace,
@@ -76,13 +77,8 @@ def ace_scores(batch: Batch, population: str, pfa: Array, object_curves: bool = 
     for point in range(len(batch)):
         e = batch.once(("ace", point, number), lambda p=point: _evaluation(batch, p, number, pfa))  # type: ignore[misc]
         fill = batch.fill_of(point, number, subject)
-        # The fills of whole objects are in the reach of the nodes even where their curve is not asked for.
-        whole = batch.fills(number, subject, True)
-        row = whole.values[point if whole.values.shape[0] > 1 else 0]
-        objects = row.reshape(whole.shape or (-1, 1))
-        reach = np.concatenate([fill.values, objects.ravel()])
-        nodes = _nodes(float(reach.min()), float(reach.max()))
-        at_nodes = [_at_fill(batch, e, float(f)) for f in nodes]
+        nodes, at_nodes = batch.once(("ace nodes", point, number), lambda e=e: _at_nodes(batch, e))  # type: ignore[misc]
+        whole, objects = _objects(batch, point, number, subject)
         pixel = _averaged(at_nodes, nodes, fill.values[:, None], fill.weights)
         target.append(_distribution(pixel))
         background.append(_distribution(e.background))
@@ -98,6 +94,24 @@ def ace_scores(batch: Batch, population: str, pfa: Array, object_curves: bool = 
     each = {unit: np.array(curves) for unit, curves in detection.items()}
     error, alarm_error = np.array(errors).T
     return AceScores(target, background, np.array(thresholds), each, error, alarm_error)
+
+
+def _objects(batch: Batch, point: int, target: int, population: int) -> tuple[Fills, Array]:
+    """Fills of the pixels of whole objects in one evaluation, and the same as (places, pixels)."""
+    whole = batch.fills(target, population, True)
+    row = whole.values[point if whole.values.shape[0] > 1 else 0]
+    return whole, row.reshape(whole.shape or (-1, 1))
+
+
+def _at_nodes(batch: Batch, e: _Evaluation) -> tuple[Array, list[Exceedance]]:
+    """Fills that span those of all populations of a target, and its exceedances there."""
+    reach = []
+    for k in range(len(batch.targets[e.target].populations)):
+        # Those of whole objects too, even where their curve is not asked for.
+        reach += [batch.fill_of(e.point, e.target, k).values, _objects(batch, e.point, e.target, k)[1].ravel()]
+    every = np.concatenate(reach)
+    nodes = _nodes(float(every.min()), float(every.max()))
+    return nodes, [_at_fill(batch, e, float(f)) for f in nodes]
 
 
 def _evaluation(batch: Batch, point: int, target: int, pfa: Array) -> _Evaluation:

@@ -118,7 +118,7 @@ def ace_exceedance(
         a = scale**2 * (length**2 - e * float(step @ step))
         b = 2.0 * scale * (u0 * length - e * cross)
         c = u0**2 - e * square
-        p = weight * _positive(a, b, c)
+        p = weight * _positive(a, b, c, length**2 >= e * float(step @ step))
         probability[k], error[k] = p.mean(), p.std() / np.sqrt(draws)
     return Exceedance(eta, probability, error)
 
@@ -154,16 +154,17 @@ def _drawn_closer(z: Array, decades: Sequence[float]) -> Array:
     return np.asarray(np.exp(-logsumexp(log_density, axis=1, b=1.0 / scale.size)))
 
 
-def _positive(a: Array, b: Array, c: Array) -> Array:
-    """P(a xi^2 + b xi + c > 0) for standard normal xi."""
+def _positive(a: Array, b: Array, c: Array, opens_upwards: bool) -> Array:
+    """P(a xi^2 + b xi + c > 0) for standard normal xi, where no ``a`` is below 0, or none above."""
     inside = b**2 - 4.0 * a * c
     root = np.sqrt(np.maximum(inside, 0.0))
     # The stable pair of roots: q / a and c / q.
     q = -0.5 * (b + np.where(b >= 0, root, -root))
     a, q = np.where(np.abs(a) < 1e-300, 1e-300, a), np.where(np.abs(q) < 1e-300, 1e-300, q)
     low, high = np.minimum(q / a, c / q), np.maximum(q / a, c / q)
-    outside = ndtr(low) + ndtr(-high)
+    if opens_upwards:
+        return np.where(inside <= 0, 1.0, ndtr(low) + ndtr(-high))
     # Between two roots on one side of zero, the difference is taken where it keeps its digits.
     flip = low > 0
-    between = np.where(flip, ndtr(-low) - ndtr(-high), ndtr(high) - ndtr(low))
-    return np.where(inside <= 0, (a > 0).astype(float), np.where(a > 0, outside, between))
+    between = ndtr(np.where(flip, -low, high)) - ndtr(np.where(flip, -high, low))
+    return np.where(inside <= 0, 0.0, between)
