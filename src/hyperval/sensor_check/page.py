@@ -9,6 +9,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hyperval.campaign.provenance import command_without_output, provenance
 from hyperval.files import sha256_of, write_text
 from hyperval.folders import whole_folder
@@ -19,7 +21,7 @@ from hyperval.report.outputs import write_tables
 from hyperval.report.style import Drawing
 from hyperval.report.tables import json_value
 from hyperval.results import Outcome, Result
-from hyperval.sensor.specification import Sensor, library_names
+from hyperval.sensor.specification import Sensor, library_names, load_sensor
 from hyperval.sensor_check.figures import draw_datasheet
 from hyperval.sensor_check.noise import Engine
 from hyperval.sensor_check.numbers import numbers
@@ -59,6 +61,7 @@ def datasheet_page(check: SensorCheck, drawings: Sequence[Drawing], provenance: 
             numbers=listed,
             assumed=sum(n.assumed for n in listed),
             sections=_sections(rows, drawings),
+            beside=bands_beside(check.sensor),
             provenance=provenance,
             folded=_FOLDED,
             **common_words(),
@@ -101,6 +104,30 @@ def _facts(sensor: Sensor) -> list[tuple[str, str]]:
     if spec.measured_noise is not None:
         facts.append(("noise", "as measured: |a √(b + L) + c|"))
     return facts
+
+
+def bands_beside(sensor: Sensor) -> dict[str, Any] | None:
+    """Every band with the nearest one of the set that the file names as ``bands.beside``, None where it names none.
+
+    The rows hold number, centre and width [nm] of both, and how much further on the other one lies [nm].
+    """
+    name = sensor.specification.bands.beside
+    if name is None:
+        return None
+    own, other = sensor.axis, load_sensor(name).axis
+    nearest = np.abs(own.centre_nm[:, None] - other.centre_nm[None, :]).argmin(axis=1)
+    rows = [
+        (i + 1, own.centre_nm[i], own.fwhm_nm[i], k + 1, other.centre_nm[k], other.fwhm_nm[k],
+         other.centre_nm[k] - own.centre_nm[i])
+        for i, k in enumerate(nearest.tolist())
+    ]  # fmt: skip
+    numbers = min(len(own), len(other))
+    apart = np.abs(own.centre_nm[:numbers] - other.centre_nm[:numbers])
+    wider = int(np.count_nonzero(other.fwhm_nm[nearest] > 1.5 * own.fwhm_nm))
+    words = f"bands of one number lie up to {apart.max():.1f} nm apart"
+    if wider:
+        words += f"; of {wider} bands the nearest one there is more than 1.5 times as wide: another detector's"
+    return {"name": name, "rows": rows, "words": words}
 
 
 def _sections(rows: Sequence[Result], drawings: Sequence[Drawing]) -> list[dict[str, Any]]:
