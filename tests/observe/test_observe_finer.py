@@ -224,12 +224,13 @@ detection:
 """
 
 
-def dirsig(folder: Path) -> np.ndarray:
-    """A radiance image and its truth in DIRSIG's layout; the abundance of the panel."""
+def dirsig(folder: Path, rays: int = 20) -> np.ndarray:
+    """A radiance image and its truth in DIRSIG's layout; the abundance of the panel, counted by rays."""
     rng = np.random.default_rng(9)
     material = np.where(np.arange(30)[:, None] < 15, 3.0, 12.0) * np.ones((30, 20))
     abundance = np.zeros((30, 20))
     abundance[5:7, 8:10], abundance[22, 4] = [[0.2, 1.0], [0.5, 0.75]], 0.6
+    abundance = np.round(abundance * rays) / rays
     reflectance = np.where(material[..., None] == 3.0, 0.3, 0.1) * (1 + 0.05 * rng.standard_normal((30, 20, 5)))
     reflectance += abundance[..., None] * (0.6 - reflectance)
     envi(folder / "scene.img", reflectance * 8e-3, WAVES)
@@ -246,6 +247,11 @@ def test_a_pair_of_dirsig_is_imagery_and_truth(tmp_path: Path):
     assert [t.area_m2 for t in place.targets] == pytest.approx([4 * 2.45, 4 * 0.6])
     np.testing.assert_allclose(place.targets[0].fills[0], abundance[5:7, 8:10])
     assert place.cube.read(0, 1).values.mean() == pytest.approx(0.3 * 8e-3 * 1e3, rel=0.02)  # uW cm-2 sr-1 nm-1
+    warning = "filled in part: was each pixel sampled by one ray"
+    assert not any(warning in note for note in place.notes)
+    dirsig(tmp_path, rays=1)
+    coarse = open_place(load_campaign(tmp_path / "c.yaml").collection, lambda name: tmp_path / name)
+    assert any(warning in note for note in coarse.notes)
     run = observed_report(tmp_path / "c.yaml", tmp_path, None, False)
     assert run.simulated is True
     assert "the collection is imagery and truth that DIRSIG made" in run.notes

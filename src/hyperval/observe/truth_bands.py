@@ -85,7 +85,13 @@ def abundance_targets(
                 object_of_fills(name, material, part[None], corner, cube.shape, area, truth.least_fill, str(path))
             )
     pixels = sum(int(o.part.sum()) for o in out)
-    return out, [f"{len(out)} targets of {pixels} pixels by the abundances in {path.name}"]
+    remarks = [f"{len(out)} targets of {pixels} pixels by the abundances in {path.name}"]
+    if all(np.isin(o.fills[o.fills > 0], 1.0).all() for o in out if o.fills is not None):
+        remarks.append(
+            f"warning: no pixel in {path.name} is filled in part: was each pixel sampled by one ray? Their number "
+            "in the simulation is what fills are counted by"
+        )
+    return out, remarks
 
 
 def _of_cube(path: Path, cube: Cube) -> Raster:
