@@ -21,6 +21,7 @@ from synthetic_run import NASTY, axis, make_run
 
 from hyperval.products import Observation, Prediction, RocCurve
 from hyperval.report import RunReport, write_index, write_outputs
+from hyperval.report import verdict as v
 from hyperval.report.figures import draw_figures
 from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.html import MAX_BYTES, index_page, report_page
@@ -334,6 +335,24 @@ def test_a_computed_reference_is_no_collected_imagery():
     for name, part in zip(("flight", "network", "twin"), parts[1:], strict=True):
         assert name in part
         assert not any(other in part for other in {"flight", "network", "twin"} - {name})
+
+
+def test_campaigns_without_their_collection_are_folded_by_what_gets_it():
+    run = make_run(curves=1)
+    table = ResultTable([dataclasses.replace(r, outcome=Outcome.SKIPPED) for r in run.table])
+    runs = [run] + [
+        dataclasses.replace(run, campaign=name, table=table, remedy=remedy)
+        for name, remedy in (("line 1", "fetch lines"), ("felt", "fetch felts"), ("line 2", "fetch lines"))
+    ]
+    page = index_page(runs, {r.campaign: r.campaign for r in runs})
+    before, after = Page(page).text.split("3 of the 4 campaigns were skipped")
+    assert "line 1" not in before
+    assert v.verdict(run.table)[1] in before
+    assert re.search("fetch lines\\s+for\\s+line 1\\s*,\\s*line 2\\s+fetch felts\\s+for\\s+felt", after)
+    assert 'href="line 2/report.html"' in page
+    alone = index_page(runs[1:], {r.campaign: r.campaign for r in runs})
+    assert "<details open>" in alone
+    assert "Collected imagery" not in Page(alone).text
 
 
 def test_falsified_result_turns_the_page(run):

@@ -17,11 +17,12 @@ from hyperval.errors import UsageError, reader
 
 @dataclass(frozen=True)
 class Waiting:
-    """A campaign that waits for its collection: what it says of itself, its file, and why it cannot run."""
+    """A campaign that waits for its collection: what it says of itself, its file, why it cannot run, what to do."""
 
     campaign: Outline
     path: Path
     reason: str
+    remedy: str
 
     @property
     def folder(self) -> Path:
@@ -66,15 +67,15 @@ class Text:
                 mend="hyperval observe needs neither",
             )
 
-    def absent(self) -> str | None:
-        """Why the campaign cannot be tried here: the collection is not public, and not a file of it is at hand."""
+    def absent(self) -> tuple[str, str] | None:
+        """Why the campaign cannot be tried here and what to do: not public, and not a file of it is at hand."""
         owners = {r: owner for r in self.named.files if (owner := set_on_request(r.text)) is not None}
         if not owners or any(r.path is not None for r in owners):
             return None
         first, owner = next(iter(owners.items()))
         left = len(self.named.to_fill_in)
         more = f"; {left} values are to be filled in then (hyperval validate --dry-run lists them)" if left else ""
-        return f"{owner.name} is not on this machine: {first.problem}{more}"
+        return f"{owner.name} is not on this machine: {first.problem}{more}", first.problem
 
     def unfilled(self) -> UsageError:
         """The error that names every value to be filled in."""

@@ -75,10 +75,10 @@ def jobs_of(path: Path, *, compares: bool = True) -> list[Job | Waiting]:
         if not text.named.to_fill_in:
             out.append(Job(text.campaign(), Path(path)))
             continue
-        reason = text.absent()
-        if reason is None:
+        absent = text.absent()
+        if absent is None:
             raise text.unfilled()
-        out.append(Waiting(text.outline(), Path(path), reason))
+        out.append(Waiting(text.outline(), Path(path), *absent))
     return out
 
 
@@ -126,7 +126,7 @@ def run_campaign(
     HypervalError : anything else that the user can mend.
     """
     if isinstance(job, Waiting):
-        return unfinished(job, Outcome.SKIPPED, job.reason)
+        return replace(unfinished(job, Outcome.SKIPPED, job.reason), remedy=job.remedy)
     try:
         with ExitStack() as stack:
             with step_of(job.campaign.name, "observe", predicts):
@@ -147,7 +147,9 @@ def run_campaign(
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
-        return unfinished(job, Outcome.SKIPPED, _with_every_set(job, error))
+        remedy = _every_set(job, error)
+        reason = f"{error.where}: {error.what}\n  to mend it: {remedy}"
+        return replace(unfinished(job, Outcome.SKIPPED, reason), remedy=remedy)
 
 
 def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextManager[None]:
@@ -240,13 +242,11 @@ def collected(
         yield Collected(inputs, scenarios, observed, seed)
 
 
-def _with_every_set(job: Job, error: MissingDataError) -> str:
-    """The message of the first missing file, with the command that fetches all sets the campaign lacks."""
+def _every_set(job: Job, error: MissingDataError) -> str:
+    """The command that fetches all sets the campaign lacks; of one that cannot be fetched how to get it."""
     files = next((t.named.files for t in read_texts(job.path) if t.outline().name == job.campaign.name), ())
     sets = missing_sets(files)
-    if len(sets) < 2:
-        return str(error)
-    return f"{error.where}: {error.what}\n  to mend it: hyperval data fetch {' '.join(sets)}"
+    return f"hyperval data fetch {' '.join(sets)}" if len(sets) > 1 else error.mend or ""
 
 
 def _report(job: Job, side: Collected, predictions: Sequence[Prediction], show_progress: bool | None) -> RunReport:

@@ -142,10 +142,9 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
     second compares two programs, with the last it tests the software.  Runs with a ``sentence`` of their own are
     set beside accepted numbers.
     """
-    titles = {run.campaign: run.title for run in runs}
     groups = []
     for heading, kind in _GROUPS:
-        own = [run for run in runs if (run.simulated, run.computed) == kind]
+        own = [run for run in runs if not run.remedy and (run.simulated, run.computed) == kind]
         if not own:
             continue
         rows = [
@@ -166,8 +165,13 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
         if own[0].sentence:
             words = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
         groups.append((heading, tone, words, [m for m in matrices if m[1] is not None], entries))
+    remedies = dict.fromkeys(run.remedy for run in runs if run.remedy)
+    absent = [
+        (remedy, [(run, f"{folders[run.campaign]}/report.html") for run in runs if run.remedy == remedy])
+        for remedy in remedies
+    ]
     return environment().get_template("index.html.j2").render(
-        title=title, groups=groups, titles=titles, count=len(runs), **common_words()
+        title=title, groups=groups, absent=absent, count=len(runs), **common_words()
     )  # fmt: skip
 
 

@@ -136,6 +136,7 @@ class RunReport:
     tails : subject -> tails of both sides
     chosen_after : (what, as it was before) of each range that was chosen after its data were seen
     power : which standard errors the campaign would see, None where that was not worked out
+    remedy : how to get the collection of a run that was skipped for lack of it
     kind : what the page is: "Campaign" for both sides compared, else what it shows
     sentence : what the page says first where it compares something else than a model with a collection
     """
@@ -159,6 +160,7 @@ class RunReport:
     kind: str = "Campaign"
     sentence: str = ""
     computed: bool = False
+    remedy: str = ""
 
     @property
     def warnings(self) -> list[str]:
