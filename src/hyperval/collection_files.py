@@ -192,7 +192,11 @@ class TargetRegions(VectorSource):
     objects: Literal["patches", "regions"] = Field(
         "patches", description="what one object is: a group of touching pixels, or a region of the file"
     )
-    side_m: float | None = Field(None, gt=0, le=10_000, description="side of these square targets [m], where known")
+    side_m: Annotated[float, Field(gt=0, le=10_000)] | Literal["marked"] | None = Field(
+        None,
+        description="side of these square targets [m], where known; 'marked': each has the area of the pixels that "
+        "are marked for it",
+    )
 
 
 class BandRange(Model):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -290,35 +291,52 @@ def intersected_objects(
 
 
 def region_objects(
-    regions: Iterable[Region], material: str, *, patches: bool = True, side_m: float | None = None
+    regions: Iterable[Region],
+    material: str,
+    *,
+    patches: bool = True,
+    side_m: float | Literal["marked"] | None = None,
+    pixel_area_m2: float | None = None,
 ) -> list[TargetObject]:
     """Objects of one material drawn as regions.
 
     Parameters
     ----------
     patches : each connected group of pixels (8 neighbours) is an object; False: each region is one
-    side_m : side of the square targets [m], None where their size is not known
+    side_m : side of the square targets [m]; "marked": each has the area of its pixels; None: not known
+    pixel_area_m2 : ground area of a pixel, for "marked"
 
     Returns
     -------
     Objects named by their region, with a number where it falls into several, lines first.  The column ``region``
-    holds the region's name.
+    holds the region's name, ``pixels`` how many it marks.
+
+    Raises
+    ------
+    UsageError : sides by marked pixels whose ground area is not known.
     """
+    if side_m == "marked" and pixel_area_m2 is None:
+        raise UsageError(
+            "side_m: marked needs the ground area of a pixel",
+            where="targets.regions",
+            mend="state targets.pixel_size_m",
+        )
     out = []
-    known = {} if side_m is None else {"side_m": f"{side_m:g}"}
-    side = math.nan if side_m is None else side_m
     for region in regions:
         labels, count = objects(region.mask) if patches else (region.mask.astype(np.int32), 1)
         shape = (labels.shape[0], labels.shape[1])
         for number, window in enumerate(ndimage.find_objects(labels), start=1):
             name = region.name if count == 1 else f"{region.name} {number}"
             corner = (int(window[0].start), int(window[1].start))
-            attributes = {"material": material, "region": region.name, **known}
-            out.append(
-                TargetObject(
-                    name, material, side, side**2, shape, corner, labels[window] == number, attributes=attributes
-                )
-            )
+            part = labels[window] == number
+            pixels = int(np.count_nonzero(part))
+            side = math.sqrt(pixels * (pixel_area_m2 or 0.0)) if side_m == "marked" else side_m
+            attributes = {"material": material, "region": region.name, "pixels": str(pixels)}
+            if side is None:
+                side = math.nan
+            else:
+                attributes["side_m"] = f"{side:.6g}"
+            out.append(TargetObject(name, material, side, side**2, shape, corner, part, attributes=attributes))
     return out
 
 

@@ -252,7 +252,9 @@ class _Curves:
                     if lacking:
                         raise UsageError(f"pool {pool.name!r}: no curve of {', '.join(lacking)}")
                     curves = [self.roc[s, detector, unit] for s in pool.subjects]
-                    self.roc[pool.name, detector, unit] = pooled_roc(curves)
+                    first = [c.alarms_before_first for c in curves if c.alarms_before_first is not None]
+                    pooled = replace(pooled_roc(curves), alarms_before_first=min(first, default=None))
+                    self.roc[pool.name, detector, unit] = pooled
 
 
 def _moments(values: Array) -> ScoreDistribution:

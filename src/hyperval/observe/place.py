@@ -15,7 +15,6 @@ from hyperval.collection import Collection
 from hyperval.collection_files import (
     BandTable,
     CubeSource,
-    TargetRegions,
     TargetTruth,
 )
 from hyperval.errors import UsageError
@@ -238,7 +237,7 @@ def _targets(
     if truth.abundances is not None:
         return abundance_targets(truth.abundances, cube, _pixel_area_m2(cube, table, truth), resolve)
     if truth.regions:
-        return _drawn_targets(cube, table, truth.regions, resolve)
+        return _drawn_targets(cube, table, truth, resolve)
     rasters = truth.rasters
     assert rasters is not None  # noqa: S101 - one of them is given
     masks = {}
@@ -258,12 +257,13 @@ def _targets(
 
 
 def _drawn_targets(
-    cube: Cube, table: LookupTable | None, sources: Sequence[TargetRegions], resolve: Resolve
+    cube: Cube, table: LookupTable | None, truth: TargetTruth, resolve: Resolve
 ) -> tuple[list[TargetObject], list[str]]:
     """Objects drawn as regions: every pixel that a polygon touches, as targets may be smaller than a pixel."""
+    area = _pixel_area_m2(cube, table, truth)
     out: list[TargetObject] = []
     remarks: list[str] = []
-    for source in sources:
+    for source in truth.regions:
         path = resolve(source.file)
         drawn = regions_of_file(cube, table, path, source, patterns=source.regions, touched=True)
         for pattern in source.regions:
@@ -277,7 +277,9 @@ def _drawn_targets(
             if not source.regions or any(fnmatchcase(name, pattern) for pattern in source.regions)
         ]
         remarks += [f"{remark} (targets)" for region in chosen for remark in region.remarks]
-        new = region_objects(chosen, source.material, patches=source.objects == "patches", side_m=source.side_m)
+        new = region_objects(
+            chosen, source.material, patches=source.objects == "patches", side_m=source.side_m, pixel_area_m2=area
+        )
         # A class raster for each material, of one name: the material tells the objects apart.
         taken = {o.name for o in out if o.material != source.material}
         out += [replace(o, name=f"{o.material} {o.name}") if o.name in taken else o for o in new]
