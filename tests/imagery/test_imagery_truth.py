@@ -10,8 +10,9 @@ import pytest
 from affine import Affine
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.regions import guard
-from hyperval.imagery.truth import TargetMasks, all_pixels, cut_out, intersected_objects, read_targets
+from hyperval.imagery.regions import Region, guard
+from hyperval.imagery.truth import TargetMasks, all_pixels, cut_out, read_targets
+from hyperval.imagery.truth_masks import intersected_objects, region_objects
 
 SHAPE = (20, 30)
 TRANSFORM = Affine(2.0, 0, 1000.0, 0, -2.0, 5000.0)
@@ -170,3 +171,13 @@ def test_a_list_as_a_spreadsheet_writes_it(tmp_path: Path):
     assert np.array_equal(a.mask, b.mask)
     assert a.area_m2 == b.area_m2 == 2.25
     assert a.attributes == b.attributes
+
+
+def test_a_drawn_object_has_the_area_of_its_pixels_where_that_is_said():
+    mask = np.zeros((9, 9), bool)
+    mask[1:3, 1:4], mask[6:8, 6:8] = True, True
+    six, four = region_objects([Region("felt", mask, "")], "cloth", side_m="marked", pixel_area_m2=0.25)
+    assert [(o.area_m2, o.attributes["pixels"]) for o in (six, four)] == [(pytest.approx(1.5), "6"), (1.0, "4")]
+    assert four.attributes["side_m"] == "1"
+    with pytest.raises(UsageError, match="pixel_size_m"):
+        region_objects([Region("felt", mask, "")], "cloth", side_m="marked")

@@ -66,7 +66,7 @@ def test_touching_pixels_are_one_object_unless_each_region_is_one(world):
     drawn(world, {"file": "c.img", "objects": "regions", "side_m": 2.0})
     one, two = opened(world).targets
     assert (two.name, int(two.mask.sum()), two.area_m2, dict(two.attributes)) == (
-        "c-2", 2, 4.0, {"material": "paint", "region": "c-2", "side_m": "2"}
+        "c-2", 2, 4.0, {"material": "paint", "region": "c-2", "pixels": "2", "side_m": "2"}
     )  # fmt: skip
     assert one.window == (slice(5, 8), slice(5, 8))
     drawn(world, {"file": "c.img", "regions": ["*-2"]})

@@ -25,7 +25,8 @@ from hyperval.imagery.location import location_table
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.regions import guard, read_regions
-from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
+from hyperval.imagery.truth import TargetObject, all_pixels, read_targets
+from hyperval.imagery.truth_masks import intersected_objects, region_objects
 from hyperval.observe.finer import finer_targets
 from hyperval.observe.regions import collection_regions, regions_of_file
 from hyperval.observe.shared_pixels import region_notes, target_overlaps
