@@ -102,3 +102,11 @@ def test_it_travels_to_other_processes():
     made = interpolated_terms(axes, [terms(t) for t in (0.9, 0.8, 0.7, 0.6)])
     at = {name: np.array([15.0]) for name in axes}
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(made))(at).direct, made(at).direct)  # noqa: S301
+
+
+def test_nodes_are_even_in_the_scale_of_their_input_but_for_the_sun():
+    np.testing.assert_allclose(spaced("solar_zenith_deg", 0.0, 80.0, 5), [0.0, 20.0, 40.0, 60.0, 80.0])
+    rule = smooth_rule("meteorological_range_km")
+    steps = np.diff(rule.scale(spaced("meteorological_range_km", 5.0, 80.0, 6)))
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
+    assert np.ptp(np.diff(spaced("meteorological_range_km", 5.0, 80.0, 6))) > 1.0

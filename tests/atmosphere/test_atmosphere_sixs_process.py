@@ -46,6 +46,12 @@ def test_borrowed_library_is_linked_and_works(tmp_path, monkeypatch):
     assert sixs_process._works(folder)
 
 
+def test_a_system_on_which_the_program_starts_is_left_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(sixs_process, "_works", lambda folder: True)
+    assert sixs_process._library_folder(str(tmp_path)) is None
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_user_search_path_is_kept(tmp_path, monkeypatch):
     seen = {}
 

@@ -497,3 +497,14 @@ def test_grids_that_cannot_be_built_are_refused():
 
 def test_aerosol_alone_ties_quantities_together():
     assert [name for name, (rule, _) in AXES.items() if rule is None] == ["aot550"]
+
+
+@pytest.mark.parametrize(
+    ("sun", "view", "between"), [(100.0, 30.0, 70.0), (10.0, 350.0, 20.0), (350.0, 10.0, 20.0)]
+)
+def test_the_azimuth_of_a_state_is_that_between_sun_and_view(sun, view, between):
+    state = AtmosphericState(
+        aot550=0.2, sensor_altitude_km=2.0, solar_zenith_deg=30.0, solar_azimuth_deg=sun, day_of_year=100,
+        view_zenith_deg=10.0, view_azimuth_deg=view,
+    )  # fmt: skip
+    assert coordinates(state)["relative_azimuth_deg"] == pytest.approx(between)

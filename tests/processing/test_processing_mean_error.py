@@ -86,6 +86,13 @@ def test_white_noise_counts_every_pixel_and_components_add_up():
     np.testing.assert_allclose(exact, covariance / SIDE**2, rtol=1e-9, atol=1e-12)
 
 
+def test_a_covariance_of_few_directions_has_no_other_components():
+    along = components(np.diag([4.0, 1.0, 0.0]), np.random.default_rng(1), count=2)
+    assert along.rest.shape == (3, 0)
+    np.testing.assert_allclose(along.values, [4.0, 1.0])
+    np.testing.assert_allclose(along.scores(np.array([[[2.0, 1.0, 0.0]]]))[:, 0, 0] ** 2, [1.0, 1.0])
+
+
 def _panels(bands: int = 6):
     rho = (np.full(bands, 0.1), np.full(bands, 0.6))
     gain, offset = np.linspace(10, 20, bands), np.linspace(1, 2, bands)

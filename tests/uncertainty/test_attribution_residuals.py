@@ -1,0 +1,47 @@
+"""Compared quantities: which curves are looked at, and the errors of what was measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperval.products import Observation, Prediction, RocCurve, ScoreDistribution
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.uncertainty.attribution.residuals import (
+    LEAST_ALARMS,
+    LOG_FLOOR,
+    SCORE_FLOOR,
+    _false_alarms,
+    _moments,
+    quantities,
+)
+
+AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
+PFA = np.array([1e-4, 1e-3, 1e-2, 0.1, 1.0])
+PIXEL, OBJECT, ALONE = ("p", "cem", "pixel"), ("p", "cem", "object"), ("q", "cem", "pixel")
+
+
+def curve(n: int | None = None) -> RocCurve:
+    return RocCurve(PFA, np.sqrt(PFA), np.sqrt(PFA), np.sqrt(PFA), -np.log10(PFA), n_background=n)
+
+
+def test_curves_of_pixels_that_both_sides_have_are_compared():
+    observed = Observation(AXIS, roc={PIXEL: curve(10_000), OBJECT: curve(10_000), ALONE: curve(10_000)})
+    items = quantities(Prediction(AXIS, roc={PIXEL: curve(), OBJECT: curve()}), observed)
+    assert {(i.product, i.subject) for i in items} == {("roc", "p")}
+    assert len(items) == 2
+    assert quantities(Prediction(AXIS), observed) == []
+
+
+def test_a_rate_counts_from_the_least_number_of_alarms_on():
+    predicted = Prediction(AXIS, roc={PIXEL: curve()})
+    just = 100 * LEAST_ALARMS
+    (block,) = _false_alarms(predicted, Observation(AXIS, roc={PIXEL: curve(just)}))
+    assert block.observed.size == 1
+    assert _false_alarms(predicted, Observation(AXIS, roc={PIXEL: curve(just - 1)})) == []
+
+
+def test_moments_of_scores_have_the_variances_of_normal_ones():
+    block = _moments("p", "cem", ScoreDistribution(0.4, 0.2, n=5))
+    variances = [0.2**2 / 5 + SCORE_FLOOR**2, 0.5 / 4 + LOG_FLOOR**2]
+    assert np.diag(block.covariance) == pytest.approx(variances)
