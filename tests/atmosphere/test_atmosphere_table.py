@@ -502,8 +502,6 @@ def test_aerosol_alone_ties_quantities_together():
 @pytest.mark.parametrize(
     ("sun", "view", "between"), [(100.0, 30.0, 70.0), (10.0, 350.0, 20.0), (350.0, 10.0, 20.0)]
 )
-    ("sun", "view", "between"), [(100.0, 30.0, 70.0), (10.0, 350.0, 20.0), (350.0, 10.0, 20.0)]
-)
 def test_the_azimuth_of_a_state_is_that_between_sun_and_view(sun, view, between):
     state = AtmosphericState(
         aot550=0.2, sensor_altitude_km=2.0, solar_zenith_deg=30.0, solar_azimuth_deg=sun, day_of_year=100,
