@@ -170,6 +170,14 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     subjects = {s.name: s.fill.geometry.side_m for s in scene.targets[0].subjects}
     assert subjects == {"felt 1 m": 1.0, "felt 0.5 m": 0.5}
     assert next(g for g in campaign.comparisons if g.product == "roc").subjects == tuple(subjects)
+    # What tests a budget that is guessed does not decide.
+    decides = {
+        (g.product, g.metric): g.gate for g in campaign.comparisons if g.product in ("radiance", "reflectance")
+    }
+    assert decides == {
+        ("radiance", "median_difference_ratio_windows"): True, ("radiance", "p_value_shape"): False,
+        ("reflectance", "median_difference_ratio_windows"): True, ("reflectance", "p_value_full"): False,
+    }  # fmt: skip
 
 
 def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path):

@@ -187,8 +187,8 @@ def scenario(
         out |= _flight(sources, place, draft)
         out["uncertainty"] = {"aot550": 0.05, "water_vapour_g_cm2": 0.5}
         draft.guess("scenarios", "uncertainty", "aot550", because="of the two guesses of the atmosphere")
-        draft.content["collection"]["calibration"] = {"relative": 0.05}
-        draft.guess("collection", "calibration", because="5 %, common to all bands")
+        draft.content["collection"]["calibration"] = {"relative": 0.05, "uncorrelated": 0.01}
+        draft.guess("collection", "calibration", because="5 %, common to all bands, and 1 % of each")
     out["scene"] = scene
     out["processing"] = {"detectors": ["cem"], "bands": {"drop_bad": True}}
     if not (quantity == "radiance" and measured):
@@ -298,9 +298,13 @@ def add_targets(place: Place, spectra: Sequence[Spectrum], scenario: dict[str, A
 
 
 def _spectra_known_to(scenario: dict[str, Any], subjects: Sequence[str], draft: Draft) -> None:
-    entries = [{"subject": subject, "relative": 0.05} for subject in subjects]
+    # An error that is the same in all bands would leave a shape no room: one part in a thousand would disagree.
+    known = {"relative": 0.05, "correlation_nm": 200, "nugget": 0.04}
+    entries = [{"subject": subject, **known} for subject in subjects]
     scenario.setdefault("uncertainty", {}).setdefault("field_spectra", []).extend(entries)
-    draft.guess("scenarios", "uncertainty", "field_spectra", because="known to 5 %, the same in all bands")
+    draft.guess(
+        "scenarios", "uncertainty", "field_spectra", because="known to 5 % over some 200 nm, to 1 % by band"
+    )
 
 
 def _size(target: TargetObject) -> str | None:
