@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.products import Observation, Prediction, RocCurve, ScoreDistribution
+from hyperval.products import Observation, Prediction, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.uncertainty.attribution.residuals import (
     LEAST_ALARMS,
     LOG_FLOOR,
     SCORE_FLOOR,
+    Quantity,
     _false_alarms,
     _moments,
     quantities,
 )
+from hyperval.uncertainty.attribution.what_ifs import gaps_of
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
 PFA = np.array([1e-4, 1e-3, 1e-2, 0.1, 1.0])
@@ -31,6 +33,30 @@ def test_curves_of_pixels_that_both_sides_have_are_compared():
     assert {(i.product, i.subject) for i in items} == {("roc", "p")}
     assert len(items) == 2
     assert quantities(Prediction(AXIS), observed) == []
+
+
+def test_spectra_are_compared_where_both_have_bands_and_some_light():
+    def spectrum(*values: float) -> SpectralEstimate:
+        return SpectralEstimate(np.array(values), np.eye(2))
+
+    predicted = {"grass": spectrum(2.0, 4.0), "dark": spectrum(1.0, 1.0), "gaps": spectrum(np.nan, np.nan)}
+    observed = {"grass": spectrum(1.0, 3.0), "dark": spectrum(0.0, 0.0), "gaps": spectrum(1.0, 1.0)}
+    items = quantities(
+        Prediction(AXIS, radiance=predicted), Observation(AXIS, radiance=observed | {"x": observed["grass"]})
+    )
+    (item,) = items
+    assert (item.product, item.subject, item.metric, item.observed) == ("radiance", "grass", "ratio_windows", 1.0)
+    assert item.read(Prediction(AXIS, radiance=predicted)) == pytest.approx(3.0 / 2.0)
+
+
+def test_gaps_are_of_what_both_sides_have():
+    def quantity(product: str, metric: str, observed: float, value: float) -> Quantity:
+        return Quantity(product, "p", "", metric, observed, lambda products: value)
+
+    radiance = [quantity("radiance", "r", 1.0, v) for v in (1.1, 0.6, 1.2, np.nan)]
+    rates = [quantity("roc", "pd@1e-2", o, v) for o, v in ((0.5, 0.7), (0.9, 0.8), (np.nan, 0.5))]
+    gaps = gaps_of([*radiance, *rates, quantity("snr", "r", 0.0, 1.0)], Prediction(AXIS))
+    assert gaps == pytest.approx({"median |radiance difference ratio|": 0.2, "mean |pd@1e-2 difference|": 0.15})
 
 
 def test_a_rate_counts_from_the_least_number_of_alarms_on():
