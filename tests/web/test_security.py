@@ -124,9 +124,9 @@ def test_campaign_file_is_read_again_only_when_it_has_changed(make_server, tmp_p
     """To name a campaign that there is not took 0.7 s beside eleven that there are."""
     path = tmp_path / "campaigns" / "one" / "campaign.yaml"
     path.parent.mkdir(parents=True)
-    path.write_text("name: one")
+    path.write_text("name: one\ntitle: Line {line}")
     settings = Settings(tmp_path, campaigns=tmp_path / "campaigns")
-    assert [c.name for c in campaigns_of(settings)] == ["one"]
+    assert [(c.name, c.title) for c in campaigns_of(settings)] == [("one", "Line …")]
     with monkeypatch.context() as patch:
         patch.setattr("hyperval.web.campaigns.load_yaml", None)
         assert [c.name for c in campaigns_of(settings)] == ["one"]

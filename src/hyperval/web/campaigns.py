@@ -62,8 +62,10 @@ def _read(path: Path, changed: int, size: int) -> tuple[Known, ...]:
         data = load_yaml(path)[0]
     except HypervalError:
         return ()
-    name, title = str(data.get("name", path.parent.name)), str(data.get("title", ""))
-    return (Known(name, title or name, str(data.get("description", "")), path),)
+    name = str(data.get("name", path.parent.name))
+    # A file of several runs has places that each fills in: {line}.
+    title, description = (re.sub(r"\{\w+\}", "…", str(data.get(key, ""))) for key in ("title", "description"))
+    return (Known(name, title or name, description, path),)
 
 
 @router.get("/validate")

@@ -32,7 +32,7 @@ def _operations(described: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             yield {
                 "method": method.upper(),
                 "path": path,
-                "summary": operation.get("description") or operation.get("summary", ""),
+                "summary": (operation.get("description") or operation.get("summary", "")).replace("``", ""),
                 "parameters": [(p["name"], p.get("description", "")) for p in operation.get("parameters", ())],
                 "fields": [(key, value.get("description", "")) for key, value in fields.items()],
                 "answers": [(code, a.get("description", "")) for code, a in operation["responses"].items()],
