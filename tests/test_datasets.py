@@ -15,12 +15,15 @@ from dataclasses import replace
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
 from hyperval import datasets, download
-from hyperval.datasets import DataFile, DataSet, InputLog
+from hyperval.datasets import DataFile, DataSet, InputLog, registry
 from hyperval.errors import InputError, MissingDataError, UsageError
+
+COLLECTIONS = os.environ.get("HYPERVAL_DATA", "")  # before each test has places of its own
 
 
 @pytest.fixture(autouse=True)
@@ -325,6 +328,33 @@ def test_a_file_whose_git_blob_id_alone_is_published(server, places, monkeypatch
     assert {c.state for c in datasets.verify("toy")} == {"ok"}
     (places[1] / "toy/c.img").write_bytes(b"what is up, cat?")
     assert {c.state for c in datasets.verify("toy")} == {"differs"}
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["share2012-felt", "share2010-felt"])
+def test_felts_are_fetched_by_their_entry_and_images_of_other_content_are_refused(
+    name, data_dir, server, places, monkeypatch
+):
+    """Headers, masks and spectra as they are published, a stand-in for each image."""
+    monkeypatch.setenv("HYPERVAL_DATA", COLLECTIONS)
+    real = data_dir(f"{name}/images").parents[1]
+    monkeypatch.setenv("HYPERVAL_DATA", str(places[0]))
+    entry = registry()[name]
+    root = datasets.dataset("toy").files[0].address.removesuffix("/a.txt")
+    local = [replace(f, address=f"{root}/{quote(f.path)}") for f in entry.files]
+    images = [f for f in local if not (real / f.path).exists()]
+    assert 1 <= len(images) <= 2
+    for file in local:
+        server.content[f"/{quote(file.path)}"] = b"stand-in" if file in images else (real / file.path).read_bytes()
+    monkeypatch.setattr(datasets, "registry", lambda: {name: replace(entry, files=tuple(local))})
+    with pytest.raises(InputError, match="not the registered file"):
+        datasets.fetch(name)
+    assert set(datasets.missing(name)) >= {f"data:{f.path}" for f in images}
+    blob = hashlib.sha1(b"blob 8\0stand-in", usedforsecurity=False).hexdigest()
+    fetched = [replace(f, size=8, sha256="", git_blob=blob) if f in images else f for f in local]
+    monkeypatch.setattr(datasets, "registry", lambda: {name: replace(entry, files=tuple(fetched))})
+    datasets.fetch(name)
+    assert {c.state for c in datasets.verify(name)} == {"ok"}
 
 
 def test_packed_files_have_the_same_bytes_every_time(server, places):
