@@ -21,7 +21,7 @@ from hyperval.errors import HypervalError
 
 R = TypeVar("R")
 _MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # of malloc.h
-_RETURNED_FROM = 2 << 20  # bytes
+_RETURNED_FROM = 1048576  # bytes
 _PR_SET_PDEATHSIG = 1  # of sys/prctl.h
 _NOT_STARTED = (126, 127)  # exit codes of setpriv, as of a shell
 

@@ -19,6 +19,7 @@ from hyperval.hdf5 import check_hdf5
 Selection = tuple[slice, ...]
 MAX_CHUNK_BYTES = 256 << 20
 SMALL_BYTES = 1 << 20
+CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 MB, though each is asked for once
 
 
 class Store(Protocol):
@@ -77,7 +78,7 @@ class Hdf5Store(OpenedFile):
         """The file; InputError when it is none, cut short, or one that the library does not come back from."""
         check_hdf5(self.path)
         try:
-            return h5py.File(self.path, "r")
+            return h5py.File(self.path, "r", rdcc_nbytes=CACHE_BYTES)
         except OSError as error:
             raise InputError(
                 f"not a readable HDF5 file: {error}", where=str(self.path), mend="copy the file again"
