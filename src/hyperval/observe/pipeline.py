@@ -20,7 +20,7 @@ from hyperval.observe.place import IMAGE, Place, check_line_for_detection, open_
 from hyperval.observe.radcalnet import observe_radcalnet
 from hyperval.observe.sampling import mean_error
 from hyperval.observe.site_spectra import observe_spectra
-from hyperval.observe.spread import pixel_distribution
+from hyperval.observe.spread import pixel_distances
 from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.observe.uncertainty import calibration_covariance, rounding_variance, spectral_estimate
 from hyperval.observe.unmixing import Unmixed, unmix
@@ -137,9 +137,9 @@ def observe(
     unmixed = None
     if detection is not None and detection.unmixing is not None and detected is not None:
         unmixed = unmix(place, detection, measured, elm, detected.bands, resolve, show_progress=show_progress)
-    distributions = {}
+    distances = {}
     for name in track([] if place.by_number else list(place.regions), "tails", show=show_progress):
-        distributions[name] = pixel_distribution(place, masks[name], measured[name])
+        distances[name] = pixel_distances(place, masks[name], measured[name])
         give_back_freed()
     reflects = cube.quantity == "reflectance"
     means = [s.mean for s in regions.values()] or [measured[SCENE].mean]
@@ -163,7 +163,7 @@ def observe(
         abundance={**(detected.abundance if detected else {}), **(unmixed.areas if unmixed else {})},
         object_scores=detected.object_scores if detected else {},
         exceedance=detected.exceedance if detected else {},
-        distribution={name: law for name, law in distributions.items() if law is not None},
+        distribution={name: d.distribution() for name, d in distances.items() if d is not None},
         classification=classification_errors(place, classification) if classification else {},
         notes=(*notes, *(detected.notes if detected else ())),
         provenance={"quantity": cube.quantity, "description": cube.description, **_rounding(measured)},
@@ -284,7 +284,9 @@ def _some_pixels(place: Place, name: str) -> Array:
     region = place.region(name)
     count = int(np.count_nonzero(region))
     step = -(-count // min(MAX_SNR_PIXELS, MAX_SNR_NUMBERS // place.cube.bands))
-    return place.cube.spectra(nth_pixels(region, np.arange(0, count, step)))
+    where = nth_pixels(region, np.arange(0, count, step))
+    del region  # a byte a pixel
+    return place.cube.spectra(where)
 
 
 def _shrunk(sample: SampleStatistics, intensity: float) -> SampleStatistics:

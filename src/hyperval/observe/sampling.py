@@ -57,7 +57,9 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
         for pixels, inside in pixels_of_windows(place, region, known, rng):
             pixels[~inside] = mean
             pixels -= mean  # in place: a window of all bands is 9 MB
-            yield along.scores(pixels), inside
+            scores = along.scores(pixels)
+            del pixels  # before the next window is read
+            yield scores, inside
 
     reach = min(REACH, max(*region.shape) - 1)
     independent, of_variance = independent_pixels(windows(), neighbour_shares(region, reach, rng), n, reach)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,8 +41,40 @@ QUANTILES = 160
 _SEED = 31
 
 
-def pixel_distribution(place: Place, region: Mask, statistics: SampleStatistics) -> PixelDistribution | None:
-    """Tails and independence of a region's pixels in the windows of the atmosphere; None with too few of them.
+@dataclass(frozen=True, eq=False)
+class PixelDistances:
+    """Squared distances of a region's pixels from their mean, in the windows of the atmosphere.
+
+    Attributes
+    ----------
+    every, few : (m,) in all of the ``dimension`` components, and in the ``leading`` ones
+    dimension, leading : how many components these are
+    n : pixels that mean and covariance were taken from
+    independent : (K,) independent pixels behind the variance of each leading component
+    parts : share of the distances that count as independent, in all components and in the leading ones
+    """
+
+    every: Array
+    few: Array
+    dimension: int
+    leading: int
+    n: int
+    independent: Array
+    parts: tuple[float, float]
+
+    def distribution(self) -> PixelDistribution:
+        """Tails and independence of the pixels; it loads SciPy's optimisers, 13 MB."""
+        whole = _fit(self.every, self.dimension, self.n, self.parts[0])
+        lead = _fit(self.few, self.leading, self.n, self.parts[1])
+        distance, exceedance = exceedance_curve(left_out_distances(self.few, self.n))
+        return PixelDistribution(
+            whole.dof, whole.lower, whole.upper, whole.normality_p_value, self.dimension,
+            lead.dof, lead.lower, lead.upper, self.leading, whole.n, self.independent, distance, exceedance,
+        )  # fmt: skip
+
+
+def pixel_distances(place: Place, region: Mask, statistics: SampleStatistics) -> PixelDistances | None:
+    """Distances and independence of a region's pixels in the windows of the atmosphere; None with too few of them.
 
     Pixels are drawn at random (the seed is fixed), at most 20,000; correlation on the ground is measured in
     windows of the image, at lags of up to 24 pixels.
@@ -78,13 +111,7 @@ def pixel_distribution(place: Place, region: Mask, statistics: SampleStatistics)
     every, few = (np.concatenate(parts) for parts in zip(*distances, strict=True))
     if every.size < FEWEST_PIXELS:
         return None
-    whole = _fit(every, dimension, statistics.n, part[0])
-    lead = _fit(few, leading, statistics.n, part[1])
-    distance, exceedance = exceedance_curve(left_out_distances(few, statistics.n))
-    return PixelDistribution(
-        whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension,
-        lead.dof, lead.lower, lead.upper, leading, whole.n, independent, distance, exceedance,
-    )  # fmt: skip
+    return PixelDistances(every, few, dimension, leading, statistics.n, independent, part)
 
 
 def exceedance_curve(values: Array) -> tuple[Array, Array]:
@@ -149,17 +176,21 @@ def pixels_of_windows(
 ) -> Iterator[tuple[Array, Mask]]:
     """Values (lines, samples, b) of some bands in each window of a region, and which pixels are in it and valid."""
     for corner in correlation_windows(region, rng):
-        rows, columns = (slice(a, a + WINDOW) for a in corner)
-        inside = region[rows, columns]
-        lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
-        values, valid = np.empty((*inside.shape, bands.size)), np.empty(inside.shape, bool)
-        for some in range(0, len(inside), LINES_TOGETHER):
-            part = slice(some, some + LINES_TOGETHER)
-            pixels, usable = place.cube.marked_pixels((lines[part].ravel(), samples[part].ravel()))
-            np.take(pixels, bands, axis=1, out=values[part].reshape(-1, bands.size), mode="clip")  # no copy between
-            valid[part] = usable.reshape(inside[part].shape)
-            del pixels
-        yield values, inside & valid & np.isfinite(values).all(axis=-1)
+        yield _window(place, region, bands, corner)  # not kept here: one window at a time is in memory
+
+
+def _window(place: Place, region: Mask, bands: npt.NDArray[Any], corner: tuple[int, int]) -> tuple[Array, Mask]:
+    rows, columns = (slice(a, a + WINDOW) for a in corner)
+    inside = region[rows, columns]
+    lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
+    values, valid = np.empty((*inside.shape, bands.size)), np.empty(inside.shape, bool)
+    for some in range(0, len(inside), LINES_TOGETHER):
+        part = slice(some, some + LINES_TOGETHER)
+        pixels, usable = place.cube.marked_pixels((lines[part].ravel(), samples[part].ravel()))
+        np.take(pixels, bands, axis=1, out=values[part].reshape(-1, bands.size), mode="clip")  # no copy between
+        valid[part] = usable.reshape(inside[part].shape)
+        del pixels
+    return values, inside & valid & np.isfinite(values).all(axis=-1)
 
 
 def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
