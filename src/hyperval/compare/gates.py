@@ -59,7 +59,7 @@ class Gate(Model):
         le=1.0,
         description="share of all matching rows that must meet the limit, judged together",
     )
-    gate: bool = Field(True, description="false: informs, and does not decide")
+    gate: bool = Field(True, description="false: shown, and does not decide")
     chosen_after: bool = Field(
         False, description="true: chosen after the data of this campaign were seen; the report says so"
     )

@@ -1,0 +1,65 @@
+"""Start of a command, a whole prediction and the page of a campaign, beside another version in the same run.
+
+    python benchmarks/page_speed.py OTHER    # OTHER: a checkout of the version to compare with
+
+Each is a process of its own, of which the processor time counts (user and system, with its children): what a person
+waits for on a quiet machine, whatever else runs here.  The two versions alternate and the least of ROUNDS counts,
+after one round that fills their caches.  The page is that of the tests' made-up campaign: 8 subjects, 360 bands.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROUNDS = 3
+ROOT = Path(__file__).resolve().parents[1]
+COMMAND = "import sys; from hyperval.cli import main; sys.argv[0] = 'hyperval'; main()"
+PAGE = """
+import sys; sys.path.insert(0, sys.argv[1] + "/tests/report")
+from pathlib import Path
+from synthetic_run import make_run
+from hyperval.report import write_outputs
+write_outputs(make_run(subjects=[f"surface {i}" for i in range(8)], bands=360, curves=6), Path(sys.argv[2]))
+"""
+
+
+def processor_time(source: Path, folder: str, words: list[str]) -> float:
+    """Seconds that a process of one version takes."""
+    environment = {
+        **os.environ, "PYTHONPATH": str(source / "src"), "HYPERVAL_CACHE": f"{folder}/cache-{source.name}",
+        "PYTHONPYCACHEPREFIX": f"{folder}/code-{source.name}", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
+    }  # fmt: skip
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, "-c", *words]  # of this file, and two checkouts that the user names
+    subprocess.run(command, env=environment, check=True, capture_output=True)  # noqa: S603
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+
+
+def main() -> None:
+    """Print the least processor times of both versions and their ratio."""
+    versions = [ROOT, Path(sys.argv[1]).resolve()]
+    with tempfile.TemporaryDirectory() as folder:
+        print("| | before [s] | now [s] | ratio |\n| --- | ---: | ---: | ---: |")
+        for name, words in (
+            ("`hyperval --help`", [COMMAND, "--help"]),
+            ("`hyperval predict panels`", [COMMAND, "predict", "panels", "-o", f"{folder}/panels"]),
+            ("all files of a campaign's folder", [PAGE, "SOURCE", f"{folder}/page"]),
+        ):
+            Path(folder, "page").mkdir(exist_ok=True)
+            rounds = [
+                [processor_time(v, folder, [str(v) if w == "SOURCE" else w for w in words]) for v in versions]
+                for _ in range(ROUNDS + 1)
+            ]
+            now, before = (min(times) for times in zip(*rounds[1:], strict=True))
+            print(f"| {name} | {before:.2f} | {now:.2f} | {now / before:.2f} |")
+
+
+if __name__ == "__main__":
+    main()
