@@ -97,6 +97,18 @@ def test_pixels_that_are_not_finite_are_left_out_and_counted(bad, tmp_path):
         statistics(tmp_path, values, "auto")
 
 
+@pytest.mark.parametrize("precision", ["fast", "exact", "auto"])
+def test_one_pixel_is_its_own_mean_and_spans_nothing(precision, tmp_path):
+    values = np.full((LINES, SAMPLES, BANDS), np.nan, ">f4")
+    values[2, 3] = [1e-20, 2.0, 3e10, 4.0]
+    found = statistics(tmp_path, values, precision)
+    assert (found.n, found.n_left_out) == (1, LINES * SAMPLES - 1)
+    np.testing.assert_allclose(found.mean, values[2, 3].astype(float), rtol=1e-12)
+    assert not found.covariance.any()
+    with pytest.raises(UsageError):
+        spectral_matched_filter(found.mean + 1.0, found.mean, found.covariance)
+
+
 @FEW
 @given(st.integers(0, 10_000), SCALES, st.sampled_from(["full", "singular", "nearly singular", "zero", "nan"]))
 def test_a_filter_meets_its_two_conditions_or_is_refused(seed, scale, kind):

@@ -14,6 +14,7 @@ from hyperval.uncertainty.attribution.residuals import (
     Quantity,
     _false_alarms,
     _moments,
+    _snr,
     quantities,
 )
 from hyperval.uncertainty.attribution.what_ifs import gaps_of
@@ -65,6 +66,16 @@ def test_a_rate_counts_from_the_least_number_of_alarms_on():
     (block,) = _false_alarms(predicted, Observation(AXIS, roc={PIXEL: curve(just)}))
     assert block.observed.size == 1
     assert _false_alarms(predicted, Observation(AXIS, roc={PIXEL: curve(just - 1)})) == []
+
+
+def test_the_error_of_a_measured_snr_is_relative_and_has_its_floor():
+    predicted = Prediction(AXIS, snr={"p": SpectralEstimate(np.array([90.0, 60.0]), np.zeros((2, 2)))})
+    measured = SpectralEstimate(np.array([100.0, 50.0]), np.diag([9.0, 4.0]))
+    (block,) = _snr("p", predicted, measured)
+    np.testing.assert_allclose(block.observed, np.log([100.0, 50.0]))
+    assert np.diag(block.covariance) == pytest.approx([0.03**2 + LOG_FLOOR**2, 0.04**2 + LOG_FLOOR**2])
+    np.testing.assert_allclose(block.read(predicted), np.log([90.0, 60.0]))
+    assert _snr("elsewhere", predicted, measured) == []
 
 
 def test_moments_of_scores_have_the_variances_of_normal_ones():
