@@ -93,8 +93,17 @@ def test_no_background_is_caught_and_the_sum_is_shown(page):
     page.goto("/predict?scenario=yellow-planks-asphalt")
     page.locator("[name='scene.classes.0.fraction']").fill("0.5")
     assert page.locator("#total").inner_text() == "0.9"
+    assert page.locator("output.changed").inner_text() == "1 changed"
+    assert page.locator("summary .changed:visible").all_inner_texts() == ["1 changed", "1 changed"]
     page.get_by_role("button", name="Run", exact=True).first.click()
     assert "sum to 0.9, not 1" in page.locator("#mistakes").inner_text()
+    page.locator("[name='atmosphere.water_vapour_g_cm2']").fill("99")
+    page.get_by_role("button", name="Run", exact=True).first.click()
+    field = page.locator("[name='atmosphere.water_vapour_g_cm2']")
+    page.locator("details", has=field).last.evaluate("e => { e.open = false; }")
+    page.locator("#mistakes a", has_text="water_vapour").click()
+    assert field.evaluate("e => e === document.activeElement && e.checkVisibility()")
+    field.fill("2")
     for name in ("asphalt", "grass", "soil"):
         page.get_by_role("button", name=f"Remove {name}", exact=True).click()
     page.get_by_role("button", name="Run", exact=True).first.click()

@@ -18,6 +18,7 @@ from web_server import serve
 from hyperval import api
 from hyperval.cli import app as command
 from hyperval.report.netcdf_read import read_products
+from hyperval.web.views import view_name
 from small_campaign import SmallCampaign, scene_data, write_yaml
 
 PLANK = "scene.targets.[yellow plank].subjects"
@@ -218,7 +219,7 @@ def test_pixel_of_a_simulated_campaign_is_made_again(own, run):
     place, folder = own.app.state.store.place(told["id"]), own.folder.parent / "campaigns" / "small"
     url = f"{own.address}/runs/{told['id']}/pixel.json"
     (before,) = client.get(url, params={"line": 40, "sample": 30}).json()
-    (place / "pixel-40-30.json").unlink()
+    (place / view_name("pixel-40-30")).unlink()
     small = SmallCampaign(folder)
     write_yaml(folder / "scene.yaml", scene_data())
     small.data = json.loads(json.dumps(small.data).replace("collection/", "simulated:"))

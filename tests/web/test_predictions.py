@@ -23,6 +23,7 @@ from hyperval.web.inputs import from_link, link_text, plain, scenario_form, yaml
 from hyperval.web.pages_predict import walk
 from hyperval.web.predefined import needs, predefined
 from hyperval.web.refusal import Refused
+from hyperval.web.views import view_name
 
 EASY = {"name": "yellow-planks-asphalt"}
 
@@ -273,6 +274,12 @@ def test_charts_of_two_runs_have_differences(client, server):
     ]
     alone = client.get(f"{server.address}/runs/{runs[1]}/charts").json()
     assert {"chart-radiance", "chart-snr", "chart-reflectance", "chart-roc"} <= {c["name"] for c in alone}
+    # Charts that were kept for other scripts are made again: after an update these could not draw them.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hyperval.web.views._scripts", lambda: "others")
+        assert client.get(f"{server.address}/runs/{runs[1]}/charts").json() == alone
+    kept = server.app.state.store.place(runs[1])
+    assert {view_name("charts"), "charts-others.json"} <= {path.name for path in kept.iterdir()}
     both = client.get(f"{server.address}/runs/{runs[1]}/charts", params={"beside": runs[0]}).json()
     assert '"difference"' in next(c for c in both if c["name"] == "chart-radiance")["content"]
     page = client.get(f"{server.address}/runs/{runs[1]}", params={"beside": runs[0]}).text

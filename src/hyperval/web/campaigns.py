@@ -21,6 +21,7 @@ from hyperval.web.pages import page, session_of
 from hyperval.web.pages_runs import run_of
 from hyperval.web.refusal import Mistake, Refused
 from hyperval.web.store import COLLECTION, Run
+from hyperval.web.views import view_name
 
 router = APIRouter(include_in_schema=False)
 _MAP = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,100}")
@@ -122,7 +123,7 @@ def map_data(request: Request, run_id: str, name: str) -> Response:
     run = run_of(request, run_id)
     if not _MAP.fullmatch(name) or name not in maps_of(request.app.state.store.place(run.id)):
         raise Refused(404, [Mistake("name", "this run has no such score map")])
-    path = request.app.state.desk.view(run, "score_map", f"map-{name}.json", name=name)
+    path = request.app.state.desk.view(run, "score_map", view_name(f"map-{name}"), name=name)
     return FileResponse(path, media_type="application/json")
 
 
@@ -140,5 +141,5 @@ def pixel_data(
     arguments: dict[str, Any] = {"path": str(known.path), "line": line, "sample": sample}
     if "simulate" in (load_yaml(known.path)[0].get("collection") or {}):  # which goes when the campaign has run
         request.app.state.desk.view(run, COLLECTION, COLLECTION, path=str(known.path))
-    path = request.app.state.desk.view(run, "pixel", f"pixel-{line}-{sample}.json", **arguments)
+    path = request.app.state.desk.view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments)
     return FileResponse(path, media_type="application/json")

@@ -17,6 +17,7 @@ from hyperval.web.inputs import link_text
 from hyperval.web.pages import page, session_of
 from hyperval.web.refusal import Refused
 from hyperval.web.store import ENDED, Run
+from hyperval.web.views import view_name
 
 router = APIRouter(include_in_schema=False)
 _NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9][A-Za-z0-9_.@+-]{0,120}")
@@ -129,7 +130,7 @@ def run_charts(request: Request, run_id: str, beside: str | None = None) -> Resp
     if run.kind != "prediction" or (other and (other.kind, other.state) != ("prediction", "finished")):
         raise Refused(409, "charts are of predictions that have finished")
     desk, store = request.app.state.desk, request.app.state.store
-    name = f"charts-{other.id}.json" if other else "charts.json"
+    name = view_name(f"charts-{other.id}" if other else "charts")
     path = desk.view(run, "draw", name, earlier=str(store.place(other.id)) if other else None)
     return FileResponse(path, media_type="application/json")
 

@@ -45,6 +45,7 @@ from hyperval.study.run import study_to_folder
 from hyperval.web import charts
 from hyperval.web.answer import read_answer, write_answer
 from hyperval.web.store import COLLECTION
+from hyperval.web.views import view_name
 
 _PFA = (1e-4, 1e-3, 1e-2)
 _MOST_LISTED = 40
@@ -105,10 +106,10 @@ def _answer(folder: str) -> Prediction:
 def draw(folder: str, earlier: str | None = None) -> None:
     """Write the charts of a prediction, beside those of an earlier one where there is one."""
     sides = {"predicted": _answer(folder)}
-    name = "charts.json"
+    name = view_name("charts")
     if earlier is not None:
         sides["earlier"] = _answer(earlier)
-        name = f"charts-{Path(earlier).name}.json"
+        name = view_name(f"charts-{Path(earlier).name}")
     _write(Path(folder) / name, charts.charts_of(sides))
 
 
@@ -217,7 +218,7 @@ def score_map(folder: str, name: str) -> None:
         "pixels": base64.b64encode(scaled.tobytes()).decode(), "known": int(known.sum()),
         "above": _thresholds(ordered, curves), "curves": curves,
     }  # fmt: skip
-    _write(Path(folder) / f"map-{name}.json", content)
+    _write(Path(folder) / view_name(f"map-{name}"), content)
 
 
 def _thresholds(ordered: npt.NDArray[Any], curves: list[dict[str, Any]]) -> list[list[float]]:
@@ -303,7 +304,7 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     sides: dict[str, Any] = {product: dict.fromkeys(getattr(predicted, product), mine)}
     observed = Observation(cube.axis, **sides)
     chart = spectra_chart((predicted, observed), product, labels=("predicted", f"pixel ({line}, {sample})"))
-    _write(Path(folder) / f"pixel-{line}-{sample}.json", [charts.plain(chart)] if chart else [])
+    _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [charts.plain(chart)] if chart else [])
 
 
 def _write(path: Path, content: Any) -> None:

@@ -52,7 +52,7 @@ function count() {
     words.hidden = changes === 0;
   }
 }
-document.addEventListener("change", (event) => {
+document.addEventListener("input", (event) => {
   const source = event.target.closest(".field")?.querySelector(".source");
   if (source) source.textContent = "entered";
   count();
