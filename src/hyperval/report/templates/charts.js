@@ -21,7 +21,7 @@ function showCurves(root, name) {
 }
 
 // Numbers of a chart go into its models by their names.
-function fillIn(plots, { sources, ranges, spans, arrays, colours, texts }) {
+function fillIn(plots, { sources, ranges, spans, arrays, colours = {}, texts = {} }) {
   const values = arrays.map(numbers);
   for (const [name, columns] of Object.entries(sources))
     plots.get_model_by_name(name).data = {
