@@ -20,6 +20,7 @@ from hyperval.processing.covariance_sampling import (
     sampling_band,
     statistics_of_covariance,
 )
+from hyperval.processing.noise_part import noise_part
 from hyperval.products import PixelDistribution, SpectralEstimate
 from hyperval.results import Cause, Result
 from hyperval.spectra.axis import SpectralAxis
@@ -33,6 +34,7 @@ MOST_EIGENVALUES = 30  # drawn, for figures
 SPACES = (1, 2, 3)
 FEWEST_PIXELS = 3
 _SEED = 20140501
+_NORMAL_95 = 1.96
 
 
 def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Mask:
@@ -66,6 +68,7 @@ def compare_covariance(
     axis: SpectralAxis,
     predicted_distribution: PixelDistribution | None = None,
     observed_distribution: PixelDistribution | None = None,
+    predicted_snr: SpectralEstimate | None = None,
 ) -> list[Result]:
     """Rows of one subject; ``method`` names the quantity.  There are none where a side has no spread.
 
@@ -76,7 +79,9 @@ def compare_covariance(
     - ``total_variance_ratio`` predicted over measured, by the trace;
     - ``subspace_angle@k`` [deg] largest principal angle of the first k eigenvectors, ``subspace_inside_95@k``;
     - ``bhattacharyya_distance`` of the two normal laws, and ``bhattacharyya_covariance_excess``: the covariance's
-      part less what sampling alone gives, with its band.  SKIPPED with fewer than 3 pixels for each band.
+      part less what sampling alone gives, with its band.  SKIPPED with fewer than 3 pixels for each band;
+    - ``noise_ratio`` predicted over measured standard deviation of the noise, where ``predicted_snr`` says how much
+      of the covariance is noise.
 
     Examples
     --------
@@ -101,6 +106,9 @@ def compare_covariance(
     measured, band, n = sample.measured, sample.band, sample.n
     rows = _eigenvalue_rows(make, measured, band, n)
     rows += _space_rows(make, measured, band, sample.spaces, n)
+    if predicted_snr is not None:
+        kurtosis = 0.0 if predicted_distribution is None else kurtosis_parameter(predicted_distribution.tail_dof)
+        rows += _noise_rows(make, predicted, observed, predicted_snr, sample, kurtosis)
     if math.isnan(measured.distance):
         why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
         names = ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
@@ -217,6 +225,30 @@ def _space_rows(
         rows.append(make.row(f"subspace_angle@{k}", angle, unit="deg", n=n, reason=reason))
         rows.append(make.row(f"subspace_inside_95@{k}", float(angle <= most), n=n, reason=reason))
     return rows
+
+
+def _noise_rows(
+    make: RowMaker,
+    predicted: SpectralEstimate,
+    observed: SpectralEstimate,
+    snr: SpectralEstimate,
+    sample: Sampled,
+    kurtosis: float,
+) -> list[Result]:
+    """The noise in the measured covariance; nothing where the model has none."""
+    bands = sample.bands & np.isfinite(snr.mean) & (snr.mean > 0)
+    if not bands.any():
+        return []
+    at, noise = np.ix_(bands, bands), (predicted.mean[bands] / snr.mean[bands]) ** 2
+    first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
+    part = noise_part(second, first, noise, sample.fewest - 1.0, kurtosis)
+    low, high = (part.factor + sign * _NORMAL_95 * part.uncertainty for sign in (-1.0, 1.0))
+    if low <= 0.0:
+        return [make.skipped(Cause.FEW_PIXELS, "the pixels do not tell noise from texture", "noise_ratio")]
+    value, interval = part.factor**-0.5, (high**-0.5, low**-0.5)
+    share = float(np.median(noise / np.diag(first)))
+    reason = f"noise is {share:.2g} of the predicted variance (median over bands)"
+    return [make.row("noise_ratio", value, interval=interval, n=sample.n, reason=reason)]
 
 
 def _row(

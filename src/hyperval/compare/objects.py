@@ -19,7 +19,7 @@ from hyperval.results import Cause, Result
 Array = npt.NDArray[np.float64]
 
 EVERY_OBJECT = "all objects"
-JOINT, TREND = "joint_distance_p_value", "pit_trend"
+JOINT, TREND, SPREAD = "joint_distance_p_value", "pit_trend", "pit_spread_ratio"
 OF_ONE = ("object_score_pit", "object_score_inside_95")
 OF_ALL = ("objects_inside_95", "objects_inside_95_p_value", "pit_uniformity_p_value")
 # Spread of the scores about their medians, over the predicted one, that the tests are asked about.
@@ -80,6 +80,8 @@ class Together:
     trend, trend_interval : drift of the normal scores from the weakest expected object to the strongest, and the
         95 % interval of that drift; None where all are expected alike
     drift : its test
+    spread, spread_interval : of the normal scores about their mean, expected over measured, and its 95 % interval;
+        NaN for one object
     """
 
     inside: float
@@ -91,6 +93,8 @@ class Together:
     trend: float
     trend_interval: tuple[float, float]
     drift: Test | None
+    spread: float
+    spread_interval: tuple[float, float]
 
 
 def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str, Array]) -> Together:
@@ -113,6 +117,10 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
     >>> t = judged_together(predicted, measured)
     >>> t.inside, round(t.trend, 2), [round(x.p_value, 2) for x in (t.count, t.uniformity, t.joint, t.drift)]
     (1.0, 0.0, [1.0, 0.06, 0.86, 1.0])
+    >>> scattered = {name: np.array([i - 2.0, i, i + 2.0]) for i, name in enumerate("abc")}
+    >>> wide = judged_together(predicted, scattered)
+    >>> [round(x, 2) for x in (wide.spread, *wide.spread_interval)]
+    [0.54, 0.29, 0.85]
     """
     rng = np.random.default_rng(_SEED)
     rows = {predicted[s].values.shape[0] for s in measured}
@@ -137,17 +145,19 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
     span = np.quantile(expected, [0.025, 0.975], method="nearest") / n
     outside = _test(-count, -expected, -central(wide).sum(axis=2))
     distance = distance_from_uniform(reference)
-    trend, interval, drift = _trend(u, reference, np.array(strength))
+    z, x = np.asarray(stats.norm.ppf(u)), np.asarray(stats.norm.ppf(reference))
+    trend, interval, drift = _trend(z, x, np.array(strength))
     return Together(
         count / n,
         (float(low), float(high)),
         (float(span[0]), float(span[1])),
         outside,
         _test(float(distance_from_uniform(u)), distance, distance_from_uniform(wide)),
-        _joint_test(u, reference, wide),
+        _joint_test(z, x, wide),
         trend,
         interval,
         drift,
+        *_spread(z, x),
     )
 
 
@@ -166,15 +176,15 @@ def _test(statistic: float, reference: Array, wide: Array, both: bool = False) -
     return Test(p, min(seen, default=math.nan))
 
 
-def _joint_test(u: Array, reference: Array, wide: Array) -> Test | None:
+def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
     """Mahalanobis distance of the normal scores; their covariance is that of one half of the draws.
 
     The other half is what the distance is compared with: neither it nor the measured set had a part in the
     covariance.
     """
-    if u.size > MOST_JOINED:
+    if z.size > MOST_JOINED:
         return None
-    z, x, w = (np.asarray(stats.norm.ppf(v)) for v in (u, reference, wide))
+    w = np.asarray(stats.norm.ppf(wide))
     half = x.shape[0] // 2
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 
@@ -184,20 +194,28 @@ def _joint_test(u: Array, reference: Array, wide: Array) -> Test | None:
     return _test(float(distance(z)), distance(x[half:]), distance(w), both=True)
 
 
-def _trend(u: Array, reference: Array, strength: Array) -> tuple[float, tuple[float, float], Test | None]:
+def _trend(z: Array, drawn_scores: Array, strength: Array) -> tuple[float, tuple[float, float], Test | None]:
     """Drift of the normal scores along the rank of the expected score, its interval and its test."""
     place = stats.rankdata(strength, method="dense")
     if place.max() < 2:
         return math.nan, (math.nan, math.nan), None
     x = (place - place.mean()) / (place.max() - 1.0)
     weight = x / float(x @ x)
-    slope = float(np.asarray(stats.norm.ppf(u)) @ weight)
-    drawn = np.asarray(stats.norm.ppf(reference)) @ weight
+    slope = float(z @ weight)
+    drawn = drawn_scores @ weight
     low, high = (float(q) for q in np.quantile(drawn, [0.025, 0.975]))
     p = float((1 + np.sum(np.abs(drawn) >= abs(slope))) / (1 + drawn.size))
     limit = float(np.quantile(np.abs(drawn), 1.0 - POWER_LEVEL))
     detectable = limit - float(np.quantile(drawn, 1.0 - POWER))
     return slope, (slope - max(high, 0.0), slope - min(low, 0.0)), Test(p, detectable)
+
+
+def _spread(z: Array, drawn_scores: Array) -> tuple[float, tuple[float, float]]:
+    """Standard deviation of the normal scores (n,) that draws of the model (R, n) have, over the measured one."""
+    if z.size < 2 or not (measured := float(np.std(z, ddof=1))):
+        return math.nan, (math.nan, math.nan)
+    low, middle, high = np.quantile(np.std(drawn_scores, axis=-1, ddof=1), [0.025, 0.5, 0.975]) / measured
+    return float(middle), (float(low), float(high))
 
 
 def central(values: Array) -> npt.NDArray[np.bool_]:
@@ -220,7 +238,7 @@ def compare_object_scores(
     itself.  All together (``subject``): ``objects_inside_95`` the share inside with its Clopper-Pearson interval,
     and
     by :func:`judged_together` ``objects_inside_95_p_value``, ``pit_uniformity_p_value``,
-    ``joint_distance_p_value``, ``pit_trend`` and ``pit_trend_p_value``.  Subjects that
+    ``joint_distance_p_value``, ``pit_trend``, ``pit_trend_p_value`` and ``pit_spread_ratio``.  Subjects that
     were measured and not predicted are left out; one that was predicted and has no valid score gives SKIPPED rows
     and is named in the reason of the summary.
 
@@ -307,4 +325,7 @@ def _together_rows(
             )
         )
         rows.append(test(f"{TREND}_p_value", sets.drift, "drift of the normal scores, against draws of the model"))
+    if not math.isnan(sets.spread):
+        why = "normal scores about their mean, against draws of the model"
+        rows.append(make.row(SPREAD, sets.spread, interval=sets.spread_interval, n=n, reason=why))
     return rows

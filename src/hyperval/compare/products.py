@@ -142,6 +142,7 @@ def _covariance_rows(predicted: Products, observed: Products, campaign: str) -> 
                 axis=observed.axis,
                 predicted_distribution=predicted.distribution.get(subject),
                 observed_distribution=observed.distribution.get(subject),
+                predicted_snr=predicted.snr.get(subject) if quantity == "radiance" else None,
             )
     for subject in _keys(predicted.distribution, observed.distribution):
         rows += compare_distribution(

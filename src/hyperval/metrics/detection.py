@@ -117,6 +117,10 @@ METRICS = (
            "such as the smallest, to the strongest [standard deviations]; 0 when the model is right", _OBJECTS,
            agreement=0.0, interval="draws of the model",
            formula="sum x z / sum x^2, z = Phi^-1(u), x the rank of the expected score", reference=_JUDGED),
+    Metric("pit_spread_ratio", "predicted over measured spread of the scores of several objects, each in its own "
+           "predicted distribution; above 1 the prediction is too wide", _OBJECTS, low=0.0, agreement=1.0,
+           interval="draws of the model", formula="sd(z drawn) / sd(z), z = Phi^-1(u)",
+           short="spread of object scores", reference=_TOGETHER),
     Metric("mean", "mean of one side alone", "campaign.one_side.product_rows", unit="", interval="normal",
            formula="m", reference="JCGM 100:2008, 4.2"),
     Metric("sd", "standard deviation of one side alone", "campaign.one_side.product_rows", low=0.0, formula="s",

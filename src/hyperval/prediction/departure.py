@@ -46,12 +46,14 @@ class StatisticsDeparture:
     factor : on the covariance [1]
     covariance : (B, B) that stands in for it, before the factor; None: its own
     tail_dof : degrees of freedom that stand in for its own; None: its own
+    fine_texture : added to the part of a target's covariance that goes by f in place of f^2 (3.12) [1]
     """
 
     mean: Number = 0.0
     factor: float = 1.0
     covariance: Array | None = None
     tail_dof: float | None = None
+    fine_texture: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +150,8 @@ def _both(name: str, a: StatisticsDeparture, b: StatisticsDeparture) -> Statisti
             raise UsageError(f"two departures give a {what} to {name!r}")
     covariance = a.covariance if b.covariance is None else b.covariance
     tail = a.tail_dof if b.tail_dof is None else b.tail_dof
-    return StatisticsDeparture(a.mean + b.mean, a.factor * b.factor, covariance, tail)
+    fine = a.fine_texture + b.fine_texture
+    return StatisticsDeparture(a.mean + b.mean, a.factor * b.factor, covariance, tail, fine)
 
 
 def true_scenario(scenario: Scenario, departure: Departure) -> Scenario:
@@ -286,8 +289,10 @@ def true_surfaces(
             covariance = change.factor * covariance
             components = components and components.stretched(float(np.sqrt(change.factor)))
         tail = s.tail_dof if change.tail_dof is None else change.tail_dof
-        mean = s.mean + change.mean
-        out[name] = replace(s, mean=mean, covariance=covariance, tail_dof=tail, components=components)
+        mean, fine = s.mean + change.mean, s.fine_texture + change.fine_texture
+        out[name] = replace(
+            s, mean=mean, covariance=covariance, tail_dof=tail, components=components, fine_texture=fine
+        )
     gain, offset = np.asarray(departure.recorded_gain), np.asarray(departure.recorded_offset)
     if scenario.atmosphere is None and (np.any(gain != 1.0) or np.any(offset != 0.0)):
         scene = scenario.scene

@@ -10,6 +10,7 @@
     line.dark, line.bright       factor on the true reflectance of a panel of the line [1]
     surfaces.NAME.mean           mean reflectance [1]; surfaces.NAME.spread: factor on its standard deviation [1]
     surfaces.NAME.tail_dof       degrees of freedom of the tails of a class
+    surfaces.NAME.fine_texture   part of a target's covariance that goes by its fill in place of the fill's square [1]
     fill, fill.NAME              mean fills of all targets, or of one or its subject [1]
     fraction.NAME                area fraction of a class; the others give way in proportion [1]
     blur                         widths of the blur wherever a fill follows from geometry [pixels]
@@ -125,7 +126,7 @@ def input_path(given: Given, path: str) -> InputPath:
             return _factor("retrieval_gain", -np.inf)
         case ["line", "dark" | "bright" as panel]:
             return _panel(scenario, panel)
-        case ["surfaces", name, key] if key in ("mean", "spread", "tail_dof"):
+        case ["surfaces", name, key] if key in ("mean", "spread", "tail_dof", "fine_texture"):
             return _surface(given, name, key)
         case ["fill", *names]:
             return _fill(scenario, names[0] if names else None)
@@ -274,8 +275,17 @@ def _surface(given: Given, name: str, key: str) -> InputPath:
     def with_spread(v: Array) -> Departure:
         return Departure(statistics={name: StatisticsDeparture(factor=_number(v) ** 2)})
 
+    def with_fine_texture(v: Array) -> Departure:
+        return Departure(
+            statistics={name: StatisticsDeparture(fine_texture=_number(v) - surface.fine_texture)}
+        )
+
     if key == "mean":
         return InputPath(mean, with_mean)
+    if key == "fine_texture":
+        if name not in [t.name for t in given.scenario.scene.targets]:
+            raise UsageError(f"surfaces.{name}.fine_texture: {name!r} is no target")
+        return InputPath(surface.fine_texture, with_fine_texture)
     return InputPath(1.0, with_spread) if key == "spread" else _tails(given, name)
 
 

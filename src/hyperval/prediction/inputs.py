@@ -37,6 +37,8 @@ class SurfaceStatistics:
     covariance : (B, B), zero where nothing is known of the spread
     standard_deviation : (B,) that a spectrum's file carries, None without
     components : the clusters that the pixels of a class fall into, None where they are one law
+    fine_texture : part of a target's covariance whose texture is finer than its part of a pixel, and averages out
+        over it [1]
     sampled_deviation : (n,) wavelengths [nm] and the same standard deviations as the file has them
     n : samples behind it
     mean_error : (B, B) error covariance of the mean that replicate spectra give, None without
@@ -52,6 +54,7 @@ class SurfaceStatistics:
     mean_error: Array | None = None
     sampled_deviation: tuple[Array, Array] | None = None
     components: Components | None = None
+    fine_texture: float = 0.0
 
 
 def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float | None:

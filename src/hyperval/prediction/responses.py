@@ -41,6 +41,7 @@ class Responses:
     own, host : (R,) score variance of a pixel full of target without its gain, and of host with it
     rest : (R, 9) surroundings and noise (3.28)
     error : (R,) standard deviation of the score of a full pixel by the error of the target's spectrum
+    fine : (R,) part of ``own`` whose texture is finer than the target's part of a pixel
     """
 
     means: Array
@@ -48,11 +49,13 @@ class Responses:
     host: Array
     rest: Array
     error: Array
+    fine: Array
 
     def variances(self, target_gain: Array, rows: Index) -> Array:
         """(n, 9) at FILL_NODES, of n evaluations of given rows (3.28)."""
         f = FILL_NODES
-        own = f**2 * (target_gain * self.own[rows])[:, None] + (1.0 - f) ** 2 * self.host[rows, None]
+        square = f**2 + self.fine[rows, None] * (f - f**2)
+        own = square * (target_gain * self.own[rows])[:, None] + (1.0 - f) ** 2 * self.host[rows, None]
         return np.asarray(own + self.rest[rows])  # (3.28)
 
     def at(self, fills: Array, target_gain: Array, rows: Index, shift: Array | float = 0.0) -> tuple[Array, Array]:
@@ -128,7 +131,8 @@ def responses(at: Settings, seen: Seen, filters: Filters, material: Material) ->
         error = np.sqrt(np.einsum("ukf,ukf->u", lit_through @ material.error, lit_through))
     own = at.spread(lit_through, lambda x: x.surfaces[material.name].covariance)[:, 0]
     behind = at.spread(through, lambda x: x.covariances[number])[:, 0]
-    return Responses(means, own, at.gains[:, number] * behind, rest, error)
+    fine = np.array([g.surfaces[material.name].fine_texture for g in at.grounds])[at.which]
+    return Responses(means, own, at.gains[:, number] * behind, rest, error, fine)
 
 
 def target_population(
@@ -148,7 +152,8 @@ def target_population(
     gain = float(one.gains[0, number])
     covariance = target_pixel_covariance(
         fill.mean, fill.variance, lit, own, host, ground.covariances[number],
-        target_gain=target_gain, host_gain=gain, formulation=row.formulation,
+        target_gain=target_gain, host_gain=gain,
+        fine_texture=ground.surfaces[material.name].fine_texture, formulation=row.formulation,
     )  # fmt: skip
     level = one.levels(target_pixel_reflectance(fill.mean, lit, host)[None])[0, 0]
     under_sky = target_pixel_reflectance(fill.mean, under, host)

@@ -218,7 +218,8 @@ def _mixed(setup: Setup, view: View, errors: Mapping[str, Array], t: Target, pop
     fill = fill_distribution(population.fill)
     covariance = target_pixel_covariance(
         fill.mean, fill.variance, lit.mean, lit.covariance, host.mean, host.covariance,
-        target_gain=t.gain, host_gain=gain, formulation=scenario.formulation,
+        target_gain=t.gain, host_gain=gain, fine_texture=surfaces[t.name].fine_texture,
+        formulation=scenario.formulation,
     )  # fmt: skip
     if scenario.formulation != "thesis":
         position = scenario.uncertainty.position_m

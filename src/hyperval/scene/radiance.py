@@ -192,18 +192,21 @@ def target_pixel_covariance(
     *,
     target_gain: float = 1.0,
     host_gain: float = 1.0,
+    fine_texture: float = 0.0,
     formulation: Formulation = "corrected",
 ) -> Array:
     """Reflectance covariance of pixels partly filled by the target (3.12, extended to random fill).
 
     E[f^2] g_T Sigma_T + E[(1-f)^2] g_B Sigma_b + Var(f) (rho_T - rho_b)(rho_T - rho_b)^T; the printed
-    form is the case Var(f) = 0.
+    form is the case Var(f) = 0.  The square of f is that of a target that varies from pixel to pixel as a whole.
+    Texture finer than its part of a pixel averages out over it, to Sigma_T/f: such goes by E[f].
 
     Parameters
     ----------
     fill_mean, fill_variance : moments of the fill fraction f [1]
     target, host : (B,) means;  target_covariance, host_covariance : (B, B)
     target_gain, host_gain : g_T, g_B
+    fine_texture : part of Sigma_T that is of such texture
 
     Returns
     -------
@@ -211,6 +214,7 @@ def target_pixel_covariance(
     """
     variance = fill_variance if formulation == "corrected" else 0.0
     f2 = fill_mean**2 + variance  # E[f^2]
+    f2 += fine_texture * (fill_mean - f2)
     g2 = (1.0 - fill_mean) ** 2 + variance  # E[(1-f)^2]
     result = (f2 * target_gain) * np.asarray(target_covariance, dtype=float)
     result += (g2 * host_gain) * np.asarray(host_covariance, dtype=float)

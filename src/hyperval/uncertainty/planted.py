@@ -82,6 +82,7 @@ def planted_errors() -> tuple[PlantedError, ...]:
         PlantedError("target spectra x 0.8", _darker_targets),
         PlantedError("target spectra exchanged", _target_spectra_exchanged),
         PlantedError("target spectra of another material", _other_material),
+        PlantedError("target covariance by f, not f squared", _fine_texture),
         PlantedError("fill x 0.8", _times("fill", 0.8)),
         PlantedError("blur x 1.5", _times("blur", 1.5)),
         PlantedError("empirical line gain x 1.02", line=(1.02, 0.0)),
@@ -181,6 +182,14 @@ def _other_material(given: Given) -> Values:
         gaps = [float(np.nanmean((mean - own) ** 2)) for mean in others]
         moves[path] = others[int(np.argmax(gaps))]
     return moves
+
+
+def _fine_texture(given: Given) -> Values:
+    """All of the targets' spread."""
+    names = [name for name in _target_means(given) if np.any(given.surfaces[name].covariance)]
+    if not names:
+        raise NotPlantable("no target has a spread")
+    return {f"surfaces.[{name}].fine_texture": 1.0 for name in names}
 
 
 def _target_means(given: Given) -> dict[str, str]:
