@@ -253,6 +253,7 @@ class PixelDistribution:
     n : pixels of the sample, None for a definition
     effective_n : (K,) independent pixels behind the variance along the leading components; None for a definition
     distance, exceedance : (Q,) squared Mahalanobis distances and the share of pixels beyond each
+    samples : columns of the image that the pixels lie in, None for a definition
     """
 
     tail_dof: float = math.inf
@@ -268,6 +269,7 @@ class PixelDistribution:
     effective_n: Array | None = field(default=None, compare=False, repr=False)
     distance: Array | None = field(default=None, compare=False, repr=False)
     exceedance: Array | None = field(default=None, compare=False, repr=False)
+    samples: int | None = None
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from hyperval.baseline.differences import compare
 from hyperval.baseline.metrics import BEHIND, Measured, campaign_metrics, skipped_reason
 from hyperval.baseline.schema import Accepted, key_of, load_baseline, split_key
 from hyperval.baseline.store import accepted_of, baseline_path, candidate_path, stored, today, write_baseline
-from hyperval.baseline.tolerances import DIGITS, Tolerance, default_tolerance, rounded
+from hyperval.baseline.tolerances import rounded
 from hyperval.errors import UsageError
+from hyperval.metrics.tolerances import DIGITS, Tolerance, default_tolerance
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.results import Outcome, Result
 

@@ -11,7 +11,15 @@ from hyperval.campaign.power import Power, power, power_table, turned
 from hyperval.errors import UsageError
 from hyperval.metrics import Evidence
 from hyperval.report.html import report_page
-from hyperval.report.power import Planted, PowerTable, Sight, accepted_table, own_files, write_power_table
+from hyperval.report.power import (
+    Planted,
+    PowerTable,
+    Sight,
+    accepted_table,
+    gate_values,
+    own_files,
+    write_power_table,
+)
 from hyperval.results import Outcome, Result, Role
 from hyperval.uncertainty.planted import PlantedError, planted_errors
 
@@ -84,7 +92,7 @@ def test_only_what_turns_counts():
 def test_the_sentence_names_what_goes_unseen():
     assert table().sentence == (
         "Of 3 standard errors planted in the model the gates see 1. Only rows that do not decide show: blur x 1.5. "
-        "Unseen: noise x 1.5."
+        "Unseen: noise x 1.5. There is nothing here to plant in for: tails left out."
     )
     assert table(disagreeing=2).sentence.endswith("2 gates that disagree already cannot show any.")
 
@@ -107,6 +115,17 @@ def test_files_that_changed_since_are_named():
     assert table().changed_files(inputs) == ["scenario.yaml"]
     assert table().changed_files([{"reference": "campaign.yaml", "sha256": "1"}]) == ["campaign.yaml"]
     assert table(files=own_files(inputs)).changed_files(inputs) == []
+
+
+def test_a_table_is_old_where_a_gate_has_another_value_now():
+    """The code may have changed and no file of the campaign: what the gates gave then stands in the table."""
+    then = table(stated=gate_values([row(Outcome.AGREES), row(Outcome.AGREES, "roof")]))
+    assert then.stated == {f"radiance | {s} | sixs | bias_ratio": 0.1 for s in ("grass", "roof")}
+    now = [row(Outcome.AGREES), row(Outcome.AGREES, "roof"), row(Outcome.AGREES, "lawn", Role.INFORM)]
+    assert then.moved_gates(now) == []
+    assert then.moved_gates([now[0], replace(now[1], value=0.2)]) == ["radiance | roof | sixs | bias_ratio"]
+    assert then.moved_gates(now[:1]) == ["radiance | roof | sixs | bias_ratio"]
+    assert then.moved_gates([*now, row(Outcome.AGREES, "pond")]) == ["radiance | pond | sixs | bias_ratio"]
 
 
 def test_an_error_that_is_seen_otherwise_than_accepted_is_a_change():
@@ -139,10 +158,12 @@ def test_tables_are_written_accepted_and_shown(small, tmp_path, monkeypatch):
     run = run_campaign(jobs_of(path)[0])
     page = report_page(run, [])
     assert "the gates see 1. Unseen: noise x 1.5." in page[: page.index("<nav")]
-    assert "The table is older than" not in page
+    assert "The table is" not in page
     changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in run.provenance["inputs"]]
     page = report_page(replace(run, provenance={**run.provenance, "inputs": changed}), [])
     assert "The table is older than campaign.yaml" in page[: page.index("<nav")]
+    old = found.table.model_copy(update={"stated": dict.fromkeys(found.table.stated, 0.5)})
+    assert "The table is old: 2 of its gates had other values" in report_page(replace(run, power=old), [])
     assert "What this campaign could have found is not known" in report_page(replace(run, power=None), [])
 
 

@@ -11,6 +11,7 @@ from hyperval.compare import Gate, compare_products
 from hyperval.compare.abundance import compare_area_errors
 from hyperval.compare.classification import compare_classification
 from hyperval.compare.covariance import compare_covariance, compare_distribution, independent_pixels
+from hyperval.processing.noise_part import noise_part
 from hyperval.products import (
     Abundance,
     ClassificationError,
@@ -225,3 +226,56 @@ def test_all_of_it_is_in_the_table_and_can_gate():
 def test_limits_that_cannot_fail_are_refused(product, metric, limit):
     with pytest.raises(ValueError, match="can never fail"):
         Gate(product=product, metric=metric, reason="x", **limit)
+
+
+def pixels(rng, noise, texture, n=2000, columns=None, calibration=0.0):
+    """Texture and noise drawn apart; errors of calibration are one for each column."""
+    x = rng.multivariate_normal(np.ones(B), texture, n) + rng.normal(size=(n, B)) * np.sqrt(noise)
+    if columns is not None:
+        x += (rng.normal(size=(columns, B)) * np.sqrt(calibration))[np.arange(n) % columns]
+    return np.cov(x.T)
+
+
+NOISE = np.array([4.0, 1.0, 2.0, 3.0, 1.0, 2.0, 1.0]) * 1e-4
+
+
+@pytest.mark.parametrize("columns", [None, 40])
+def test_noise_is_told_from_the_spread_of_a_class(columns):
+    """|z| < 5 for each of 60 estimates, false failure 4e-5; their mean within 5 standard errors, and their scatter
+    0.6 to 1.4 of the stated one (once in 20,000).  With columns half of the noise is known by 40 draws alone."""
+    rng = np.random.default_rng(31)
+    texture = truth() + 2e-4 * np.eye(B)
+    half = 0.0 if columns is None else 0.5 * NOISE
+    known = {} if columns is None else {"calibration": half, "samples": columns}
+    z = []
+    for _ in range(60):
+        seen = pixels(rng, NOISE - half, 1.3 * texture, columns=columns, calibration=half)
+        part = noise_part(seen, texture + np.diag(NOISE), NOISE, 1999.0, **known)
+        z.append((part.factor - 1.0) / part.uncertainty)
+    assert np.max(np.abs(z)) < 5
+    assert abs(np.mean(z)) < 5 / np.sqrt(60)
+    assert 0.6 < np.std(z) < 1.4
+
+
+def test_a_prediction_with_other_noise_shows_in_its_ratio():
+    rng = np.random.default_rng(32)
+    texture = truth() + 2e-4 * np.eye(B)
+    observed = estimate(pixels(rng, NOISE, 1.3 * texture), 2000)
+    there = {"observed_distribution": PixelDistribution(samples=500)}
+
+    def ratio(factor):
+        noise = factor**2 * NOISE
+        more = {"predicted_noise": {"shot": 0.7 * noise, "calibration": 0.3 * noise}, **there}
+        return rows_of(estimate(texture + np.diag(noise)), observed, **more)["noise_ratio"]
+
+    right, wrong = ratio(1.0), ratio(1.5)
+    assert right.lower < 1.0 < right.upper
+    assert wrong.lower > 1.0
+    assert wrong.value == pytest.approx(1.5 * right.value, rel=0.05)
+    # Without the number of columns there is no interval, and no row.
+    assert "noise_ratio" not in rows_of(estimate(texture), observed, predicted_noise={"shot": NOISE})
+
+
+def test_noise_that_pixels_cannot_tell_is_no_number():
+    there = {"observed_distribution": PixelDistribution(samples=3), "predicted_noise": {"shot": np.full(B, 1e-6)}}
+    assert rows_of(estimate(truth()), sample(3), **there)["noise_ratio"].outcome is Outcome.SKIPPED

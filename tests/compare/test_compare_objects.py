@@ -190,3 +190,27 @@ def test_ratio_of_false_alarms():
     )
     assert [r.outcome for r in few] == [Outcome.NONE, Outcome.SKIPPED, Outcome.SKIPPED]
     assert compare_exceedance(model, None, campaign="c", subject="t", method="cem")[0].outcome is Outcome.SKIPPED
+
+
+def test_a_spread_too_wide_or_too_narrow_shows_in_its_ratio(monkeypatch):
+    monkeypatch.setattr(objects, "POWER_DRAWS", 20)  # how wide a departure is detectable is not asked
+    # 201 objects, whose joint distance is not asked for, tell a spread to 5 %; 95 % intervals of
+    # three predictions of one draw, seed fixed.
+    rng = np.random.default_rng(21)
+    draws = rng.standard_normal((1, 38400))
+    measured = rng.standard_normal(201)
+    for width in (0.6, 1.0, 1.6):
+        sets = judged_together({"planks": ObjectScores(width * draws)}, {"planks": measured})
+        low, high = sets.spread_interval
+        assert low < width < high
+        assert high - low < 0.25 * width
+        assert (low > 1.1) == (width > 1.0)
+        assert (high < 0.9) == (width < 1.0)
+    # Scores that are too high all alike have their own spread still.
+    plain, moved = (judged_together({"planks": ObjectScores(draws)}, {"planks": measured + x}) for x in (0.0, 0.3))
+    assert moved.spread == pytest.approx(plain.spread, rel=0.02)
+
+
+def test_one_object_has_no_spread():
+    predicted, truth = drawn(0.0, 0.1, np.random.default_rng(5), subjects=1)
+    assert not [r for r in rows_of(predicted, truth) if r.metric == "pit_spread_ratio"]

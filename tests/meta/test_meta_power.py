@@ -28,6 +28,11 @@ def test_each_standard_error_stands_in_it(table):
     assert list(table.errors) == [error.name for error in planted_errors()]
 
 
+def test_it_says_what_its_gates_gave(table):
+    assert table.stated
+    assert len(table.stated) <= table.gates + table.disagreeing
+
+
 def test_its_files_are_those_of_a_campaign(table):
     folders = [p.parent for p in (ROOT / "campaigns").glob("*/campaign*.yaml") if p.name in table.files]
     assert any(all((folder / name).is_file() for name in table.files) for folder in folders)

@@ -51,7 +51,7 @@ def test_each_moves_something(name):
 
 
 def test_names_are_those_of_the_power_table_and_stand_once():
-    assert len(BY_NAME) == len(planted_errors()) == 20
+    assert len(BY_NAME) == len(planted_errors()) == 21
 
 
 @pytest.mark.parametrize(("name", "factor"), [("sunlight x 0.95", 0.95), ("sunlight x 1.05", 1.05)])
@@ -130,6 +130,17 @@ def test_class_means_and_target_spectra():
 def test_the_detector_still_looks_for_what_was_stated():
     for name in ("target spectra x 0.8", "target spectra exchanged"):
         assert planted(name).roc[KEY].threshold == pytest.approx(BASE.roc[KEY].threshold, rel=1e-12)
+
+
+def test_a_target_covariance_by_its_fill_is_that_of_a_greater_one_at_each_fill():
+    found = planted("target covariance by f, not f squared")
+    # At a fill of a tenth f is ten times its square.
+    there = run(with_settings(SCENE, {"scene.targets.plank.gain": 10.0}))
+    expected = there.radiance["tenth"].pixel_covariance
+    np.testing.assert_allclose(found.radiance["tenth"].pixel_covariance, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.roc[KEY].pd, there.roc[KEY].pd, rtol=1e-9)
+    assert found.scores["tenth", "cem"].sd == pytest.approx(there.scores["tenth", "cem"].sd, rel=1e-9)
+    np.testing.assert_allclose(found.radiance["tenth"].mean, BASE.radiance["tenth"].mean, rtol=1e-12)
 
 
 def test_fill_and_blur():

@@ -157,6 +157,22 @@ def test_3_12_by_monte_carlo():
     assert expected[0, 0] / printed[0, 0] > 5  # the variance of the fill dominates at this contrast
 
 
+def test_3_12_of_texture_that_is_finer_than_the_pixel():
+    """A pixel of 100 facets, f of them target: by f Sigma_T; |z| < 5 over 200 batches, false failure 1e-6."""
+    rng = np.random.default_rng(3121)
+    facets, part, variance = 100, 30, 4e-4
+    x = rng.normal(0.6, np.sqrt(variance * facets), (40_000, part)).sum(axis=1) / facets
+    batches = x.reshape(200, -1).var(axis=1, ddof=1)
+
+    def z(fine):
+        expected = target_pixel_covariance(0.3, 0.0, [0.6], [[variance]], [0.0], [[0.0]], fine_texture=fine)[0, 0]
+        return (batches.mean() - expected) / (batches.std(ddof=1) / np.sqrt(200))
+
+    assert abs(z(1.0)) < 5
+    assert z(0.0) > 40  # f squared is ruled out by the same draw
+    assert z(0.5) > 40
+
+
 def aligned_fill(length, width, offset, blur):
     """Fill of a pixel by an aligned rectangle in closed form; sides along y and x, offset (x, y) of centres."""
 

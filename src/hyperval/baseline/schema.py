@@ -7,10 +7,11 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from hyperval.baseline.tolerances import Tolerance, looser_than_default, objection
+from hyperval.baseline.tolerances import looser_than_default, objection
 from hyperval.config import Model, load_model
 from hyperval.errors import reader
 from hyperval.metrics.metric import Of
+from hyperval.metrics.tolerances import Tolerance
 
 Kind = Literal["campaign", "sensor"]
 SEPARATOR = " | "

@@ -13,10 +13,11 @@ from pathlib import Path
 import hyperval
 from hyperval.baseline.metrics import Measured
 from hyperval.baseline.schema import Accepted, Baseline, Kind, load_baseline, split_key
-from hyperval.baseline.tolerances import default_tolerance, rounded
+from hyperval.baseline.tolerances import rounded
 from hyperval.config import FILL_IN
 from hyperval.errors import UsageError
 from hyperval.files import write_text
+from hyperval.metrics.tolerances import default_tolerance
 
 DEFAULT_FOLDER = Path("validation/baselines")
 SENSORS = "sensors"

@@ -21,7 +21,16 @@ from hyperval.metrics import Evidence
 from hyperval.predict import predict
 from hyperval.prediction.departure import Departure
 from hyperval.progress import track
-from hyperval.report.power import ACCEPTED, Planted, PowerTable, accepted_table, own_files, write_power_table
+from hyperval.report.power import (
+    ACCEPTED,
+    Planted,
+    PowerTable,
+    accepted_table,
+    gate_name,
+    gate_values,
+    own_files,
+    write_power_table,
+)
 from hyperval.results import Outcome, Result
 from hyperval.uncertainty.planted import NotPlantable, PlantedError, planted_errors, planted_prediction
 
@@ -167,6 +176,7 @@ def power_table(
             files=own_files(here.inputs.log.entries()),
             gates=len(gates) - disagreeing,
             disagreeing=disagreeing,
+            stated=gate_values(before),
             errors=rows,
         )
 
@@ -176,7 +186,7 @@ def turned(before: Iterable[Result], after: Iterable[Result]) -> Planted:
     disagreed = {_key(row) for row in before if row.outcome is Outcome.DISAGREES}
     new = [row for row in after if row.outcome is Outcome.DISAGREES and _key(row) not in disagreed]
     return Planted(
-        gates=tuple(dict.fromkeys(_name(row) for row in new if row.gates)),
+        gates=tuple(dict.fromkeys(gate_name(row) for row in new if row.gates)),
         informing=dict(Counter(row.product for row in new if not row.gates)),
     )
 
@@ -187,11 +197,6 @@ def _key(row: Result) -> tuple[object, ...]:
         row.product, row.subject, row.method, row.metric, row.role,
         *(None if math.isnan(x) else x for x in numbers),
     )  # fmt: skip
-
-
-def _name(row: Result) -> str:
-    band = [f"{row.band_nm:g} nm"] if row.per_band else []
-    return " | ".join([row.product, row.subject, row.method, row.metric, *band])
 
 
 def _csv(table: Sequence[Power]) -> str:

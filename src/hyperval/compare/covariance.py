@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -68,7 +69,7 @@ def compare_covariance(
     axis: SpectralAxis,
     predicted_distribution: PixelDistribution | None = None,
     observed_distribution: PixelDistribution | None = None,
-    predicted_snr: SpectralEstimate | None = None,
+    predicted_noise: Mapping[str, Array] | None = None,
 ) -> list[Result]:
     """Rows of one subject; ``method`` names the quantity.  There are none where a side has no spread.
 
@@ -80,8 +81,8 @@ def compare_covariance(
     - ``subspace_angle@k`` [deg] largest principal angle of the first k eigenvectors, ``subspace_inside_95@k``;
     - ``bhattacharyya_distance`` of the two normal laws, and ``bhattacharyya_covariance_excess``: the covariance's
       part less what sampling alone gives, with its band.  SKIPPED with fewer than 3 pixels for each band;
-    - ``noise_ratio`` predicted over measured standard deviation of the noise, where ``predicted_snr`` says how much
-      of the covariance is noise.
+    - ``noise_ratio`` predicted over measured standard deviation of the noise, where ``predicted_noise`` says how
+      much of the covariance is noise (source -> (B,) variance) and the observation in how many columns it lies.
 
     Examples
     --------
@@ -106,9 +107,10 @@ def compare_covariance(
     measured, band, n = sample.measured, sample.band, sample.n
     rows = _eigenvalue_rows(make, measured, band, n)
     rows += _space_rows(make, measured, band, sample.spaces, n)
-    if predicted_snr is not None:
+    samples = None if observed_distribution is None else observed_distribution.samples
+    if predicted_noise and samples is not None and samples > 1:
         kurtosis = 0.0 if predicted_distribution is None else kurtosis_parameter(predicted_distribution.tail_dof)
-        rows += _noise_rows(make, predicted, observed, predicted_snr, sample, kurtosis)
+        rows += _noise_rows(make, predicted, observed, predicted_noise, sample, samples, kurtosis)
     if math.isnan(measured.distance):
         why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
         names = ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
@@ -231,17 +233,20 @@ def _noise_rows(
     make: RowMaker,
     predicted: SpectralEstimate,
     observed: SpectralEstimate,
-    snr: SpectralEstimate,
+    sources: Mapping[str, Array],
     sample: Sampled,
+    samples: int,
     kurtosis: float,
 ) -> list[Result]:
     """The noise in the measured covariance; nothing where the model has none."""
-    bands = sample.bands & np.isfinite(snr.mean) & (snr.mean > 0)
+    total = np.sum(list(sources.values()), axis=0)
+    bands = sample.bands & np.isfinite(total) & (total > 0)
     if not bands.any():
         return []
-    at, noise = np.ix_(bands, bands), (predicted.mean[bands] / snr.mean[bands]) ** 2
+    at, noise = np.ix_(bands, bands), total[bands]
+    calibration = sources.get("calibration", np.zeros_like(total))[bands]
     first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
-    part = noise_part(second, first, noise, sample.fewest - 1.0, kurtosis)
+    part = noise_part(second, first, noise, sample.fewest - 1.0, kurtosis, calibration=calibration, samples=samples)
     low, high = (part.factor + sign * _NORMAL_95 * part.uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
         return [make.skipped(Cause.FEW_PIXELS, "the pixels do not tell noise from texture", "noise_ratio")]

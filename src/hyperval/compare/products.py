@@ -14,7 +14,7 @@ from hyperval.compare.roc import compare_roc
 from hyperval.compare.scores import compare_exceedance, compare_scores
 from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import UsageError
-from hyperval.products import Products
+from hyperval.products import Prediction, Products
 from hyperval.results import Result
 
 SPECTRAL = ("radiance", "snr", "reflectance", "toa_reflectance")
@@ -130,6 +130,7 @@ def _alternatives(side: Products, subject: str) -> str:
 def _covariance_rows(predicted: Products, observed: Products, campaign: str) -> list[Result]:
     """Covariances that both sides hold, in each quantity, and the tails of the classes."""
     rows: list[Result] = []
+    noise = predicted.noise if isinstance(predicted, Prediction) else {}
     for quantity in SPREAD:
         left, right = getattr(predicted, quantity), getattr(observed, quantity)
         for subject in _keys(left, right):
@@ -142,7 +143,7 @@ def _covariance_rows(predicted: Products, observed: Products, campaign: str) -> 
                 axis=observed.axis,
                 predicted_distribution=predicted.distribution.get(subject),
                 observed_distribution=observed.distribution.get(subject),
-                predicted_snr=predicted.snr.get(subject) if quantity == "radiance" else None,
+                predicted_noise=noise.get(subject) if quantity == "radiance" else None,
             )
     for subject in _keys(predicted.distribution, observed.distribution):
         rows += compare_distribution(

@@ -133,8 +133,8 @@ METRICS = (
     Metric("bhattacharyya_covariance_excess", "how far the two covariances are apart (Bhattacharyya distance) "
            "beyond what sampling makes; 0 is the same", _SPREAD, "B - E[B]", agreement=0.0, interval=_BAND,
            short="shape of the spread", reference=_COVARIANCES),
-    Metric("noise_ratio", "predicted over measured standard deviation of the noise among the pixels of a class, all "
-           "bands together, the size of the class's own spread left free", "processing.noise_part.noise_part",
+    Metric("noise_ratio", "predicted over measured standard deviation of the noise among the pixels of a class, "
+           "all bands together, the size of the class's own spread left free", "processing.noise_part.noise_part",
            "a^-1/2 of S = a N + g T", low=0.0, agreement=1.0, interval="normal, of a", tolerance=of_value(0.005),
            example="noise_part(4 * np.eye(2), np.eye(2), [1, 1], 100).factor", gives=4.0,
            short="noise", reference="Rao, J. Multivariate Anal. 1, 257, 1971"),

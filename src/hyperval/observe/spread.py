@@ -61,6 +61,7 @@ class PixelDistances:
     n: int
     independent: Array
     parts: tuple[float, float]
+    samples: int
 
     def distribution(self) -> PixelDistribution:
         """Tails and independence of the pixels; it loads SciPy's optimisers, 13 MB."""
@@ -70,6 +71,7 @@ class PixelDistances:
         return PixelDistribution(
             whole.dof, whole.lower, whole.upper, whole.normality_p_value, self.dimension,
             lead.dof, lead.lower, lead.upper, self.leading, whole.n, self.independent, distance, exceedance,
+            self.samples,
         )  # fmt: skip
 
 
@@ -111,7 +113,8 @@ def pixel_distances(place: Place, region: Mask, statistics: SampleStatistics) ->
     every, few = (np.concatenate(parts) for parts in zip(*distances, strict=True))
     if every.size < FEWEST_PIXELS:
         return None
-    return PixelDistances(every, few, dimension, leading, statistics.n, independent, part)
+    samples = int(np.count_nonzero(region.any(axis=0)))
+    return PixelDistances(every, few, dimension, leading, statistics.n, independent, part, samples)
 
 
 def exceedance_curve(values: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@
     line.dark, line.bright       factor on the true reflectance of a panel of the line [1]
     surfaces.NAME.mean           mean reflectance [1]; surfaces.NAME.spread: factor on its standard deviation [1]
     surfaces.NAME.tail_dof       degrees of freedom of the tails of a class
-    surfaces.NAME.fine_texture   part of a target's covariance that goes by its fill in place of the fill's square [1]
+    surfaces.NAME.fine_texture   part of a target's covariance that goes by its fill, not the fill's square [1]
     fill, fill.NAME              mean fills of all targets, or of one or its subject [1]
     fraction.NAME                area fraction of a class; the others give way in proportion [1]
     blur                         widths of the blur wherever a fill follows from geometry [pixels]
@@ -276,9 +276,7 @@ def _surface(given: Given, name: str, key: str) -> InputPath:
         return Departure(statistics={name: StatisticsDeparture(factor=_number(v) ** 2)})
 
     def with_fine_texture(v: Array) -> Departure:
-        return Departure(
-            statistics={name: StatisticsDeparture(fine_texture=_number(v) - surface.fine_texture)}
-        )
+        return Departure(statistics={name: StatisticsDeparture(fine_texture=_number(v) - surface.fine_texture)})
 
     if key == "mean":
         return InputPath(mean, with_mean)

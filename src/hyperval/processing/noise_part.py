@@ -21,14 +21,21 @@ class NoisePart:
 
 
 def noise_part(
-    measured: npt.ArrayLike, expected: npt.ArrayLike, noise: npt.ArrayLike, dof: float, kurtosis: float = 0.0
+    measured: npt.ArrayLike,
+    expected: npt.ArrayLike,
+    noise: npt.ArrayLike,
+    dof: float,
+    kurtosis: float = 0.0,
+    *,
+    calibration: npt.ArrayLike = 0.0,
+    samples: int = 2,
 ) -> NoisePart:
     """Factor a on the noise in S = a N + g T, by quadratic estimation of variance components.
 
     With W = Sigma^-1, Sigma = N + T, the two traces tr(W N W S) and tr(W T W S) are equated to what they are
     expected to be (MINQUE: Rao, J. Multivariate Anal. 1, 257-275, 1971).  That is right on average whatever a and g
-    are, and for normal pixels and a = g = 1 no estimate that is linear in S has less variance.  The texture's factor
-    is free, so that an error in the spread of the class is not taken for one of the noise.
+    are, and for normal pixels and a = g = 1 no estimate that is linear in S has less variance.  The texture's
+    factor is free, so that an error in the spread of the class is not taken for one of the noise.
 
     Parameters
     ----------
@@ -37,6 +44,9 @@ def noise_part(
     noise : (B,) variances that N has on its diagonal
     dof : degrees of freedom behind S
     kurtosis : kappa of the pixels' law (:func:`hyperval.processing.covariance_sampling.kurtosis_parameter`)
+    calibration : (B,) part of the noise that the detector elements' own errors of calibration make: all pixels of a
+        column share them, so that it is known by as many as there are columns
+    samples : columns of the image
 
     Examples
     --------
@@ -45,7 +55,7 @@ def noise_part(
     >>> round(found.factor, 12), round(found.uncertainty, 3)
     (1.21, 0.038)
     """
-    s, sigma, n = np.asarray(measured, dtype=float), np.asarray(expected, dtype=float), np.asarray(noise, dtype=float)
+    s, sigma, n = (np.asarray(x, dtype=float) for x in (measured, expected, noise))
     texture = sigma - np.diag(n)
     parts = [np.diag(n), texture] if np.trace(texture) > _LEAST_TEXTURE * n.sum() else [np.diag(n)]
     w = np.linalg.pinv(sigma, hermitian=True)
@@ -59,4 +69,7 @@ def noise_part(
     traces = np.array([np.trace(x) for x in through])
     covariance = 2.0 * (1.0 + kurtosis) * np.array([[np.sum(x * y.T) for y in through] for x in through])
     covariance = (covariance + kurtosis * np.outer(traces, traces)) / dof
-    return NoisePart(float(factors[0]), float(np.sqrt((inverse @ covariance @ inverse.T)[0, 0])))
+    variance = (inverse @ covariance @ inverse.T)[0, 0]
+    by_band = np.einsum("i,ibb->b", inverse[0], np.array(seen))
+    columns = 2.0 / (samples - 1.0) * np.sum((by_band * calibration) ** 2)
+    return NoisePart(float(factors[0]), float(np.sqrt(variance + columns)))

@@ -106,6 +106,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         power=run.power,
         gated=any(row.gates for row in rows),
         power_changed=run.power.changed_files(run.provenance.get("inputs", ())) if run.power else [],
+        power_moved=run.power.moved_gates(rows) if run.power else [],
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),

@@ -37,6 +37,7 @@ _TAILS = (
     ("dimension", "bands in which distances were taken"),
     ("leading_dimension", "number of leading components"),
     ("n", "pixels of the sample; NaN for a definition"),
+    ("samples", "columns of the image that they lie in; NaN for a definition"),
 )
 _TAIL_CURVES = (
     ("distance", "distribution_point", "squared Mahalanobis distance in the leading components"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -13,6 +14,9 @@ from pydantic import Field
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError
 from hyperval.files import write_text
+from hyperval.metrics import Evidence
+from hyperval.metrics.tolerances import DIGITS, default_tolerance
+from hyperval.results import Result
 
 ACCEPTED = Path("validation/power")
 _MOST_NAMED = 4
@@ -75,6 +79,9 @@ class PowerTable(Model):
     files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
     gates: int = Field(ge=0, description="gates that an error could turn")
     disagreeing: int = Field(ge=0, description="gates that disagree with nothing planted, and cannot turn")
+    stated: dict[str, float] = Field(
+        default_factory=dict, description="gate of the model -> its value with nothing planted"
+    )
     errors: dict[str, Planted] = Field(min_length=1)
 
     def named(self, *sights: Sight) -> list[str]:
@@ -89,6 +96,11 @@ class PowerTable(Model):
         now = own_files(inputs)
         return sorted(name for name in {*now, *self.files} if now.get(name) != self.files.get(name))
 
+    def moved_gates(self, rows: Iterable[Result]) -> list[str]:
+        """Gates of the model that have another value in a run than they had when the table was computed."""
+        now = gate_values(rows)
+        return [n for n in dict.fromkeys((*self.stated, *now)) if _moved(n, self.stated.get(n), now.get(n))]
+
     @property
     def sentence(self) -> str:
         """What a reader has to know before all."""
@@ -99,10 +111,31 @@ class PowerTable(Model):
             parts.append(f"Only rows that do not decide show: {', '.join(shown)}.")
         if unseen:
             parts.append(f"Unseen: {', '.join(unseen)}.")
+        if absent := self.named(Sight.NOT_APPLICABLE):
+            parts.append(f"There is nothing here to plant in for: {', '.join(absent)}.")
         if self.disagreeing:
             several = "s that disagree" if self.disagreeing > 1 else " that disagrees"
             parts.append(f"{self.disagreeing} gate{several} already cannot show any.")
         return " ".join(parts)
+
+
+def gate_values(rows: Iterable[Result]) -> dict[str, float]:
+    """Gate of the model -> its value, as a power table keeps it; without those that have none."""
+    gates = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and math.isfinite(row.value)]
+    return {gate_name(row): float(f"{row.value:.{DIGITS}g}") for row in gates}
+
+
+def gate_name(row: Result) -> str:
+    """ "product | subject | method | metric", and the band where there is one."""
+    band = [f"{row.band_nm:g} nm"] if row.per_band else []
+    return " | ".join([row.product, row.subject, row.method, row.metric, *band])
+
+
+def _moved(name: str, accepted: float | None, value: float | None) -> bool:
+    if accepted is None or value is None:
+        return True
+    metric = name.split(" | ")[3]
+    return abs(value - accepted) > default_tolerance(metric).width(accepted)
 
 
 def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
