@@ -6,7 +6,9 @@ Each model is fitted to the pixels outside the targets, class by class as in the
 one half of the image's blocks (drawn at random, SPLITS times, each half in turn), the filters being those of the
 campaign.  Printed are predicted over measured P_FA at the threshold that the pixels themselves set: in sample,
 and on the other half as geometric means, with the share of pairs of filter and half within a factor of two.
-The last line is the yardstick: one half of the pixels in the place of a model.  The local background takes the mean
+The last line is the yardstick: one half of the pixels in the place of a model.  Lines that begin with "sd" have the
+standard deviation of ln P_FA at the fixed threshold, of the model by the pixels that it was fitted to and of the
+measured share: a jackknife over GROUPS groups of blocks.  The local background takes the mean
 of each pixel's surroundings off, in image and model alike.
 """
 
@@ -30,6 +32,7 @@ MATERIALS = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric"
 LEVELS = (1e-2, 1e-3)
 SIDE = 10  # pixels of a block, 7 m
 WINDOW = 15  # pixels of the local mean
+GROUPS = 8  # of blocks, each left out once
 
 Pixels = np.ndarray
 Model = Callable[[Pixels, Pixels], ClassScores]
@@ -138,6 +141,23 @@ def halves(image: Image, splits: int) -> list[tuple[Pixels, Pixels]]:
     return out
 
 
+def jackknife(image: Image, count: object, tails: bool) -> tuple[np.ndarray, np.ndarray]:
+    """(levels, filters) standard deviation of ln P_FA: of the model, and of the measured share (Miller 1974)."""
+    every = np.arange(image.kind.size)
+    ordered = np.sort(image.scores, axis=1)[:, ::-1]
+    thresholds = [ordered[:, max(round(level * every.size), 1)] for level in LEVELS]
+    blocks, at = np.unique(image.block, return_inverse=True)
+    group = (np.random.default_rng(0).permutation(blocks.size) % GROUPS)[at]
+    modelled, measured = [], []
+    for g in range(GROUPS):
+        rows = every[group != g]
+        models = laws(image, rows, count, tails)
+        modelled.append([[log_false_alarm(t[[f]], m)[0][0] for f, m in enumerate(models)] for t in thresholds])
+        shares = [(image.scores[:, rows] > t[:, None]).mean(axis=1) for t in thresholds]
+        measured.append(np.log(np.maximum(shares, 0.5 / rows.size)))
+    return tuple(np.sqrt((GROUPS - 1) * np.var(x, axis=0)) for x in (modelled, measured))  # type: ignore[return-value]
+
+
 def line(name: str, inside: np.ndarray | None, outside: np.ndarray) -> str:
     means = np.exp(np.log(np.maximum(outside, 1e-6)).mean(axis=0))
     within = (np.abs(np.log2(outside)) <= 1.0).mean(axis=(0, 2))
@@ -163,6 +183,10 @@ def main() -> None:
             inside = ratios(of, laws(of, every, count, tails), every)
             outside = np.array([ratios(of, laws(of, told, count, tails), rows) for told, rows in pairs])
             print(line(name + where, inside, outside), flush=True)
+            if of is image and tails:
+                for side, sd in zip(("model", "image"), jackknife(of, count, tails), strict=True):
+                    cells = [" ".join(f"{v:.2g}" for v in at) for at in sd]
+                    print(f"| sd of ln P_FA, {side}, {name} | " + " | ".join(cells) + " | | |", flush=True)
         outside = np.array([repeated(of, told, rows) for told, rows in pairs])
         print(line("the other half of the image" + where, None, outside), flush=True)
 

@@ -115,6 +115,7 @@ def compare_exceedance(
             words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{model:.3g}, "
             words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
             interval = ratio.lower, ratio.upper
+            words += "; the interval is that of the measured rate alone"
             if observed.half_image is None:
                 out.append(make.row(name, ratio.value, interval=interval, n=observed.n, reason=words))
                 continue
