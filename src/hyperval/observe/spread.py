@@ -52,6 +52,7 @@ class PixelDistances:
     n : pixels that mean and covariance were taken from
     independent : (K,) independent pixels behind the variance of each leading component
     parts : share of the distances that count as independent, in all components and in the leading ones
+    samples : columns of the image that the pixels lie in
     """
 
     every: Array
