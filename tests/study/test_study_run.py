@@ -44,7 +44,7 @@ def test_a_study_writes_everything(make_study, tmp_path, quick):
     _, path = make_study(TEXT)
     assert cli.run(["-q", "study", str(path), "-o", str(tmp_path / "out")]) == 0
     out = tmp_path / "out"
-    table = pd.read_csv(out / "table.csv", float_precision="round_trip")  # pandas before 3 rounds
+    table = pd.read_csv(out / "table.csv")
     assert len(table) == 150
     assert table["pd"].between(0, 1).all()
     with xr.open_dataset(out / "table.nc", engine="h5netcdf") as data:
@@ -71,7 +71,6 @@ def test_parquet_holds_the_table_of_the_csv(make_study, tmp_path, quick):
         tmp_path / "out" / "table.csv",
         keep_default_na=False,
         na_values={"signal": [""]},
-        float_precision="round_trip",
     )
     found = pd.read_parquet(tmp_path / "out" / "table.parquet")
     assert list(found.columns) == list(written.columns)

@@ -305,7 +305,7 @@ class Collection(SimulatedCollection):
 
     def to_dataframe(self) -> pd.DataFrame:
         """The list of targets."""
-        return pd.read_csv(self.targets, float_precision="round_trip")
+        return pd.read_csv(self.targets)
 
     @property
     def plot(self) -> ImagePlot:
