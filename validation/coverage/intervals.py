@@ -1,6 +1,7 @@
 """How often the intervals of background, curves, areas and eigenvalues hold, on score maps whose truth is known.
 
-Each is simulated twice: from independent pixels, and from a background in clusters of 49 pixels, correlation 0.9.
+Each is simulated twice: from independent pixels, and from a background in clusters of 49 pixels, correlation 0.9;
+noise and scores of objects from independent errors, and from errors that columns or objects share.
 """
 
 from __future__ import annotations
@@ -14,14 +15,17 @@ from scipy import stats
 from world import AXIS
 
 from hyperval.collection import AreaCheck, Detection
+from hyperval.compare.objects import judged_together
 from hyperval.imagery.truth import TargetObject, all_pixels
 from hyperval.observe.areas import target_areas
 from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.covariance_sampling import Directions, SamplingBand, sampling_band
 from hyperval.processing.exceedance import exceedance_curve
+from hyperval.processing.noise_part import noise_part
 from hyperval.processing.rank_counts import counts_of
 from hyperval.processing.roc import pd_at_pfa
 from hyperval.processing.roc_areas import AREAS, area_estimates
+from hyperval.products import ObjectScores
 from hyperval.scene.builtin import builtin_class
 
 Array = npt.NDArray[np.float64]
@@ -99,7 +103,7 @@ def areas(rng: np.random.Generator, clustered: bool) -> Intervals:
 _COVARIANCE = builtin_class("soil", AXIS).covariance + 1e-8 * np.eye(len(AXIS))
 _ROOT = np.linalg.cholesky(_COVARIANCE)
 EIGENVALUES = (1, 2, 5, 10)
-PIXELS = 600
+PIXELS, COLUMNS, OBJECTS = 600, 100, 40
 
 
 def eigenvalues(rng: np.random.Generator, clustered: bool) -> Intervals:
@@ -115,7 +119,31 @@ def eigenvalues(rng: np.random.Generator, clustered: bool) -> Intervals:
         yield f"eigenvalue {k}", bool(low[k - 1] <= measured[k - 1] <= high[k - 1])
 
 
-KINDS: tuple[Callable[[np.random.Generator, bool], Intervals], ...] = (detection, areas, eigenvalues)
+def noise(rng: np.random.Generator, together: bool) -> Intervals:
+    """The noise of a class told from its texture; ``together``: half of it is calibration error of 100 columns."""
+    stored = 1e-5 * (1.0 + np.arange(len(AXIS)) % 3)
+    shared = 0.5 * stored if together else np.zeros_like(stored)
+    pixels = rng.standard_normal((PIXELS, len(AXIS))) @ _ROOT.T * float(rng.uniform(0.8, 1.2))
+    pixels += rng.standard_normal(pixels.shape) * np.sqrt(stored - shared)
+    pixels += (rng.standard_normal((COLUMNS, len(AXIS))) * np.sqrt(shared))[np.arange(PIXELS) % COLUMNS]
+    known = {"calibration": shared, "samples": COLUMNS} if together else {}
+    part = noise_part(np.cov(pixels.T), _COVARIANCE + np.diag(stored), stored, PIXELS - 1.0, **known)
+    yield "noise of a class", bool(abs(part.factor - 1.0) <= 1.96 * part.uncertainty)
+
+
+def object_spread(rng: np.random.Generator, together: bool) -> Intervals:
+    """The spread of the scores of many objects; ``together``: they share an error as large as each one's own."""
+    common = float(together) * np.concatenate([half := rng.standard_normal(100), -half])[:, None]
+    predicted = {f"{i}": ObjectScores(common + rng.standard_normal((200, 40))) for i in range(OBJECTS)}
+    error = float(together) * rng.standard_normal()
+    measured = {name: error + rng.standard_normal(1) for name in predicted}
+    low, high = judged_together(predicted, measured).spread_interval
+    yield "spread of the scores of objects", bool(low <= 1.0 <= high)
+
+
+KINDS: tuple[Callable[[np.random.Generator, bool], Intervals], ...] = (
+    detection, areas, eigenvalues, noise, object_spread,
+)  # fmt: skip
 
 
 def intervals_of(world: int, seed: int) -> Iterator[tuple[str, bool, bool]]:
