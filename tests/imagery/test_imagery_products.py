@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 import tracemalloc
 import warnings
 from pathlib import Path
@@ -37,6 +38,12 @@ def by_gdal(path: Path, name: str) -> np.ndarray:
             return dataset.read()
 
 
+def text_of(stored: object) -> str:
+    """A text of an HDF5 file, whichever way it is stored."""
+    item = np.asarray(stored).item()
+    return item.decode() if isinstance(item, bytes) else str(item)
+
+
 def values_of(cube: Cube) -> np.ndarray:
     whole = np.concatenate([block.values for block in cube.blocks(5)])
     assert np.array_equal(whole, cube.read(0, cube.lines).values, equal_nan=True)
@@ -65,6 +72,11 @@ def test_aviris_3_radiance_with_its_lookup_table(tmp_path: Path, chunks):
     table = open_lookup_table(lookup_raster(cube.raster), cube.shape)
     assert (table.transform, table.crs) == (shells.MAP, shells.UTM11)
     # The centre of raw pixel (line 5, sample 4) lies in the cell moved by one line and two samples.
+    with xr.open_dataset(path, group="geolocation_lookup_table", engine="h5netcdf") as other:
+        for band, name in enumerate(("sample", "line")):
+            assert np.array_equal(
+                table.raster.read_bands(0, other[name].shape[0])[band], np.nan_to_num(other[name])
+            )
     place = (shells.MAP.c + 4 * (4.5 + 2), shells.MAP.f - 4 * (5.5 + 1))
     assert np.allclose(table.to_pixel(np.array([place]), where="here"), [[4.5, 5.5]], atol=1e-6)
     assert table.pixel_area_m2 == pytest.approx(16.0, rel=1e-6)
@@ -231,7 +243,59 @@ def test_stac_item_beside_a_geotiff(tmp_path: Path):
     assert np.allclose(cube.axis.centre_nm, [503, 650, 799])
     assert np.allclose(cube.axis.fwhm_nm, 20.0)
     assert np.allclose(values_of(cube), 0.1 * values.transpose(1, 2, 0), rtol=1e-6)
-    assert cube.transform == shells.MAP
+    with rasterio.open(image) as other:
+        stored = other.read().transpose(1, 2, 0)
+        assert np.array_equal(other.read(masked=True).mask.any(axis=0), np.isnan(values_of(cube)).any(axis=2))
+        assert (cube.transform, cube.crs) == (other.transform, other.crs)
+    assert np.allclose(values_of(cube), 0.1 * stored, rtol=1e-6)
+
+
+def test_maps_are_where_the_attributes_say_read_by_themselves(tmp_path: Path):
+    """The position of each product that has one on a map, from its attributes as h5py hands them out."""
+    shells.aviris(tmp_path / "a.nc", "reflectance")
+    with h5py.File(tmp_path / "a.nc") as file:
+        grid = next(v for v in file.values() if "GeoTransform" in v.attrs)
+        want = Affine.from_gdal(*map(float, text_of(grid.attrs["GeoTransform"]).split()))
+        system = CRS.from_wkt(text_of(grid.attrs["spatial_ref"]))
+    cube = open_cube(tmp_path / "a.nc", quantity="reflectance")
+    assert (cube.transform, cube.crs) == (want, system)
+
+    shells.neon_reflectance(tmp_path / "n.h5")
+    with h5py.File(tmp_path / "n.h5") as file:
+        entries = (
+            np.asarray(file["SERC/Reflectance/Metadata/Coordinate_System/Map_Info"]).item().decode().split(",")
+        )
+        code = int(np.asarray(file["SERC/Reflectance/Metadata/Coordinate_System/EPSG Code"]).item())
+    cube = open_cube(tmp_path / "n.h5", quantity="reflectance")
+    column, line, east, north, width, height = map(float, entries[1:7])
+    assert (column, line) == (1.0, 1.0)  # the corner of the first pixel
+    assert cube.transform == Affine(width, 0, east, 0, -height, north)
+    assert cube.crs.to_epsg() == code
+
+    shells.prisma(tmp_path / "p.he5", "L2D")
+    with h5py.File(tmp_path / "p.he5") as file:
+        corners = {n: float(file.attrs[f"Product_{n}"]) for n in (
+            "ULcorner_easting", "ULcorner_northing", "LRcorner_easting", "LRcorner_northing")}  # fmt: skip
+        code = int(file.attrs["Epsg_Code"])
+    cube = open_cube(tmp_path / "p.he5", quantity="reflectance")
+    ends = [
+        cube.transform @ at for at in ((0.5, 0.5), (SAMPLES - 0.5, LINES - 0.5))
+    ]  # centres of the corner pixels
+    assert np.allclose(np.ravel(ends), list(corners.values()), atol=1e-6)
+    assert cube.crs.to_epsg() == code
+
+    shells.tanager(tmp_path / "t.h5", ortho=True)
+    with h5py.File(tmp_path / "t.h5") as file:
+        text = text_of(file["HDFEOS INFORMATION/StructMetadata.0"])
+        code = int(file["HDFEOS/GRIDS/HYP"].attrs["epsg_code"])
+    (west, north), (east, south) = (
+        map(float, re.search(rf"{corner}=\(([-0-9.]+),([-0-9.]+)\)", text).groups())
+        for corner in ("UpperLeftPointMtrs", "LowerRightMtrs")
+    )
+    cube = open_cube(tmp_path / "t.h5", quantity="radiance")
+    assert np.allclose(cube.transform @ (0, 0), (west, north))
+    assert np.allclose(cube.transform @ (SAMPLES, LINES), (east, south))
+    assert cube.crs.to_epsg() == code
 
 
 def labelled(path: Path, **more) -> Path:
@@ -585,6 +649,12 @@ def test_prisma_reflectance_in_scanner_geometry_has_its_places(tmp_path: Path):
     table, _ = table_of(cube.raster)
     assert table is not None
     assert cube.transform is None
+    place = "HDFEOS/SWATHS/PRS_L2C_HCO/Geolocation Fields"
+    latitude, longitude = (
+        by_gdal(tmp_path / "p.he5", f"{place}/{name}").squeeze() for name in ("Latitude", "Longitude")
+    )
+    inner = np.array([(longitude[i, j], latitude[i, j]) for i, j in ((2, 3), (5, 6), (8, 2))], float)
+    assert np.allclose(table.to_pixel(inner, where="here"), [[3.5, 2.5], [6.5, 5.5], [2.5, 8.5]], atol=0.02)
 
 
 def test_prisma_radiance_at_the_surface_is_called_that(tmp_path: Path):
