@@ -214,3 +214,9 @@ def test_a_spread_too_wide_or_too_narrow_shows_in_its_ratio(monkeypatch):
 def test_one_object_has_no_spread():
     predicted, truth = drawn(0.0, 0.1, np.random.default_rng(5), subjects=1)
     assert not [r for r in rows_of(predicted, truth) if r.metric == "pit_spread_ratio"]
+
+
+def test_a_statistic_beyond_all_draws_has_the_least_p_value_that_they_can_give():
+    beyond = objects._test(5.0, np.linspace(0.0, 1.0, 99), np.zeros((len(objects.WIDTHS), 3)))
+    assert beyond.p_value == pytest.approx(0.01, rel=1e-12)
+    assert objects._test(-1.0, np.linspace(0.0, 1.0, 99), np.zeros((len(objects.WIDTHS), 3))).p_value == 1.0

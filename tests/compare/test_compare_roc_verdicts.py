@@ -82,3 +82,15 @@ def test_both_readings_are_reported_where_they_differ():
     single = RocCurve(PFA, pd, pd, pd, x, "object", preset_pfa=presets(x, alone))
     rows = compare_roc(single, measured, campaign="c", subject="s", method="m")
     assert not [r for r in rows if "preset" in r.metric]
+
+
+def test_a_preset_at_the_end_of_what_is_known_is_reported():
+    measured = curve(0.6, 0.05, 300)
+    pd = np.linspace(0.2, 0.9, PFA.size)
+    for end, there in ((1e-2, True), (0.99e-2, False)):
+        known = np.append(
+            (PFA * end / PFA[-1])[:-1], end
+        )  # the last preset is the one that is asked for, or lies below
+        swept = RocCurve(PFA, pd, pd, pd, norm.isf(PFA), "object", preset_pfa=known)
+        rows = compare_roc(swept, measured, campaign="c", subject="s", method="m")
+        assert any(r.metric == "pd_predicted_preset@1e-2" for r in rows) == there
