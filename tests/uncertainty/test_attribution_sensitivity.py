@@ -1,9 +1,14 @@
 """Variance-based sensitivities."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
+from hyperval.prediction.departure import Departure
+from hyperval.uncertainty.attribution import run
+from hyperval.uncertainty.attribution.ranking import Candidate
 from hyperval.uncertainty.attribution.sensitivity import quadratic_design, sensitivity_indices
 
 
@@ -58,3 +63,25 @@ def test_a_quantity_that_does_not_move_has_no_shares():
 def test_too_few_evaluations_are_refused():
     with pytest.raises(UsageError, match="66 and more"):
         sensitivity_indices(np.eye(10), np.ones(10))
+
+
+def test_inputs_are_checked_together_with_both_signs_of_each():
+    """The seed of the checks is the code's own."""
+    names = ("ground", "path")
+
+    def reason(name):
+        move = SimpleNamespace(at=lambda direction, units: [Departure(**{name: 1.0 + 0.01 * units})])
+        return SimpleNamespace(candidate=Candidate(name, "sensor", None, True), at=move.at)
+
+    reasons, seen = [reason(name) for name in names], []
+
+    def evaluate(truths, words, show_progress):
+        seen.extend((float(t.ground), float(t.path)) for (t,) in truths)
+        return [(None, np.array([g + p])) for g, p in seen]
+
+    single = {(r.candidate, sign): np.array([2.0 + 0.01 * sign]) for r in reasons for sign in (1, -1)}
+    run._indices(reasons, evaluate, np.array([2.0]), single, False)
+    checks = np.array(seen[1:])  # after the one pair
+    assert len(checks) == run._CHECKS
+    assert (checks.min(axis=0) < 1.0).all()
+    assert (checks.max(axis=0) > 1.0).all()
