@@ -1,6 +1,6 @@
 """Ten thousand requests made from the API's description; the statuses that each operation gave.
 
-    python validation/robustness/web_api.py [--examples 400] [--campaign FOLDER]
+    python validation/robustness/web_api.py [--examples 460] [--campaign FOLDER]
 
 Needs Schemathesis, which the development set does not bring.  Of requests that are made to be right some name
 what is there: runs of the session, files that they offer, bodies that are carried out; so every operation succeeds
@@ -85,7 +85,7 @@ def _new_run(known: dict[str, Any]) -> str | None:
 def main() -> int:
     """Start a server, run the cases, and tell."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--examples", type=int, default=400, help="of each operation, besides those of its edges")
+    parser.add_argument("--examples", type=int, default=460, help="of each operation, besides those of its edges")
     parser.add_argument("--phases", default="coverage,fuzzing", help="of Schemathesis")
     parser.add_argument("--campaign", type=Path, help="folder of a campaign that may be run")
     parser.add_argument("--port", type=int, default=8766)
