@@ -20,7 +20,7 @@ import xarray as xr
 from synthetic_run import NASTY, axis, make_run
 
 from hyperval.products import Observation, Prediction, RocCurve
-from hyperval.report import RunReport, write_index, write_outputs
+from hyperval.report import RunReport, outputs, write_index, write_outputs
 from hyperval.report import verdict as v
 from hyperval.report.figures import draw_figures
 from hyperval.report.figures_spectra import pair_figures
@@ -519,3 +519,17 @@ def test_index_joins_campaigns(run, tmp_path):
     assert "SIMULATED: made by a computer" in page.text
     assert len(json.loads((tmp_path / "results.json").read_text())["rows"]) == len(run.table) + 1
     assert (tmp_path / "junit.xml").read_text().count("<testsuite ") == 2
+
+
+def test_a_side_that_charts_show_whole_has_no_figure_and_others_have_all_of_theirs():
+    """Whether matplotlib is left alone is told from the products; it is right where drawing would give nothing."""
+    whole = make_run()
+    assert whole.prediction is not None
+    names = {field.name for field in dataclasses.fields(whole.prediction)}
+    charted = {name: getattr(whole.prediction, name) for name in names & outputs._CHARTED}
+    plain = {key: dataclasses.replace(estimate, budget={}) for key, estimate in charted["radiance"].items()}
+    for side in (Prediction(**charted | {"radiance": plain}), whole.prediction):
+        run = RunReport("s", "S", "", False, ResultTable(), prediction=side)
+        drawn = [drawing.file_name for drawing in draw_figures(run)]
+        assert [drawing.file_name for drawing in outputs._drawings(run)] == drawn
+        assert bool(drawn) == (side is whole.prediction)
