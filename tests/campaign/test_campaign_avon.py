@@ -22,11 +22,11 @@ from hyperval.campaign.draft import read_texts
 from hyperval.campaign.dry_run import dry_run, overview
 from hyperval.campaign.one import jobs_of, run_campaign
 from hyperval.campaign.run import validate
-from hyperval.compare.difference import Z95
 from hyperval.config import load_yaml
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.envi_write import write_cube
 from hyperval.imagery.lookup_table import divided
+from hyperval.processing.intervals import Z95
 from hyperval.report.stored import read_results
 from hyperval.results import Cause, Outcome
 from hyperval.scene.builtin import builtin_class

@@ -8,12 +8,12 @@ from scipy import stats
 
 from hyperval.compare.abundance import compare_abundance, compare_area_errors
 from hyperval.compare.covariance import _eigenvalue_rows, _space_rows
-from hyperval.compare.difference import Z95
 from hyperval.compare.roc import compare_roc
 from hyperval.compare.roc_alarms import far_at_detection_rows
 from hyperval.compare.rows import RowMaker
 from hyperval.compare.spectral import compare_spectra, leading_source
 from hyperval.processing.covariance_sampling import SamplingBand, Statistics
+from hyperval.processing.intervals import Z95
 from hyperval.products import Abundance, AlarmsAtDetection, RocCurve, SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window

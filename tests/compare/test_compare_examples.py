@@ -7,7 +7,8 @@ import pytest
 
 
 @pytest.mark.parametrize(
-    "name", ["compare.difference", "compare.consistency", "compare.rows", "processing.intervals"]
+    "name",
+    ["processing.difference", "compare.difference", "compare.consistency", "compare.rows", "processing.intervals"],
 )
 def test_examples(name):
     outcome = doctest.testmod(importlib.import_module(f"hyperval.{name}"))

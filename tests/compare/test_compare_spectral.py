@@ -18,8 +18,6 @@ from hyperval.compare.consistency import (
 )
 from hyperval.compare.difference import (
     comparable_bands,
-    difference_ratio,
-    difference_ratio_covariance,
     median_interval,
     regions,
     size_intervals,
@@ -27,6 +25,11 @@ from hyperval.compare.difference import (
 from hyperval.compare.outcomes import detectable_departure
 from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import UsageError
+from hyperval.processing.difference import (
+    difference_ratio,
+    difference_ratio_covariance,
+    difference_ratio_uncertainty,
+)
 from hyperval.products import SpectralEstimate
 from hyperval.results import Outcome, Result
 from hyperval.spectra.axis import SpectralAxis
@@ -63,7 +66,10 @@ def test_ratio_covariance_by_monte_carlo():
         rng.multivariate_normal(p.mean, p.error_covariance, 40000),
         rng.multivariate_normal(c.mean, c.error_covariance, 40000),
     )
-    assert np.cov(draws.T) == pytest.approx(difference_ratio_covariance(p, c), rel=0.05)
+    covariance = difference_ratio_covariance(p, c)
+    assert np.cov(draws.T) == pytest.approx(covariance, rel=0.05)
+    u = difference_ratio_uncertainty(p.mean, c.mean, p.standard_uncertainty, c.standard_uncertainty)
+    assert u == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-12), "areas and figures, and the rows of spectra"
 
 
 def test_without_any_stated_error_there_is_no_interval():

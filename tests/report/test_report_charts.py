@@ -24,7 +24,7 @@ from hyperval.report.charts_objects import MANY_OBJECTS, map_objects, objects_ch
 from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.netcdf import labelled_arrays
 from hyperval.report.run import ScoreMap
-from hyperval.report.sides import difference_ratio, eigenvalues
+from hyperval.report.sides import difference, eigenvalues
 from hyperval.report.style import house_style
 from hyperval.report.text_cache import chart_models
 from hyperval.results import Outcome, Result, Role
@@ -73,7 +73,7 @@ def test_spectra_hold_both_sides_and_their_difference(run):
     assert [list(one["columns"]) for one in subjects] == [["nm"], []], "one axis, once"
     bands = {name: [numbers(text) for text in pair] for name, pair in subjects[0]["bands"].items()}
     predicted, collected = run.prediction.radiance["grass"], run.observation.radiance["grass"]
-    ratio, u = difference_ratio(predicted, collected)
+    ratio, u = difference(predicted, collected, True)
     np.testing.assert_allclose(numbers(subjects[0]["columns"]["nm"]), run.prediction.axis.centre_nm, rtol=1e-6)
     for name, value, own_u in (
         ("predicted", predicted.mean, predicted.standard_uncertainty),

@@ -8,9 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import stats
 
-from hyperval.compare.difference import Z95
 from hyperval.compare.rows import RowMaker
 from hyperval.metrics import Evidence
+from hyperval.processing.difference import difference_ratio, difference_ratio_uncertainty
+from hyperval.processing.intervals import Z95
 from hyperval.products import Abundance
 from hyperval.results import Cause, Result
 
@@ -66,8 +67,8 @@ def compare_abundance(
         else:
             out.append(make.skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio"))
         if o > 0:
-            half = Z95 * np.hypot(up / o, p * uo / o**2)
-            ratio = (p - o) / o
+            half = Z95 * float(difference_ratio_uncertainty(p, o, up, uo))
+            ratio = float(difference_ratio(p, o))
             ends = ratio - half, ratio + half
             out.append(make.row("area_difference_ratio", ratio, interval=ends, n=observed.n, evidence=evidence))
         else:

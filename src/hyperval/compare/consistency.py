@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize, stats
 
-from hyperval.compare.difference import Z95
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import clopper_pearson
+from hyperval.processing.intervals import Z95, clopper_pearson
 from hyperval.products import EstimatedPart
 
 Array = npt.NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Difference ratio of two spectra, per band and in summary."""
+"""The bands of two spectra that can be compared, and intervals of differences and their summaries."""
 
 from __future__ import annotations
 
@@ -9,38 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
+from hyperval.processing.intervals import Z95
 from hyperval.products import SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import SPECTRAL_REGIONS_NM, in_window
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Z95 = 1.959963984540054
 _DRAWS = 1000
 _SEED = 20180216
-
-
-def difference_ratio(predicted: npt.ArrayLike, collected: npt.ArrayLike) -> Array:
-    """(B,) (predicted - collected)/collected; NaN where ``collected`` is not positive.
-
-    Examples
-    --------
-    >>> difference_ratio([1.1, 2.0], [1.0, 2.0]).round(3).tolist()
-    [0.1, 0.0]
-    """
-    p, c = np.asarray(predicted, dtype=float), np.asarray(collected, dtype=float)
-    return np.where(c > 0, p - c, np.nan) / np.where(c > 0, c, 1.0)
-
-
-def difference_ratio_covariance(predicted: SpectralEstimate, collected: SpectralEstimate) -> Array:
-    """(B, B) error covariance of the difference ratio, to first order.
-
-    With r = p/c - 1, dr = dp/c - p dc/c^2, so C_r = D_1 C_p D_1 + D_2 C_c D_2 with D_1 = diag(1/c) and
-    D_2 = diag(p/c^2); the two sides are independent.  Source: law of propagation, JCGM 100:2008, 5.2.
-    """
-    c = np.where(collected.mean > 0, collected.mean, np.nan)
-    one, two = 1.0 / c, predicted.mean / c**2
-    return predicted.error_covariance * np.outer(one, one) + collected.error_covariance * np.outer(two, two)
 
 
 def comparable_bands(predicted: SpectralEstimate, collected: SpectralEstimate, axis: SpectralAxis) -> Mask:

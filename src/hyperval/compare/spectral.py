@@ -18,16 +18,15 @@ from hyperval.compare.consistency import (
     z_scores,
 )
 from hyperval.compare.difference import (
-    Z95,
     comparable_bands,
-    difference_ratio,
-    difference_ratio_covariance,
     median_interval,
     regions,
     size_intervals,
 )
 from hyperval.compare.rows import RowMaker
 from hyperval.compare.wavelengths import wavelength_rows
+from hyperval.processing.difference import difference_ratio, difference_ratio_covariance
+from hyperval.processing.intervals import Z95
 from hyperval.products import EstimatedPart, SpectralEstimate
 from hyperval.results import Cause, Result
 from hyperval.spectra.axis import SpectralAxis

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from hyperval.compare.difference import Z95
 from hyperval.compare.rows import RowMaker
+from hyperval.processing.intervals import Z95
 from hyperval.processing.wavelength_check import FEATURES, absorption_centre, centre_uncertainty
 from hyperval.products import SpectralEstimate
 from hyperval.results import Result

@@ -94,7 +94,13 @@ def plain_words(metric: str, product: str) -> str:
     return short.format(product=product, part=_PART_WORDS.get(base.rpartition("_")[2], "")) or f"{product} {base}"
 
 
-_OF_SPECTRA = ("compare.difference", "compare.consistency", "compare.spectral", "compare.wavelengths")
+_OF_SPECTRA = (
+    "processing.difference",
+    "compare.difference",
+    "compare.consistency",
+    "compare.spectral",
+    "compare.wavelengths",
+)
 _SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 _SPREAD = ("covariance", "classification")
 _PARTS = ("windows", "vnir", "swir1", "swir2", "absorption")

@@ -11,12 +11,12 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.input import Input, one_at_a_time
+from hyperval.processing.intervals import Z95
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction, RocCurve
 
 Array = npt.NDArray[np.float64]
 Key = tuple[str, ...]
-Z95 = 1.959963984540054
 
 FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
 SPECTRA = ("radiance", "reflectance", "snr", "toa_reflectance")

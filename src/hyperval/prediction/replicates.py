@@ -12,6 +12,7 @@ from scipy import special
 
 from hyperval.errors import UsageError
 from hyperval.file_names import MAX_MATCHES, matching
+from hyperval.processing.intervals import Z95
 from hyperval.processing.sample import statistics_of
 from hyperval.scenario_sources import Replicates
 from hyperval.spectra.axis import SpectralAxis
@@ -23,7 +24,6 @@ Resolve = Callable[[str], Path]
 SAME_BAND_NM = 0.05  # centres this close are the same band
 # Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
 FEW_PER_BAND = 3
-Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from hyperval.prediction.departure import Departure, keeps_surfaces
 from hyperval.prediction.forms import form_covariance
 from hyperval.prediction.input import Input
 from hyperval.prediction.view import View
+from hyperval.processing.intervals import Z95
 from hyperval.products import Prediction, RocCurve, SpectralEstimate
 from hyperval.scenario_uncertainty import EngineUncertainty, SpectralForm
 from hyperval.sensor.specification import Sensor
@@ -24,7 +25,6 @@ from hyperval.spectra.axis import SpectralAxis
 Array = npt.NDArray[np.float64]
 RocKey = tuple[str, str, str]
 Change = tuple[Array, Array]  # by one standard uncertainty up, and down
-Z95 = 1.959963984540054
 TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
 _CURVES = 2048  # drawn for the limits of a ROC curve
 MOST_DIRECTIONS = 24  # of one input over wavelength; the rest of a short correlation length moves little

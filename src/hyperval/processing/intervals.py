@@ -12,6 +12,7 @@ from scipy import special
 from hyperval.errors import UsageError
 
 Array = npt.NDArray[np.float64]
+Z95 = 1.959963984540054  # normal quantile of a two-sided 95 % interval
 Sides = Literal["two", "lower", "upper"]
 _HALVINGS = 50
 

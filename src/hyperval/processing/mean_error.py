@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from hyperval.processing.intervals import Z95
 from hyperval.processing.spatial_correlation import lag_correlation
 
 Array = npt.NDArray[np.float64]
@@ -17,7 +18,6 @@ Mask = npt.NDArray[np.bool_]
 COMPONENTS = 24  # leading ones whose correlation on the ground is measured one by one
 _RING_NOISE = 2.0  # standard errors
 MOST_TAKEN = 0.5  # of the correlation, by the region's own mean; more cannot be put back
-Z95 = 1.959963984540054
 MIXTURES = 4  # of all the others, which are measured together
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.processing.intervals import Z95
 from hyperval.processing.oxygen_residual import oxygen_residual
 from hyperval.spectra.axis import SpectralAxis
 
@@ -21,7 +22,6 @@ MOST_GAP = 2.5  # widest step between bands of a feature, in their usual step: b
 LEAST_PLANT = 3.0  # reflectance at 785 nm over that at 675 nm
 _STEPS = 20
 _SAMPLING = 0.08  # part of the band spacing by which a centre of few bands is uncertain
-Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from hyperval.report.charts_base import (
     chart_content,
     column_text,
 )
-from hyperval.report.sides import MOST_EIGENVALUES, Sides, best_counted, both_first, difference_ratio, eigenvalues
+from hyperval.report.sides import MOST_EIGENVALUES, Sides, best_counted, both_first, difference, eigenvalues
 from hyperval.report.text_cache import chart_models
 from hyperval.results import Outcome, Result
 from hyperval.spectra.windows import in_window
@@ -203,11 +203,7 @@ def subject_spectra(
         if own.matches(axis):
             bands[name] = (estimate.mean, _COVERAGE * estimate.standard_uncertainty)
     if len(bands) == 2 and predicted is not None and collected is not None:
-        if ratio:
-            value, u = difference_ratio(predicted, collected)
-        else:
-            value = predicted.mean - collected.mean
-            u = np.hypot(predicted.standard_uncertainty, collected.standard_uncertainty)
+        value, u = difference(predicted, collected, ratio)
         bands["difference"] = (value, _COVERAGE * u)
     limits = {
         "level": style.robust_limits(

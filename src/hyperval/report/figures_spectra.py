@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 
 from hyperval.products import Products, SpectralEstimate
 from hyperval.report import style
-from hyperval.report.sides import MOST_EIGENVALUES, Sides, both_first, difference_ratio, eigenvalues
+from hyperval.report.sides import MOST_EIGENVALUES, Sides, both_first, difference, eigenvalues
 from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
 from hyperval.spectra.windows import in_window
 
@@ -210,11 +210,7 @@ def _difference(
     if not sides[0].axis.matches(sides[1].axis):
         axes.text(0.5, 0.6, "the two sides have different bands", ha="center", transform=axes.transAxes)
         return None
-    if ratio:
-        value, u = difference_ratio(predicted, collected)
-    else:
-        value = predicted.mean - collected.mean
-        u = np.hypot(predicted.standard_uncertainty, collected.standard_uncertainty)
+    value, u = difference(predicted, collected, ratio)
     half = _COVERAGE * u
     axes.fill_between(w, value - half, value + half, color=style.DIFFERENCE_COLOUR, alpha=0.25, linewidth=0)
     axes.plot(w, value, color=style.DIFFERENCE_COLOUR, linewidth=1.2)

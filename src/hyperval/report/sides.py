@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.processing.difference import difference_ratio, difference_ratio_uncertainty
 from hyperval.products import Products, RocCurve, SpectralEstimate
 
 Array = npt.NDArray[np.float64]
@@ -34,12 +35,12 @@ def both_first(predicted: Mapping[Any, Any], collected: Mapping[Any, Any]) -> li
     return common + [k for k in predicted if k not in collected] + [k for k in collected if k not in predicted]
 
 
-def difference_ratio(predicted: SpectralEstimate, collected: SpectralEstimate) -> tuple[Array, Array]:
-    """(predicted - collected) / collected and its standard uncertainty, both (B,), the sides independent."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        quotient = predicted.mean / collected.mean
-        u = np.hypot(predicted.standard_uncertainty, quotient * collected.standard_uncertainty)
-        return quotient - 1.0, u / np.abs(collected.mean)
+def difference(predicted: SpectralEstimate, collected: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
+    """(B,) predicted - collected, or that over collected, and its standard uncertainty, independent."""
+    p, c, up, uc = predicted.mean, collected.mean, predicted.standard_uncertainty, collected.standard_uncertainty
+    if ratio:
+        return difference_ratio(p, c), difference_ratio_uncertainty(p, c, up, uc)
+    return p - c, np.hypot(up, uc)
 
 
 def best_counted(keys: list[Any], measured: Mapping[Any, RocCurve], most: int) -> list[Any]:

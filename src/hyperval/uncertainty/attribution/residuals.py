@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
+from hyperval.processing.intervals import Z95
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Products, RocCurve, ScoreDistribution, SpectralEstimate, background_of
 from hyperval.spectra.windows import in_window
@@ -93,7 +94,6 @@ SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
 LOG_FLOOR = 0.02  # of the logarithm of a standard deviation
 _SPECTRA = ("radiance", "reflectance", "toa_reflectance")
 RATE_FLOOR = 0.1  # of the logarithm of a false-alarm rate
-Z95 = 1.959963984540054
 # A false-alarm rate says something of the tail where this many pixels lie above the threshold.
 LEAST_ALARMS = 20
 
