@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import InputError, reader
+from hyperval.files import decoded
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_KEYS = 1000
@@ -182,11 +183,7 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
     if wide is not None:
         header = parse_header(raw.decode(wide, errors="replace").lstrip("\ufeff"), path, sidecar=sidecar)
         return replace(header, notes=("the header is written in UTF-16", *header.notes))
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    return parse_header(text, path, sidecar=sidecar)
+    return parse_header(decoded(raw), path, sidecar=sidecar)
 
 
 def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:

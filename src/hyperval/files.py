@@ -77,6 +77,14 @@ def remove_left(place: Path, start: str) -> None:
             shutil.rmtree(place / name, ignore_errors=True)
 
 
+def decoded(raw: bytes) -> str:
+    """Text in UTF-8 (with or without mark) or else Latin-1."""
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file's content, in hexadecimal; of a folder that of the names and digests of its files."""
     if path.is_dir():

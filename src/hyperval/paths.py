@@ -10,21 +10,26 @@ from pathlib import Path
 from hyperval.errors import InputError, UsageError
 
 
-def checked_file(path: Path | str, *, root: Path | None = None, what: str = "file") -> Path:
-    """The path of a regular file that lies under ``root``.
+def checked_file(
+    path: Path | str, *, root: Path | None = None, what: str = "file", most: int | None = None
+) -> Path:
+    """The path of a regular file that lies under ``root``, of at most ``most`` bytes.
 
     Symbolic links are followed before the check, so a link that leads out of ``root`` is refused.
 
     Raises
     ------
     UsageError : a URL, a GDAL virtual path, or a path that leaves ``root``.
-    InputError : no such file, or not a regular file (a folder, pipe or device).
+    InputError : no such file, not a regular file (a folder, pipe or device), or a larger one.
     """
     text = os.fspath(path)
     scheme = re.match(r"^[A-Za-z][A-Za-z0-9+._-]+:", text)
     if scheme or text.startswith("/vsi") or "\0" in text:
         raise UsageError(f"not a path of a local {what}", where=text[:200], expected="a path in the file system")
-    return _checked(Path(text), root, what, folder=False)
+    out = _checked(Path(text), root, what, folder=False)
+    if most is not None and out.stat().st_size > most:
+        raise InputError(f"larger than {most} bytes", where=text, expected=f"a {what}")
+    return out
 
 
 def checked_folder(path: Path | str, *, root: Path | None = None, what: str = "folder") -> Path:

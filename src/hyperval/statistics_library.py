@@ -130,9 +130,7 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
     UsageError : no such record, or statistics that are none: a covariance that is not symmetric or not positive
         semi-definite, values that are not finite.
     """
-    path = checked_file(path, what="statistics library")
-    if path.stat().st_size > MAX_BYTES:
-        raise InputError(f"larger than {MAX_BYTES >> 20} MB", where=str(path), expected="a statistics library")
+    path = checked_file(path, what="statistics library", most=MAX_BYTES)
     import xarray as xr
 
     check_hdf5(path)

@@ -60,8 +60,7 @@ def centre_of(place: Place) -> tuple[float, float] | None:
     elif raster.transform is None:
         return None
     else:
-        t, u, v = raster.transform, raster.samples / 2.0, raster.lines / 2.0
-        x, y = t.a * u + t.b * v + t.c, t.d * u + t.e * v + t.f
+        x, y = raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
     longitude, latitude = reproject(crs, CRS.from_epsg(4326), [x], [y])[:2]
     return (latitude[0], longitude[0]) if math.isfinite(latitude[0]) and math.isfinite(longitude[0]) else None
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +14,7 @@ from rasterio.crs import CRS
 
 from hyperval.envi_header import BYTE_ORDERS, DATA_TYPES, INTERLEAVES, parse_header
 from hyperval.errors import UsageError
-from hyperval.files import write_text
+from hyperval.files import whole_file, write_text
 from hyperval.spectra.axis import SpectralAxis
 
 
@@ -164,27 +162,16 @@ def envi_writer(
     header_path = path.with_suffix(".hdr")
     size = parse_header(text, header_path).expected_bytes  # what is written can be read
     entries["data ignore value"] = ignore_value
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as stream:
+    with whole_file(path) as temporary:
+        with open(temporary, "wb") as stream:
             stream.truncate(size)
             writer = EnviWriter(stream, entries, factor)
             yield writer
             if writer.lines_written != lines:
                 raise UsageError(f"{writer.lines_written} of {lines} lines were written", where=str(path))
-            stream.flush()
-            os.fsync(stream.fileno())
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
         # Without its header a cube cannot be read: an old header never describes new data.
         header_path.unlink(missing_ok=True)
-        os.replace(temporary, path)
-        write_text(header_path, text)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_text(header_path, text)
 
 
 def write_cube(path: Path, values: npt.NDArray[Any], **options: Any) -> Path:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.paths import checked_file
 from hyperval.units import RADIANCE_UNIT, radiance_to_internal
 
 _MAX_BYTES = 1 << 20
@@ -53,10 +54,9 @@ def _divisors(path: Path, bands: int) -> npt.NDArray[np.float64]:
     InputError : not one positive number for each band, or channels that do not count from 1.
     """
     expected = f"{bands} rows of a factor and a channel that counts from 1"
-    if path.stat().st_size > _MAX_BYTES:
-        raise InputError(f"larger than {_MAX_BYTES} bytes", where=str(path), expected=expected)
+    text = checked_file(path, what="gain file", most=_MAX_BYTES).read_text("latin-1")
     out = np.empty(bands)
-    rows = [(n, r.split()) for n, r in enumerate(path.read_text("latin-1").splitlines(), start=1) if r.strip()]
+    rows = [(n, r.split()) for n, r in enumerate(text.splitlines(), start=1) if r.strip()]
     if len(rows) != bands:
         raise InputError(f"{len(rows)} rows for {bands} bands", where=str(path), expected=expected)
     for band, (number, cells) in enumerate(rows):

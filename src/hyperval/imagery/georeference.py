@@ -66,12 +66,9 @@ def crs_of(header: EnviHeader) -> CRS | None:
     ``map info`` tells it for UTM in metres and Geographic Lat/Lon in degrees on a common datum.  The hemisphere
     stands as a word ("South") or as the letter of a latitude band: C to M lie south of the equator, N to X north.
     """
-    wkt = header.text("coordinate system string")
-    if wkt is not None:
-        try:
-            return CRS.from_wkt(wkt.replace("\n", ""), morph_from_esri_dialect=True)
-        except CRSError:
-            pass
+    stated = crs_of_wkt((header.text("coordinate system string") or "").replace("\n", ""))
+    if stated is not None:
+        return stated
     parts = header.strings("map info") or ()
     projection = parts[0].strip().lower() if parts else ""
     units = _options(parts).get("units")
@@ -86,6 +83,20 @@ def crs_of(header: EnviHeader) -> CRS | None:
     if codes is None or south is None or zone not in codes[3] or (south and codes[2] is None):
         return None
     return CRS.from_epsg((codes[2] if south and codes[2] is not None else codes[1]) + zone)
+
+
+def crs_of_wkt(wkt: str | None) -> CRS | None:
+    """The system of a WKT, ESRI's among them; None where there is none that is understood."""
+    try:
+        return CRS.from_wkt(wkt, morph_from_esri_dialect=True) if wkt else None
+    except CRSError:
+        return None
+
+
+def gdal_transform(text: str | None) -> Affine | None:
+    """The transform of six numbers in the order of GDAL's GeoTransform; None where a text has others."""
+    numbers = re.findall(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?", text or "")
+    return Affine.from_gdal(*(float(n) for n in numbers)) if len(numbers) == 6 else None
 
 
 def _datum(name: str) -> tuple[int, int, int | None, range] | None:

@@ -40,12 +40,13 @@ def cube_to_spy(cube: Any) -> SpyFile | spectral.image.ImageArray:
     they come as numbers (``metadata["data ignore value"]``) from a mapped file and as NaN from a loaded one.
     """
     gain, raster = cube.gain, cube.raster
-    bands = _band_info(cube.axis, cube.quantity)
+    bands = _band_info(cube.axis)
     whole = np.array_equal(cube.stored_band, np.arange(raster.bands))
     if isinstance(raster, EnviRaster) and whole and np.all(gain == gain[0]) and not np.any(cube.offset):
         header = raster.header
         metadata = {key: header.entries[key] for key in _SPY_METADATA if key in header.entries}
-        params = _params(raster, str(raster.path), header.dtype, header.header_offset, header.byte_order)
+        shape = raster.lines, raster.samples, raster.bands
+        params = _params(shape, str(raster.path), header.dtype, header.header_offset, header.byte_order)
         image = _SPY_FILES[header.interleave](params, metadata)
         image.scale_factor = 1.0 / float(gain[0])
         image.bands = bands
@@ -164,25 +165,25 @@ def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> x
     return array
 
 
-def _band_info(axis: SpectralAxis, quantity: str) -> spectral.BandInfo:
+def _band_info(axis: SpectralAxis) -> spectral.BandInfo:
     bands = spectral.BandInfo()
     bands.centers, bands.bandwidths = axis.centre_nm.tolist(), axis.fwhm_nm.tolist()
     bands.band_unit, bands.band_quantity = "nm", "Wavelength"
     return bands
 
 
-def _params(raster: Raster, filename: str, dtype: np.dtype, offset: int, byte_order: int) -> SimpleNamespace:
+def _params(
+    shape: tuple[int, int, int], filename: str, dtype: np.dtype, offset: int = 0, byte_order: int | None = None
+) -> SimpleNamespace:
+    """What SPy knows of an image (lines, samples, bands); its byte order is the machine's where none is given."""
+    lines, samples, bands = shape
     return SimpleNamespace(
-        nbands=raster.bands, nrows=raster.lines, ncols=raster.samples, offset=offset, byte_order=byte_order,
-        dtype=dtype.str, filename=filename,
+        nbands=bands, nrows=lines, ncols=samples, offset=offset, dtype=dtype.str, filename=filename,
+        byte_order=int(sys.byteorder == "big") if byte_order is None else byte_order,
     )  # fmt: skip
 
 
 def _image_array(values: npt.NDArray[Any], bands: spectral.BandInfo, filename: str) -> spectral.image.ImageArray:
-    lines, samples, count = values.shape
-    params = SimpleNamespace(
-        nbands=count, nrows=lines, ncols=samples, offset=0, byte_order=int(sys.byteorder == "big"),
-        dtype=values.dtype.str, filename=filename,
-    )  # fmt: skip
+    params = _params(values.shape, filename, values.dtype)
     source = SimpleNamespace(params=lambda: params, metadata={}, bands=bands, filename=filename)
     return spectral.image.ImageArray(values, source)

@@ -13,12 +13,12 @@ import numpy.typing as npt
 import xarray as xr
 from affine import Affine
 from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.hdf5 import check_hdf5
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.description import Description
+from hyperval.imagery.georeference import crs_of_wkt, gdal_transform
 from hyperval.imagery.stores import MemoryStore, Store
 from hyperval.imagery.xarray_store import XarrayStore, as_stored
 from hyperval.units import radiance_to_internal, wavelength_to_nm
@@ -227,16 +227,11 @@ def _position(data: xr.Dataset, array: xr.DataArray, along: dict[str, str]) -> t
     """From the grid mapping (CF, GDAL), else from evenly spaced coordinates of lines and samples."""
     mapping = str(array.attrs.get("grid_mapping", array.encoding.get("grid_mapping", "spatial_ref")))
     attrs = data[mapping].attrs if mapping in data.variables else {}
-    crs = None
     wkt = attrs.get("crs_wkt", attrs.get("spatial_ref"))
-    if isinstance(wkt, str):
-        try:
-            crs = CRS.from_wkt(wkt)
-        except CRSError:
-            crs = None
-    numbers = re.findall(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?", str(attrs.get("GeoTransform", "")))
-    if len(numbers) == 6:
-        return Affine.from_gdal(*(float(n) for n in numbers)), crs
+    crs = crs_of_wkt(wkt) if isinstance(wkt, str) else None
+    transform = gdal_transform(str(attrs.get("GeoTransform", "")))
+    if transform is not None:
+        return transform, crs
     steps = {}
     for dim, letter in along.items():
         if letter == "b" or dim not in data.variables or data[dim].ndim != 1 or data[dim].size < 2:

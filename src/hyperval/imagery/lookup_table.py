@@ -76,8 +76,7 @@ class LookupTable:
             for i in here:
                 fit = _fitted(cells[i], sample, line, first)
                 if fit is None:
-                    t, (u, v) = self.transform, cells[i]
-                    x, y = t.a * u + t.b * v + t.c, t.d * u + t.e * v + t.f
+                    x, y = self.transform @ cells[i]
                     raise InputError(
                         f"the place ({x:.2f}, {y:.2f}) has no pixel in the lookup table",
                         where=where,
@@ -107,8 +106,8 @@ class LookupTable:
     @property
     def middle(self) -> tuple[float, float]:
         """Map coordinates (x, y) of the middle of the map grid."""
-        t, u, v = self.transform, self.raster.samples / 2.0, self.raster.lines / 2.0
-        return t.a * u + t.b * v + t.c, t.d * u + t.e * v + t.f
+        x, y = self.transform @ (self.raster.samples / 2.0, self.raster.lines / 2.0)
+        return x, y
 
     @property
     def metres_per_unit(self) -> float:
@@ -125,11 +124,7 @@ class LookupTable:
         return pixel_area_m2(self.transform, self.crs, self.raster.header)
 
     def _cells(self, points: Array) -> Array:
-        inverse = ~self.transform
-        x, y = points.T
-        return np.column_stack(
-            [inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f]
-        )
+        return np.column_stack(~self.transform @ points.T)
 
     def _read(self, first: int, count: int) -> tuple[Index, Index]:
         """Stored sample and line (count, samples) of some lines of the table."""

@@ -7,7 +7,7 @@ Continuous pixel coordinates are (sample, line) with the upper left corner of th
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -112,13 +112,7 @@ def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str, ring
     xy = np.asarray(points, dtype=float).reshape(-1, 2)
     if not isinstance(transform, Affine):
         return transform.to_pixel(xy, where=where, ring=ring)
-    inverse = ~transform
-    return np.column_stack(
-        [
-            inverse.a * xy[:, 0] + inverse.b * xy[:, 1] + inverse.c,
-            inverse.d * xy[:, 0] + inverse.e * xy[:, 1] + inverse.f,
-        ]
-    )
+    return np.column_stack(~transform @ xy.T)
 
 
 def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where: str) -> Array:
@@ -146,6 +140,39 @@ def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where
             mend="check which coordinate system they are in",
         )
     return np.column_stack(placed)
+
+
+def placing(
+    coordinates: str | None, stated: CRS | None, transform: Position, crs: CRS | None, where: str
+) -> Callable[[Array, str, bool], Array]:
+    """A function from the coordinates (n, 2) of a file to continuous pixel coordinates.
+
+    Parameters
+    ----------
+    coordinates : "pixel", "map" (the cube's own system) or "lonlat"; None: those of the system that the file
+        states, longitude and latitude without one
+    stated : the system that the file states
+    transform, crs : position of the cube
+
+    Raises
+    ------
+    InputError : the file states another system than ``coordinates``.
+    """
+    if coordinates == "map" and stated is not None and crs is not None and stated != crs:
+        raise InputError(f"the file is in {stated}, the cube in {crs}", where=where, mend="leave coordinates out")
+    if coordinates == "lonlat" and stated is not None and not stated.is_geographic:
+        raise InputError(
+            f"the file is in {stated}, not in longitude and latitude", where=where, mend="leave coordinates out"
+        )
+
+    def place(points: Array, where: str, ring: bool) -> Array:
+        if coordinates == "pixel":
+            return points
+        if coordinates != "map":
+            points = reprojected(points, stated or CRS.from_epsg(4326), crs, where=where)
+        return map_to_pixel(points, transform, where=where, ring=ring)
+
+    return place
 
 
 def _pair(xy: Array) -> str:

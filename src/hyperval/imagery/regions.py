@@ -19,6 +19,7 @@ from hyperval.imagery import regions_envi, regions_files, regions_vector
 from hyperval.imagery.drawing import WARNING, Drawing
 from hyperval.imagery.envi_raster import header_beside
 from hyperval.imagery.polygons import Position
+from hyperval.imagery.text_files import head_of
 from hyperval.imagery.tiff_raster import TIFF_SUFFIXES
 from hyperval.paths import checked_file
 
@@ -107,7 +108,7 @@ def read_regions(
     UsageError : unknown format, unknown names, or ``coordinates`` not stated.
     """
     path = checked_file(path, root=root, what="region file")
-    head = regions_files.head_of(path)
+    head = head_of(path)
     stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     drawn: Mapping[Any, Mask | Drawing]
     if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):

@@ -10,12 +10,13 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
 from hyperval.errors import InputError
 from hyperval.imagery.drawing import Drawing
+from hyperval.imagery.georeference import crs_of_wkt
 from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
-from hyperval.imagery.regions_files import read_text
+from hyperval.imagery.text_files import read_text, read_xml
+from hyperval.paths import checked_file
 
 Array = npt.NDArray[np.float64]
 MAX_XML_BYTES = 8 << 20
@@ -24,16 +25,7 @@ MAX_BINARY_BYTES = 64 << 20
 
 def _root(path: Path) -> ElementTree.Element:
     """The root of an ENVI 5 ROI file."""
-    if path.stat().st_size > MAX_XML_BYTES:
-        raise InputError(f"larger than {MAX_XML_BYTES >> 20} MiB", where=str(path))
-    text = read_text(path)
-    if len(text) > MAX_XML_BYTES or re.search(r"<!\s*(DOCTYPE|ENTITY)", text, re.IGNORECASE):
-        raise InputError("a DOCTYPE or ENTITY is not allowed in a region file", where=str(path))
-    try:
-        # The document type is refused above, so no entity can be declared.
-        root = ElementTree.fromstring(re.sub(r"^<\?xml[^>]*\?>", "", text.lstrip()))  # noqa: S314
-    except ElementTree.ParseError as error:
-        raise InputError(f"not valid XML: {error}", where=f"{path}:{error.position[0]}") from error
+    root = read_xml(path, MAX_XML_BYTES)
     if root.tag != "RegionsOfInterest":
         raise InputError(f"the root element is {root.tag!r}", where=str(path), expected="RegionsOfInterest")
     return root
@@ -178,9 +170,7 @@ def binary_drawings(path: Path, shape: tuple[int, int]) -> dict[str, Drawing]:
     ------
     InputError : larger than 64 MiB, cut short, made for an image of another size, or with polylines.
     """
-    if path.stat().st_size > MAX_BINARY_BYTES:
-        raise InputError(f"larger than {MAX_BINARY_BYTES >> 20} MiB", where=str(path))
-    raw, at = path.read_bytes(), 4
+    raw, at = checked_file(path, what="region file", most=MAX_BINARY_BYTES).read_bytes(), 4
 
     def words(count: int, kind: str = "i") -> tuple[int, ...]:
         nonlocal at
@@ -234,10 +224,9 @@ def _pairs(element: ElementTree.Element, where: str) -> Array:
 def _placed(points: Array, system: str, transform: Position, crs: CRS | None, where: str, ring: bool) -> Array:
     if system.lower() == "none":
         return points
-    try:
-        source = CRS.from_wkt(system, morph_from_esri_dialect=True)
-    except CRSError:
-        raise InputError(f"unknown coordinate system {system[:60]!r}", where=where) from None
+    source = crs_of_wkt(system)
+    if source is None:
+        raise InputError(f"unknown coordinate system {system[:60]!r}", where=where)
     return map_to_pixel(reprojected(points, source, crs, where=where), transform, where=where, ring=ring)
 
 

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
-import io
 import json
 import re
-import zlib
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -17,85 +12,19 @@ import numpy.typing as npt
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import InputError, UsageError
 from hyperval.imagery.drawing import Drawing
-from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
+from hyperval.imagery.polygons import Position, placing
 from hyperval.imagery.rasters import open_raster
+from hyperval.imagery.text_files import read_table, read_text
 from hyperval.imagery.tiff_raster import TiffRaster
 from hyperval.imagery.validity import equals
 
 Mask = npt.NDArray[np.bool_]
-MAX_TEXT_BYTES = 32 << 20
 MAX_CLASSES = 1000
 _MAX_DIGITS = 300  # more are no float
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")
 REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
-
-
-def head_of(path: Path, count: int = 512) -> bytes:
-    """The first bytes of a file, unzipped when it is gzipped."""
-    try:
-        with open(path, "rb") as stream:
-            head = stream.read(count)
-        if head[:2] == b"\x1f\x8b":
-            with gzip.open(path) as stream:
-                head = stream.read(count)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"cannot read: {error}", where=str(path)) from error
-    return head
-
-
-@reader
-def read_text(path: Path) -> str:
-    """Text of a region file, gzipped or not, up to 32 MiB."""
-    opener = gzip.open if head_of(path, 2) != _plain_head(path) else open
-    try:
-        with opener(path, "rb") as stream:
-            raw = stream.read(MAX_TEXT_BYTES + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"cannot read: {error}", where=str(path)) from error
-    if len(raw) > MAX_TEXT_BYTES:
-        raise InputError(f"larger than {MAX_TEXT_BYTES >> 20} MiB", where=str(path))
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
-
-
-def _plain_head(path: Path) -> bytes:
-    with open(path, "rb") as stream:
-        return stream.read(2)
-
-
-@reader
-def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """Column names of a CSV file, and its rows with their line numbers; short rows are filled with "".
-
-    Columns are divided by commas, or by semicolons (then a comma may be the decimal sign) or tabs where the first
-    line holds no comma.  The ``known`` columns may be written in any case.
-    """
-    text = read_text(path)
-    first = text.split("\n", 1)[0]
-    divider = next((d for d in ",;\t" if d in first), ",")
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=divider, skipinitialspace=divider != "\t")
-    try:
-        fields = [f.strip() for f in next(reader, [])]
-        fields = [f.lower() if f.lower() in known else f for f in fields]
-        if len(set(fields)) < len(fields):
-            raise InputError("two columns have the same name", where=f"{path}:1")
-        rows = []
-        for cells in reader:
-            if len(cells) > len(fields):
-                raise InputError(f"{len(cells)} cells for {len(fields)} columns", where=f"{path}:{reader.line_num}")
-            if any(cell.strip() for cell in cells):
-                padded = [cell.strip() for cell in cells] + [""] * (len(fields) - len(cells))
-                if divider == ";":
-                    padded = [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in padded]
-                rows.append((reader.line_num, dict(zip(fields, padded, strict=True))))
-    except csv.Error as error:
-        raise InputError(f"not a CSV file: {error}", where=f"{path}:{reader.line_num}") from error
-    return fields, rows
 
 
 def geojson_drawings(
@@ -124,33 +53,20 @@ def geojson_drawings(
             where=str(path),
             mend="state coordinates: pixel, map (the cube's own system) or lonlat",
         )
-    if coordinates == "map" and stated is not None and crs is not None and stated != crs:
-        raise InputError(
-            f"the file is in {stated}, the cube in {crs}", where=str(path), mend="leave coordinates out"
-        )
-    if coordinates == "lonlat" and stated is not None and not stated.is_geographic:
-        raise InputError(
-            f"the file is in {stated}, not in longitude and latitude",
-            where=str(path),
-            mend="leave coordinates out",
-        )
+    in_pixels = placing(coordinates, stated, transform, crs, str(path))
 
     def place(points: Any, where: str, ring: bool) -> npt.NDArray[np.float64]:
         try:
             xy = np.array([p[:2] for p in points], dtype=float).reshape(-1, 2)
         except (TypeError, ValueError, IndexError):
             raise InputError("coordinates that are not pairs of numbers", where=where) from None
-        if coordinates == "pixel":
-            return xy
         if assumed and np.any(np.abs(xy) > (180.0, 90.0)):
             raise UsageError(
                 f"{xy[0, 0]:.6g}, {xy[0, 1]:.6g} is no longitude and latitude, as GeoJSON holds (RFC 7946)",
                 where=where,
                 mend="state coordinates: pixel or map (the cube's own system)",
             )
-        if coordinates != "map":
-            xy = reprojected(xy, stated or CRS.from_epsg(4326), crs, where=where)
-        return map_to_pixel(xy, transform, where=where, ring=ring)
+        return in_pixels(xy, where, ring)
 
     drawings: dict[str, Drawing] = {}
     for number, (name, geometry) in enumerate(_features(data, path, name_field), start=1):

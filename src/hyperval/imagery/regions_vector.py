@@ -15,8 +15,9 @@ from rasterio.errors import CRSError
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.drawing import Drawing
-from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
-from hyperval.imagery.regions_files import REGION_COLUMNS, head_of
+from hyperval.imagery.polygons import Position, placing
+from hyperval.imagery.regions_files import REGION_COLUMNS
+from hyperval.imagery.text_files import head_of
 from hyperval.paths import checked_file
 
 Array = npt.NDArray[np.float64]
@@ -124,21 +125,7 @@ def _placing(coordinates: str | None, stated: str | None, transform: Position, c
         raise InputError(
             f"the file is in {own}, not in pixel coordinates", where=where, mend="leave coordinates out"
         )
-    if own is not None and coordinates == "map" and crs is not None and own != crs:
-        raise InputError(f"the file is in {own}, the cube in {crs}", where=where, mend="leave coordinates out")
-    if own is not None and coordinates == "lonlat" and not own.is_geographic:
-        raise InputError(f"the file is in {own}, not in longitude and latitude", where=where)
-
-    def place(points: Array, where: str, ring: bool) -> Array:
-        if coordinates == "pixel":
-            return points
-        if own is not None:
-            points = reprojected(points, own, crs, where=where)
-        elif coordinates == "lonlat":
-            points = reprojected(points, CRS.from_epsg(4326), crs, where=where)
-        return map_to_pixel(points, transform, where=where, ring=ring)
-
-    return place
+    return placing(coordinates, own, transform, crs, where)
 
 
 def _names(layer: str, fields: dict[str, Any], count: int, name_field: str | None, where: str) -> list[str]:

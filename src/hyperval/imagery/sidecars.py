@@ -14,6 +14,7 @@ import numpy as np
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.description import Description
 from hyperval.imagery.layouts import Sidecar, layouts, level_of
+from hyperval.imagery.text_files import read_xml
 from hyperval.paths import checked_file
 from hyperval.units import radiance_to_internal
 
@@ -87,7 +88,7 @@ def image_of(metadata: Path, detector: str | None = None) -> Path:
 
 
 def _from_xml(sidecar: Sidecar, path: Path, image: Path, bands: int) -> Description | None:
-    root = _xml(path)
+    root = read_xml(path, MAX_XML_BYTES)
     items = root.findall(sidecar.bands)
     if not items:
         return None
@@ -132,18 +133,6 @@ def _from_xml(sidecar: Sidecar, path: Path, image: Path, bands: int) -> Descript
         entries=entries,
         notes=tuple(notes),
     )
-
-
-def _xml(path: Path) -> ElementTree.Element:
-    if path.stat().st_size > MAX_XML_BYTES:
-        raise InputError(f"larger than {MAX_XML_BYTES >> 20} MiB", where=str(path))
-    raw = path.read_bytes()
-    if re.search(rb"<!\s*(DOCTYPE|ENTITY)", raw, re.IGNORECASE):
-        raise InputError("a DOCTYPE or ENTITY is not allowed in metadata", where=str(path))
-    try:
-        return ElementTree.fromstring(raw)  # noqa: S314 - no entity can be declared
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"not valid XML: {error}", where=str(path)) from error
 
 
 def _angle(root: ElementTree.Element, tag: str | None) -> float | None:

@@ -1,4 +1,4 @@
-"""A file that several threads read at stated places."""
+"""A file that is opened once for many reads, by several threads at stated places."""
 
 from __future__ import annotations
 
@@ -14,37 +14,49 @@ import numpy.typing as npt
 from hyperval.errors import InputError
 
 
-class StoredFile:
-    """A file, opened for each read or, inside :meth:`kept_open`, once for all of them."""
+class OpenedFile:
+    """A file that is opened for each read or, inside :meth:`kept_open`, once for all of them."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lock = threading.Lock()
-        self._stream: BinaryIO | None = None
+        self._opened: Any = None
         self._users = 0
 
-    def __reduce__(self) -> tuple[type[StoredFile], tuple[Path]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         """Another process opens it for itself."""
         return type(self), (self.path,)
 
+    def open(self) -> Any:
+        """The opened file."""
+        raise NotImplementedError
+
     @contextmanager
-    def kept_open(self) -> Iterator[BinaryIO]:
-        """The open file, closed when the last of its users has left."""
+    def kept_open(self) -> Iterator[Any]:
+        """The opened file, closed when the last of its users has left."""
         with self._lock:
-            if self._stream is None:
-                self._stream = open(self.path, "rb", buffering=0)  # noqa: SIM115 - closed below
-                if hasattr(os, "posix_fadvise"):
-                    os.posix_fadvise(self._stream.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
-            stream = self._stream
+            if self._opened is None:
+                self._opened = self.open()
             self._users += 1
         try:
-            yield stream
+            yield self._opened
         finally:
             with self._lock:
                 self._users -= 1
                 if not self._users:
-                    stream.close()
-                    self._stream = None
+                    self._opened.close()
+                    self._opened = None
+
+
+class StoredFile(OpenedFile):
+    """A file that several threads read at stated places."""
+
+    def open(self) -> BinaryIO:
+        """The file without a buffer of its own."""
+        stream = open(self.path, "rb", buffering=0)  # noqa: SIM115 - closed when its last user leaves
+        if hasattr(os, "posix_fadvise"):
+            os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
+        return stream
 
     def fill(self, out: npt.NDArray[Any], offset: int) -> None:
         """Read a contiguous array from a place in the file.

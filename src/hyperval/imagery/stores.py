@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import mmap
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy.typing as npt
 
 from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5
+from hyperval.imagery.stored_file import OpenedFile
 
 Selection = tuple[slice, ...]
 MAX_CHUNK_BYTES = 256 << 20
@@ -35,40 +35,6 @@ class Store(Protocol):
 
     def kept_open(self) -> Any:
         """Inside, the file is opened once for all reads."""
-
-
-class OpenedFile:
-    """A file that is opened for each read or, inside :meth:`kept_open`, once for all of them."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._lock = threading.Lock()
-        self._opened: Any = None
-        self._users = 0
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Another process opens it for itself."""
-        return type(self), (self.path,)
-
-    def open(self) -> Any:
-        """The opened file."""
-        raise NotImplementedError
-
-    @contextmanager
-    def kept_open(self) -> Iterator[Any]:
-        """The opened file, closed when the last of its users has left."""
-        with self._lock:
-            if self._opened is None:
-                self._opened = self.open()
-            self._users += 1
-        try:
-            yield self._opened
-        finally:
-            with self._lock:
-                self._users -= 1
-                if not self._users:
-                    self._opened.close()
-                    self._opened = None
 
 
 class Hdf5Store(OpenedFile):

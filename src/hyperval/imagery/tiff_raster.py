@@ -27,6 +27,7 @@ from hyperval.imagery.envi_raster import header_beside
 from hyperval.imagery.georeference import crs_of, transform_of
 from hyperval.imagery.sidecars import described_beside
 from hyperval.paths import checked_file
+from hyperval.units import wavelength_to_nm
 
 Index = npt.NDArray[np.intp]
 MAX_BANDS = 20_000
@@ -34,22 +35,6 @@ MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
 MAX_TILE_BYTES = 1 << 30
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
 TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
-_PER_UM = {
-    "nanometers": 1e-3,
-    "nanometer": 1e-3,
-    "nm": 1e-3,
-    "micrometers": 1.0,
-    "micrometer": 1.0,
-    "um": 1.0,
-    "µm": 1.0,
-    "μm": 1.0,
-    "micron": 1.0,
-    "microns": 1.0,
-    "nanometre": 1e-3,
-    "nanometres": 1e-3,
-    "micrometre": 1.0,
-    "micrometres": 1.0,
-}
 _ROUNDED_UM = 0.00051  # half of the last digit that GDAL writes into its own domain
 _OPENING = threading.Lock()
 
@@ -200,7 +185,7 @@ def _bands_in_tags(dataset: Any, path: Path) -> _Bands:
     imagery = [dataset.tags(i, ns="IMAGERY") for i in dataset.indexes]
     plain = [{key.lower(): value for key, value in dataset.tags(i).items()} for i in dataset.indexes]
     units = {tags.get("wavelength_units", "").strip().lower() for tags in plain}
-    per_um = {_PER_UM.get(unit) for unit in units}
+    per_um = {_per_um(unit) for unit in units}
     factor = per_um.pop() if len(per_um) == 1 else None
 
     def numbers(tags: list[dict[str, str]], key: str, factor: float | None) -> tuple[float, ...]:
@@ -227,10 +212,18 @@ def _bands_in_tags(dataset: Any, path: Path) -> _Bands:
         if widths and all(abs(1e3 * value - round(1e3 * value)) < 1e-6 for value in widths):
             notes.append("the widths are whole nanometres, to which GDAL rounds them when it converts a file")
     named = None if centres or rounded else wavelengths_in_names([name or "" for name in dataset.descriptions])
-    if named is not None and (factor := _PER_UM.get((named[1] or "").lower())) is not None:
+    if named is not None and (factor := _per_um(named[1] or "")) is not None:
         centres = tuple(float(factor * value) for value in named[0])
         notes.append("no tag lists wavelengths: those in the names of the bands are taken")
     return _Bands(centres or rounded, widths, tuple(notes))
+
+
+def _per_um(unit: str) -> float | None:
+    """Micrometres of one of a unit; None where it is none of wavelengths."""
+    try:
+        return wavelength_to_nm(unit) / 1e3
+    except UsageError:
+        return None
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from hyperval.envi_header import parse_header
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.description import Description
-from hyperval.imagery.georeference import crs_of, transform_of
+from hyperval.imagery.georeference import crs_of, crs_of_wkt, gdal_transform, transform_of
 from hyperval.imagery.layouts import ImageArray, Tree, Values, member, tree_of
 from hyperval.imagery.stores import Hdf5Store
 from hyperval.units import RADIANCE_UNIT, radiance_to_internal
@@ -229,11 +229,7 @@ def _position(
         header = parse_header("\n".join(["ENVI", *lines, f"map info = {{{info}}}"]), values.path)
         return transform_of(header), crs or crs_of(header), ()
     if tree.geotransform is not None:
-        text = values.text(tree.geotransform)
-        numbers = [float(v) for v in re.findall(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?", text or "")]
-        if len(numbers) != 6:
-            return None, crs, ()
-        return Affine.from_gdal(*numbers), crs, ()
+        return gdal_transform(values.text(tree.geotransform)), crs, ()
     if tree.corner_pixels is not None and tree.pixel_size is not None:
         return _from_corners(tree, values, piece, crs)
     if tree.struct_metadata is not None:
@@ -278,6 +274,6 @@ def _crs(tree: Tree, values: Values) -> CRS | None:
     try:
         if code is not None and re.search(r"[0-9]{4,6}", code):
             return CRS.from_epsg(int(re.findall(r"[0-9]{4,6}", code)[-1]))
-        return CRS.from_wkt(wkt, morph_from_esri_dialect=True) if wkt else None
     except CRSError:
         return None
+    return crs_of_wkt(wkt)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.lookup_table import LookupTable
 from hyperval.imagery.polygons import Position, inside_image, map_to_pixel, point_mask, polygon_mask
 from hyperval.imagery.regions import guard
-from hyperval.imagery.regions_files import read_table
+from hyperval.imagery.text_files import read_table
 from hyperval.paths import checked_file
 
 Array = npt.NDArray[np.float64]
@@ -185,11 +184,11 @@ def _target(row: Mapping[str, str], place: tuple[str, str], image: _Image, line:
         raise InputError("no material, or a name that stands twice", where=where)
     number = {key: _number(row.get(key), key, where) for key in _NUMERIC}
     width, length, doubt = _size(number, where)
-    outline = _outline_of(row, width, length, where)
+    figure = _figure(row, width, length, where)
     area = number["area_m2"]
     if math.isnan(area) and width > 0:
-        area = width * length * (math.pi / 4 if outline is _ellipse else 1.0)
-    centre, corners = _position(number, place, image, partial(outline, width=width, length=length), where)
+        area = width * length * (math.pi / 4 if figure is _DISC else 1.0)
+    centre, corners = _position(number, place, image, figure * (length, width), where)
     if not inside_image(corners, image.shape):
         low, high = corners.min(axis=0), corners.max(axis=0)
         raise InputError(
@@ -205,7 +204,7 @@ def _target(row: Mapping[str, str], place: tuple[str, str], image: _Image, line:
         placed = cut_out(point_mask([centre], image.shape, where=where))
     if doubt > 0:
         placed = _grown(placed, doubt / image.pixel_m, image.shape)
-    side = width if width == length and width > 0 and outline is _rectangle else math.nan
+    side = width if width == length and width > 0 and figure is _SQUARE else math.nan
     pixel = (math.floor(centre[1]), math.floor(centre[0]))
     return TargetObject(name, row["material"], side, area, image.shape, *placed, pixel, dict(row))
 
@@ -232,7 +231,7 @@ def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]
 
 
 def _position(
-    number: Mapping[str, float], place: tuple[str, str], image: _Image, outline: Callable[..., Array], where: str
+    number: Mapping[str, float], place: tuple[str, str], image: _Image, sides: Array, where: str
 ) -> tuple[tuple[float, float], Array]:
     """Centre (sample, line) and corners (n, 2) of a target, in continuous pixel coordinates."""
     first, second = number[place[0]], number[place[1]]
@@ -245,10 +244,10 @@ def _position(
     else:
         x, y = map_to_pixel([(first, second)], image.transform, where=where)[0]
     if shift is None and isinstance(image.transform, LookupTable):
-        around = outline(0.0, 0.0, scale=image.transform.metres_per_unit, heading_deg=heading)
+        around = _outline((0.0, 0.0), sides, image.transform.metres_per_unit, heading)
         on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
         return (x, y), map_to_pixel(on_map, image.transform, where=where)
-    return (x, y), outline(x, y, scale=image.pixel_m, heading_deg=heading)
+    return (x, y), _outline((x, y), sides, image.pixel_m, heading)
 
 
 def _grown(placed: Placed, radius_pixels: float, shape: tuple[int, int]) -> Placed:
@@ -262,39 +261,27 @@ def _grown(placed: Placed, radius_pixels: float, shape: tuple[int, int]) -> Plac
     return (first, start), guard(room, radius_pixels)
 
 
-def _rectangle(x: float, y: float, width: float, length: float, scale: float, heading_deg: float) -> Array:
-    """(4, 2) corners (sample, line) of a rectangle around (x, y), its length along the heading.
+# Points (along, across) of figures of unit size.
+_TURN = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+_SQUARE = np.array([(-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5)])
+_DISC = np.column_stack([np.cos(_TURN), np.sin(_TURN)]) / 2
+_FIGURES = {"": _SQUARE, "square": _SQUARE, "rectangle": _SQUARE, "circle": _DISC, "ellipse": _DISC}
 
-    ``width`` and ``length`` [m] are divided by ``scale``, the metres of a unit of the coordinates.
+
+def _outline(centre: tuple[float, float], sides: Array, scale: float, heading_deg: float) -> Array:
+    """(n, 2) points (sample, line) of a figure about a centre, its length along the heading.
+
+    ``sides`` (n, 2) points (along, across) [m], divided by ``scale``, the metres of a unit of the coordinates.
     """
-    return _turned(
-        x, y, np.array([(-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5)]), width, length, scale, heading_deg
-    )
-
-
-def _ellipse(x: float, y: float, width: float, length: float, scale: float, heading_deg: float) -> Array:
-    """(72, 2) points (sample, line) around an ellipse of these diameters; otherwise as :func:`_rectangle`."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
-    return _turned(x, y, np.column_stack([np.cos(turn), np.sin(turn)]) / 2, width, length, scale, heading_deg)
-
-
-def _turned(
-    x: float, y: float, unit: Array, width: float, length: float, scale: float, heading_deg: float
-) -> Array:
-    """Points (along, across) of a figure of unit size, stretched, turned and put at (x, y)."""
     h = math.radians(heading_deg)
     along, across = np.array([math.sin(h), -math.cos(h)]), np.array([math.cos(h), math.sin(h)])
-    sides = unit * (length / scale, width / scale)
-    return np.asarray(np.array([x, y]) + sides[:, :1] * along + sides[:, 1:] * across)
+    return np.asarray(np.array(centre) + (sides[:, :1] / scale) * along + (sides[:, 1:] / scale) * across)
 
 
-_OUTLINES = {"": _rectangle, "square": _rectangle, "rectangle": _rectangle, "circle": _ellipse, "ellipse": _ellipse}
-
-
-def _outline_of(row: Mapping[str, str], width: float, length: float, where: str) -> Callable[..., Array]:
-    """How the outline of a target is drawn; InputError for a shape that is none or that its sizes contradict."""
+def _figure(row: Mapping[str, str], width: float, length: float, where: str) -> Array:
+    """The figure of a target's outline; InputError for a shape that is none or that its sizes contradict."""
     shape = row.get("shape", "").lower()
-    if shape not in _OUTLINES:
+    if shape not in _FIGURES:
         raise InputError(
             f"shape is {shape[:40]!r}",
             where=where,
@@ -307,7 +294,7 @@ def _outline_of(row: Mapping[str, str], width: float, length: float, where: str)
             where=where,
             expected="side_m, or equal width_m and length_m",
         )
-    return _OUTLINES[shape]
+    return _FIGURES[shape]
 
 
 _NUMERIC = frozenset(

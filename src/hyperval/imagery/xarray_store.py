@@ -10,7 +10,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperval.errors import InputError
-from hyperval.imagery.stores import OpenedFile, Selection
+from hyperval.imagery.stored_file import OpenedFile
+from hyperval.imagery.stores import Selection
 
 
 class XarrayStore(OpenedFile):

@@ -73,8 +73,6 @@ def _in_words(place: Place, scores: Array, group: Mask, size: int) -> str:
     where = f"line {line}, sample {sample}"
     transform = place.cube.transform
     if transform is not None:
-        u, v = sample + 0.5, line + 0.5
-        x = transform.a * u + transform.b * v + transform.c
-        y = transform.d * u + transform.e * v + transform.f
+        x, y = transform @ (sample + 0.5, line + 0.5)
         where += f" ({x:.2f}, {y:.2f})"
     return f"{where}: {scores[line, sample]:.4g}, {size} pixel{'' if size == 1 else 's'}"

@@ -117,9 +117,7 @@ def read_hypernets(path: Path | str) -> HypernetsSequence:
     """
     import xarray as xr
 
-    path = checked_file(path, what="HYPERNETS file")
-    if path.stat().st_size > MAX_BYTES:
-        raise InputError(f"larger than {MAX_BYTES} bytes", where=str(path), expected="one sequence")
+    path = checked_file(path, what="HYPERNETS file", most=MAX_BYTES)
     check_hdf5(path)
     try:
         with warnings.catch_warnings():

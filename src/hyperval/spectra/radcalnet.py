@@ -100,9 +100,7 @@ def read_radcalnet(path: Path | str) -> RadCalNetDay:
     InputError : missing, too large, not of this form, or values that cannot be.
     UsageError : a name that ends in neither .input nor .output.
     """
-    path = checked_file(path, what="RadCalNet file")
-    if path.stat().st_size > MAX_BYTES:
-        raise InputError(f"larger than {MAX_BYTES} bytes", where=str(path), expected="a daily file of RadCalNet")
+    path = checked_file(path, what="daily file of RadCalNet", most=MAX_BYTES)
     return day_of(path.read_text("utf-8", errors="replace"), path)
 
 

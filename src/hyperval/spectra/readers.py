@@ -14,6 +14,7 @@ from typing import Any
 
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.files import decoded
 from hyperval.paths import checked_file
 from hyperval.spectra import (
     hypernets,
@@ -320,14 +321,6 @@ def without_padding(raw: bytes) -> bytes:
     """Text without the NUL that ViewSpec pads a comment with; unchanged where other signs tell a binary file."""
     text = raw.replace(b"\0", b"")
     return raw if text.translate(None, _TEXT) or len(text) < 0.5 * len(raw) else text
-
-
-def decoded(raw: bytes) -> str:
-    """Text in UTF-8 (with or without mark) or else Latin-1."""
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
 
 
 def _chosen(records: list[Record], record: str | int | None, where: str) -> Record:
