@@ -17,6 +17,7 @@ from hyperval.prediction.budget import given_with, inputs_of, spectrum_inputs
 from hyperval.prediction.cases import Case, Engine, Origins, batch_of, case_of
 from hyperval.prediction.departure import Departure, moved_on
 from hyperval.prediction.detection import Detection, RocKey, detect
+from hyperval.prediction.expected_scores import expected_scores
 from hyperval.prediction.forms import spectrum_error_covariance
 from hyperval.prediction.input import Input
 from hyperval.prediction.input_paths import Given
@@ -185,7 +186,7 @@ def _with_objects(
         return detection
     draws = None if objects is True else objects
     scores = predicted_object_scores(batch, points, batch.scenario.uncertainty, draws)
-    return replace(detection, object_scores=scores)
+    return replace(detection, object_scores=scores, expected_scores=expected_scores(batch, points))
 
 
 def _changes(detection: Detection, pairs: int) -> dict[RocKey, list[Change]]:
@@ -231,6 +232,7 @@ def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Dete
         provenance=_provenance(case),
         noise=spectra.noise,
         full_scale=spectra.full_scale,
+        expected_scores=detection.expected_scores,
         toa_reflectance=spectra.toa_reflectance,
     )
 

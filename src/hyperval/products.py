@@ -348,11 +348,13 @@ class Prediction(Products):
 
     ``noise``: subject -> source of noise (shot, fixed, quantisation, bit_errors, calibration, fit) -> (B,) variance
     [(uW cm-2 sr-1 nm-1)^2]; ``full_scale``: subject -> (B,) mean radiance as a part of full scale, where the sensor
-    file says where that is.
+    file says where that is; ``expected_scores``: (what lies there, target, detector) -> mean score of such a pixel
+    under the filter that looks for the target [1].
     """
 
     noise: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
     full_scale: Mapping[str, Array] = field(default_factory=dict)
+    expected_scores: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, repr=False)

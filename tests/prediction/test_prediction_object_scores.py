@@ -10,7 +10,8 @@ from hyperval.errors import UsageError
 from hyperval.predict import Origins, predict
 from hyperval.processing.filters import design_filter
 from hyperval.processing.thresholds import ClassScores, class_threshold, greatest_class_false_alarm
-from hyperval.scenario import Scenario
+from hyperval.products import background_of
+from hyperval.scenario import Scenario, load_scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis
 
@@ -167,3 +168,33 @@ def test_preset_is_the_tail_of_the_worst_class():
     preset = np.array([1e-3, 1e-2, 1e-1])
     highest = np.max([class_threshold(np.log(preset)[None], one, m)[0] for m in (0, 1)], axis=0)
     assert greatest_class_false_alarm(highest, three) == pytest.approx(preset, rel=1e-9)
+
+
+def test_expected_scores_of_target_pixels_and_background_are_the_means_of_their_laws():
+    """By another route: the spline over the fill, and the laws of classes, under light and an empirical line."""
+    scenario = load_scenario("yellow-planks-asphalt")
+    p = predict(scenario, objects=1)
+    for target in scenario.scene.targets:
+        for detector in ("cem", "cem-correlation"):
+            expected = {
+                what: score for (what, *of), score in p.expected_scores.items() if of == [target.name, detector]
+            }
+            for population in target.populations:
+                assert expected[population.name] == pytest.approx(
+                    p.scores[population.name, detector].mean, rel=1e-9
+                )
+                mixed = sum(c.fraction * expected[c.name] for c in scenario.scene.classes)
+                background = p.scores[background_of(population.name), detector].mean
+                assert mixed == pytest.approx(background, rel=1e-6, abs=1e-12)
+
+
+def test_expected_scores_of_classes_and_other_targets_follow_from_the_filter():
+    p, cem = run(), filter_of()
+    host = builtin_class("asphalt", AXIS).mean
+    fill = p.expected_scores["beside", "other", "cem"]  # by its own filter: its mean fill but for its host's score
+    empty = p.expected_scores["asphalt", "other", "cem"]
+    fill = (fill - empty) / (1.0 - empty)
+    other = fill * builtin_class("green-paint-plank", AXIS).mean + (1.0 - fill) * host
+    for name, spectrum in (("asphalt", host), ("beside", other)):
+        expected = cem.weights @ spectrum - cem.offset
+        assert p.expected_scores[name, "plank", "cem"] == pytest.approx(expected, rel=1e-9)

@@ -35,7 +35,11 @@ def merged(predictions: Sequence[Prediction]) -> Prediction:
         parts[field.name] = joined
     notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
     return Prediction(
-        axis=first.axis, **parts, notes=notes, provenance={"scenarios": [dict(p.provenance) for p in predictions]}
+        axis=first.axis,
+        **parts,
+        notes=notes,
+        provenance={"scenarios": [dict(p.provenance) for p in predictions]},
+        expected_scores={key: score for p in predictions for key, score in p.expected_scores.items()},
     )
 
 

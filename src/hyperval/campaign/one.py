@@ -282,7 +282,7 @@ def _report(job: Job, side: Collected, predictions: Sequence[Prediction], show_p
         report_of(campaign, table),
         prediction=prediction,
         observation=observed.observation,
-        score_maps=score_maps(observed),
+        score_maps=score_maps(observed, campaign.detection, prediction.expected_scores if prediction else {}),
         quicklook=quicklook(observed),
         provenance=record_of(
             inputs.log,

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.campaign.expected_maps import expected_maps
+from hyperval.collection import Detection
 from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.truth import all_pixels
@@ -22,12 +25,18 @@ LINES_TOGETHER = 64
 GAMMA = 0.6  # lifts the dark part of the scene, where most surfaces are
 
 
-def score_maps(observed: Observed) -> dict[str, ScoreMap]:
-    """Every score map with its place on the ground and the outlines of its targets."""
-    if observed.detected is None or observed.place is None:
+def score_maps(
+    observed: Observed, detection: Detection | None, expected: Mapping[tuple[str, str, str], float]
+) -> dict[str, ScoreMap]:
+    """Every score map with its place on the ground, the outlines of its targets and what the model expects there.
+
+    ``expected`` : of a prediction: (what lies there, target, detector) -> score
+    """
+    if observed.detected is None or observed.place is None or detection is None:
         return {}
     cube = observed.place.cube
     size = observed.place.pixel_area_m2
+    maps = expected_maps(observed.place, detection, expected)
     return {
         name: ScoreMap(
             values,
@@ -35,6 +44,7 @@ def score_maps(observed: Observed) -> dict[str, ScoreMap]:
             cube.crs.to_wkt() if cube.crs else None,
             observed.detected.outlines.get(name, {}),
             float(np.sqrt(size)) if size else None,
+            maps.get(name),
         )
         for name, values in observed.detected.score_maps.items()
     }

@@ -29,6 +29,7 @@ class Detection:
     Attributes
     ----------
     curves : P_D (n, K) of all evaluations of the batch, at the false-alarm probabilities of the curves
+    expected_scores : (what lies there, target, detector) -> mean score of such a pixel [1]
     """
 
     scores: dict[tuple[str, str], ScoreDistribution] = field(default_factory=dict)
@@ -37,6 +38,7 @@ class Detection:
     object_scores: dict[tuple[str, str], ObjectScores] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     curves: Mapping[RocKey, Array] = field(default_factory=dict)
+    expected_scores: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
 
 
 def detect(batch: Batch, *, object_curves: bool = True, points: Sequence[int] = (0,)) -> list[Detection]:

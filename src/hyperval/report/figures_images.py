@@ -18,7 +18,8 @@ from hyperval.report.run import Quicklook, ScoreMap
 from hyperval.report.style import Drawing
 from hyperval.units import PLAUSIBLE_NM
 
-_MOST_PIXELS = 1200  # along the longer side of a picture
+_MOST_PIXELS = 800  # along the longer side of a picture
+_DPI = 200.0  # at which all of these are drawn
 _MOST_MAPS = 6
 _MOST_NUMBERED = 40  # outlines; more are drawn without numbers, and counted
 _LONGEST_STRIP = 2.5  # ratio of the sides beyond which an image is cut to its regions
@@ -44,52 +45,62 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     title += f"; {cut}" if cut else ""
     alt = f"Picture of the scene, {_where(rgb.shape, view)}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
     return Drawing(
-        "scene", "scene", title, alt, style.png_bytes(figure), "png",
+        "scene", "scene", title, alt, style.png_bytes(figure, dpi=_DPI), "png",
         width_px=_css_width(figure), legend=_numbered_names(quicklook.regions),
     )  # fmt: skip
 
 
 def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
-    """The first maps, each a figure: scores as colours, targets outlined."""
+    """The first maps, each a figure: scores as colours, targets outlined; and what the model expects, likewise."""
     drawings = []
     for number, (name, score_map) in enumerate(list(maps.items())[:_MOST_MAPS], start=1):
         scores = np.asarray(score_map.values, dtype=float)
         view = shown_window(scores.shape, score_map.outlines)
-        values, block = block_maximum(
-            scores[view.first_line : view.end_line, view.first_sample : view.end_sample], _MOST_PIXELS
-        )
-        width, height = _figure_size(view)
-        figure = style.new_figure(width + 1.2, height, f"Score map {name}", simulated)
-        axes = figure.add_subplot()
-        low, high = _score_limits(score_map)
-        extent = _extent(view, values.shape, block)
-        image = axes.imshow(
-            values, cmap="viridis", vmin=low, vmax=high, extent=extent,
-            interpolation="nearest", interpolation_stage="data",  # one number for a pixel is resampled, not four
-        )  # fmt: skip
-        figure.colorbar(image, ax=axes, shrink=0.8, extend="both", label="score [1]")
-        _finish(axes, view, score_map.outlines, score_map.pixel_size_m)
+        limits = _score_limits(score_map)
+        outlined = f"; outlined: {_words_of(score_map.outlines) or 'nothing'}."
+        values, block = block_maximum(scores[view.part], _MOST_PIXELS)
         cut = _cut(scores.shape, view)
         note = f"; {cut}" if cut else ""
         note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
         title = f"Score map {name}{', targets outlined' if score_map.outlines else ''}{note}"
-        alt = (
-            f"Map of the detector score {name}, {scores.shape[0]} lines by {scores.shape[1]} samples{note}; "
-            f"outlined: {_words_of(score_map.outlines) or 'nothing'}."
-        )
-        drawings.append(
-            Drawing(
-                f"score-map-{number}",
-                "scores",
-                title,
-                alt,
-                style.png_bytes(figure, dpi=110.0),
-                "png",
-                width_px=_css_width(figure),
-                legend=_numbered_names(score_map.outlines),
+        size = f"{scores.shape[0]} lines by {scores.shape[1]} samples"
+        alt = f"Map of the detector score {name}, {size}{note}{outlined}"
+        content = _map_bytes(f"Score map {name}", values, block, view, limits, score_map, simulated)
+        drawings.append(_map_drawing(f"score-map-{number}", title, alt, content, score_map))
+        if score_map.expected is not None:
+            values, block = block_maximum(score_map.expected.of(view.part).astype(float), _MOST_PIXELS)
+            title = (
+                f"What the model expects of {name}, in the colours of the measured map: the mean score of each "
+                "class of ground and kind of target; blank where the campaign does not say what lies there"
             )
-        )
+            alt = f"Map of the score {name} that the model expects, of the same pixels{note}{outlined}"
+            content = _map_bytes(f"Expected score {name}", values, block, view, limits, score_map, simulated)
+            drawings.append(_map_drawing(f"score-map-{number}-expected", title, alt, content, score_map))
     return drawings
+
+
+def _map_drawing(name: str, title: str, alt: str, content: tuple[bytes, int], score_map: ScoreMap) -> Drawing:
+    picture, width = content
+    return Drawing(
+        name, "scores", title, alt, picture, "png", width_px=width, legend=_numbered_names(score_map.outlines)
+    )
+
+
+def _map_bytes(
+    title: str, values: npt.NDArray[np.float64], block: int, view: Window, limits: tuple[float, float],
+    score_map: ScoreMap, simulated: bool,
+) -> tuple[bytes, int]:  # fmt: skip
+    """A map as PNG, and its width on the page [CSS pixels]."""
+    width, height = _figure_size(view)
+    figure = style.new_figure(width + 1.2, height, title, simulated)
+    axes = figure.add_subplot()
+    image = axes.imshow(
+        values, cmap="viridis", vmin=limits[0], vmax=limits[1], extent=_extent(view, values.shape, block),
+        interpolation="nearest", interpolation_stage="data",  # one number for a pixel is resampled, not four
+    )  # fmt: skip
+    figure.colorbar(image, ax=axes, shrink=0.8, extend="both", label="score [1]")
+    _finish(axes, view, score_map.outlines, score_map.pixel_size_m)
+    return style.png_bytes(figure, dpi=_DPI), _css_width(figure)
 
 
 @dataclass(frozen=True)
@@ -110,6 +121,11 @@ class Window:
     def samples(self) -> int:
         """Number of samples."""
         return self.end_sample - self.first_sample
+
+    @property
+    def part(self) -> tuple[slice, slice]:
+        """Lines and samples."""
+        return slice(self.first_line, self.end_line), slice(self.first_sample, self.end_sample)
 
 
 def shown_window(shape: tuple[int, ...], regions: Mapping[str, Any]) -> Window:
@@ -254,9 +270,9 @@ def _words_of(regions: Mapping[str, Any]) -> str:
 
 
 def _figure_size(view: Window) -> tuple[float, float]:
-    """Width and height [in] that suit the shape of the picture."""
+    """Width and height [in] that suit the shape of the picture; small, as three stand beside each other."""
     aspect = min(max(view.lines / view.samples, 0.15), 4.0)
-    width = min(8.5, 6.2 / aspect) if aspect < 2.0 else max(7.5 / aspect, 2.6)
+    width = min(4.6, 4.2 / aspect) if aspect < 2.0 else max(5.2 / aspect, 2.0)
     return width + 0.9, width * aspect + 0.9
 
 

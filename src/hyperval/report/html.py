@@ -28,7 +28,7 @@ from hyperval.results import Outcome, Result
 
 MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
-_PICTURES = ("scene", "score-map-1")  # beside each other, before everything else
+_PICTURES = ("scene", "score-map-1", "score-map-1-expected")  # beside each other, before everything else
 _BUDGET = "radiance-budget"
 _FIRST_FIGURES = (*_PICTURES, _BUDGET)  # that are embedded whatever else there is no room for
 _MOST_OPEN = 12  # rows of a table before it is folded
@@ -298,7 +298,15 @@ def _sections(
 
 
 def _figures(run: RunReport, drawings: Sequence[Drawing], embedded: Mapping[str, str]) -> list[dict[str, Any]]:
-    return [{"drawing": d, "source": embedded.get(d.name), "from": _under_figure(run, d.section)} for d in drawings]
+    """What stands under a figure is not said again under the next one that it holds for."""
+    out: list[dict[str, Any]] = []
+    last = ""
+    for drawing in drawings:
+        origin = _under_figure(run, drawing.section)
+        words = "Inputs: those of the figure before." if origin == last else origin
+        out.append({"drawing": drawing, "source": embedded.get(drawing.name), "from": words})
+        last = origin
+    return out
 
 
 def _embedded(drawings: Sequence[Drawing], charts: Sequence[Chart]) -> dict[str, str]:

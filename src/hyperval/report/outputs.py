@@ -18,8 +18,8 @@ from hyperval.results import ResultTable
 
 # Fields of a side that no figure shows: charts do, or nothing does.
 _CHARTED = {
-    "axis", "radiance", "snr", "reflectance", "toa_reflectance", "distribution", "noise", "full_scale", "notes",
-    "provenance",
+    "axis", "radiance", "snr", "reflectance", "toa_reflectance", "distribution", "noise", "full_scale",
+    "expected_scores", "notes", "provenance",
 }  # fmt: skip
 
 

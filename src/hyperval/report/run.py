@@ -18,6 +18,24 @@ WARNING = "warning: "  # what a note that warns begins with
 
 
 @dataclass(frozen=True)
+class ExpectedScores:
+    """The score that the model expects of each pixel of which the collection says what lies there.
+
+    Attributes
+    ----------
+    content : (lines, samples) number of what lies there, -1 where that is not known; maps of one scene share it
+    scores : (K + 1,) of each number [1]; the last, which -1 finds, is NaN
+    """
+
+    content: npt.NDArray[np.int16]
+    scores: npt.NDArray[np.float32]
+
+    def of(self, part: tuple[slice, slice]) -> npt.NDArray[np.float32]:
+        """Some lines and samples as a map [1]; NaN where nothing is expected."""
+        return self.scores[self.content[part]]
+
+
+@dataclass(frozen=True)
 class ScoreMap:
     """A detector's score for every pixel.
 
@@ -29,6 +47,7 @@ class ScoreMap:
     crs : coordinate reference system as text (EPSG:32618 or WKT), None when unknown
     outlines : name of a target -> (lines, samples) mask of its pixels
     pixel_size_m : ground sampling distance for the scale [m], None when unknown
+    expected : what the model expects in its place, None where it says nothing
     """
 
     values: npt.NDArray[Any]
@@ -36,6 +55,7 @@ class ScoreMap:
     crs: str | None = None
     outlines: Mapping[str, Mask] = field(default_factory=dict)
     pixel_size_m: float | None = None
+    expected: ExpectedScores | None = None
 
     def to_xarray(self) -> Any:
         """As an array of xarray (line, sample) with its position."""
