@@ -77,9 +77,7 @@ def _bars(rows: Sequence[Result], table: ResultTable, simulated: bool) -> Drawin
     alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
     alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
     legend = "a number in brackets is one of several independent shapes of an error" if _numbered(names) else ""
-    return Drawing(
-        "attribution-inputs", "attribution", title, alt, style.vector_bytes(figure), "svg", legend=legend
-    )
+    return style.vector_drawing(figure, "attribution-inputs", "attribution", title, alt, legend)
 
 
 def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing | None:
@@ -122,9 +120,7 @@ def _by_subject(rows: Sequence[Result], simulated: bool) -> Drawing | None:
         legend += f"; {quiet} subjects have nothing to explain"
     if len(every) > len(subjects):
         legend += f"; {len(subjects)} of {len(every)} are drawn, all are in results.csv"
-    return Drawing(
-        "attribution-subjects", "attribution", title, alt, style.vector_bytes(figure), "svg", legend=legend
-    )
+    return style.vector_drawing(figure, "attribution-subjects", "attribution", title, alt, legend)
 
 
 def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
@@ -170,9 +166,7 @@ def _effects(rows: Sequence[Result], simulated: bool) -> Drawing:
     legend = "one unit: the stated standard uncertainty of an input, or a usual step where none is stated; "
     legend += "gap: predicted less measured; spectra as a part of the collected mean, P_D as it stands; "
     legend += "the largest gaps are shown"
-    return Drawing(
-        "attribution-effects", "sensitivity", title, alt, style.vector_bytes(figure), "svg", legend=legend
-    )
+    return style.vector_drawing(figure, "attribution-effects", "sensitivity", title, alt, legend)
 
 
 def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
@@ -208,7 +202,7 @@ def _what_ifs(rows: Sequence[Result], simulated: bool) -> Drawing:
         ],
     )
     alt = "Reduced chi-square of all residuals before and after each what-if: " + "; ".join(reversed(words)) + "."
-    return Drawing("what-ifs", "what-if", title, alt, style.vector_bytes(figure), "svg")
+    return style.vector_drawing(figure, "what-ifs", "what-if", title, alt)
 
 
 def _short(gain: float) -> str:

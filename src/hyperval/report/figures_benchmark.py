@@ -63,7 +63,7 @@ def detector_figures(
         axes.tick_params(axis="x", labelsize=7.5)
     title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set], filled where it may be first"
     alt = f"Metrics of each detector on all objects of {name}. {'; '.join(captions)}."
-    return [Drawing(f"{name}-detectors", name, title, alt, style.vector_bytes(figure), "svg")]
+    return [style.vector_drawing(figure, f"{name}-detectors", name, title, alt)]
 
 
 def rank_figures(
@@ -97,15 +97,8 @@ def rank_figures(
                 continue
             grid[i, j] = row.value
             words = f"{row.value:.0f} [{row.lower:.0f}-{row.upper:.0f}]"
-            axes.text(
-                j,
-                i,
-                words,
-                ha="center",
-                va="center",
-                fontsize=7.5,
-                color="white" if row.value <= worst / 3 else "black",
-            )
+            shade = "white" if row.value <= worst / 3 else "black"
+            axes.text(j, i, words, ha="center", va="center", fontsize=7.5, color=shade)
             captions.append(f"{subject}, {'/'.join(names)}: {words}")
     shades = ListedColormap([(s, s + 0.04, s + 0.09) for s in np.linspace(0.2, 0.9, 16)])
     axes.imshow(grid, cmap=shades, vmin=1, vmax=worst, aspect="auto")
@@ -115,7 +108,7 @@ def rank_figures(
     more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
     title = f"{name}: rank [95 % set] by {measures[metric]}, subjects of two objects and more{more}"
     alt = f"Rank of each detector by subject. {'; '.join(captions)}."
-    return [Drawing(f"{name}-ranks", name, title, alt, style.vector_bytes(figure), "svg")]
+    return [style.vector_drawing(figure, f"{name}-ranks", name, title, alt)]
 
 
 def agreement_figures(name: str, rows: Sequence[Result], *, simulated: bool) -> list[Drawing]:
@@ -141,9 +134,7 @@ def agreement_figures(name: str, rows: Sequence[Result], *, simulated: bool) -> 
         axes.set_xlabel(title, fontsize=8.0)
         axes.set_xlim(0.0, 1.05 * axes.get_xlim()[1])  # a dot on the border would be cut in half
     title = f"{name}: how well engines and formulations predict, with 95 % intervals"
-    return [
-        Drawing(f"{name}-variants", name, title, f"{title}. {'; '.join(words)}.", style.vector_bytes(figure), "svg")
-    ]
+    return [style.vector_drawing(figure, f"{name}-variants", name, title, f"{title}. {'; '.join(words)}.")]
 
 
 def _whisker(

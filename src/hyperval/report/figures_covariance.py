@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 
 from hyperval.report import style
+from hyperval.report.panels import GREY, Entries, line_handle, mark_entries, small_multiples
 from hyperval.report.run import EigenvalueSpectrum, TailCurve
 from hyperval.report.style import COLLECTED, PREDICTED, Drawing
 
-_NORMAL = "#444444"
 _UNITS = {"radiance": "(µW cm⁻² sr⁻¹ nm⁻¹)²", "reflectance": "1"}
 
 
@@ -27,57 +25,30 @@ def sampled_eigenvalue_figures(
         own = {subject: s for (subject, q), s in spectra.items() if q == quantity}
         if not own:
             continue
-        columns = style.column_count(len(own))
-        rows = math.ceil(len(own) / columns)
         title = f"Eigenvalues of the {quantity} covariance"
-        figure = style.new_figure(10.0, 0.9 + 3.4 * rows, title, simulated)
-        grid = figure.add_gridspec(2 * rows, columns, height_ratios=[2, 1] * rows)
+        labels = ("number of the eigenvalue [1]", f"eigenvalue\n[{unit}]", "predicted /\nmeasured [1]")
+        figure, panels = small_multiples(title, len(own), labels, simulated, row_in=3.4, more_in=0.9)
         words = []
-        for at, (subject, s) in enumerate(own.items()):
-            row, column = divmod(at, columns)
-            top = figure.add_subplot(grid[2 * row, column])
-            low = figure.add_subplot(grid[2 * row + 1, column], sharex=top)
+        for (subject, s), (top, low) in zip(own.items(), panels, strict=True):
             top.set_title(f"{style.plain(style.shortened(subject, 34))} (n = {_count(s.n)})", loc="left")
             _eigenvalue_panel(top, s)
             _eigenvalue_ratio(low, s)
-            top.tick_params(labelbottom=False)
-            if column == 0:
-                top.set_ylabel(f"eigenvalue\n[{unit}]")
-                low.set_ylabel("predicted /\nmeasured [1]")
-            if at + columns >= len(own):
-                low.set_xlabel("number of the eigenvalue [1]")
             inside = int(np.sum((s.measured >= s.lower) & (s.measured <= s.upper)))
             words.append(
                 f"{subject}: first eigenvalue predicted {s.expected[0]:.3g}, measured {s.measured[0]:.3g}; "
                 f"{inside} of {s.measured.size} inside"
             )
         figure.align_ylabels()
-        style.add_legend(
-            figure,
-            [
-                (
-                    line_handle(PREDICTED.colour, PREDICTED.line, PREDICTED.marker, hollow=True),
-                    "predicted, mean of samples",
-                ),
-                (style.interval_handle(PREDICTED.colour), "95 % of samples of the prediction"),
-                (line_handle(COLLECTED.colour, COLLECTED.line, COLLECTED.marker), "measured"),
-            ],
-        )
+        (predicted, _), measured = mark_entries()
+        band = style.interval_handle(PREDICTED.colour), "95 % of samples of the prediction"
+        style.add_legend(figure, [(predicted, "predicted, mean of samples"), band, measured])
         alt = (
             f"Leading eigenvalues of the pixel-to-pixel covariance of the {quantity}, logarithmic, predicted "
             "(hollow circles, with the 95 % band of samples of as many pixels) and measured (squares); below, "
             f"predicted over measured with that band. {'. '.join(words)}."
         )
-        drawings.append(
-            Drawing(
-                f"{quantity}-eigenvalues",
-                "covariance",
-                f"{title} (band: 95 % of samples of as many independent pixels drawn from the prediction)",
-                alt,
-                style.vector_bytes(figure),
-                "svg",
-            )
-        )
+        title += " (band: 95 % of samples of as many independent pixels drawn from the prediction)"
+        drawings.append(style.vector_drawing(figure, f"{quantity}-eigenvalues", "covariance", title, alt))
     return drawings
 
 
@@ -86,17 +57,16 @@ def tail_figures(tails: Mapping[str, TailCurve], *, simulated: bool) -> list[Dra
     first = dict(list(tails.items())[: style.MAX_PANELS])
     if not first:
         return []
-    columns = style.column_count(len(first))
-    rows = math.ceil(len(first) / columns)
-    figure = style.new_figure(10.0, 0.9 + 2.8 * rows, "Tails of the pixels about their mean", simulated)
+    labels = ("Mahalanobis distance [1]", "share of pixels\nfarther out [1]")
+    title = "Tails of the pixels about their mean"
+    figure, panels = small_multiples(title, len(first), labels, simulated, row_in=2.8, more_in=0.9)
     words = []
-    for at, (subject, t) in enumerate(first.items()):
-        axes = figure.add_subplot(rows, columns, at + 1)
+    for (subject, t), (axes,) in zip(first.items(), panels, strict=True):
         axes.set_title(
             f"{style.plain(style.shortened(subject, 28))}: {t.dimension} components, n = {_count(t.n)}", loc="left"
         )
         axes.fill_between(t.distance, t.lower, t.upper, color=COLLECTED.colour, alpha=0.2, linewidth=0)
-        axes.plot(t.distance, t.normal, color=_NORMAL, linestyle=":", linewidth=1.2)
+        axes.plot(t.distance, t.normal, color=GREY, linestyle=":", linewidth=1.2)
         axes.plot(t.distance, t.fitted, color=style.DIFFERENCE_COLOUR, linestyle="-.", linewidth=1.2)
         if t.predicted is not None:
             axes.plot(t.distance, t.predicted, color=PREDICTED.colour, linestyle=PREDICTED.line)
@@ -105,16 +75,12 @@ def tail_figures(tails: Mapping[str, TailCurve], *, simulated: bool) -> list[Dra
         axes.set_ylim(0.3 / t.n, 1.5)
         axes.set_xlim(0.0, float(t.distance[-1]) * 1.03)
         style.log_ticks(axes.yaxis)
-        if at % columns == 0:
-            axes.set_ylabel("share of pixels\nfarther out [1]")
-        if at + columns >= len(first):
-            axes.set_xlabel("Mahalanobis distance [1]")
         predicted = "" if t.predicted_dof is None else f", {_dof(t.predicted_dof)} predicted"
         words.append(f"{subject}: {_dof(t.fitted_dof)} measured{predicted}")
-    entries: list[tuple[Any, str]] = [
+    entries: Entries = [
         (line_handle(COLLECTED.colour, COLLECTED.line), "measured"),
         (style.interval_handle(COLLECTED.colour), "95 % interval"),
-        (line_handle(_NORMAL, ":"), "normal law"),
+        (line_handle(GREY, ":"), "normal law"),
         (line_handle(style.DIFFERENCE_COLOUR, "-."), "fitted t"),
     ]
     if any(t.predicted is not None for t in first.values()):
@@ -124,16 +90,8 @@ def tail_figures(tails: Mapping[str, TailCurve], *, simulated: bool) -> list[Dra
         "Share of a class's pixels beyond a Mahalanobis distance in the leading components, logarithmic: measured "
         f"with its 95 % interval, under the predicted law, the normal law, and the fitted t. {'; '.join(words)}."
     )
-    return [
-        Drawing(
-            "pixel-tails",
-            "covariance",
-            "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)",
-            alt,
-            style.vector_bytes(figure),
-            "svg",
-        )
-    ]
+    title = "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)"
+    return [style.vector_drawing(figure, "pixel-tails", "covariance", title, alt)]
 
 
 def _eigenvalue_panel(axes: Axes, s: EigenvalueSpectrum) -> None:
@@ -154,19 +112,11 @@ def _eigenvalue_panel(axes: Axes, s: EigenvalueSpectrum) -> None:
 
 def _eigenvalue_ratio(axes: Axes, s: EigenvalueSpectrum) -> None:
     number = np.arange(1, s.measured.size + 1)
-    axes.axhline(1.0, color=_NORMAL, linewidth=0.8)
+    axes.axhline(1.0, color=GREY, linewidth=0.8)
     axes.fill_between(
         number, s.lower / s.measured, s.upper / s.measured, color=PREDICTED.colour, alpha=0.25, linewidth=0
     )
     axes.plot(number, s.expected / s.measured, color=style.DIFFERENCE_COLOUR, linewidth=1.2)
-
-
-def line_handle(colour: str, line: Any, marker: str | None = None, *, hollow: bool = False) -> Line2D:
-    """A legend entry."""
-    return Line2D(
-        [], [], color=colour, linestyle=line, marker=marker, markersize=6 if hollow else 4,
-        markerfacecolor="none" if hollow else colour,
-    )  # fmt: skip
 
 
 def _count(n: int) -> str:

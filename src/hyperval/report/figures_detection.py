@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -11,12 +10,22 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from hyperval.processing.roc_reading import detection_at
-from hyperval.products import Products, RocCurve
+from hyperval.products import RocCurve
 from hyperval.report import style
+from hyperval.report.panels import (
+    COVERAGE,
+    GREY,
+    Entries,
+    dot_entries,
+    interval_entry,
+    line_entries,
+    name_rows,
+    of_side,
+    small_multiples,
+)
 from hyperval.report.sides import Sides, best_counted, both_first
 from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
 
-_COVERAGE = 1.96
 _MOST_ROWS = 30
 _LOWEST_PFA = 1e-9
 _MOST_CURVES = 2 * style.MAX_PANELS
@@ -27,74 +36,60 @@ _Dot = tuple[float, float]
 
 def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """P_D against P_FA on a logarithmic axis, a panel for each subject, detector and unit."""
-    predicted, measured = _of_side(sides[0], "roc"), _of_side(sides[1], "roc")
+    predicted, measured = of_side(sides[0], "roc"), of_side(sides[1], "roc")
     every = both_first(predicted, measured)
     # Where anything can be compared, what only one side holds is left to products.nc.
     pairs = [key for key in every if key in predicted and key in measured]
     pages = style.pages(best_counted(pairs or every, measured, _MOST_CURVES))
     drawings = []
     for number, keys in enumerate(pages, start=1):
-        columns = style.column_count(len(keys))
-        rows = math.ceil(len(keys) / columns)
-        figure = style.new_figure(10.0, 1.0 + 2.7 * rows, "Detection against false alarms", simulated)
+        labels = ("$P_{FA}$ per pixel [1]", "$P_D$ [1]")
+        figure, panels = small_multiples("Detection against false alarms", len(keys), labels, simulated, row_in=2.7)
         words = []
         low = _lowest_pfa([h[k] for h in (predicted, measured) for k in keys if k in h])
-        for at, key in enumerate(keys):
-            axes = figure.add_subplot(rows, columns, at + 1)
+        for key, (axes,) in zip(keys, panels, strict=True):
             _roc_panel(axes, predicted.get(key), measured.get(key), low)
             axes.set_title(
                 style.plain(_roc_title(key)) + "\n" + _counted(measured.get(key)), loc="left", fontsize=8.5
             )
             words.append(_roc_words(key, predicted.get(key), measured.get(key)))
-            if at % columns == 0:
-                axes.set_ylabel("$P_D$ [1]")
-            if at + columns >= len(keys):
-                axes.set_xlabel("$P_{FA}$ per pixel [1]")
         style.add_legend(figure, _roc_legend(predicted, measured))
         name = "roc" if len(pages) == 1 else f"roc-{number}"
         alt = (
             "Probability of detection against probability of false alarm (logarithmic), predicted (dashed) and "
             f"measured (steps), with 95 % intervals. {' '.join(words)}"
         )
-        drawings.append(
-            Drawing(
-                name,
-                "roc",
-                f"ROC: predicted and measured{style.left_out(pages, every)}",
-                alt,
-                style.vector_bytes(figure),
-                "svg",
-            ),
-        )
+        title = f"ROC: predicted and measured{style.left_out(pages, every)}"
+        drawings.append(style.vector_drawing(figure, name, "roc", title, alt))
     return drawings
 
 
 def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Mean and 95 % range of each population's score."""
-    predicted, measured = _of_side(sides[0], "scores"), _of_side(sides[1], "scores")
+    predicted, measured = of_side(sides[0], "scores"), of_side(sides[1], "scores")
     every = both_first(predicted, measured)
     keys = every[:_MOST_ROWS]
     if not keys:
         return []
     figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Detector scores", simulated)
     axes = figure.add_subplot()
-    _dots_of(axes, keys, predicted, measured, lambda score: (score.mean, _COVERAGE * score.sd))
+    _dots_of(axes, keys, predicted, measured, lambda score: (score.mean, COVERAGE * score.sd))
     axes.axvline(0.0, color="#777777", linewidth=0.8)
     axes.axvline(1.0, color="#777777", linewidth=0.8, linestyle=":")
     _row_labels(axes, keys, {k: measured[k].n for k in keys if k in measured})
     axes.set_xlabel("score [1] (dot: mean; bar: mean ± 1.96 standard deviations)")
-    style.add_legend(figure, _dot_legend(predicted, measured))
+    style.add_legend(figure, dot_entries(predicted, measured))
     words = _in_words(keys, predicted, measured, lambda score: f"{score.mean:.3g} ± {score.sd:.2g}")
     title = f"Score distributions: predicted and measured{style.left_out([keys], every)}"
     alt = f"Mean and standard deviation of the detector scores. {words}."
-    return [Drawing("scores", "scores", title, alt, style.vector_bytes(figure), "svg")]
+    return [style.vector_drawing(figure, "scores", "scores", title, alt)]
 
 
 def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Area of each target from its abundance, predicted and measured."""
     # Areas that both sides estimate against a nominal one have a figure of their own.
     predicted, measured = (
-        {k: a for k, a in _of_side(side, "abundance").items() if a.nominal_m2 is None} for side in sides
+        {k: a for k, a in of_side(side, "abundance").items() if a.nominal_m2 is None} for side in sides
     )
     every = both_first(predicted, measured)
     keys = every[:_MOST_ROWS]
@@ -102,7 +97,7 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         return []
     figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Target area from abundance", simulated)
     axes = figure.add_subplot()
-    _dots_of(axes, keys, predicted, measured, lambda area: (area.area_m2, _COVERAGE * area.standard_uncertainty))
+    _dots_of(axes, keys, predicted, measured, lambda area: (area.area_m2, COVERAGE * area.standard_uncertainty))
     areas = np.array([h[k].area_m2 for h in (predicted, measured) for k in keys if k in h])
     areas = areas[np.isfinite(areas)]
     if areas.size and areas.min() > 0 and areas.max() > 30 * areas.min():
@@ -113,10 +108,10 @@ def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         axes.axvline(0.0, color="#777777", linewidth=0.8)
     _row_labels(axes, keys, {})
     axes.set_xlabel("area [m²] (bar: 95 % interval)")
-    style.add_legend(figure, _dot_legend(predicted, measured))
+    style.add_legend(figure, dot_entries(predicted, measured))
     words = _in_words(keys, predicted, measured, lambda area: f"{area.area_m2:.3g} m²")
     title = f"Target area from the sum of abundances: predicted and measured{style.left_out([keys], every)}"
-    return [Drawing("abundance", "abundance", title, f"Target areas. {words}.", style.vector_bytes(figure), "svg")]
+    return [style.vector_drawing(figure, "abundance", "abundance", title, f"Target areas. {words}.")]
 
 
 def _dots_of(
@@ -155,7 +150,7 @@ def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None
         )  # fmt: skip
         axes.plot(x, measured.pd[keep], color=COLLECTED.colour, linestyle=COLLECTED.line, drawstyle="steps-post")
         if measured.n_background:
-            axes.axvline(1.0 / measured.n_background, color="#444444", linewidth=1.0, linestyle=":")
+            axes.axvline(1.0 / measured.n_background, color=GREY, linewidth=1.0, linestyle=":")
     axes.set_xscale("log")
     axes.set_xlim(low, 1.0)
     axes.set_ylim(-0.02, 1.04)
@@ -198,26 +193,19 @@ def _roc_words(key: tuple[str, str, str], predicted: RocCurve | None, measured: 
     return f"{', '.join(key)}: {'; '.join(words) or 'no points'}."
 
 
-def _roc_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, RocCurve]) -> list[tuple[Any, str]]:
-    entries: list[tuple[Any, str]] = []
-    colours = []
-    for side, look, name in ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, "measured")):
-        if side:
-            entries.append((Line2D([], [], color=look.colour, linestyle=look.line), name))
-            colours.append(look.colour)
-    entries.append((style.interval_handle(*colours), "95 % interval"))
+def _roc_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, RocCurve]) -> Entries:
+    entries = [*line_entries(predicted, measured), interval_entry(predicted, measured)]
     if any(curve.n_background for curve in measured.values()):
-        entries.append((Line2D([], [], color="#444444", linestyle=":"), "resolution: 1 / background pixels"))
+        entries.append((Line2D([], [], color=GREY, linestyle=":"), "resolution: 1 / background pixels"))
     return entries
 
 
 def _dots(axes: Axes, rows: list[tuple[float, float, float]], look: Look) -> None:
     if rows:
         y, x, half = (np.array(column) for column in zip(*rows, strict=True))
-        face = "white" if look is PREDICTED else look.colour
         axes.errorbar(
             x, y, xerr=np.nan_to_num(half), fmt=look.marker, color=look.colour,
-            markerfacecolor=face, markersize=5, linewidth=1.3, capsize=2.5,
+            markerfacecolor=look.face, markersize=5, linewidth=1.3, capsize=2.5,
         )  # fmt: skip
 
 
@@ -226,20 +214,5 @@ def _row_labels(axes: Axes, keys: list[tuple[str, str]], counts: Mapping[Any, in
     for subject, detector in keys:
         n = counts.get((subject, detector))
         tail = "" if n is None else f"  (n = {n:,})".replace(",", "\u202f")
-        labels.append(style.plain(f"{style.shortened(subject)}, {detector}{tail}"))
-    axes.set_yticks(range(len(keys)), labels)
-    axes.set_ylim(len(keys) - 0.5, -0.5)
-    axes.grid(visible=False, axis="y")
-
-
-def _dot_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[tuple[Any, str]]:
-    entries: list[tuple[Any, str]] = []
-    for side, look, name in ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, "measured")):
-        if side:
-            face = "white" if look is PREDICTED else look.colour
-            entries.append((Line2D([], [], color=look.colour, marker=look.marker, markerfacecolor=face), name))
-    return entries
-
-
-def _of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
-    return {} if side is None else getattr(side, product)
+        labels.append(f"{style.shortened(subject)}, {detector}{tail}")
+    name_rows(axes, labels)

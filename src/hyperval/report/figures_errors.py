@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,23 +10,20 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
-from hyperval.products import Abundance, ClassificationError, Products
+from hyperval.products import Abundance, ClassificationError
 from hyperval.report import style
-from hyperval.report.figures_covariance import line_handle
+from hyperval.report.panels import COVERAGE, GREY, mark_entries, name_rows, of_side
+from hyperval.report.sides import Sides
 from hyperval.report.style import COLLECTED, PREDICTED, Drawing
 from hyperval.results import Result
 
-Sides = tuple[Products | None, Products | None]
-
-_COVERAGE = 1.96
 _MOST_ROWS = 40
-_NORMAL = "#444444"
 _BOUNDS = "#e4e4e4"
 
 
 def class_error_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Classification error of every set of classes and features, both sides, with the bounds from distances."""
-    predicted, measured = (({} if s is None else s.classification) for s in sides)
+    predicted, measured = (of_side(side, "classification") for side in sides)
     every = list(dict.fromkeys([*measured, *predicted]))
     keys = every[:_MOST_ROWS]
     if not keys:
@@ -41,7 +37,7 @@ def class_error_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             low = max(model.bound_lower, floor)
             axes.barh(at, model.bound_upper - low, left=low, height=0.62, color=_BOUNDS, linewidth=0, zorder=1)
             if model.approximation >= floor:
-                axes.plot([model.approximation] * 2, [at - 0.31, at + 0.31], color=_NORMAL, linewidth=1.4, zorder=2)
+                axes.plot([model.approximation] * 2, [at - 0.31, at + 0.31], color=GREY, linewidth=1.4, zorder=2)
     for errors, look, shift in ((predicted, PREDICTED, -0.14), (measured, COLLECTED, 0.14)):
         for at, key in enumerate(keys):
             if key in errors:
@@ -49,16 +45,12 @@ def class_error_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     axes.set_xscale("log")
     axes.set_xlim(floor / 1.4, 1.0)
     style.log_ticks(axes.xaxis)
-    labels = [style.plain(f"{style.shortened(classes, 44)}, {features}") for classes, features in keys]
-    axes.set_yticks(range(len(keys)), labels)
-    axes.set_ylim(len(keys) - 0.5, -0.5)
-    axes.grid(visible=False, axis="y")
+    name_rows(axes, [f"{style.shortened(classes, 44)}, {features}" for classes, features in keys])
     axes.set_xlabel("probability of error [1] (bar: 95 % interval; arrow: down to none)")
-    entries: list[tuple[Any, str]] = [
-        (line_handle(PREDICTED.colour, PREDICTED.line, PREDICTED.marker, hollow=True), "predicted"),
-        (line_handle(COLLECTED.colour, COLLECTED.line, COLLECTED.marker), "measured"),
+    entries = [
+        *mark_entries(),
         (Patch(color=_BOUNDS), "bounds from the predicted distance"),
-        (Line2D([], [], color=_NORMAL, marker="|", linestyle="", markersize=9), "estimate from it"),
+        (Line2D([], [], color=GREY, marker="|", linestyle="", markersize=9), "estimate from it"),
     ]
     style.add_legend(figure, entries)
     words = "; ".join(
@@ -69,15 +61,13 @@ def class_error_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         for key in keys
     )
     title = f"Error of a Gaussian maximum-likelihood classifier{style.left_out([keys], every)}"
-    return [
-        Drawing("class-error", "classification", title, f"{title}: {words}.", style.vector_bytes(figure), "svg")
-    ]
+    return [style.vector_drawing(figure, "class-error", "classification", title, f"{title}: {words}.")]
 
 
 def unmixing_figures(sides: Sides, rows: Sequence[Result], *, simulated: bool) -> list[Drawing]:
     """Areas by unmixing against the nominal ones, and the root mean square error by size, by method."""
     predicted, measured = (
-        {} if s is None else {k: a for k, a in s.abundance.items() if a.nominal_m2 is not None} for s in sides
+        {k: a for k, a in of_side(side, "abundance").items() if a.nominal_m2 is not None} for side in sides
     )
     methods = list(dict.fromkeys(method for _, method in measured))[:4]
     if not methods:
@@ -99,10 +89,9 @@ def unmixing_figures(sides: Sides, rows: Sequence[Result], *, simulated: bool) -
     style.add_legend(
         figure,
         [
-            (line_handle(PREDICTED.colour, PREDICTED.line, PREDICTED.marker, hollow=True), "predicted"),
-            (line_handle(COLLECTED.colour, COLLECTED.line, COLLECTED.marker), "measured"),
+            *mark_entries(),
             (style.interval_handle(PREDICTED.colour, COLLECTED.colour), "95 % interval"),
-            (Line2D([], [], color=_NORMAL, linewidth=0.9), "nominal area"),
+            (Line2D([], [], color=GREY, linewidth=0.9), "nominal area"),
         ],
     )
     alt = (
@@ -111,7 +100,7 @@ def unmixing_figures(sides: Sides, rows: Sequence[Result], *, simulated: bool) -
         f"{'; '.join(words)}."
     )
     title = "Target areas by unmixing against nominal areas, and their error by size"
-    return [Drawing("unmixing-areas", "abundance", title, alt, style.vector_bytes(figure), "svg")]
+    return [style.vector_drawing(figure, "unmixing-areas", "abundance", title, alt)]
 
 
 def _error_floor(errors: Sequence[ClassificationError]) -> float:
@@ -125,15 +114,13 @@ def _error_words(name: str, e: ClassificationError) -> str:
 
 
 def _error_dot(axes: Axes, e: ClassificationError, at: float, look: style.Look, floor: float) -> None:
-    face = "white" if look is PREDICTED else look.colour
     low, high = max(e.lower, floor), max(e.upper, floor)
     axes.plot([low, high], [at, at], color=look.colour, linewidth=1.4, zorder=3)
     if e.lower < floor:
         axes.plot([low], [at], color=look.colour, marker="<", markersize=5, linestyle="", zorder=3)
     if e.error >= floor:
-        axes.plot(
-            [e.error], [at], color=look.colour, marker=look.marker, markerfacecolor=face, markersize=5, zorder=4
-        )
+        axes.plot([e.error], [at], color=look.colour, marker=look.marker, markerfacecolor=look.face, markersize=5,
+                  zorder=4)  # fmt: skip
 
 
 def _area_panel(
@@ -147,7 +134,7 @@ def _area_panel(
     for key, area in measured.items():
         if key[1] == method and area.nominal_m2:
             groups.setdefault(area.nominal_m2, []).append(key)
-    axes.axhline(1.0, color=_NORMAL, linewidth=0.9)
+    axes.axhline(1.0, color=GREY, linewidth=0.9)
     for nominal, keys in groups.items():
         # Side by side within a quarter of a decade, in the order of the targets.
         steps = np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else np.zeros(1)
@@ -155,12 +142,11 @@ def _area_panel(
             for areas, look, shift in ((predicted, PREDICTED, -0.012), (measured, COLLECTED, 0.012)):
                 if key not in areas:
                     continue
-                face = "white" if look is PREDICTED else look.colour
                 a = areas[key]
                 axes.errorbar(
                     [nominal * 10 ** (step + shift)], [a.area_m2 / nominal],
-                    yerr=[np.nan_to_num(_COVERAGE * a.standard_uncertainty / nominal)],
-                    fmt=look.marker, color=look.colour, markerfacecolor=face, markersize=4, linewidth=1.0,
+                    yerr=[np.nan_to_num(COVERAGE * a.standard_uncertainty / nominal)],
+                    fmt=look.marker, color=look.colour, markerfacecolor=look.face, markersize=4, linewidth=1.0,
                 )  # fmt: skip
     axes.set_ylim(-0.6, 4.2)
     _size_axis(axes, list(groups))
@@ -177,11 +163,10 @@ def _rmse_panel(axes: Axes, rows: Sequence[Result], method: str, sizes: Sequence
         x, y, low, high = (np.array(c) for c in zip(*points, strict=True))
         if np.isfinite(low).any():
             axes.fill_between(x, low, high, color=look.colour, alpha=0.2, linewidth=0)
-        face = "white" if look is PREDICTED else look.colour
-        axes.plot(x, y, color=look.colour, linestyle=look.line, marker=look.marker, markerfacecolor=face)
+        axes.plot(x, y, color=look.colour, linestyle=look.line, marker=look.marker, markerfacecolor=look.face)
         name = "predicted" if side == "predicted" else "measured"
         words.append(f"{method}, {name}: " + ", ".join(f"{v:.2g} m² at {a:g} m²" for a, v, _, _ in points))
-    axes.plot(sorted(sizes), sorted(sizes), color=_NORMAL, linewidth=0.9)
+    axes.plot(sorted(sizes), sorted(sizes), color=GREY, linewidth=0.9)
     axes.set_yscale("log")
     style.log_ticks(axes.yaxis)
     _size_axis(axes, sizes)

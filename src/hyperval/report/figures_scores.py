@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,7 @@ from scipy.special import betaincinv
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.report import style
+from hyperval.report.panels import Entries, line_entries, name_rows, of_side, small_multiples
 from hyperval.report.sides import Sides, both_first
 from hyperval.report.style import COLLECTED, DIFFERENCE_COLOUR, PREDICTED, Drawing
 
@@ -45,9 +45,7 @@ def object_score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         outside = "" if inside else ", outside"
         words.append(f"{subject} {detector}: {measured[0]:.3g}, predicted {low:.3g} to {high:.3g}{outside}")
     axes.axvline(0.0, color=_GREY, linewidth=0.8)
-    axes.set_yticks(range(len(shown)), [style.plain(style.shortened(f"{s}, {d}")) for (s, d), _, _ in shown])
-    axes.set_ylim(len(shown) - 0.4, -0.6)
-    axes.grid(visible=False, axis="y")
+    name_rows(axes, [style.shortened(f"{s}, {d}") for (s, d), _, _ in shown], 0.4, 0.6)
     axes.set_xlabel("greatest score over the object's pixels [1]")
     style.add_legend(
         figure,
@@ -55,17 +53,13 @@ def object_score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             (style.interval_handle(PREDICTED.colour), "predicted 95 %"),
             (Line2D([], [], color=PREDICTED.colour, marker="|", linestyle=""), "predicted median"),
             (Line2D([], [], color=COLLECTED.colour, marker=COLLECTED.marker, linestyle=""), "measured"),
-            (
-                Line2D(
-                    [], [], color=COLLECTED.colour, marker=COLLECTED.marker, linestyle="", markerfacecolor="white"
-                ),
-                "measured, outside",
-            ),
+            (Line2D([], [], color=COLLECTED.colour, marker=COLLECTED.marker, linestyle="",
+                    markerfacecolor="white"), "measured, outside"),
         ],
-    )
+    )  # fmt: skip
     title = f"Score of each object: predicted interval and measured value{_part(len(shown), len(pairs))}"
     alt = f"Measured score of each object beside its predicted 95 % interval. {'; '.join(words)}."
-    return [Drawing("object-scores", "scores", title, alt, style.vector_bytes(figure), "svg")]
+    return [style.vector_drawing(figure, "object-scores", "scores", title, alt)]
 
 
 def transform_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
@@ -97,45 +91,33 @@ def transform_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         "95 % band for independent objects, and their histogram with that of a uniform sample. Objects share "
         f"errors of the inputs, which the band leaves out. {'; '.join(words)}."
     )
-    return [Drawing("object-transforms", "scores", title, alt, style.vector_bytes(figure), "svg")]
+    return [style.vector_drawing(figure, "object-transforms", "scores", title, alt)]
 
 
 def exceedance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Share of background pixels above a score, predicted and measured, on a logarithmic axis."""
-    predicted, measured = (({} if s is None else s.exceedance) for s in sides)
+    predicted, measured = (of_side(side, "exceedance") for side in sides)
     every = [key for key in both_first(predicted, measured) if key in predicted]
     pages = style.pages(every, 1)
     drawings = []
     for keys in pages:
-        columns = style.column_count(len(keys))
-        rows = math.ceil(len(keys) / columns)
-        figure = style.new_figure(10.0, 1.0 + 2.5 * rows, "Background above a score", simulated)
+        labels = ("score [1]", "part of the background\nabove the score [1]")
+        figure, panels = small_multiples("Background above a score", len(keys), labels, simulated, row_in=2.5)
         words = []
-        for at, key in enumerate(keys):
-            axes = figure.add_subplot(rows, columns, at + 1)
+        for key, (axes,) in zip(keys, panels, strict=True):
             words.append(_tail_panel(axes, key, predicted[key], measured.get(key)))
             axes.set_title(style.plain(f"{key[0]}, {key[1]}"), loc="left", fontsize=8.5)
-            if at % columns == 0:
-                axes.set_ylabel("part of the background\nabove the score [1]")
-            if at + columns >= len(keys):
-                axes.set_xlabel("score [1]")
-        style.add_legend(
-            figure,
-            [
-                (Line2D([], [], color=PREDICTED.colour, linestyle=PREDICTED.line), "predicted"),
-                (Line2D([], [], color=COLLECTED.colour, linestyle=COLLECTED.line), "measured"),
-                (style.interval_handle(COLLECTED.colour), "95 % interval, by blocks of the image"),
-            ],
-        )
+        band = style.interval_handle(COLLECTED.colour), "95 % interval, by blocks of the image"
+        style.add_legend(figure, [*line_entries(True, True), band])
         alt = f"Part of the background above each score, predicted (dashed) and measured. {' '.join(words)}"
         title = f"False-alarm probability against the threshold{_part(len(keys), len(every))}"
-        drawings.append(Drawing("exceedance", "scores", title, alt, style.vector_bytes(figure), "svg"))
+        drawings.append(style.vector_drawing(figure, "exceedance", "scores", title, alt))
     return drawings
 
 
 def roc_difference_figures(sides: Sides, margin: float | None, *, simulated: bool) -> list[Drawing]:
     """Predicted minus measured P_D against P_FA with its 95 % interval, for the curves with the most targets."""
-    predicted, measured = (({} if s is None else s.roc) for s in sides)
+    predicted, measured = (of_side(side, "roc") for side in sides)
     every = [key for key in both_first(predicted, measured) if key in predicted and key in measured]
     # Objects are independent and pixels of one object are not: curves by object first, where there are several.
     every.sort(
@@ -144,20 +126,14 @@ def roc_difference_figures(sides: Sides, margin: float | None, *, simulated: boo
     pages = style.pages(every, 1)
     drawings = []
     for keys in pages:
-        columns = style.column_count(len(keys))
-        rows = math.ceil(len(keys) / columns)
-        figure = style.new_figure(10.0, 1.0 + 2.3 * rows, "Difference of P_D", simulated)
+        labels = ("$P_{FA}$ per pixel [1]", "$P_D$ predicted\nminus measured [1]")
+        figure, panels = small_multiples("Difference of P_D", len(keys), labels, simulated, row_in=2.3)
         words = []
-        for at, key in enumerate(keys):
-            axes = figure.add_subplot(rows, columns, at + 1)
+        for key, (axes,) in zip(keys, panels, strict=True):
             words.append(f"{', '.join(key)}: {_difference_panel(axes, predicted[key], measured[key], margin)}.")
             name = f"{style.shortened(key[0], 24)}, {style.shortened(key[1], 12)}, by {key[2]}"
             axes.set_title(style.plain(name), loc="left", fontsize=8.5)
-            if at % columns == 0:
-                axes.set_ylabel("$P_D$ predicted\nminus measured [1]")
-            if at + columns >= len(keys):
-                axes.set_xlabel("$P_{FA}$ per pixel [1]")
-        entries: list[tuple[Any, str]] = [
+        entries: Entries = [
             (Line2D([], [], color=DIFFERENCE_COLOUR), "difference"),
             (style.interval_handle(DIFFERENCE_COLOUR), "95 % interval"),
         ]
@@ -166,13 +142,13 @@ def roc_difference_figures(sides: Sides, margin: float | None, *, simulated: boo
         style.add_legend(figure, entries)
         alt = f"Predicted minus measured probability of detection. {' '.join(words)}"
         title = f"ROC: predicted minus measured P_D{style.left_out(pages, every)}"
-        drawings.append(Drawing("roc-difference", "roc", title, alt, style.vector_bytes(figure), "svg"))
+        drawings.append(style.vector_drawing(figure, "roc-difference", "roc", title, alt))
     return drawings
 
 
 def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:
     """(subject, detector), predicted draws and measured scores of what both sides hold."""
-    predicted, measured = (({} if s is None else s.object_scores) for s in sides)
+    predicted, measured = (of_side(side, "object_scores") for side in sides)
     out = []
     for key, scores in predicted.items():
         if key in measured:

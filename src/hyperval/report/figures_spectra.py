@@ -14,13 +14,13 @@ from matplotlib.patches import Patch
 
 from hyperval.products import Products, SpectralEstimate
 from hyperval.report import style
+from hyperval.report.panels import COVERAGE, Entries, interval_entry, line_entries, of_side, small_multiples
 from hyperval.report.sides import MOST_EIGENVALUES, Sides, both_first, difference, eigenvalues
 from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
 from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
 
-_COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
 _MOST_SOURCES = 7
 
 
@@ -32,7 +32,7 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
         "toa_reflectance": ("reflectance [1]", "Reflectance at the top of the atmosphere", True),
         "snr": ("signal-to-noise\nratio [1]", "Signal-to-noise ratio", True),
     }[product]
-    predicted, collected = _of_side(sides[0], product), _of_side(sides[1], product)
+    predicted, collected = of_side(sides[0], product), of_side(sides[1], product)
     drawings = []
     every = both_first(predicted, collected)
     # Where anything can be compared, what only one side holds is left to products.nc.
@@ -43,30 +43,19 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
     pages = style.pages(pairs or every)
     for number, subjects in enumerate(pages, start=1):
         axis = next(side.axis for side in sides if side is not None)
-        columns = style.column_count(len(subjects))
-        rows = math.ceil(len(subjects) / columns)
-        figure = style.new_figure(10.0, 0.9 + (3.1 if paired else 2.3) * rows, title, simulated)
-        grid = figure.add_gridspec(
-            2 * rows if paired else rows, columns, height_ratios=[2, 1] * rows if paired else None
+        below_label = "difference\nratio [1]" if ratio else "difference\n[1]"
+        labels = (style.band_label(axis), label, *((below_label,) if paired else ()))
+        figure, panels = small_multiples(
+            title, len(subjects), labels, simulated, row_in=3.1 if paired else 2.3, more_in=0.9
         )
         medians = []
-        for at, subject in enumerate(subjects):
-            row, column = divmod(at, columns)
-            top = lowest = figure.add_subplot(grid[2 * row if paired else row, column])
+        for subject, (top, *below) in zip(subjects, panels, strict=True):
             top.set_title(style.plain(style.shortened(subject, 44)), loc="left")
             _overlay(top, sides, predicted.get(subject), collected.get(subject))
-            if paired:
-                lowest = figure.add_subplot(grid[2 * row + 1, column], sharex=top)
-                top.tick_params(labelbottom=False)
-                median = _difference(lowest, sides, predicted.get(subject), collected.get(subject), ratio)
+            if below:
+                median = _difference(below[0], sides, predicted.get(subject), collected.get(subject), ratio)
                 if median is not None:
                     medians.append(f"{subject} {median:.2%}" if ratio else f"{subject} {median:.4f}")
-            if column == 0:
-                top.set_ylabel(label)
-                if paired:
-                    lowest.set_ylabel("difference\nratio [1]" if ratio else "difference\n[1]")
-            if at + columns >= len(subjects):
-                lowest.set_xlabel(style.band_label(axis))
         figure.align_ylabels()
         style.add_legend(figure, _legend(predicted, collected, difference=paired, absorption=not axis.numbered))
         alt = (
@@ -76,23 +65,16 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
         )
         if medians:
             alt += f" Median absolute difference in the windows: {'; '.join(medians)}."
-        drawings.append(
-            Drawing(
-                _numbered(f"{product}-pair", number, len(pages)),
-                product,
-                f"{title}: predicted and collected{style.left_out(pages, every)}",
-                alt,
-                style.vector_bytes(figure),
-                "svg",
-            )
-        )
+        name = f"{product}-pair" if len(pages) == 1 else f"{product}-pair-{number}"
+        caption = f"{title}: predicted and collected{style.left_out(pages, every)}"
+        drawings.append(style.vector_drawing(figure, name, product, caption, alt))
     return drawings
 
 
 def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Relative uncertainty of the radiance by source, stacked to the total."""
     panels: list[tuple[str, str, Products, SpectralEstimate]] = []
-    estimates = [_of_side(side, "radiance") for side in sides]
+    estimates = [of_side(side, "radiance") for side in sides]
     every = both_first(*estimates)
     for subject in [s for s in every if all(s in side for side in estimates)] or every:
         for name, side in (("predicted", sides[0]), ("collected", sides[1])):
@@ -102,11 +84,12 @@ def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         return []
     every, panels = panels, panels[: style.MAX_PANELS]
     sources, colours = _ranked_sources([e for *_, e in panels])
-    columns = min(len(panels), 2)  # predicted beside collected where both have a budget
-    rows = math.ceil(len(panels) / columns)
-    figure = style.new_figure(10.0, 1.1 + 2.3 * rows, "Uncertainty of the radiance by source", simulated)
-    for at, (subject, name, side, estimate) in enumerate(panels):
-        axes = figure.add_subplot(rows, columns, at + 1)
+    labels = (style.band_label(panels[0][2].axis), "standard uncertainty\n[% of radiance]")
+    figure, each = small_multiples(
+        "Uncertainty of the radiance by source", len(panels), labels, simulated, row_in=2.3, more_in=1.1,
+        columns=min(len(panels), 2),  # predicted beside collected where both have a budget
+    )  # fmt: skip
+    for (subject, name, side, estimate), (axes,) in zip(panels, each, strict=True):
         axes.set_title(style.plain(f"{style.shortened(subject, 32)} ({name})"), loc="left")
         w = side.axis.centre_nm
         parts = _variance_parts(estimate, sources)
@@ -117,11 +100,7 @@ def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         axes.stackplot(w, np.nan_to_num(heights), colors=colours, linewidth=0)
         limits = style.robust_limits([heights.sum(axis=0)[_keep(w)]], zero=True)
         _wavelength_axis(axes, w, limits)
-        if at % columns == 0:
-            axes.set_ylabel("standard uncertainty\n[% of radiance]")
-        if at + columns >= len(panels):
-            axes.set_xlabel(style.band_label(side.axis))
-    entries: list[tuple[Any, str]] = [(Patch(color=c), s) for s, c in zip(sources, colours, strict=True)]
+    entries: Entries = [(Patch(color=c), s) for s, c in zip(sources, colours, strict=True)]
     entries.append((Patch(color=style.ABSORPTION_COLOUR), "absorption band"))
     style.add_legend(figure, entries, columns=4)
     alt = (
@@ -131,13 +110,13 @@ def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     )
     title = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
     title += style.left_out([panels], every)
-    return [Drawing("radiance-budget", "radiance", title, alt, style.vector_bytes(figure), "svg")]
+    return [style.vector_drawing(figure, "radiance-budget", "radiance", title, alt)]
 
 
 def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     """Eigenvalues of the pixel covariance of the radiance, predicted and collected."""
     predicted, collected = (
-        {k: e for k, e in _of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
+        {k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
     )
     every = both_first(predicted, collected)
     subjects = [s for s in every if s in predicted and s in collected]
@@ -146,12 +125,11 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     subjects = subjects[: style.MAX_PANELS]
     if not subjects:
         return []
-    columns = style.column_count(len(subjects))
-    rows = math.ceil(len(subjects) / columns)
-    figure = style.new_figure(10.0, 0.9 + 2.6 * rows, "Eigenvalues of the radiance covariance", simulated)
+    labels = ("number of the eigenvalue [1]", "eigenvalue\n[(µW cm⁻² sr⁻¹ nm⁻¹)²]")
+    title = "Eigenvalues of the radiance covariance"
+    figure, panels = small_multiples(title, len(subjects), labels, simulated, row_in=2.6, more_in=0.9)
     words = []
-    for at, subject in enumerate(subjects):
-        axes = figure.add_subplot(rows, columns, at + 1)
+    for subject, (axes,) in zip(subjects, panels, strict=True):
         axes.set_title(style.plain(style.shortened(subject, 44)), loc="left")
         firsts = []
         for spectra, look in ((predicted, PREDICTED), (collected, COLLECTED)):
@@ -163,10 +141,6 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         axes.set_yscale("log")
         axes.set_xlim(left=0.0)
         style.log_ticks(axes.yaxis)
-        if at % columns == 0:
-            axes.set_ylabel("eigenvalue\n[(µW cm⁻² sr⁻¹ nm⁻¹)²]")
-        if at + columns >= len(subjects):
-            axes.set_xlabel("number of the eigenvalue [1]")
     style.add_legend(figure, _legend(predicted, collected, difference=False, absorption=False))
     alt = (
         f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
@@ -174,7 +148,7 @@ def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
     )
     title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
     title += style.left_out([subjects], every)
-    return [Drawing("radiance-eigenvalues", "covariance", title, alt, style.vector_bytes(figure), "svg")]
+    return [style.vector_drawing(figure, "radiance-eigenvalues", "covariance", title, alt)]
 
 
 def _overlay(
@@ -186,7 +160,7 @@ def _overlay(
         if side is None or estimate is None:
             continue
         w = side.axis.centre_nm
-        half = _COVERAGE * estimate.standard_uncertainty
+        half = COVERAGE * estimate.standard_uncertainty
         axes.fill_between(w, estimate.mean - half, estimate.mean + half, color=look.colour, alpha=0.2, linewidth=0)
         # Dashes on top of the solid line, so that neither hides the other where they agree.
         axes.plot(w, estimate.mean, color=look.colour, linestyle=look.line, zorder=3 if look is PREDICTED else 2)
@@ -211,7 +185,7 @@ def _difference(
         axes.text(0.5, 0.6, "the two sides have different bands", ha="center", transform=axes.transAxes)
         return None
     value, u = difference(predicted, collected, ratio)
-    half = _COVERAGE * u
+    half = COVERAGE * u
     axes.fill_between(w, value - half, value + half, color=style.DIFFERENCE_COLOUR, alpha=0.25, linewidth=0)
     axes.plot(w, value, color=style.DIFFERENCE_COLOUR, linewidth=1.2)
     keep = _keep(w)
@@ -241,7 +215,7 @@ def _eigenvalue_line(axes: Axes, values: Array, n: int | None, look: Look) -> No
     number = np.arange(1, values.size + 1)
     if n is not None and n > 1:
         # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
-        factor = np.exp(_COVERAGE * math.sqrt(2.0 / (n - 1)))
+        factor = np.exp(COVERAGE * math.sqrt(2.0 / (n - 1)))
         axes.fill_between(number, values / factor, values * factor, color=look.colour, alpha=0.2, linewidth=0)
     hollow = look is PREDICTED  # and larger and on top, so that neither hides the other
     axes.plot(
@@ -278,25 +252,13 @@ def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> tuple[list[str], l
 
 def _legend(
     predicted: Mapping[Any, Any], collected: Mapping[Any, Any], *, difference: bool, absorption: bool
-) -> list[tuple[Any, str]]:
-    entries: list[tuple[Any, str]] = []
-    colours = []
-    for side, look, name in ((predicted, PREDICTED, "predicted"), (collected, COLLECTED, "collected")):
-        if side:
-            entries.append((Line2D([], [], color=look.colour, linestyle=look.line), name))
-            colours.append(look.colour)
+) -> Entries:
+    entries = line_entries(predicted, collected, "collected")
+    patches, words = interval_entry(predicted, collected)
     if difference:
         entries.append((Line2D([], [], color=style.DIFFERENCE_COLOUR), "difference"))
-        colours.append(style.DIFFERENCE_COLOUR)
-    entries.append((style.interval_handle(*colours), "95 % interval"))
+        patches += style.interval_handle(style.DIFFERENCE_COLOUR)
+    entries.append((patches, words))
     if absorption:
         entries.append((Patch(color=style.ABSORPTION_COLOUR), "absorption band"))
     return entries
-
-
-def _of_side(side: Products | None, product: str) -> Mapping[str, SpectralEstimate]:
-    return {} if side is None else getattr(side, product)
-
-
-def _numbered(name: str, number: int, of: int) -> str:
-    return name if of == 1 else f"{name}-{number}"

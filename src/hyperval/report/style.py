@@ -79,10 +79,11 @@ class Look:
     colour: str
     line: Literal["-", "--"]
     marker: str
+    face: str  # of the marker
 
 
-PREDICTED = Look("#0072B2", "--", "o")
-COLLECTED = Look("#C2410C", "-", "s")
+PREDICTED = Look("#0072B2", "--", "o", "white")
+COLLECTED = Look("#C2410C", "-", "s", "#C2410C")
 
 
 @dataclass(frozen=True)
@@ -187,6 +188,11 @@ def vector_bytes(figure: Figure) -> bytes:
     out = io.BytesIO()
     figure.savefig(out, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
     return out.getvalue()
+
+
+def vector_drawing(figure: Figure, name: str, section: str, title: str, alt: str, legend: str = "") -> Drawing:
+    """A finished figure of lines and words."""
+    return Drawing(name, section, title, alt, vector_bytes(figure), "svg", legend=legend)
 
 
 def png_bytes(figure: Figure, dpi: float = 120.0) -> bytes:

@@ -87,9 +87,7 @@ def response_figure(check: SensorCheck) -> Drawing:
     )
     ratio = f"; the median width is {np.median(neighbour_ratio(axis)):.2f} spacings" if len(axis) > 1 else ""
     alt = f"Width and spacing of the {len(axis)} bands against wavelength, and the responses of a few{ratio}."
-    return Drawing(
-        "response", "response", "Bands: width, spacing and response", alt, style.svg_bytes(figure), "svg"
-    )
+    return style.vector_drawing(figure, "response", "response", "Bands: width, spacing and response", alt)
 
 
 def snr_figure(check: SensorCheck) -> Drawing:
@@ -118,7 +116,7 @@ def snr_figure(check: SensorCheck) -> Drawing:
         f"{middle.max():.0f}."
     )
     title = "Signal-to-noise ratio at the reference radiances (solid: without C_R; dashed: with it)"
-    return Drawing("snr", "snr", title, alt, style.svg_bytes(figure), "svg")
+    return style.vector_drawing(figure, "snr", "snr", title, alt)
 
 
 def noise_figure(check: SensorCheck) -> Drawing:
@@ -134,8 +132,7 @@ def noise_figure(check: SensorCheck) -> Drawing:
         kept = {words: 100.0 * np.abs(v) / total for words, v in rows.items() if np.max(np.abs(v) / total) > 1e-4}
         for words in kept:
             shown.setdefault(words, style.SOURCE_COLOURS[list(_SOURCES.values()).index(words)])
-        step = len(axis) < 30
-        if step:
+        if len(axis) < 30:
             base = np.zeros(len(axis))
             for words, share in kept.items():
                 axes.bar(axis.centre_nm, share, axis.fwhm_nm, bottom=base, color=shown[words], linewidth=0)
@@ -147,9 +144,7 @@ def noise_figure(check: SensorCheck) -> Drawing:
     panels[0].set_ylabel("share of the variance [%]")
     style.add_legend(figure, [(Patch(color=colour), words) for words, colour in shown.items()])
     alt = f"Share of each source in the variance of the noise, dark and bright ground: {', '.join(shown)}."
-    return Drawing(
-        "noise", "noise", "Sources of noise, dark and bright ground", alt, style.svg_bytes(figure), "svg"
-    )
+    return style.vector_drawing(figure, "noise", "noise", "Sources of noise, dark and bright ground", alt)
 
 
 def saturation_figure(check: SensorCheck) -> Drawing | None:
@@ -172,9 +167,7 @@ def saturation_figure(check: SensorCheck) -> Drawing | None:
     axes.set_ylabel("part of full scale [1]")
     style.add_legend(figure, entries)
     alt = f"Signal as a part of full scale against wavelength; the highest, at reflectance 1, is {highest:.2f}."
-    return Drawing(
-        "saturation", "saturation", "Signal as a part of full scale", alt, style.svg_bytes(figure), "svg"
-    )
+    return style.vector_drawing(figure, "saturation", "saturation", "Signal as a part of full scale", alt)
 
 
 def _few_bands(axis: SpectralAxis) -> npt.NDArray[np.intp]:
@@ -257,7 +250,7 @@ def published_figure(points: Sequence[SnrPoint]) -> Drawing:
     listed = "; ".join(f"{p.wavelength_nm:g} nm {p.computed:.0f} to {p.published:g}" for p in points)
     title = "Computed over published signal-to-noise ratio (numbers: computed / published)"
     alt = f"Computed against published ratios: {listed}."
-    return Drawing("published-snr", "published_snr", title, alt, style.svg_bytes(figure), "svg")
+    return style.vector_drawing(figure, "published-snr", "published_snr", title, alt)
 
 
 def detection_figure(predictions: Mapping[str, Prediction]) -> Drawing | None:
@@ -287,7 +280,7 @@ def detection_figure(predictions: Mapping[str, Prediction]) -> Drawing | None:
     style.add_legend(figure, [(Line2D([], [], color="#444444", linestyle=lines[d]), d) for d in lines])
     alt = f"Probability of detection against that of false alarm in {', '.join(scenes)}, by target and detector."
     title = "Detection in the standard scenes with this sensor"
-    return Drawing("detection", "scenario", title, alt, style.svg_bytes(figure), "svg")
+    return style.vector_drawing(figure, "detection", "scenario", title, alt)
 
 
 def sensitivity_figure(swings: Sequence[Swing], probe: Probe | None, vary: float) -> Drawing | None:
@@ -311,11 +304,8 @@ def sensitivity_figure(swings: Sequence[Swing], probe: Probe | None, vary: float
     right.xaxis.set_major_locator(MaxNLocator(5))
     what = f"change of P_D: {probe.key[0]}, {probe.key[1]}" if probe else "change of P_D [1]"
     right.set_xlabel(style.plain(f"{what} [1]" if probe else what))
-    entries: list[tuple[Any, str]] = [
-        (Patch(color=style.SOURCE_COLOURS[4]), "lower"),
-        (Patch(color=style.SOURCE_COLOURS[5]), "higher"),
-    ]
-    style.add_legend(figure, entries)
+    shades = ((style.SOURCE_COLOURS[4], "lower"), (style.SOURCE_COLOURS[5], "higher"))
+    style.add_legend(figure, [(Patch(color=colour), words) for colour, words in shades])
     most = kept[0]
     alt = (
         f"Bars of what each of {len(swings)} assumed numbers does when it is {100 * vary:g} % lower or higher. "
@@ -323,7 +313,7 @@ def sensitivity_figure(swings: Sequence[Swing], probe: Probe | None, vary: float
     )
     more = f"; {len(kept)} of {len(swings)} are drawn" if len(kept) < len(swings) else ""
     title = f"What each assumed number does to the SNR (of the band it moves most) and to P_D{more}"
-    return Drawing("sensitivity", "sensitivity", title, alt, style.svg_bytes(figure), "svg")
+    return style.vector_drawing(figure, "sensitivity", "sensitivity", title, alt)
 
 
 def _detection_axes(axes: Axes, name: str) -> None:

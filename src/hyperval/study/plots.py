@@ -120,7 +120,7 @@ def _lines(study: Study, table: StudyTable, plot: Plot, name: str, knees: list[C
     if any(_is_knee_of(f, plot, m, fixed) and np.isfinite(f.point.x) for f in knees for m in shown):
         notes += "; circle: knee"
     title = (plot.title or f"{_output_words(study, plot.output)} against {item.words}") + notes
-    return Drawing(name, "study", title, f"Lines. {'; '.join(words)}.", style.svg_bytes(figure), "svg")
+    return style.vector_drawing(figure, name, "study", title, f"Lines. {'; '.join(words)}.")
 
 
 def _heat(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
@@ -158,7 +158,7 @@ def _heat(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
     title = (plot.title or f"{_output_words(study, plot.output)} over {across.words} and {up.words}") + _notes(
         fixed, 0, 0
     )
-    return Drawing(name, "study", title, f"Heat map, {words}.", style.svg_bytes(figure), "svg")
+    return style.vector_drawing(figure, name, "study", title, f"Heat map, {words}.")
 
 
 def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
@@ -207,7 +207,7 @@ def _tornado(study: Study, table: StudyTable, plot: Plot, name: str) -> Drawing:
     title = plot.title or f"{_output_words(study, plot.output)}: each input alone over its values"
     title += f"; line: as the scenario stands, {number_text(float(base))}; at the ends the input's values, "
     title += "blue where the output is lowest, orange where it is highest"
-    return Drawing(name, "study", title, f"Tornado. {'; '.join(reversed(words))}.", style.svg_bytes(figure), "svg")
+    return style.vector_drawing(figure, name, "study", title, f"Tornado. {'; '.join(reversed(words))}.")
 
 
 def _summarised(
