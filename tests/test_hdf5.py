@@ -14,8 +14,8 @@ from hyperval import api, hdf5
 from hyperval.atmosphere.table_files import read_table
 from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5, trial
+from hyperval.imagery.companions import sun_of_observation
 from hyperval.imagery.cube import open_cube
-from hyperval.imagery.observation_geometry import sun_of_observation
 from hyperval.spectra.hypernets import read_hypernets
 from hyperval.statistics_library import read_statistics_library
 

@@ -10,8 +10,7 @@ import pytest
 from scipy import ndimage
 
 from hyperval.errors import InputError
-from hyperval.imagery.drawing import Drawing, area_inside, polygon_of
-from hyperval.imagery.polygons import polygon_mask
+from hyperval.imagery.drawing import Drawing, area_inside, polygon_mask, polygon_of
 from hyperval.imagery.regions import holes, read_regions
 
 SHAPE = (10, 12)

@@ -11,8 +11,8 @@ from rasterio.crs import CRS
 from scanned_line import LINES, SAMPLES, UTM18, ScannedLine, write_table
 
 from hyperval.errors import InputError
+from hyperval.imagery.drawing import polygon_mask
 from hyperval.imagery.lookup_table import divided, open_lookup_table
-from hyperval.imagery.polygons import polygon_mask
 from hyperval.imagery.regions import read_regions
 from hyperval.imagery.truth import read_targets
 

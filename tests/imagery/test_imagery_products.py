@@ -573,7 +573,7 @@ def test_where_there_is_no_room_for_a_file_lines_are_unpacked_again(tmp_path: Pa
 
     raster = open_raster(tmp_path / "a.nc")
     want = [raster.read_bands(line, 1).copy() for line in range(LINES)]
-    monkeypatch.setattr("hyperval.imagery.slabs.tempfile.TemporaryFile", full)
+    monkeypatch.setattr("hyperval.imagery.stores.tempfile.TemporaryFile", full)
     raster = open_raster(tmp_path / "a.nc")
     np.testing.assert_array_equal([raster.read_bands(line, 1) for line in range(LINES)], want)
 

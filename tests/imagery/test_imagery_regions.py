@@ -18,8 +18,8 @@ from rasterio.warp import transform as reproject
 from scipy import ndimage
 
 from hyperval.errors import HypervalError, InputError, UsageError
+from hyperval.imagery.drawing import polygon_mask
 from hyperval.imagery.envi_write import write_cube
-from hyperval.imagery.polygons import polygon_mask
 from hyperval.imagery.regions import (
     Region,
     guard,

@@ -15,7 +15,7 @@ from rasterio.warp import transform as reproject
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.drawing import Drawing
 from hyperval.imagery.regions import read_regions
-from hyperval.imagery.regions_vector import _draw
+from hyperval.imagery.regions_files import _draw
 
 SHAPE = (10, 12)
 SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7

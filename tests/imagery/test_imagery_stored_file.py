@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hyperval.errors import InputError
-from hyperval.imagery import stored_file
-from hyperval.imagery.stored_file import StoredFile
+from hyperval.imagery import stores
+from hyperval.imagery.stores import StoredFile
 
 
 @pytest.fixture
@@ -28,8 +28,8 @@ def filled(file, first, count):
 def way(request, monkeypatch):
     """Either way of reading; systems without ``preadv`` seek first."""
     if request.param == "seek":
-        monkeypatch.delattr(stored_file.os, "preadv", raising=False)
-    elif not hasattr(stored_file.os, "preadv"):
+        monkeypatch.delattr(stores.os, "preadv", raising=False)
+    elif not hasattr(stores.os, "preadv"):
         pytest.skip("this system has no preadv")
 
 

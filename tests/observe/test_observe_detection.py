@@ -9,7 +9,7 @@ from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, target_rows
 from hyperval.collection import Detection
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.envi_write import write_cube
-from hyperval.observe.bands import usable_bands
+from hyperval.observe.filter_bank import usable_bands
 from hyperval.processing.roc import pd_at_pfa
 from hyperval.processing.sample import SampleStatistics
 from hyperval.products import background_of

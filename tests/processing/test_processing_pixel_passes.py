@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.imagery import stored_file
+from hyperval.imagery import stores
 from hyperval.imagery.cube import open_cube
 from hyperval.processing import region_statistics as statistics_module
 from hyperval.processing.detectors import pixel_detector, whitener_of
@@ -304,7 +304,7 @@ def test_the_file_is_opened_once_for_a_pass(tmp_path, monkeypatch):
         opens.append(path)
         return open(path, *rest, **options)
 
-    monkeypatch.setattr(stored_file, "open", counted, raising=False)
+    monkeypatch.setattr(stores, "open", counted, raising=False)
     region_statistics(cube, block_lines=2)
     assert opens == [cube.source_files[0]]
 

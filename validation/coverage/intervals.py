@@ -17,7 +17,7 @@ from world import AXIS
 from hyperval.collection import AreaCheck, Detection
 from hyperval.compare.objects import judged_together
 from hyperval.imagery.truth import TargetObject, all_pixels
-from hyperval.observe.areas import target_areas
+from hyperval.observe.objects import target_areas
 from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.covariance_sampling import Directions, SamplingBand, sampling_band
 from hyperval.processing.exceedance import exceedance_curve

@@ -8,8 +8,8 @@ import numpy as np
 
 from hyperval.collection import Detection
 from hyperval.observe.filter_bank import map_name
+from hyperval.observe.objects import scored_pixels, target_groups
 from hyperval.observe.place import Place
-from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.report import ExpectedScores
 
 Expected = Mapping[tuple[str, str, str], float]

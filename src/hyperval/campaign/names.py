@@ -16,9 +16,9 @@ from hyperval.config import Location
 from hyperval.datasets import resolve
 from hyperval.errors import HypervalError
 from hyperval.metrics import foreign
+from hyperval.observe.objects import target_groups
 from hyperval.observe.place import IMAGE, SCENE, Place, check_line_for_detection, open_place
 from hyperval.observe.radcalnet import observe_radcalnet
-from hyperval.observe.subjects import target_groups
 from hyperval.prediction.inputs import Sources
 from hyperval.scenario import Scenario, SpectrumSource
 from hyperval.scene.builtin import builtin_class

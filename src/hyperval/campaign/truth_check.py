@@ -9,8 +9,8 @@ import numpy as np
 
 from hyperval.collection import Detection
 from hyperval.imagery.truth import TargetObject
+from hyperval.observe.objects import scored_pixels, target_groups
 from hyperval.observe.place import Place
-from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.prediction.fills import geometry_of, pixels_of_object
 from hyperval.scenario import Fill, Geometry, Scenario
 from hyperval.scene.fill import touched_counts

@@ -8,8 +8,8 @@ from hyperval.collection import Detection
 from hyperval.errors import UsageError
 from hyperval.imagery.truth import TargetObject
 from hyperval.observe.finer import fills_of
+from hyperval.observe.objects import target_groups
 from hyperval.observe.place import Place
-from hyperval.observe.subjects import target_groups
 from hyperval.scenario import Fill, Scenario, Target
 
 

@@ -16,8 +16,7 @@ from rasterio.crs import CRS
 
 from hyperval.errors import UsageError
 from hyperval.imagery.description import Description
-from hyperval.imagery.slabs import InMemory, Slab, Unpacked
-from hyperval.imagery.stores import Store
+from hyperval.imagery.stores import InMemory, Slab, Store, Unpacked
 
 Index = npt.NDArray[np.intp]
 AXES = "lsb"  # lines, samples, bands

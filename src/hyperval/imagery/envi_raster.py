@@ -16,7 +16,7 @@ from rasterio.crs import CRS
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.georeference import crs_of, transform_of
-from hyperval.imagery.stored_file import StoredFile
+from hyperval.imagery.stores import StoredFile
 
 Index = npt.NDArray[np.intp]
 _PACKED = {

@@ -8,7 +8,7 @@ from hyperval.envi_header import read_header
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.envi_raster import EnviRaster, check_size, header_beside
-from hyperval.imagery.gain_file import gain_file_beside
+from hyperval.imagery.scaling import Scaling, divided, gain_file_beside, scaling_of
 from hyperval.imagery.sidecars import image_of
 from hyperval.imagery.stores import check_own_values
 from hyperval.imagery.tiff_raster import TIFF_SUFFIXES, TiffRaster, open_tiff
@@ -129,3 +129,24 @@ def _data_beside(header: Path) -> Path:
             f"data files beside the header: {names}", where=str(header), mend="name the data file instead"
         )
     return candidates[0]
+
+
+def file_scaling(raster: Raster, *, quantity: str, unit: str | None, scale: float | None) -> Scaling:
+    """Gain and offset of every band of a file that is no product with a description of its own.
+
+    Raises
+    ------
+    InputError, UsageError : as for :func:`hyperval.imagery.scaling.scaling_of`.
+    """
+    if isinstance(raster, TiffRaster):
+        return scaling_of(
+            raster.header, raster.bands, quantity=quantity, unit=unit, scale=scale, file_gains=raster.gains,
+            file_offsets=raster.offsets,
+        )  # fmt: skip
+    path = raster.divisors_path if isinstance(raster, EnviRaster) else None
+    gains, unit = divided(path, raster.bands, quantity, unit, scale)
+    return scaling_of(
+        raster.header, raster.bands, quantity=quantity, unit=unit, scale=scale,
+        file_gains=() if gains is None else gains.tolist(),
+        file_note="" if path is None else f"stored values / those of {path.name}",
+    )  # fmt: skip

@@ -15,10 +15,9 @@ from scipy import ndimage
 from skimage.measure import label
 
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.imagery import regions_envi, regions_files, regions_vector
-from hyperval.imagery.drawing import WARNING, Drawing
+from hyperval.imagery import regions_envi, regions_files
+from hyperval.imagery.drawing import WARNING, Drawing, Position
 from hyperval.imagery.envi_raster import header_beside
-from hyperval.imagery.polygons import Position
 from hyperval.imagery.text_files import head_of
 from hyperval.imagery.tiff_raster import TIFF_SUFFIXES
 from hyperval.paths import checked_file
@@ -113,14 +112,14 @@ def read_regions(
     drawn: Mapping[Any, Mask | Drawing]
     if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names), root=root)
-    elif stripped.startswith(b"<") and not regions_vector.is_kml(head):
+    elif stripped.startswith(b"<") and not regions_files.is_kml(head):
         drawn = regions_envi.xml_drawings(path, cube_shape, transform=transform, crs=crs)
     elif b"ENVI Output of ROIs" in head[:200]:
         drawn = regions_envi.ascii_drawings(path, cube_shape)
     elif head.startswith(b"JoeB"):
         drawn = regions_envi.binary_drawings(path, cube_shape)
-    elif regions_vector.is_vector(head):
-        drawn = regions_vector.vector_drawings(
+    elif regions_files.is_vector(head):
+        drawn = regions_files.vector_drawings(
             path,
             cube_shape,
             coordinates=coordinates,

@@ -12,9 +12,8 @@ import numpy.typing as npt
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError
-from hyperval.imagery.drawing import Drawing
+from hyperval.imagery.drawing import Drawing, Position, map_to_pixel, reprojected
 from hyperval.imagery.georeference import crs_of_wkt
-from hyperval.imagery.polygons import Position, map_to_pixel, reprojected
 from hyperval.imagery.text_files import read_text, read_xml
 from hyperval.paths import checked_file
 

@@ -1,12 +1,17 @@
-"""Arrays in files that hold several, read by parts: HDF5 trees, and arrays that are at hand."""
+"""Files that are opened once for many reads, parts of the arrays in them, lines that are kept for the next read."""
 
 from __future__ import annotations
 
 import mmap
+import os
+import tempfile
+import threading
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import h5py
 import numpy as np
@@ -14,7 +19,6 @@ import numpy.typing as npt
 
 from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5
-from hyperval.imagery.stored_file import OpenedFile
 
 Selection = tuple[slice, ...]
 MAX_CHUNK_BYTES = 256 << 20
@@ -35,6 +39,40 @@ class Store(Protocol):
 
     def kept_open(self) -> Any:
         """Inside, the file is opened once for all reads."""
+
+
+class OpenedFile:
+    """A file that is opened for each read or, inside :meth:`kept_open`, once for all of them."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = threading.Lock()
+        self._opened: Any = None
+        self._users = 0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process opens it for itself."""
+        return type(self), (self.path,)
+
+    def open(self) -> Any:
+        """The opened file."""
+        raise NotImplementedError
+
+    @contextmanager
+    def kept_open(self) -> Iterator[Any]:
+        """The opened file, closed when the last of its users has left."""
+        with self._lock:
+            if self._opened is None:
+                self._opened = self.open()
+            self._users += 1
+        try:
+            yield self._opened
+        finally:
+            with self._lock:
+                self._users -= 1
+                if not self._users:
+                    self._opened.close()
+                    self._opened = None
 
 
 class Hdf5Store(OpenedFile):
@@ -139,3 +177,84 @@ class MemoryStore:
     def chunks(self, name: str) -> tuple[int, ...] | None:
         """None: it is stored as one."""
         return None
+
+
+class StoredFile(OpenedFile):
+    """A file that several threads read at stated places."""
+
+    def open(self) -> BinaryIO:
+        """The file without a buffer of its own."""
+        stream = open(self.path, "rb", buffering=0)  # noqa: SIM115 - closed when its last user leaves
+        if hasattr(os, "posix_fadvise"):
+            os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
+        return stream
+
+    def fill(self, out: npt.NDArray[Any], offset: int) -> None:
+        """Read a contiguous array from a place in the file.
+
+        Raises
+        ------
+        InputError : the file ends before.
+        """
+        view = memoryview(out.reshape(-1).view("u1").data)  # contiguous, so this is no copy
+        done = 0
+        with self.kept_open() as stream:
+            while done < len(view):
+                step = self._read(stream, view[done:], offset + done)
+                if not step:
+                    raise InputError("the file became shorter while it was read", where=str(self.path))
+                done += step
+
+    def _read(self, stream: BinaryIO, view: memoryview, offset: int) -> int:
+        if hasattr(os, "preadv"):
+            return os.preadv(stream.fileno(), [view], offset)
+        with self._lock:
+            stream.seek(offset)
+            return stream.readinto(view) or 0  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True, eq=False)
+class InMemory:
+    """Lines in memory, as values (bands, lines, samples)."""
+
+    first: int
+    lines: int
+    values: npt.NDArray[Any]
+
+    def read(self, start: int, count: int) -> npt.NDArray[Any]:
+        """(bands, count, samples) values from line ``start`` of the slab on."""
+        return self.values[:, start : start + count]
+
+
+@dataclass(frozen=True, eq=False)
+class Unpacked:
+    """Lines in a file without a name, one after the other with all their bands; it goes when it is closed."""
+
+    first: int
+    lines: int
+    bands: int
+    samples: int
+    dtype: np.dtype
+    file: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open for as long as the slab is there
+        weakref.finalize(self, file.close)
+        object.__setattr__(self, "file", file)
+
+    def write(self, band: int, values: npt.NDArray[Any]) -> None:
+        """Put some bands (n, lines, samples) in their places, ``band`` the first of them."""
+        row = self.samples * self.dtype.itemsize
+        for line in range(self.lines):
+            self.file.seek((line * self.bands + band) * row)
+            self.file.write(np.ascontiguousarray(values[:, line], self.dtype).data)
+
+    def read(self, start: int, count: int) -> npt.NDArray[Any]:
+        """(bands, count, samples) values from line ``start`` of the slab on."""
+        out = page_array((count, self.bands, self.samples), self.dtype)
+        self.file.seek(start * self.bands * self.samples * self.dtype.itemsize)
+        self.file.readinto(out.data.cast("B"))
+        return out.transpose(1, 0, 2)
+
+
+Slab = InMemory | Unpacked

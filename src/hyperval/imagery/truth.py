@@ -12,8 +12,8 @@ import numpy.typing as npt
 from affine import Affine
 
 from hyperval.errors import InputError, UsageError, reader
+from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, point_mask, polygon_mask
 from hyperval.imagery.lookup_table import LookupTable
-from hyperval.imagery.polygons import Position, inside_image, map_to_pixel, point_mask, polygon_mask
 from hyperval.imagery.regions import guard
 from hyperval.imagery.text_files import read_table
 from hyperval.paths import checked_file

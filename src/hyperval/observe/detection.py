@@ -13,12 +13,9 @@ from hyperval.collection import Detection, DetectionTarget
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.truth import TargetMasks, TargetObject
 from hyperval.observe.anomalies import anomaly_note, anomaly_products
-from hyperval.observe.areas import target_areas
-from hyperval.observe.bands import spectrum_by_number
-from hyperval.observe.filter_bank import FilterBank, filter_bank, map_name
-from hyperval.observe.object_roc import alarms_by_pixel, object_curve
+from hyperval.observe.filter_bank import FilterBank, filter_bank, map_name, spectrum_by_number
+from hyperval.observe.objects import alarms_by_pixel, object_curve, scored_pixels, target_areas, target_groups
 from hyperval.observe.place import IMAGE, SCENE, Place
-from hyperval.observe.subjects import scored_pixels, target_groups
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.alarms import alarms_before_first

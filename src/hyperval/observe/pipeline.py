@@ -16,12 +16,11 @@ from hyperval.observe.classification import classification_errors
 from hyperval.observe.detection import Detected, detect
 from hyperval.observe.empirical_line import empirical_line, line_notes, refuse_saturated
 from hyperval.observe.filter_bank import BACKGROUND, in_reflectance
+from hyperval.observe.objects import scored_pixels, target_groups
 from hyperval.observe.place import IMAGE, Place, check_line_for_detection, open_place
 from hyperval.observe.radcalnet import observe_radcalnet
-from hyperval.observe.sampling import mean_error
 from hyperval.observe.site_spectra import observe_spectra
-from hyperval.observe.spread import pixel_distances
-from hyperval.observe.subjects import scored_pixels, target_groups
+from hyperval.observe.spread import mean_error, pixel_distances
 from hyperval.observe.uncertainty import calibration_covariance, rounding_variance, spectral_estimate
 from hyperval.observe.unmixing import Unmixed, unmix
 from hyperval.observe.wavelengths import wavelength_notes

@@ -28,8 +28,7 @@ from hyperval.imagery.regions import guard, read_regions
 from hyperval.imagery.truth import TargetObject, all_pixels, read_targets
 from hyperval.imagery.truth_masks import intersected_objects, region_objects
 from hyperval.observe.finer import finer_targets
-from hyperval.observe.regions import collection_regions, regions_of_file
-from hyperval.observe.shared_pixels import region_notes, target_overlaps
+from hyperval.observe.regions import collection_regions, region_notes, regions_of_file, target_overlaps
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.observe.truth_bands import abundance_targets
 from hyperval.processing.mask_bits import PackedMasks

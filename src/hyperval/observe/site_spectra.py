@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.collection import Collection
+from hyperval.collection import Collection, EmpiricalLineSource, PathRadiance
 from hyperval.collection_files import BandTable
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.observe.site_line import site_reflectance, sites_of
+from hyperval.observe.empirical_line import field_reflectance, line_warnings
 from hyperval.observe.uncertainty import calibration_covariance, detector_covariance, spectral_estimate
 from hyperval.observe.wavelengths import wavelength_notes
+from hyperval.processing.elm import PanelMeasurement, fit_elm
+from hyperval.processing.elm_error import PanelErrors, line_error
+from hyperval.processing.elm_in_scene import fit_gain
 from hyperval.products import Observation, SpectralEstimate
 from hyperval.sensor.specification import load_sensor
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
@@ -24,6 +29,10 @@ from hyperval.units import RADIANCE_UNIT, wavelength_to_nm
 Array = npt.NDArray[np.float64]
 MAX_TABLE_BYTES = 10 << 20
 SAME_BAND_NM = 0.5
+Mask = npt.NDArray[np.bool_]
+Resolve = Callable[[str], Path]
+# Sites are what the scene has: the gain over its uncertainty decides, and this keeps equal sites from a line.
+LEAST_CONTRAST = 0.01
 
 
 def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> Observation:
@@ -144,3 +153,153 @@ def read_band_table(path: Path, table: BandTable) -> SpectralAxis:
         return SpectralAxis(centre, np.array([row[table.fwhm_column] for row in rows]) * factor)
     except UsageError as error:
         raise InputError(f"not a table of bands: {error.what}", where=str(path), expected=error.expected) from error
+
+
+@dataclass(frozen=True)
+class Site:
+    """A collected site.
+
+    Attributes
+    ----------
+    mean : (B,) radiance [uW cm-2 sr-1 nm-1]
+    own : (B, B) error covariance that no other site shares, its detector noise
+    relative : (B, B) relative error covariance that all sites of a flight line share, the calibration's
+    n : pixels averaged, None when unknown
+    line : flight line
+    """
+
+    mean: Array
+    own: Array
+    relative: Array
+    n: int | None
+    line: str | None
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """A point of a line: reflectance (B,) and radiance (B,), each with its error covariance (B, B)."""
+
+    name: str
+    reflectance: Array
+    reflectance_error: Array
+    radiance: Array
+    radiance_error: Array
+    n: int = 1
+
+    def measurement(self, use: Mask) -> tuple[PanelMeasurement, PanelErrors]:
+        """The panel in some bands."""
+        at = np.ix_(use, use)
+        errors = PanelErrors(self.reflectance_error[at], self.radiance_error[at])
+        sd, variance = np.sqrt(np.diag(errors.reflectance)), np.diag(errors.radiance).copy()
+        return PanelMeasurement(self.name, self.reflectance[use], sd, self.radiance[use], variance, self.n), errors
+
+
+def site_reflectance(
+    source: EmpiricalLineSource, sites: Mapping[str, Site], axis: SpectralAxis, resolve: Resolve
+) -> tuple[dict[str, SpectralEstimate], list[str]]:
+    """Reflectance of every site by the line through the other panels of its flight line, and notes.
+
+    A site is never on its own line, so that each reflectance is a prediction of what the ground has.  Two or more
+    other panels make the line; a single one makes it with the path radiance that ``path_radiance`` states for the
+    flight line, and the note marks it as a one-point line.  Sites of one flight share their calibration, which
+    cancels, but for the part of it in which a stated path radiance has none.
+
+    Raises
+    ------
+    UsageError : a panel that is no site, or a path radiance of a flight line without sites.
+    """
+    lines = {site.line for site in sites.values()}
+    for entry in source.path_radiance:
+        if entry.line not in lines:
+            raise UsageError(
+                f"path_radiance: no site of flight line {entry.line!r}",
+                where="collection.empirical_line",
+                expected="one of " + ", ".join(sorted(repr(line) for line in lines)),
+            )
+    panels: dict[str, _Panel] = {}
+    for panel in source.panels:
+        name = panel.region
+        if name not in sites:
+            raise UsageError(
+                f"empirical line: no site {name!r}",
+                where="collection.empirical_line",
+                expected="one of " + ", ".join(sites),
+            )
+        site = sites[name]
+        panels[name] = _Panel(name, *field_reflectance(panel, axis, resolve), site.mean, site.own, site.n or 1)
+    out: dict[str, SpectralEstimate] = {}
+    notes: list[str] = []
+    for name, site in sites.items():
+        others = [p for n, p in panels.items() if n != name and sites[n].line == site.line]
+        stated = next((entry for entry in source.path_radiance if entry.line == site.line), None)
+        how = "empirical line"
+        if source.intercept and len(others) == 1 and stated is not None:
+            others.append(_black(stated, site, axis, resolve))
+            how = "one-point empirical line"
+        if not others or (source.intercept and len(others) == 1):
+            lacks = (
+                "one other site makes a line only with its path_radiance" if others else "no other site is known"
+            )
+            notes.append(f"{name}: no reflectance by other sites of its flight line: {lacks}")
+            continue
+        try:
+            out[name], words = _by_line(source.intercept, site, others, axis)
+        except UsageError as error:
+            notes.append(f"{name}: no reflectance by other sites of its flight line: {error.what}")
+            continue
+        notes += [f"{name}: {text}" for text in (f"reflectance by the {how} through {words[0]}", *words[1:])]
+    return out, notes
+
+
+def _black(stated: PathRadiance, site: Site, axis: SpectralAxis, resolve: Resolve) -> _Panel:
+    """The path radiance as a panel that reflects nothing."""
+    # Here, not above: few observations need the model, and it takes memory.
+    from hyperval.observe.path_radiance import path_estimate
+
+    black, zero = path_estimate(stated, axis, resolve), np.zeros(len(axis))
+    # A common error of the calibration moves all sites and not the path: as if the path alone had moved.
+    error = black.error_covariance + site.relative * np.outer(black.mean, black.mean)
+    return _Panel("the path radiance of the engine", zero, np.zeros_like(error), black.mean, error)
+
+
+def _by_line(
+    intercept: bool, site: Site, panels: Sequence[_Panel], axis: SpectralAxis
+) -> tuple[SpectralEstimate, list[str]]:
+    """Reflectance of a site by the line through panels, and notes, of which the first names the line.
+
+    Raises
+    ------
+    UsageError : panels that fix no line.
+    """
+    fit = partial(fit_elm, minimum_contrast=LEAST_CONTRAST) if intercept else fit_gain
+    known = np.all([np.isfinite(p.reflectance) for p in panels], axis=0)
+    measured, errors = zip(*(p.measurement(known) for p in panels), strict=True)
+    by_line = line_error(fit, measured, errors)
+    line, level, at = by_line.line, site.mean[known], np.ix_(known, known)
+    parts = {"empirical line": by_line.covariance(level)}
+    if np.any(site.own):
+        parts["detector noise"] = site.own[at] / np.outer(line.gain, line.gain)
+    mean = np.full(known.size, np.nan)
+    mean[known] = line.reflectance(level)
+    whole = {name: np.full((known.size, known.size), np.nan) for name in parts}
+    for name, part in parts.items():
+        whole[name][at] = part
+    words = f"{' and '.join(line.panels)}, usable in {int(line.usable.sum())} of {known.size} bands"
+    return spectral_estimate(mean, whole, n=site.n), [words, *line_warnings(line, axis.select(known))]
+
+
+def sites_of(
+    collection: Collection, means: Mapping[str, Array], own: Mapping[str, Array], calibration: Mapping[str, Array]
+) -> dict[str, Site]:
+    """The sites of a collection of spectra, with what is known of their radiances.
+
+    ``own``, ``calibration`` : subject -> (B, B) error covariance of the radiance by detector noise, by calibration
+    """
+    out = {}
+    for entry in collection.spectra:
+        mean = means[entry.subject]
+        zero = np.zeros((mean.size, mean.size))
+        level = np.where(mean == 0.0, np.inf, mean)
+        relative = calibration.get(entry.subject, zero) / np.outer(level, level)
+        out[entry.subject] = Site(mean, own.get(entry.subject, zero), relative, entry.pixels, entry.line)
+    return out

@@ -14,8 +14,8 @@ from hyperval.collection import Detection, DetectionTarget, UnmixedTarget, Unmix
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.truth import TargetObject
 from hyperval.observe.filter_bank import in_reflectance
+from hyperval.observe.objects import target_groups
 from hyperval.observe.place import Place
-from hyperval.observe.subjects import target_groups
 from hyperval.prediction.inputs import Sources
 from hyperval.prediction.unmixing import UnmixedSubject, labelled
 from hyperval.processing.elm import EmpiricalLine

@@ -14,7 +14,7 @@ from hyperval.campaign.schema import Campaign
 from hyperval.collection import Detection
 from hyperval.compare.rows import RowMaker
 from hyperval.observe import Observed
-from hyperval.observe.subjects import scored_pixels, target_groups
+from hyperval.observe.objects import scored_pixels, target_groups
 from hyperval.processing.detectors import ANOMALY_DETECTORS, detector_names
 from hyperval.processing.local_scores import LOCAL_DETECTORS
 from hyperval.processing.objects import object_scores

@@ -14,7 +14,7 @@ from scipy import stats
 from hyperval.collection import Detection
 from hyperval.compare.rows import RowMaker
 from hyperval.observe import Observed
-from hyperval.observe.subjects import scored_pixels, target_groups
+from hyperval.observe.objects import scored_pixels, target_groups
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.objects import values_on
 from hyperval.results import Cause, Result

@@ -23,7 +23,6 @@ from hyperval.spectra import (
     readers_instruments,
     readers_library,
     readers_rows,
-    readers_specpr,
     readers_text,
 )
 from hyperval.spectra.readers_record import MAX_BYTES, FieldSpectrum, Record, finished, mean_of
@@ -182,7 +181,7 @@ class _File:
     def mark(self) -> bytes:
         """The first bytes of a file of any size."""
         with open(self.path, "rb") as stream:
-            return stream.read(len(readers_specpr.MARK))
+            return stream.read(len(readers_library.MARK))
 
     @cached_property
     def raw(self) -> bytes:
@@ -240,8 +239,8 @@ def _refused(file: _File) -> list[Record]:
 FORMATS = (
     Format(
         "SPECPR",
-        lambda f: readers_specpr.is_specpr(f.mark),
-        lambda f: readers_specpr.specpr_records(f.path),
+        lambda f: readers_library.is_specpr(f.mark),
+        lambda f: readers_library.specpr_records(f.path),
     ),
     Format(
         "ASD",
