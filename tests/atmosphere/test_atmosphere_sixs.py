@@ -136,7 +136,7 @@ def test_limits_hold_at_every_wavelength(terms_of, base):
     assert np.all(terms.direct > 0)
     assert np.all(terms.adjacency >= 0)
     assert np.all((terms.gas_transmittance > 0) & (terms.gas_transmittance <= 1))
-    e0 = solar.extraterrestrial_irradiance("astm-g173", terms.wavelength_nm)
+    e0 = solar.extraterrestrial_irradiance(state().solar_spectrum, terms.wavelength_nm)
     incoming = e0 * np.cos(np.deg2rad(40.0))
     # Energy: no more reaches the ground or comes back than comes in.
     assert np.all(terms.ground_irradiance < incoming)
@@ -174,7 +174,7 @@ def test_molecular_atmosphere_has_its_published_optical_depth(engine_cache, term
     # The closed form for molecules, beside what the solver integrates.
     seen = sixs_text.parse_monochromatic(out)
     assert seen.spherical_albedo == pytest.approx(float(molecular_albedo(np.array(depth))), rel=0.01)
-    e0 = solar.extraterrestrial_irradiance("astm-g173", terms.wavelength_nm)[i]
+    e0 = solar.extraterrestrial_irradiance(st.solar_spectrum, terms.wavelength_nm)[i]
     down = np.pi * (terms.direct[i] + terms.adjacency[i]) / (mu0 * e0 * terms.gas_transmittance[i])  # T_down T_up
     assert 1.0 - down == pytest.approx(0.5 * tau * (1.0 / mu0 + 1.0), rel=0.03)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gzip
+import importlib.util
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,10 +73,61 @@ def test_bands_see_the_lines_where_the_source_has_them(fwhm_nm):
     assert worst > {3.5: 0.02, 5.5: 0.01, 10.0: 0.003}[fwhm_nm]
 
 
+def test_shipped_spectrum_has_the_published_energy():
+    nm, e = solar.source_samples("tsis-1")
+    wide_nm, wide = solar.source_samples("astm-g173")
+    assert (nm[0], nm[-1], nm.size) == (350.0, 2500.0, 2151)
+    # More than 97 % of 1361 W m-2 lie at 202-2730 nm (Coddington et al. 2021, 2023); 280-350 and 2500-2730 nm
+    # from ASTM G173, and 7 W m-2 at 202-280 nm (Gueymard 2004).
+    beside = [(wide_nm >= low) & (wide_nm <= high) for low, high in ((280, 350), (2500, 2730))]
+    energy = 7.0 + 0.01 * (np.trapezoid(e, nm) + sum(np.trapezoid(wide[at], wide_nm[at]) for at in beside))
+    assert 0.97 < energy / 1361.0 < 0.98
+    # What ASTM G173 has less below 500 nm and more beyond 1 um: found elsewhere by other means.
+    for low, high, expected in ((400, 500, -0.022), (1000, 1750, 0.020)):
+        there = np.arange(low, high, 10.0)
+        ratio = solar.extraterrestrial_irradiance("astm-g173", there) / solar.extraterrestrial_irradiance(
+            "tsis-1", there
+        )
+        assert np.median(ratio) - 1.0 == pytest.approx(expected, abs=0.004)
+
+
+def test_no_data_directory_moves_the_default(monkeypatch, tmp_path):
+    (tmp_path / "sensors").mkdir()
+    (tmp_path / "sensors/tsis_f0_0p5.txt").write_text("350 1\n2500 1\n")
+    before = solar.extraterrestrial_irradiance("tsis-1", GRID)
+    monkeypatch.setenv("HYPERVAL_DATA", str(tmp_path))
+    solar._spectrum.cache_clear()
+    assert np.array_equal(solar.extraterrestrial_irradiance("tsis-1", GRID), before)
+
+
+@pytest.mark.data
+def test_shipped_numbers_are_made_from_the_source_and_bands_see_it_through_them(data_dir, monkeypatch):
+    source = data_dir("sensors/tsis_f0_0p5.txt")
+    monkeypatch.setenv("HYPERVAL_DATA", str(source.parent.parent))
+    path = Path(__file__).parents[2] / "validation/atmosphere/solar_table.py"
+    spec = importlib.util.spec_from_file_location("solar_table", path)
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    nm, made = script.made()
+    assert np.array_equal(nm, solar.source_samples("tsis-1")[0])
+    assert solar.source_samples("tsis-1")[1] * 10.0 == pytest.approx(made, rel=2e-6)
+    # Straight lines stay what they are, whatever the corners.
+    straight = np.arange(0.0, 10.1, 0.5)
+    assert script.projection(straight, 3.0 + 2.0 * straight, straight[::4]) == pytest.approx(
+        3.0 + 2.0 * straight[::4]
+    )
+    source_nm, source_e = np.loadtxt(source, unpack=True)
+    centre = np.arange(370.0, 2485.0, 1.7)
+    theirs = lambda x: np.interp(x, source_nm, source_e)  # noqa: E731
+    ours = lambda x: 10.0 * np.interp(x, *solar.source_samples("tsis-1"))  # noqa: E731
+    for fwhm_nm, worst in ((3.5, 0.002), (5.0, 0.001), (10.0, 0.0003)):
+        error = script.in_bands(ours, centre, fwhm_nm) / script.in_bands(theirs, centre, fwhm_nm) - 1.0
+        assert np.abs(error).max() <= worst
+
+
 @pytest.mark.data
 def test_files_agree_in_unit_and_size(data_dir, monkeypatch):
-    root = data_dir("sensors/tsis_f0_0p5.txt").parent.parent
-    data_dir("sensors/kurudz_0.1nm.dat.gz")
+    root = data_dir("sensors/kurudz_0.1nm.dat.gz").parent.parent
     monkeypatch.setenv("HYPERVAL_DATA", str(root))
     grid = np.arange(400.0, 2400.0, 20.0)
     tsis = solar.extraterrestrial_irradiance("tsis-1", grid)
@@ -86,8 +139,8 @@ def test_files_agree_in_unit_and_size(data_dir, monkeypatch):
 
 def test_absent_file_says_how_to_mend(monkeypatch):
     monkeypatch.delenv("HYPERVAL_DATA", raising=False)
-    with pytest.raises(MissingDataError, match=r"tsis_f0_0p5\.txt[\s\S]*data fetch solar[\s\S]*astm-g173"):
-        solar.extraterrestrial_irradiance("tsis-1", GRID)
+    with pytest.raises(MissingDataError, match=r"kurudz_0\.1nm[\s\S]*HYPERVAL_DATA[\s\S]*tsis-1"):
+        solar.extraterrestrial_irradiance("kurucz", GRID)
 
 
 def test_malformed_file_is_named_with_its_line(tmp_path, monkeypatch):
@@ -104,6 +157,8 @@ def test_unknown_name_and_uncovered_grid():
         solar.extraterrestrial_irradiance("sunny", GRID)
     with pytest.raises(UsageError, match="covers"):
         solar.extraterrestrial_irradiance("astm-g173", np.array([200.0, 210.0]))
+    with pytest.raises(UsageError, match="tsis-1 covers 350-2500 nm"):
+        solar.extraterrestrial_irradiance("tsis-1", np.array([2720.0, 2730.0]))
 
 
 def test_sun_and_spectrum_are_those_of_the_package_that_is_not_imported_for_them():

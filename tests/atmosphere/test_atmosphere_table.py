@@ -115,7 +115,7 @@ def test_the_sun_of_the_state_lights_the_table():
     table = made_up({"aot550": [0.0, 0.4]}, lambda nm, aot550: 0.2 + 0 * nm + 0 * aot550)
     terms = table.terms(state())
     asked = state()
-    e0 = extraterrestrial_irradiance("astm-g173", NM, asked.distance_au)
+    e0 = extraterrestrial_irradiance(asked.solar_spectrum, NM, asked.distance_au)
     np.testing.assert_allclose(terms.path_radiance, 0.2 * np.cos(np.deg2rad(40.0)) * e0 / np.pi, rtol=1e-12)
     np.testing.assert_allclose(terms.ground_irradiance, 0.2 * np.cos(np.deg2rad(40.0)) * e0, rtol=1e-12)
     own = replace(table, solar_irradiance=np.full(NM.size, 150.0))

@@ -22,7 +22,7 @@ def test_every_missing_set_is_named_at_once(tmp_path, monkeypatch):
     rows = list(run_campaign(job).table)
     assert rows
     assert {row.outcome for row in rows} == {Outcome.SKIPPED}
-    assert all(row.reason.endswith("hyperval data fetch pasadena aviris-ng solar") for row in rows)
+    assert all(row.reason.endswith("hyperval data fetch pasadena aviris-ng") for row in rows)
 
 
 @pytest.mark.parametrize("held", [True, False])

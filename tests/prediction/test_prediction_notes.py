@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,14 @@ def test_a_table_that_replaces_the_stated_sun_says_so():
     assert "solar_spectrum tsis-1, which the scenario states, is not used" in said
     assert engine_notes(state(engine="table", table="lut.nc"), own) == []
     assert engine_notes(state(solar_spectrum="tsis-1"), terms(solar_spectrum="tsis-1")) == []
+
+
+def test_bands_beyond_the_solar_spectrum_are_said():
+    far = replace(terms(solar_spectrum="tsis-1"), wavelength_nm=np.array([2499.0, 2501.0]))
+    (said,) = engine_notes(state(), far)
+    assert "covers 350-2500 nm: in 1 of 2 bands" in said
+    assert "the shape of astm-g173" in said
+    assert engine_notes(state(), replace(far, provenance={"solar_spectrum": "astm-g173"})) == []
 
 
 def test_more_air_and_water_than_the_engine_was_compared_with_is_said():

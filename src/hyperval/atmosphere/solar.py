@@ -20,23 +20,28 @@ from hyperval.units import irradiance_to_internal
 
 Array = npt.NDArray[np.float64]
 
-# Choice -> (file of a registered data set, unit of its second column, wavelengths in nm in the first).
-_FILES = {
-    "tsis-1": ("sensors/tsis_f0_0p5.txt", "mW m-2 nm-1"),
-    "kurucz": ("sensors/kurudz_0.1nm.dat.gz", "mW m-2 nm-1"),
-}
-SPECTRA = ("astm-g173", *_FILES)
+TSIS_1 = "solar_tsis_1.csv"  # made by validation/atmosphere/solar_table.py
+_KURUCZ = "data:sensors/kurudz_0.1nm.dat.gz"
+SPECTRA = ("tsis-1", "astm-g173", "kurucz")
 _MAX_BYTES = 64 << 20
 _DELTA_T_S = 67.0  # terrestrial time minus UT1; a second of it moves the sun by 1e-5 deg
 _FINE_NM = 0.1
 _LINES_NM = 0.5  # sampling of the sunlight that bands are averaged over
-_EXTENSION_NM = 110.0
-_REACH_NM = 12.0  # how far the end value of a spectrum may be carried on (TSIS-1 here starts at 350 nm)
+_EXTENSION_NM = 210.0
+_REACH_NM = 12.0  # how far the end value of a spectrum may be carried on
 
 
 def reference_of(name: str) -> str | None:
-    """The file reference of a solar spectrum; None for the one that every installation has."""
-    return f"data:{_FILES[name][0]}" if name in _FILES else None
+    """The file reference of a solar spectrum; None for those that every installation has."""
+    return _KURUCZ if name == "kurucz" else None
+
+
+def source_samples(name: str) -> tuple[Array, Array]:
+    """Wavelength [nm] and irradiance at 1 au [uW cm-2 nm-1] of a spectrum as its source samples it.
+
+    Raises as :func:`extraterrestrial_irradiance`.
+    """
+    return _spectrum(name, _places())
 
 
 def parse_utc(text: str) -> datetime:
@@ -89,7 +94,7 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
 
     Parameters
     ----------
-    name : "astm-g173" (in every installation), "tsis-1" or "kurucz" (files of the data directory)
+    name : "tsis-1", "astm-g173" or "kurucz" (a file of the data directory)
     wavelength_nm : (n,) increasing, at least two
     distance_au : Earth-Sun distance; the spectra hold at 1 au
 
@@ -118,8 +123,8 @@ def lines_between(name: str, wavelength_nm: Array) -> tuple[Array, Array]:
     """Finer wavelengths [nm], and there the irradiance over the straight line between its values on a grid [1].
 
     Values of the grid, and the finer ones every half nanometre, are those of :func:`extraterrestrial_irradiance`.
-    Half a nanometre is the sampling of TSIS-1 here and of ASTM G173 in the ultraviolet; bands of 3 nm and more see
-    the Fraunhofer lines through it as through the source's own samples.  Raises as that function.
+    Bands of 3 nm and more see the Fraunhofer lines through half a nanometre as through the source's own samples.
+    Raises as that function.
 
     Parameters
     ----------
@@ -137,8 +142,7 @@ def _places() -> tuple[str, ...]:
 def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, Array]:
     """The spectrum continued to the ends of the grid with the shape of ASTM G173.
 
-    At most ``_EXTENSION_NM``, which serves the edges of the first and last band responses only; the level is that
-    of the two spectra's averages over the last 20 nm they share.
+    At most ``_EXTENSION_NM``; the level is that of the two spectra's averages over the last 20 nm they share.
     """
     wide_nm, wide = _spectrum("astm-g173", ())
     for below in (True, False):
@@ -159,23 +163,25 @@ def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, 
 @lru_cache(maxsize=8)
 def _spectrum(name: str, places: tuple[str, ...]) -> tuple[Array, Array]:
     """Wavelength [nm] and irradiance at 1 au [uW cm-2 nm-1]; ``places`` tells one data directory from another."""
+    if name == "tsis-1":
+        nm, irradiance = np.loadtxt(Path(__file__).with_name(TSIS_1), delimiter=",", unpack=True)
+        return nm, irradiance * irradiance_to_internal("mW m-2 nm-1")
     if name == "astm-g173":
         table = np.loadtxt(
             installed_file("pvlib", "data", "ASTMG173.csv"), delimiter=",", skiprows=2, usecols=(0, 1)
         )
         return table[:, 0], table[:, 1] * irradiance_to_internal("W m-2 nm-1")
-    if name not in _FILES:
+    if name not in SPECTRA:
         raise UsageError(f"unknown solar spectrum {name!r}", expected="one of " + ", ".join(SPECTRA))
-    relative, unit_name = _FILES[name]
     try:
-        path = resolve(f"data:{relative}")
-    except MissingDataError as error:
+        path = resolve(_KURUCZ)
+    except (MissingDataError, UsageError) as error:  # no registered set has it
         raise MissingDataError(
             f"the solar spectrum {name!r} is not on this machine",
             where=error.where,
-            mend=f"{error.mend}; or choose solar_spectrum: astm-g173, which is in every installation",
+            mend=f"{error.mend}; or choose solar_spectrum: tsis-1, which is in every installation",
         ) from error
-    return _read_two_columns(path, irradiance_to_internal(unit_name))
+    return _read_two_columns(path, irradiance_to_internal("mW m-2 nm-1"))
 
 
 def _read_two_columns(path: Path, to_internal: float) -> tuple[Array, Array]:

@@ -123,8 +123,8 @@ class AtmosphericState(Model):
     view_azimuth_deg: float = Field(
         0.0, ge=-360.0, le=360.0, description="azimuth of the sensor seen from the ground, east of north [deg]"
     )
-    solar_spectrum: Literal["astm-g173", "tsis-1", "kurucz"] = Field(
-        "astm-g173", description="extraterrestrial solar spectrum"
+    solar_spectrum: Literal["tsis-1", "astm-g173", "kurucz"] = Field(
+        "tsis-1", description="extraterrestrial solar spectrum"
     )
 
     @field_validator("time_utc")

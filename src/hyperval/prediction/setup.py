@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from hyperval.atmosphere.engine_ratio import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, ways
 from hyperval.atmosphere.profiles import OZONE_G_CM2_PER_ATM_CM, column_g_cm2, standard_profile
+from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError, UsageError
@@ -233,11 +234,20 @@ def unstated_notes(state: AtmosphericState | None, uncertainty: Uncertainty) -> 
 
 
 def engine_notes(state: AtmosphericState | None, terms: AtmosphericTerms | None) -> list[str]:
-    """A stated sun that a table replaces, and amounts beyond those that the engine's gases were corrected for."""
+    """A stated sun that a table replaces, bands beyond its spectrum, amounts beyond those of the engine's gases."""
     if state is None or terms is None:
         return []
     notes = []
-    if terms.provenance.get("solar_spectrum") == "of the table" and "solar_spectrum" in state.model_fields_set:
+    sun = terms.provenance.get("solar_spectrum")
+    if sun in SPECTRA:
+        first, last = source_samples(sun)[0][[0, -1]]
+        beyond = terms.wavelength_nm[(terms.wavelength_nm < first) | (terms.wavelength_nm > last)]
+        if beyond.size:
+            notes.append(
+                f"the solar spectrum {sun} covers {first:g}-{last:g} nm: in {beyond.size} of "
+                f"{terms.wavelength_nm.size} bands, beyond it, the sunlight has the shape of astm-g173"
+            )
+    if sun == "of the table" and "solar_spectrum" in state.model_fields_set:
         notes.append(
             f"the table brings a solar spectrum of its own: solar_spectrum {state.solar_spectrum}, "
             "which the scenario states, is not used"

@@ -32,9 +32,9 @@ _GRID_NM = np.arange(300.0, 2700.5, 1.0)
 def sunlit_radiance(axis: SpectralAxis, reflectance: float) -> Array:
     """rho E0 cos(45 deg) / pi (B,) [uW cm-2 sr-1 nm-1]: a diffuse ground in the sun, no atmosphere.
 
-    E0 is the extraterrestrial irradiance of ASTM G173 at 1 au, averaged over each band.
+    E0 is the extraterrestrial irradiance of TSIS-1 at 1 au, averaged over each band.
     """
-    irradiance = band_average(_GRID_NM, extraterrestrial_irradiance("astm-g173", _GRID_NM), axis)
+    irradiance = band_average(_GRID_NM, extraterrestrial_irradiance("tsis-1", _GRID_NM), axis)
     return np.asarray(reflectance * irradiance * np.cos(np.radians(SUN_ZENITH_DEG)) / np.pi)
 
 
