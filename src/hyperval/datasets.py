@@ -202,7 +202,7 @@ def describe(reference: str) -> dict[str, str | None]:
     nothing: dict[str, str | None] = dict.fromkeys(("dataset", "licence", "citation", "address", "sha256"))
     if not reference.startswith(PREFIX):
         return nothing
-    entry = _registered(_data_path(reference))
+    entry = _by_path().get(_data_path(reference))
     if entry is None:
         holder = set_on_request(reference)
         if holder is None:
@@ -291,6 +291,12 @@ class InputLog:
         self.base = Path(base) if base is not None else Path()
         self._entries: dict[str, dict[str, Any]] = {}
 
+    @classmethod
+    def of_file(cls, path: Path) -> InputLog:
+        """The log of a run of a file, which is its first entry; references are relative to its folder."""
+        (log := cls(path.resolve().parent)).add(path.resolve(), path.name)
+        return log
+
     def resolve(self, reference: str) -> Path:
         """Like :func:`resolve`, and keep a record of the file."""
         path = resolve(reference, self.base)
@@ -308,7 +314,7 @@ class InputLog:
             reference = self._relative(path)
         if reference not in self._entries:
             known = describe(reference)
-            entry = _registered(_data_path(reference)) if reference.startswith(PREFIX) else None
+            entry = _by_path().get(_data_path(reference)) if reference.startswith(PREFIX) else None
             self._entries[reference] = {
                 "reference": reference,
                 "sha256": sha256_of(path),
@@ -356,10 +362,6 @@ def _by_path() -> dict[str, tuple[DataSet, DataFile]]:
     return {file.path: (owner, file) for owner in registry().values() for file in owner.files}
 
 
-def _registered(path: str) -> tuple[DataSet, DataFile] | None:
-    return _by_path().get(path)
-
-
 def _resolve_data(path: str) -> Path:
     path_here = _find(path)
     if path_here is not None:
@@ -377,7 +379,7 @@ def _resolve_data(path: str) -> Path:
 
 def _owner(path: str) -> str | None:
     """The public set that holds a file, or a file that matches a pattern."""
-    owner = _registered(path)
+    owner = _by_path().get(path)
     if owner is None and is_pattern(path):
         owner = next((v for known, v in _by_path().items() if fnmatchcase(known, path)), None)
     return owner[0].name if owner else None

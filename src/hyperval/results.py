@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -128,6 +128,11 @@ COLUMNS = (
     "limit_low", "limit_high", "role", "evidence", "outcome", "cause", "detectable", "reason",
 )  # fmt: skip
 _WORDS = ("role", "evidence", "outcome", "cause")
+
+
+def of_campaign(rows: Iterable[Result], campaign: str) -> list[Result]:
+    """The rows as those of a campaign: what makes them does not know its name."""
+    return [replace(row, campaign=campaign) for row in rows]
 
 
 class ResultTable:

@@ -12,7 +12,7 @@ import yaml
 from hyperval import cli
 from hyperval.baseline import accept, check
 from hyperval.baseline.runs import _stale
-from hyperval.campaign.one import Job
+from hyperval.campaign.job import Job
 from hyperval.campaign.schema import load_campaign
 from hyperval.report.stored import read_results
 from hyperval.results import Outcome

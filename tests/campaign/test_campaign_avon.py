@@ -18,9 +18,9 @@ import yaml
 from scanned_line import UTM18, ScannedLine, write_table
 
 from hyperval.atmosphere.solar import parse_utc, solar_position
-from hyperval.campaign.draft import read_texts
 from hyperval.campaign.dry_run import dry_run, overview
-from hyperval.campaign.one import jobs_of, run_campaign
+from hyperval.campaign.job import jobs_of, read_texts
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.run import validate
 from hyperval.config import load_yaml
 from hyperval.imagery.cube import open_cube

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from hyperval import cli
-from hyperval.campaign.one import Job, run_campaign
+from hyperval.campaign.job import Job
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.schema import load_campaign
 from small_campaign import SmallCampaign
 

@@ -11,7 +11,8 @@ import yaml
 
 from hyperval import cli
 from hyperval.campaign.dry_run import dry_run, overview, summary
-from hyperval.campaign.one import jobs_of, run_campaign
+from hyperval.campaign.job import jobs_of
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.run import validate
 from hyperval.campaign.schema import load_campaign, load_campaigns
 from hyperval.campaign.template import campaign_runs, with_words

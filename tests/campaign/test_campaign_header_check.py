@@ -11,8 +11,9 @@ import pytest
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.campaign.header_check import centre_of, distance_km, scenario_notes
-from hyperval.campaign.one import jobs_of, run_campaign
+from hyperval.campaign.job import jobs_of
+from hyperval.campaign.one import run_campaign
+from hyperval.campaign.scenario_notes import centre_of, distance_km, header_notes
 from hyperval.imagery.companions import table_of
 from hyperval.imagery.envi_write import write_cube
 from hyperval.imagery.lookup_table import LookupTable
@@ -39,13 +40,13 @@ def scenario(**state: Any) -> Any:
 
 
 def test_a_cube_at_its_place_and_time_says_nothing():
-    assert scenario_notes(place(extras={"gps start time": "16:31:02"}), [scenario()]) == []
-    assert scenario_notes(None, [scenario()]) == []
-    assert scenario_notes(place(), [SimpleNamespace(name="r", atmosphere=None)]) == []
+    assert header_notes(place(extras={"gps start time": "16:31:02"}), [scenario()]) == []
+    assert header_notes(None, [scenario()]) == []
+    assert header_notes(place(), [SimpleNamespace(name="r", atmosphere=None)]) == []
 
 
 def test_another_place_or_time_is_a_warning_once():
-    notes = scenario_notes(
+    notes = header_notes(
         place(extras={"gps start time": "12:31:02"}), [scenario(latitude_deg=43.9), scenario(latitude_deg=43.9)]
     )
     assert [n.split(",")[0] for n in notes] == [
@@ -62,8 +63,8 @@ def test_another_sun_in_the_observation_file_is_a_warning(tmp_path: Path):
     header.write_text(header.read_text() + "band names = {Path length, To-sun zenith}\n")
     raw = place(None)
     raw.cube.raster = open_raster(cube)  # type: ignore[misc]
-    assert scenario_notes(raw, [scenario(sun=(41.0, 180.0))]) == []
-    notes = scenario_notes(raw, [scenario(sun=(44.0, 180.0))])
+    assert header_notes(raw, [scenario(sun=(41.0, 180.0))]) == []
+    notes = header_notes(raw, [scenario(sun=(44.0, 180.0))])
     assert notes == [
         f"warning: the sun stands at a zenith angle of 41.50 degrees in {angles.name}, at 44.00 in scenario 'line'"
     ]
@@ -72,10 +73,10 @@ def test_another_sun_in_the_observation_file_is_a_warning(tmp_path: Path):
 def test_the_lookup_table_places_a_raw_cube():
     table = LookupTable(place().cube.raster, GRID, UTM18, (90, 210))
     assert centre_of(place(None)) is None
-    assert scenario_notes(place(None), [scenario(latitude_deg=0.0)]) == []
+    assert header_notes(place(None), [scenario(latitude_deg=0.0)]) == []
     found = centre_of(place(None, table=table))
     assert found == centre_of(place())
-    assert len(scenario_notes(place(None, table=table), [scenario(latitude_deg=0.0)])) == 1
+    assert len(header_notes(place(None, table=table), [scenario(latitude_deg=0.0)])) == 1
 
 
 @pytest.mark.parametrize(
@@ -109,4 +110,4 @@ def test_places_of_every_pixel_say_where_a_cube_lies(tmp_path: Path):
     known = cast(Place, SimpleNamespace(cube=raw.cube, table=table_of(cube)[0]))
     found = centre_of(known)
     assert found == pytest.approx((42.9 - 4e-5, -77.75 + 5e-5), abs=2e-5)
-    assert len(scenario_notes(known, [scenario(latitude_deg=43.9)])) == 1
+    assert len(header_notes(known, [scenario(latitude_deg=43.9)])) == 1

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from hyperval.campaign.dry_run import dry_run
-from hyperval.campaign.one import Job, jobs_of, run_campaign
+from hyperval.campaign.job import Job, jobs_of
+from hyperval.campaign.one import run_campaign
 from hyperval.errors import UsageError
 from hyperval.results import Outcome
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from hyperval.campaign.one import jobs_of, run_campaign
+from hyperval.campaign.job import jobs_of
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.power import Power, power, power_table, turned
 from hyperval.errors import UsageError
 from hyperval.metrics import Evidence

@@ -16,8 +16,8 @@ from rasterio.warp import transform as warp
 from hyperval import cli
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.campaign.day_scenarios import DayScenarios, day_scenarios
-from hyperval.campaign.draft import read_texts
 from hyperval.campaign.dry_run import dry_run
+from hyperval.campaign.job import read_texts
 from hyperval.imagery.envi_write import write_cube
 from hyperval.predict import Origins, predict
 from hyperval.report.stored import read_results

@@ -16,7 +16,7 @@ import pytest
 from hyperval import cli
 from hyperval.campaign import jobs as campaign_jobs
 from hyperval.campaign import run as campaign_run
-from hyperval.campaign.one import jobs_of
+from hyperval.campaign.job import jobs_of
 from hyperval.campaign.resume import Finished
 from hyperval.datasets import InputLog
 from hyperval.folders import RECORD

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from hyperval import cli
-from hyperval.campaign.one import Job, run_campaign
+from hyperval.campaign.job import Job
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.provenance import command_without_output
 from hyperval.campaign.schema import load_campaign
 from hyperval.errors import MissingDataError, UsageError

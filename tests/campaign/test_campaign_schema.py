@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.campaign.draft import read_texts
+from hyperval.campaign.job import read_texts
 from hyperval.campaign.schema import Campaign, load_campaign, load_campaigns
 from hyperval.collection_files import CubeSource
 from hyperval.errors import InputError, UsageError

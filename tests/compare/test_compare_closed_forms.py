@@ -18,8 +18,8 @@ from hyperval.products import Abundance, AlarmsAtDetection, RocCurve, SpectralEs
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.windows import in_window
 
-MAKE = RowMaker("c", "product", "planks", "cem/object")
-NAMES = {"campaign": "c", "subject": "planks", "method": "cem/object"}
+MAKE = RowMaker("product", "planks", "cem/object")
+NAMES = {"subject": "planks", "method": "cem/object"}
 
 
 def by_metric(rows):
@@ -36,7 +36,7 @@ def test_intervals_of_the_errors_of_several_areas():
     error, spread = np.array([0.4, -0.1, 0.3]), np.array([0.2, 0.3, 0.6])
     observed = {(k, "fcls"): Abundance(2.0 + e, 0.1, 9, 2.0) for k, e in zip("abc", error, strict=True)}
     predicted = {(k, "fcls"): Abundance(2.05, s, 9, 2.0) for k, s in zip("abc", spread, strict=True)}
-    rows = by_metric(compare_area_errors(predicted, observed, campaign="c"))
+    rows = by_metric(compare_area_errors(predicted, observed))
     low, high = stats.t.interval(0.95, 2, loc=error.mean(), scale=stats.sem(error))
     bias = rows["area_bias_observed"]
     assert (bias.lower, bias.value, bias.upper) == pytest.approx((low, error.mean(), high))
@@ -121,9 +121,7 @@ def test_a_prediction_that_is_too_bright_has_a_positive_z():
     axis = SpectralAxis(np.linspace(450.0, 890.0, 12), 10.0)
     covariance = 1e-4 * (0.5 * np.eye(12) + 0.5)
     predicted, observed = (SpectralEstimate(np.full(12, v), covariance) for v in (1.03, 1.0))
-    rows = compare_spectra(
-        predicted, observed, campaign="c", product="radiance", subject="s", method="m", axis=axis
-    )
+    rows = compare_spectra(predicted, observed, product="radiance", subject="s", method="m", axis=axis)
     z = [r.value for r in rows if r.metric == "z"]
     assert z == pytest.approx([0.03 / np.sqrt(2e-4)] * 12)
     # The mean over bands of (p - c)/c: half of the error is common to all, the other half falls with their number.

@@ -43,9 +43,7 @@ def sample(n, seed=2):
 
 
 def rows_of(predicted, observed, **more):
-    rows = compare_covariance(
-        predicted, observed, campaign="c", subject="grass", method="radiance", axis=AXIS, **more
-    )
+    rows = compare_covariance(predicted, observed, subject="grass", method="radiance", axis=AXIS, **more)
     return {row.metric: row for row in rows}
 
 
@@ -133,7 +131,7 @@ def test_independent_pixels_by_direction():
 
 
 def tails(predicted, observed):
-    rows = compare_distribution(predicted, observed, campaign="c", subject="grass")
+    rows = compare_distribution(predicted, observed, subject="grass")
     return {row.metric: row for row in rows}
 
 
@@ -158,7 +156,7 @@ def test_rows_of_tails():
 
 
 def errors(p, o):
-    rows = compare_classification(p, o, campaign="c", subject="a / b", method="2 bands")
+    rows = compare_classification(p, o, subject="a / b", method="2 bands")
     return {row.metric: row for row in rows}
 
 
@@ -181,7 +179,7 @@ def test_area_errors_by_size():
         (k, "fcls"): Abundance(v + e, 0.1, 9, v) for (k, v), e in zip(nominal.items(), (1, -0.5, 0.2), strict=True)
     }
     predicted = {(k, "fcls"): Abundance(v + 0.1, 0.3, 9, v) for k, v in nominal.items()}
-    rows = {(r.subject, r.metric): r for r in compare_area_errors(predicted, observed, campaign="c")}
+    rows = {(r.subject, r.metric): r for r in compare_area_errors(predicted, observed)}
     assert {s for s, _ in rows} == {"all targets of 4 m2"}  # a single target of a size has no spread
     key = "all targets of 4 m2"
     assert rows[key, "area_bias_observed"].value == pytest.approx(0.25)
@@ -204,7 +202,7 @@ def test_all_of_it_is_in_the_table_and_can_gate():
         classification={("a / b", "f"): ClassificationError(0.1, 0.08, 0.12, 400, 400.0)},
         abundance={(k, "fcls"): Abundance(1.1, 0.1, 4, 1.0) for k in "ab"},
     )  # fmt: skip
-    found = {(r.product, r.metric) for r in compare_products(predicted, observed, campaign="c")}
+    found = {(r.product, r.metric) for r in compare_products(predicted, observed)}
     assert {
         ("covariance", "eigenvalue_ratio@1"), ("covariance", "background_tail_dof"),
         ("classification", "error_difference"), ("abundance", "area_rmse_predicted"),

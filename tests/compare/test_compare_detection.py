@@ -27,7 +27,7 @@ from hyperval.products import (
 from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis
 
-NAMES = {"campaign": "c", "subject": "planks", "method": "cem/object"}
+NAMES = {"subject": "planks", "method": "cem/object"}
 
 
 def model_curve(separation, width=0.0, unit="object"):
@@ -258,7 +258,7 @@ def test_every_subject_of_either_side_has_rows():
         scores={("t", "cem"): ScoreDistribution(1, 0.1, 20)},
         abundance={("t", "cem"): Abundance(1.0, 0.1)},
     )
-    rows = compare_products(predicted, observed, campaign="c")
+    rows = compare_products(predicted, observed)
     skipped = {
         (r.product, r.subject, r.method) for r in rows if r.outcome is Outcome.SKIPPED and r.metric == "comparison"
     }
@@ -272,7 +272,7 @@ def test_every_subject_of_either_side_has_rows():
     assert {r.product for r in rows} == {"radiance", "snr", "reflectance", "scores", "roc", "abundance"}
     other = Observation(SpectralAxis(np.arange(451.0, 901.0, 10.0), 10.0))
     with pytest.raises(UsageError, match="not on the same spectral axis"):
-        compare_products(predicted, other, campaign="c")
+        compare_products(predicted, other)
 
 
 @pytest.mark.parametrize("exponent", [-322.0, -308.0, -300.0, -200.0])

@@ -119,7 +119,7 @@ def test_the_smallest_p_value_alone_has_the_whole_part_of_holm():
     # Three tests at 3 %: parts of 1, 1.5 and 3 %.  Two-sided values of 0.9, 2 and 2.5 %: the second stops the rest.
     gate = Gate(product="radiance", metric="p_value_full", at_least=0.03, reason="r")
     rows = [row("p_value_full", p / 2, detectable=0.0) for p in (0.025, 0.009, 0.02)]
-    out = judged(rows, [gate], "c")
+    out = judged(rows, [gate])
     assert [r.outcome for r in out] == [Outcome.UNDECIDED, Outcome.DISAGREES, Outcome.UNDECIDED]
     assert [r.cause for r in out] == [Cause.MULTIPLICITY, Cause.NONE, Cause.MULTIPLICITY]
     assert "its part of the level is 0.015, one of 3 tests" in out[2].reason
@@ -142,27 +142,27 @@ def test_departures_that_a_range_would_see():
 
 def test_what_is_planned_and_not_there_is_an_error_with_what_comes_near():
     gate = Gate(**{**RADIANCE, "within": (-0.1, 0.1), "subjects": ("court",), "method": "radiance"})
-    (_, absent) = judged([row()], [gate], "c")
+    (_, absent) = judged([row()], [gate])
     assert (absent.outcome, absent.cause, absent.role) == (Outcome.ERROR, Cause.ABSENT, Role.GATE)
     assert "no radiance row of subject 'court'" in absent.reason
     assert "and method 'radiance'; rows with it: 'field' (radiance)" in absent.reason
     near = Gate(
         product="radiance", metric="median_difference_ratio_vnir", within=(-0.1, 0.1), reason="r", gate=False
     )
-    (_, absent) = judged([row()], [near], "c")
+    (_, absent) = judged([row()], [near])
     assert absent.role is Role.INFORM
     assert "did you mean 'median_difference_ratio_windows'?" in absent.reason
-    (alone,) = judged([], [near], "c")
-    assert (alone.campaign, alone.outcome) == ("c", Outcome.ERROR)
+    (alone,) = judged([], [near])
+    assert alone.outcome is Outcome.ERROR
 
 
 @pytest.mark.parametrize("cause", [Cause.NO_PREDICTION, Cause.NO_OBSERVATION, Cause.NO_BANDS])
 @pytest.mark.parametrize(("decides", "outcome"), [(True, Outcome.ERROR), (False, Outcome.SKIPPED)])
 def test_a_comparison_without_a_side_is_an_error_under_a_gate_alone(cause, decides, outcome):
     gate = Gate(**RADIANCE, within=(-0.1, 0.1), gate=decides)
-    (judgement,) = judged([row(value=math.nan, outcome=Outcome.SKIPPED, cause=cause, reason="s")], [gate], "c")
+    (judgement,) = judged([row(value=math.nan, outcome=Outcome.SKIPPED, cause=cause, reason="s")], [gate])
     assert judgement.outcome is outcome
-    (usual,) = judged([row(value=math.nan, outcome=Outcome.SKIPPED, cause=cause, reason="s")], [], "c")
+    (usual,) = judged([row(value=math.nan, outcome=Outcome.SKIPPED, cause=cause, reason="s")], [])
     assert (usual.outcome, usual.reason) == (Outcome.NONE, "not compared: s")
 
 
@@ -182,7 +182,7 @@ def bands(good, bad, unsure):
 
 
 def test_a_pooled_gate_counts_what_cannot_tell_against_it_below_and_for_it_above():
-    *rows, share = judged(bands(80, 6, 14), [pooled(0.5)], "c")
+    *rows, share = judged(bands(80, 6, 14), [pooled(0.5)])
     assert all(r.role is not Role.GATE for r in rows)
     assert (share.metric, share.value, share.n) == ("difference_ratio_fraction", 0.8, 100)
     # Clopper-Pearson: 80 of 100 has 0.7082 below, 94 of 100 has 0.9777 above.
@@ -191,13 +191,13 @@ def test_a_pooled_gate_counts_what_cannot_tell_against_it_below_and_for_it_above
     assert "80 of 100 rows within -0.1 to 0.1, 14 without an outcome of their own; outside: field" in share.reason
     assert share.reason.count("600 nm") == 1
     assert "and 1 more" in share.reason
-    assert judged(bands(20, 80, 0), [pooled(0.5)], "c")[-1].outcome is Outcome.DISAGREES
-    assert judged(bands(50, 0, 50), [pooled(0.8)], "c")[-1].outcome is Outcome.UNDECIDED
-    assert judged(bands(50, 5, 0), [pooled(0.8, gate=False)], "c")[-1].role is Role.INFORM
+    assert judged(bands(20, 80, 0), [pooled(0.5)])[-1].outcome is Outcome.DISAGREES
+    assert judged(bands(50, 0, 50), [pooled(0.8)])[-1].outcome is Outcome.UNDECIDED
+    assert judged(bands(50, 5, 0), [pooled(0.8, gate=False)])[-1].role is Role.INFORM
 
 
 def test_pooled_without_a_row_is_one_error():
-    (alone,) = judged([], [pooled(0.5)], "c")
+    (alone,) = judged([], [pooled(0.5)])
     assert (alone.outcome, alone.cause) == (Outcome.ERROR, Cause.ABSENT)
 
 

@@ -31,7 +31,7 @@ def test_what_no_test_can_reject_has_no_detectable_size(unit, dof, nu):
 
 
 def test_an_area_of_nothing_has_no_ratio():
-    rows = compare_abundance(Abundance(0.0, 0.1), Abundance(3.0, 0.2, 9), campaign="c", subject="p", method="fcls")
+    rows = compare_abundance(Abundance(0.0, 0.1), Abundance(3.0, 0.2, 9), subject="p", method="fcls")
     (row,) = [r for r in rows if r.metric == "area_ratio"]
     assert (row.outcome, row.cause) == (Outcome.SKIPPED, Cause.NOT_POSITIVE)
 

@@ -35,7 +35,7 @@ def drawn(common, own, rng, subjects=25):
 
 def rows_of(predicted, truth):
     measured = {name: ObjectScores(values, (name,)) for name, values in truth.items()}
-    return compare_object_scores(predicted, measured, campaign="c", method="cem")
+    return compare_object_scores(predicted, measured, method="cem")
 
 
 def of(rows, metric, subject="all objects"):
@@ -113,7 +113,7 @@ def test_falsified_scores_turn_the_verdict():
     ]
 
     def verdicts(rows):
-        return {r.metric: r.outcome for r in ResultTable(judged(rows, gates, "c")).gates()}
+        return {r.metric: r.outcome for r in ResultTable(judged(rows, gates)).gates()}
 
     right = verdicts(rows_of(predicted, truth))
     assert set(right.values()) <= {Outcome.AGREES, Outcome.UNDECIDED}  # 25 objects tell little of a width
@@ -159,7 +159,7 @@ def test_rows_of_single_objects_and_of_groups():
         "lost": ObjectScores(np.array([np.nan]), ("x",)),
         "not predicted": ObjectScores(np.array([1.0]), ("y",)),
     }
-    rows = compare_object_scores(predicted, measured, campaign="c", method="cem")
+    rows = compare_object_scores(predicted, measured, method="cem")
     assert of(rows, "object_score_inside_95", "one").value == 0.0
     assert of(rows, "object_score_measured", "one").value == 0.9
     interval = of(rows, "object_score_predicted", "one")
@@ -170,7 +170,7 @@ def test_rows_of_single_objects_and_of_groups():
     assert of(rows, "objects_inside_95").n == 61
     assert "without lost" in of(rows, "objects_inside_95").reason
     assert not [r for r in rows if r.subject == "not predicted"]
-    none = compare_object_scores(predicted, {}, campaign="c", method="cem")
+    none = compare_object_scores(predicted, {}, method="cem")
     assert {r.outcome for r in none} == {Outcome.SKIPPED}
 
 
@@ -179,17 +179,15 @@ def test_ratio_of_false_alarms():
     model = ExceedanceCurve(x, stats.norm.sf(x), stats.norm.sf(x), stats.norm.sf(x))
     true = 2.0 * stats.norm.sf(x).clip(0, 0.5)
     measured = ExceedanceCurve(x, true, true / 1.5, true * 1.5, 20_000)
-    rows = compare_exceedance(model, measured, campaign="c", subject="t", method="cem")
+    rows = compare_exceedance(model, measured, subject="t", method="cem")
     assert {r.metric for r in rows} == {"pfa_ratio@1e-1", "pfa_ratio@1e-2", "pfa_ratio@1e-3"}
     for row in rows:
         assert row.subject == "t background"
         assert row.value == pytest.approx(0.5, rel=1e-6)
         assert (row.lower, row.upper) == pytest.approx((0.5 / 1.5, 0.75))
-    few = compare_exceedance(
-        model, ExceedanceCurve(x, true, true, true, 500), campaign="c", subject="t", method="cem"
-    )
+    few = compare_exceedance(model, ExceedanceCurve(x, true, true, true, 500), subject="t", method="cem")
     assert [r.outcome for r in few] == [Outcome.NONE, Outcome.SKIPPED, Outcome.SKIPPED]
-    assert compare_exceedance(model, None, campaign="c", subject="t", method="cem")[0].outcome is Outcome.SKIPPED
+    assert compare_exceedance(model, None, subject="t", method="cem")[0].outcome is Outcome.SKIPPED
 
 
 def test_a_spread_too_wide_or_too_narrow_shows_in_its_ratio(monkeypatch):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.campaign.one_side import product_rows
 from hyperval.compare import Gate, judged
+from hyperval.compare.one_side import product_rows
 from hyperval.compare.roc import compare_roc
 from hyperval.compare.roc_alarms import joint_rows
 from hyperval.compare.roc_areas import curve_area
@@ -19,7 +19,7 @@ from hyperval.products import Observation, Prediction, RocCurve
 from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis
 
-NAMES = {"campaign": "c", "subject": "planks", "method": "cem/object"}
+NAMES = {"subject": "planks", "method": "cem/object"}
 KM2 = 0.08
 
 
@@ -117,7 +117,7 @@ def test_what_is_not_known_is_skipped_with_its_reason():
 
 def test_the_joint_region_holds_the_truth_though_the_background_sets_the_threshold():
     # 400 collections: conservative; at a true 0.95 fewer than 0.92 come in 0.4 % of runs (seed fixed).
-    truth, make = model_curve(2.0), RowMaker("c", "roc", "s", "m")
+    truth, make = model_curve(2.0), RowMaker("roc", "s", "m")
     rng = np.random.default_rng(8)
     hits = 0
     for _ in range(400):
@@ -134,13 +134,13 @@ def test_the_joint_region_holds_the_truth_though_the_background_sets_the_thresho
 
 def test_one_side_alone_has_its_rows_too():
     axis, key = SpectralAxis(np.array([500.0, 600.0]), 5.0), ("planks", "cem", "object")
-    seen = by_metric(product_rows("c", Observation(axis, roc={key: measured_curve(2.5)}), "observed"))
+    seen = by_metric(product_rows(Observation(axis, roc={key: measured_curve(2.5)}), "observed"))
     assert {"auc_measured", "far_measured@1e-3", "far_measured@pd0.9", "joint_pd@1e-2"} <= set(seen)
     assert not any("predicted" in name or "difference" in name for name in seen)
-    told = by_metric(product_rows("c", Prediction(axis, roc={key: model_curve(2.5, 0.2)}), "predicted"))
+    told = by_metric(product_rows(Prediction(axis, roc={key: model_curve(2.5, 0.2)}), "predicted"))
     assert told["auc_predicted"].lower < told["auc_predicted"].value < told["auc_predicted"].upper
     assert not any(name.startswith(("far", "joint")) for name in told)
-    bare = by_metric(product_rows("c", Observation(axis, roc={key: measured_curve(2.5, area=None)}), "observed"))
+    bare = by_metric(product_rows(Observation(axis, roc={key: measured_curve(2.5, area=None)}), "observed"))
     assert not any(r.outcome is Outcome.SKIPPED for r in bare.values())
 
 
@@ -179,7 +179,7 @@ def test_a_predicted_curve_that_ends_inside_the_rectangle_goes_on_to_nothing(sta
     )
     at = np.array([start, end])
     predicted = RocCurve(at, np.full(2, pd), nothing[:2], nothing[:2], -at, "pixel")
-    rows = joint_rows(RowMaker("c", "roc", "panel", "cem/pixel"), predicted, measured, 1e-2)
+    rows = joint_rows(RowMaker("roc", "panel", "cem/pixel"), predicted, measured, 1e-2)
     assert rows[-1].metric == "pd_inside_joint_region@1e-2"
     assert rows[-1].value == inside
     assert (rows[1].value, rows[1].upper < 0.03) == (0.0, True)

@@ -34,7 +34,6 @@ def test_equivalent_different_or_undecided(predicted, half, code, word):
     rows = compare_roc(
         curve(predicted),
         curve(0.6, half, 80),
-        campaign="c",
         subject="s",
         method="cem/object",
         equivalence_margin=0.15,
@@ -54,7 +53,7 @@ def test_equivalence_needs_few_doubts_not_few_targets():
 
 def test_one_target_gives_no_verdict():
     one = RocCurve(PFA, np.ones(81), np.full(81, 0.025), np.ones(81), norm.isf(PFA), "object", 1, 100_000)
-    rows = compare_roc(curve(0.9), one, campaign="c", subject="s", method="m", equivalence_margin=0.15)
+    rows = compare_roc(curve(0.9), one, subject="s", method="m", equivalence_margin=0.15)
     assert next(r for r in rows if r.metric == "pd_equivalence@1e-2").outcome is Outcome.SKIPPED
 
 
@@ -69,7 +68,7 @@ def test_both_readings_are_reported_where_they_differ():
     pd = norm.sf((x - 0.6) / 0.15)
     swept = RocCurve(PFA, pd, pd, pd, x, "object", preset_pfa=presets(x, classes))
     measured = RocCurve(PFA, pd, pd - 0.05, pd + 0.05, x, "object", 300, 100_000)
-    rows = {r.metric: r for r in compare_roc(swept, measured, campaign="c", subject="s", method="m")}
+    rows = {r.metric: r for r in compare_roc(swept, measured, subject="s", method="m")}
     # By hand: the longest tail is that of the second class, x = 0.1 + 0.2 Phi^-1(1 - P).
     by_hand = norm.sf((0.1 + 0.2 * norm.isf(1e-2) - 0.6) / 0.15)
     assert rows["pd_predicted_preset@1e-2"].value == pytest.approx(by_hand, abs=0.003)
@@ -80,7 +79,7 @@ def test_both_readings_are_reported_where_they_differ():
     alone = ClassScores(*np.array([[[1.0]], [[0.0]], [[0.1]], [[np.inf]]]))
     x = thresholds_at(PFA[None], alone)[0]
     single = RocCurve(PFA, pd, pd, pd, x, "object", preset_pfa=presets(x, alone))
-    rows = compare_roc(single, measured, campaign="c", subject="s", method="m")
+    rows = compare_roc(single, measured, subject="s", method="m")
     assert not [r for r in rows if "preset" in r.metric]
 
 
@@ -92,5 +91,5 @@ def test_a_preset_at_the_end_of_what_is_known_is_reported():
             (PFA * end / PFA[-1])[:-1], end
         )  # the last preset is the one that is asked for, or lies below
         swept = RocCurve(PFA, pd, pd, pd, norm.isf(PFA), "object", preset_pfa=known)
-        rows = compare_roc(swept, measured, campaign="c", subject="s", method="m")
+        rows = compare_roc(swept, measured, subject="s", method="m")
         assert any(r.metric == "pd_predicted_preset@1e-2" for r in rows) == there

@@ -37,7 +37,7 @@ from hyperval.spectra.windows import in_window
 
 AXIS = SpectralAxis(np.arange(420.0, 2450.0, 20.0), 20.0)
 B = len(AXIS)
-NAMES = {"campaign": "c", "product": "radiance", "subject": "grass", "method": "model", "axis": AXIS}
+NAMES = {"product": "radiance", "subject": "grass", "method": "model", "axis": AXIS}
 
 
 def spectrum(mean, covariance=1e-4, n=100):

@@ -18,7 +18,8 @@ from hyperval.baseline.metrics import Measured, campaign_metrics
 from hyperval.baseline.schema import Accepted, Baseline, load_baseline
 from hyperval.baseline.sensors import sensor_metrics
 from hyperval.baseline.store import DEFAULT_FOLDER, SENSORS, accepted_of
-from hyperval.campaign.one import Job, run_campaign
+from hyperval.campaign.job import Job
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.schema import load_campaign
 from hyperval.processing.filters import LINEAR_DETECTORS, LinearFilter, matched_filter_weights, solved_filter
 from hyperval.results import Outcome

@@ -232,7 +232,7 @@ COARSE = {Kind.COVERAGE, Kind.EQUIVALENCE}
 
 def test_a_row_of_the_model_moves_with_the_prediction_and_a_row_of_the_pipeline_does_not():
     predicted, observed = sides()
-    options = {"campaign": "c", "equivalence_margin": 0.1}
+    options = {"equivalence_margin": 0.1}
     before = compare_products(predicted, observed, **options)
     after = compare_products(moved(predicted), observed, **options)
     key = lambda r: (r.product, r.subject, r.method, r.metric, r.band_nm)  # noqa: E731

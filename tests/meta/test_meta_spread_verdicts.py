@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hyperval.campaign.one import Job, run_campaign
+from hyperval.campaign.job import Job
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.schema import load_campaign
 from hyperval.results import Outcome, ResultTable
 from small_campaign import SmallCampaign

@@ -9,7 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from hyperval import cli
-from hyperval.campaign.one import Job, run_campaign
+from hyperval.campaign.job import Job
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.schema import load_campaign
 from hyperval.results import Cause, Outcome, ResultTable
 from hyperval.scene.builtin import builtin_class

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from small_world import BANDS, LINES, PLANTED, SAMPLES, TARGET
 
-from hyperval.campaign.one_side import product_rows
 from hyperval.collection import Detection, EmpiricalLineSource
+from hyperval.compare.one_side import product_rows
 from hyperval.errors import UsageError
 from hyperval.processing.detectors import DETECTORS, pixel_detector, whitener_of
 from hyperval.processing.objects import footprint_maxima
@@ -86,12 +86,12 @@ def test_alarms_before_the_first_detection(world):
     assert curves["fill 0.8"].alarms_before_first >= 1  # the full one, and which of the others only noise decides
     assert curves["fill 0.3"].alarms_before_first == 4
     assert any("RIT's self-test" in note for note in seen.detected.notes)
-    rows = product_rows("c", seen.observation, "observed")
+    rows = product_rows(seen.observation, "observed")
     assert {r.subject: r.value for r in rows if r.metric == "alarms_before_first"} == {
         s: c.alarms_before_first for s, c in curves.items()
     }
     del world.detection["first_detection"]
-    again = product_rows("c", world.observe().observation, "observed")
+    again = product_rows(world.observe().observation, "observed")
     assert not [r for r in again if r.metric == "alarms_before_first"]
 
 

@@ -10,9 +10,9 @@ import rasterio
 from affine import Affine
 from scipy.ndimage import gaussian_filter
 
+from hyperval.campaign.measured_scenes import with_fills_of_truth
 from hyperval.campaign.observing import observed_report
 from hyperval.campaign.schema import load_campaign
-from hyperval.campaign.truth_fills import with_fills_of_truth
 from hyperval.collection import Collection, Detection
 from hyperval.errors import HypervalError, InputError, UsageError
 from hyperval.observe.finer import FinerGrid, fills_of, object_of_fills, registration_shifts, window_fills

@@ -7,8 +7,8 @@ import pytest
 from affine import Affine
 from small_world import AXIS, BANDS
 
-from hyperval.campaign.measured_fractions import with_measured_fractions
-from hyperval.campaign.merge import without_circles
+from hyperval.campaign.measured_scenes import with_measured_fractions
+from hyperval.campaign.predicted_side import without_circles
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.georeference import pixel_sides_m
 from hyperval.imagery.regions import Region, half_region, ring_region

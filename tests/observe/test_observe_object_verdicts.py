@@ -68,7 +68,7 @@ def rows_of(world, *, fill=FILL, uncertain="", tail=""):
         Origins(axis=AXIS, measured=seen.statistics, resolve=world.resolve),
         objects=True,
     )
-    rows = compare_products(prediction, seen.observation, campaign="c")
+    rows = compare_products(prediction, seen.observation)
     return {r.metric: r for r in rows if r.subject in ("all objects", "paint background") and r.product == "scores"}
 
 

@@ -33,7 +33,7 @@ def with_more(made, grey: float, light: float):
 def rows(observation, subject):
     estimate = observation.reflectance[subject]
     return ResultTable(compare_spectra(
-        estimate, estimate, campaign="c", product="reflectance", subject=subject, method="m", axis=observation.axis
+        estimate, estimate, product="reflectance", subject=subject, method="m", axis=observation.axis
     ))  # fmt: skip
 
 

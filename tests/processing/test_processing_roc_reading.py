@@ -46,5 +46,5 @@ def test_the_false_alarms_at_a_detection_probability_are_the_inverse():
 
 def test_comparison_reads_the_curve_in_the_same_way():
     curve, fine = binormal(10.0 ** np.array([-4.0, -2.5, -1.0])), binormal(np.logspace(-4, -1, 31))
-    rows = {r.metric: r.value for r in compare_roc(curve, fine, campaign="c", subject="s", method="m")}
+    rows = {r.metric: r.value for r in compare_roc(curve, fine, subject="s", method="m")}
     assert rows["pd_predicted@1e-2"] == pytest.approx(float(detection_at(curve, 1e-2)), abs=1e-12)

@@ -136,7 +136,7 @@ def test_a_shift_of_one_side_is_the_difference_of_the_centres(shift):
         return SpectralEstimate(y, np.diag((0.01 * y) ** 2), None, 100)
 
     rows = compare_spectra(
-        side(762.9 + shift), side(762.9), campaign="c", product="radiance", subject="s", method="m",
+        side(762.9 + shift), side(762.9), product="radiance", subject="s", method="m",
         axis=SpectralAxis(w, np.full(w.size, 5.0)),
     )  # fmt: skip
     (row,) = [r for r in rows if r.metric.startswith("absorption_centre_difference")]

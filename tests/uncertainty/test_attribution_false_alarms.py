@@ -45,7 +45,7 @@ def test_ratios_are_those_of_the_comparison_and_of_the_two_laws():
     found = alarm_ratios(predicted, observed)
     rows: list[Result] = compare_exceedance(
         predicted.exceedance["roof", "cem"], observed.exceedance["roof", "cem"],
-        campaign="c", subject="roof", method="cem",
+        subject="roof", method="cem",
     )  # fmt: skip
     for row in rows:
         key = (row.subject, row.method, row.metric)

@@ -11,7 +11,8 @@ import copy
 import numpy as np
 import pytest
 
-from hyperval.campaign.one import jobs_of, run_campaign
+from hyperval.campaign.job import jobs_of
+from hyperval.campaign.one import run_campaign
 from hyperval.errors import UsageError
 from hyperval.results import Outcome
 

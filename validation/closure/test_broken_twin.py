@@ -53,7 +53,7 @@ def test_scores_of_planks_that_lie_as_they_fall_are_lower_than_predicted(run, su
 
 def test_the_gates_of_closure_would_fail(run):
     gates = load_campaign(TWIN / "campaign.yaml").comparisons
-    table = ResultTable(judged(list(run), gates, "share2012-twin"))
+    table = ResultTable(judged(list(run), gates))
     assert {row.product for row in table.gates().where(outcome=Outcome.DISAGREES)} == {
         "radiance",
         "reflectance",  # of mixed fields, by the full test

@@ -191,7 +191,7 @@ class Batch:
 def _compared(p: Prediction, o: Observation, method: str) -> list[Result]:
     # P-values of the objects together are not looked at here; their sets of draws are most of the time.
     with patch.multiple(objects, REPLICATES=500, POWER_DRAWS=20):
-        return compare_products(p, o, campaign="coverage", method=method)
+        return compare_products(p, o, method=method)
 
 
 def batches(whole: Batch) -> list[Batch]:

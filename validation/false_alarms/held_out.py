@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from hyperval.campaign.one import Inputs, jobs_of
+from hyperval.campaign.collected import Inputs
+from hyperval.campaign.job import jobs_of
 from hyperval.observe import observe
 from hyperval.processing.component_moments import class_components
 from hyperval.processing.mixture_fit import fit_mixture
@@ -44,7 +45,7 @@ class Image:
     def __init__(self) -> None:
         job = jobs_of(CAMPAIGN)[0]
         detection = job.campaign.detection.model_copy(update={"unmixing": None})
-        seen = observe(job.campaign.collection, detection, Inputs(job.folder).resolve, show_progress=False)
+        seen = observe(job.campaign.collection, detection, Inputs(job.path).resolve, show_progress=False)
         place, detected = seen.place, seen.detected
         counted = place.background(detection.false_alarms)
         self.lines, self.samples = np.nonzero(counted)

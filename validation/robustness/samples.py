@@ -40,7 +40,7 @@ from hyperval.atmosphere.modtran_solve import read_chn, terms_from_blocks
 from hyperval.atmosphere.modtran_template import read_modtran_json
 from hyperval.atmosphere.table_files import read_table
 from hyperval.baseline.schema import load_baseline
-from hyperval.campaign.draft import read_texts
+from hyperval.campaign.job import read_texts
 from hyperval.campaign.schema import load_campaigns
 from hyperval.collection_files import AbundanceTruth, BandTable, RegionSource
 from hyperval.config import load_yaml

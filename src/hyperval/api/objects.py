@@ -15,7 +15,7 @@ import xarray as xr
 
 from hyperval import products
 from hyperval.api.plots import ImagePlot, ResultsPlot, SidesPlot, TablePlot
-from hyperval.campaign.one_side import product_rows
+from hyperval.compare.one_side import product_rows
 from hyperval.errors import UsageError
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.interchange import cube_to_xarray
@@ -79,7 +79,7 @@ class _Side(_Shown):
 
     def to_dataframe(self: Any) -> pd.DataFrame:
         """Spectra by band, score moments, P_D at decades of P_FA and areas: a row each, as in ``results.csv``."""
-        return ResultTable(product_rows("", self, type(self).__name__.lower())).frame()
+        return ResultTable(product_rows(self, type(self).__name__.lower())).frame()
 
     @property
     def plot(self: Any) -> SidesPlot:

@@ -15,7 +15,9 @@ from hyperval import metrics as metrics_table
 from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Run, Study
 from hyperval.baseline.check import check as check_numbers
 from hyperval.baseline.store import DEFAULT_FOLDER
-from hyperval.campaign.one import Job, collected, jobs_of, run_campaign
+from hyperval.campaign.collected import collected
+from hyperval.campaign.job import Job, jobs_of
+from hyperval.campaign.one import run_campaign
 from hyperval.campaign.schema import load_campaign as read_campaign
 from hyperval.compare import compare_products
 from hyperval.errors import InputError
@@ -27,6 +29,7 @@ from hyperval.products import Products
 from hyperval.report.netcdf import labelled_arrays
 from hyperval.report.outputs import write_outputs
 from hyperval.report.stored import read_run
+from hyperval.results import of_campaign
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.simulate import simulate as simulate_scene
 from hyperval.simulate.schema import SceneFile
@@ -109,7 +112,7 @@ def compare(
     """
     measured = observation if isinstance(observation, Products) else observe(observation)
     known = prediction if isinstance(prediction, Products) else predict(prediction, axis=measured.axis)
-    return Results(compare_products(known, measured, campaign=name, method=method))
+    return Results(of_campaign(compare_products(known, measured, method=method), name))
 
 
 def validate(

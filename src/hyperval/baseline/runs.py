@@ -12,8 +12,7 @@ from hyperval.baseline.metrics import Measured, campaign_metrics, skipped_reason
 from hyperval.baseline.schema import Kind
 from hyperval.baseline.sensors import sensor_metrics
 from hyperval.baseline.store import versions
-from hyperval.campaign.draft import Waiting
-from hyperval.campaign.one import Job, jobs_of
+from hyperval.campaign.job import AnyJob, jobs_of
 from hyperval.campaign.provenance import source_revision
 from hyperval.campaign.run import validate
 from hyperval.errors import InputError, UsageError
@@ -96,9 +95,6 @@ def all_runs(
         raise UsageError("nothing to run", expected="campaign files, or sensors")
     chosen = [load_sensor(name) for name in _names(sensors)]
     runs = _campaign_runs(campaigns, source, keep, show_progress) if campaigns else []
-    names = [run.name for run in runs]
-    if twice := {n for n in names if names.count(n) > 1}:
-        raise UsageError(f"two campaigns are named {min(twice)!r}")
     return [*runs, *(_sensor_run(s, engine) for s in track(chosen, "sensors", len(chosen), show=show_progress))]
 
 
@@ -115,7 +111,7 @@ def _sensor_run(sensor: Sensor, engine: Engine | None) -> Run:
 def _campaign_runs(
     paths: Sequence[Path], source: Path | None, keep: Path | None, show_progress: bool | None
 ) -> list[Run]:
-    jobs = [job for path in paths for job in jobs_of(path)]
+    jobs = jobs_of(*paths)
     if source is not None:
         return [_read(job, source, finished=True) for job in jobs]
     with _folder(keep) as folder:
@@ -132,7 +128,7 @@ def _folder(keep: Path | None) -> Iterator[Path]:
         yield scratch / "runs"
 
 
-def _read(job: Job | Waiting, source: Path, *, finished: bool) -> Run:
+def _read(job: AnyJob, source: Path, *, finished: bool) -> Run:
     name = job.campaign.name
     inner = source / name
     run = read_run(inner if (inner / "results.json").is_file() else source)
@@ -156,7 +152,7 @@ def _read(job: Job | Waiting, source: Path, *, finished: bool) -> Run:
     )
 
 
-def _stale(job: Job | Waiting, provenance: Mapping[str, Any]) -> str | None:
+def _stale(job: AnyJob, provenance: Mapping[str, Any]) -> str | None:
     """Why a finished run does not tell what the files and the source of now would give; None when it may."""
     then, now = provenance.get("source_revision"), source_revision()
     if then and now and then.get("commit") != now["commit"]:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from hyperval.campaign.day_scenarios import DayScenarios, day_scenarios
-from hyperval.campaign.draft import Text, read_texts
+from hyperval.campaign.job import Text, read_texts
 from hyperval.campaign.names import (
     Lookup,
     Mistake,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.provenance import record_of
+from hyperval.compare.one_side import product_rows
 from hyperval.datasets import InputLog
 from hyperval.folders import whole_folder
 from hyperval.predict import Origins, predict
 from hyperval.report import RunReport, write_outputs
-from hyperval.results import ResultTable
+from hyperval.results import ResultTable, of_campaign
 from hyperval.scenario import load_scenario
 
 
@@ -26,11 +26,9 @@ def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | 
             description=scenario.description,
             simulated=False,
             kind="Prediction of scenario",
-            table=ResultTable(product_rows(scenario.name, prediction, "predicted")),
+            table=ResultTable(of_campaign(product_rows(prediction, "predicted"), scenario.name)),
             prediction=prediction,
-            provenance=record_of(
-                log, [scenario], None, {"scenario": scenario.model_dump(mode="json", by_alias=True)}, [prediction]
-            ),
+            provenance=record_of(log, [scenario], None, {"scenario": scenario}, [prediction]),
             notes=prediction.notes,
         )
         write_outputs(run, folder)

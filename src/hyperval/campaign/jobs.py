@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from hyperval.campaign.draft import Waiting
-from hyperval.campaign.one import Job, run_campaign, step_of, unfinished
+from hyperval.campaign.job import AnyJob, Job
+from hyperval.campaign.one import run_campaign, step_of, unfinished
 from hyperval.campaign.resume import Finished
 from hyperval.errors import HypervalError, internal_error
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
@@ -20,7 +20,6 @@ from hyperval.results import Outcome
 INTERNAL_ERROR = 4
 UNCHANGED = "{}: nothing changed since the earlier run, taken from it (--again runs it)"
 Done = tuple[RunReport, int | None]
-AnyJob = Job | Waiting
 
 
 def run_jobs(

@@ -51,7 +51,8 @@ def observed_report(
     ------
     UsageError : as for :func:`observe`.
     """
-    from hyperval.campaign.one import Job, run_campaign
+    from hyperval.campaign.job import Job
+    from hyperval.campaign.one import run_campaign
     from hyperval.campaign.schema import load_campaign
     from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
 

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import hyperval
-from hyperval.campaign.draft import Waiting
-from hyperval.campaign.one import Job, collected, jobs_of, outcomes, predicted_side
-from hyperval.errors import MissingDataError, UsageError
+from hyperval.campaign.collected import collected
+from hyperval.campaign.job import AnyJob, Job, Waiting, jobs_of
+from hyperval.campaign.one import outcomes
+from hyperval.campaign.predicted_side import predicted_side
+from hyperval.errors import MissingDataError
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.files import write_text
 from hyperval.folders import POWER, whole_folder
@@ -86,12 +88,8 @@ def power(
     ------
     HypervalError : of any campaign.
     """
-    jobs = [job for path in paths for job in jobs_of(path)]
-    names = [job.campaign.name for job in jobs]
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(f"two campaigns are named {name!r}")
-    before = {name: accepted_table(name) for name in names}
+    jobs = jobs_of(*paths)
+    before = {job.campaign.name: accepted_table(job.campaign.name) for job in jobs}
     if output is None:
         tables = _tables(jobs, before, show_progress)
     else:
@@ -109,7 +107,7 @@ def power(
 
 
 def _tables(
-    jobs: Sequence[Job | Waiting], before: Mapping[str, PowerTable | None], show_progress: bool | None
+    jobs: Sequence[AnyJob], before: Mapping[str, PowerTable | None], show_progress: bool | None
 ) -> list[Power]:
     with workers(worker_count(len(jobs))) as where:
         results = track(in_order(where, _piece, jobs), "campaigns", len(jobs), show=show_progress)
@@ -119,7 +117,7 @@ def _tables(
         ]
 
 
-def _piece(job: Job | Waiting) -> tuple[PowerTable | None, str]:
+def _piece(job: AnyJob) -> tuple[PowerTable | None, str]:
     if isinstance(job, Waiting):
         return None, job.reason
     try:
@@ -140,7 +138,7 @@ def power_table(
     """
     errors = planted_errors() if errors is None else errors
     with collected(job, show_progress=show_progress) as here:
-        observation, scenarios = here.observed.observation, here.scenarios
+        scenarios = here.scenarios
         origins = [here.origins(scenario, show_progress) for scenario in scenarios]
         stated = [predict(s, o, objects=True) for s, o in zip(scenarios, origins, strict=True)]
 
@@ -157,8 +155,7 @@ def power_table(
                 truths.append(truth)
             if len(refused) == len(scenarios):
                 raise refused[0]
-            side = predicted_side(job, here, predictions, truths)
-            return outcomes(side, observation, job.campaign, scenarios)
+            return outcomes(here, predicted_side(here, predictions, truths))
 
         before = judged_with(None)
         rows = {}

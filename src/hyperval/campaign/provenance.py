@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 
 import hyperval
 from hyperval.datasets import InputLog
@@ -24,7 +25,7 @@ def record_of(
     log: InputLog,
     scenarios: Sequence[Scenario],
     seed: int | None,
-    configuration: Mapping[str, Any],
+    configuration: Mapping[str, BaseModel],
     sides: Sequence[Products],
 ) -> dict[str, Any]:
     """The provenance record of a run: what was read, with which scenarios, seed, configuration and engines."""
@@ -34,7 +35,7 @@ def record_of(
         inputs=log.entries(),
         seed=seed,
         formulation=", ".join(formulations) or "none",
-        configuration=configuration,
+        configuration={k: v.model_dump(mode="json", by_alias=True) for k, v in configuration.items()},
         engines={str(i): dict(side.provenance) for i, side in enumerate(sides)},
     )
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from hyperval.campaign.merge import merged, with_pools, without_circles
-from hyperval.campaign.schema import Campaign
-from hyperval.observe import Observed
+from hyperval.campaign.collected import Collected
+from hyperval.campaign.predicted_side import joined
 from hyperval.observe import observe as observe_collection
-from hyperval.predict import Origins, predictions
+from hyperval.predict import predictions
 from hyperval.prediction.budget import given_of, inputs_of
 from hyperval.prediction.departure import Departure, departs
-from hyperval.prediction.inputs import Resolve
 from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.products import Prediction, Products
 from hyperval.results import Result
@@ -29,27 +26,11 @@ from hyperval.uncertainty.attribution.what_ifs import Model, Truth
 OBJECT_DRAWS = 1600
 
 
-def reasons(
-    campaign: Campaign,
-    scenarios: Sequence[Scenario],
-    origins_of: Callable[[Scenario], Origins],
-    observed: Observed,
-    prediction: Prediction,
-    resolve: Resolve,
-    *,
-    show_progress: bool | None = None,
-) -> list[Result]:
-    """Rows of the reasons, none where the campaign does not ask for them.
-
-    Parameters
-    ----------
-    origins_of : of the prediction of a scenario
-    prediction : as it was compared
-    resolve : of the collection's references
-    """
-    if campaign.attribution is None:
+def reasons(side: Collected, prediction: Prediction, *, show_progress: bool | None = None) -> list[Result]:
+    """Rows of the reasons, none where the campaign does not ask for them; ``prediction`` as it was compared."""
+    if side.campaign.attribution is None:
         return []
-    observation = observed.observation
+    observation = side.observed.observation
     # Where every object is one pixel, the scores of pixels say the same.
     whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
     draws = OBJECT_DRAWS if whole else False
@@ -60,7 +41,9 @@ def reasons(
         closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
         processing = scenario.processing.model_copy(update={"detectors": closed})
         lighter = scenario.model_copy(update={"processing": processing}) if closed else scenario
-        return predictions(lighter, truths, origins_of(scenario), objects=draws, object_curves=False)
+        return predictions(
+            lighter, truths, side.origins(scenario, show_progress), objects=draws, object_curves=False
+        )
 
     as_stated: list[tuple[Scenario, Prediction]] = []  # predicted once, however often nothing is moved in it
 
@@ -71,33 +54,30 @@ def reasons(
             as_stated.append((scenario, known))
         return known
 
-    def side(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[Prediction]:
+    def moved_side(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[Prediction]:
         moved = of_truths(scenario, [truth for truth in truths if departs(truth)])
         for truth in truths:
             yield next(moved) if departs(truth) else still(scenario)
 
     def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truth]) -> Iterator[Products]:
-        sides = [side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(scenarios)]
+        sides = [moved_side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(scenarios)]
         for parts in zip(*sides, strict=True):
-            joined = without_circles(merged(parts), scenarios, observed.place)
-            if campaign.detection is not None:
-                joined = replace(joined, roc=with_pools(joined.roc, observation, campaign.detection))
-            yield joined
+            yield joined(side, scenarios, parts)
 
     def measured_again(changes: Mapping[str, Any]) -> Products:
-        changed = with_settings(campaign, changes)
+        changed = with_settings(side.campaign, changes)
         return observe_collection(
-            changed.collection, changed.detection, resolve, show_progress=show_progress
+            changed.collection, changed.detection, side.inputs.resolve, show_progress=show_progress
         ).observation
 
-    given = [given_of(scenario, origins_of(scenario)) for scenario in scenarios]
+    given = [given_of(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]
     attribution = attribute(
-        Model(scenarios, predicted, measured_again),
+        Model(side.scenarios, predicted, measured_again),
         observation,
         [inputs_of(g) for g in given],
         [assumed_inputs(g) for g in given],
-        campaign.attribution,
+        side.campaign.attribution,
         budgeted=prediction,
         show_progress=show_progress,
     )
-    return attribution_rows(attribution, campaign.name)
+    return attribution_rows(attribution)

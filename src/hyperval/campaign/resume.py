@@ -17,8 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import hyperval
-from hyperval.campaign.one import SIMULATED, Job, report_of
+from hyperval.campaign.job import Job
+from hyperval.campaign.one import report_of
 from hyperval.campaign.provenance import command_without_output, package_versions, source_revision
+from hyperval.campaign.references import SIMULATED
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError
 from hyperval.files import sha256_of, write_text

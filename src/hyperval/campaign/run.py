@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hyperval.campaign.jobs import UNCHANGED, AnyJob, run_jobs
-from hyperval.campaign.one import Job, jobs_of, run_campaign, step_of
+from hyperval.campaign.job import AnyJob, Job, jobs_of
+from hyperval.campaign.jobs import UNCHANGED, run_jobs
+from hyperval.campaign.one import run_campaign, step_of
 from hyperval.campaign.resume import Finished, taken_over, write_record
-from hyperval.errors import UsageError
 from hyperval.folders import partial_folder, whole_folder
 from hyperval.progress import working
 from hyperval.report import write_index, write_outputs
@@ -43,18 +43,14 @@ def validate(
     written.  Of several, those that are finished stand in ``OUTPUT.partial`` until the results are whole: the same
     command goes on from there.
     """
-    jobs = [job for path in paths for job in jobs_of(path)]
-    names = [job.campaign.name for job in jobs]
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(f"two campaigns are named {name!r}")
+    jobs = jobs_of(*paths)
     with whole_folder(output) as folder:
         if len(jobs) == 1:
             return _only(jobs[0], folder, None if again else output, tell, show_progress).exit_code(strict=strict)
         finished = Finished(partial_folder(output).resolve(), None if again else output.resolve())
         done = run_jobs(jobs, finished, tell=tell, scheduler=scheduler, show_progress=show_progress)
         write_index([run for run, _ in done], folder)
-        finished.hand_over(names, folder)
+        finished.hand_over([job.campaign.name for job in jobs], folder)
     finished.remove()
     first_error = next((code for _, code in done if code is not None), None)
     return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)

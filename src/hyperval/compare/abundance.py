@@ -20,7 +20,6 @@ def compare_abundance(
     predicted: Abundance | None,
     observed: Abundance | None,
     *,
-    campaign: str,
     subject: str,
     method: str,
 ) -> list[Result]:
@@ -36,13 +35,13 @@ def compare_abundance(
     Examples
     --------
     >>> predicted, observed = Abundance(4.1, 0.2), Abundance(3.8, 0.3, 20, 4.0)
-    >>> rows = compare_abundance(predicted, observed, campaign="c", subject="panel", method="fcls")
+    >>> rows = compare_abundance(predicted, observed, subject="panel", method="fcls")
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('area_predicted', 4.1), ('area_observed', 3.8), ('area_ratio', 0.927), ('area_difference_ratio', 0.079),
     ('area_error_predicted', 0.1), ('area_error_observed', -0.2), ('area_nominal_ratio', 0.95),
     ('area_in_predicted_95', 1.0), ('area_z', 0.832), ('area_inside_95', 1.0)]
     """
-    make = RowMaker(campaign, "abundance", subject, method)
+    make = RowMaker("abundance", subject, method)
 
     def rows(predicted: Abundance, observed: Abundance) -> list[Result]:
         p, o = predicted.area_m2, observed.area_m2
@@ -50,48 +49,32 @@ def compare_abundance(
         # Beside the truth's area the pipeline alone moves the row.
         evidence = None if predicted.modelled else Evidence.PIPELINE
         out = [
-            make.row(
-                "area_predicted",
-                p,
-                interval=(p - Z95 * up, p + Z95 * up),
-                unit="m2",
-                n=predicted.n,
-                evidence=evidence,
-            ),
-            make.row("area_observed", o, interval=(o - Z95 * uo, o + Z95 * uo), unit="m2", n=observed.n),
+            make.row("area_predicted", p, half=Z95 * up, unit="m2", n=predicted.n, evidence=evidence),
+            make.row("area_observed", o, half=Z95 * uo, unit="m2", n=observed.n),
         ]
         if p > 0:
-            spread = Z95 * np.hypot(uo / p, o * up / p**2)
-            ends = o / p - spread, o / p + spread
-            out.append(make.row("area_ratio", o / p, interval=ends, n=observed.n, evidence=evidence))
+            half = Z95 * np.hypot(uo / p, o * up / p**2)
+            out.append(make.row("area_ratio", o / p, half=half, n=observed.n, evidence=evidence))
         else:
             out.append(make.skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio"))
         if o > 0:
             half = Z95 * float(difference_ratio_uncertainty(p, o, up, uo))
             ratio = float(difference_ratio(p, o))
-            ends = ratio - half, ratio + half
-            out.append(make.row("area_difference_ratio", ratio, interval=ends, n=observed.n, evidence=evidence))
+            out.append(make.row("area_difference_ratio", ratio, half=half, n=observed.n, evidence=evidence))
         else:
-            out.append(
-                make.skipped(Cause.NOT_POSITIVE, "the observed area is not positive", "area_difference_ratio")
-            )
+            why = "the observed area is not positive"
+            out.append(make.skipped(Cause.NOT_POSITIVE, why, "area_difference_ratio"))
         if observed.nominal_m2 is not None:
             for name, side, spread in (("predicted", predicted, up), ("observed", observed, uo)):
                 error = side.area_m2 - observed.nominal_m2
-                interval = (error - Z95 * spread, error + Z95 * spread)
-                out.append(make.row(f"area_error_{name}", error, interval=interval, unit="m2", n=side.n))
+                out.append(make.row(f"area_error_{name}", error, half=Z95 * spread, unit="m2", n=side.n))
             ratio, half = o / observed.nominal_m2, Z95 * uo / observed.nominal_m2
-            out.append(make.row("area_nominal_ratio", ratio, interval=(ratio - half, ratio + half), n=observed.n))
+            out.append(make.row("area_nominal_ratio", ratio, half=half, n=observed.n))
             out.append(make.row("area_in_predicted_95", float(abs(p - o) <= Z95 * up), n=observed.n))
         u = float(np.hypot(up, uo))
         if not u > 0:
-            return [
-                *out,
-                *(
-                    make.skipped(Cause.NO_UNCERTAINTY, "neither side states an uncertainty", m)
-                    for m in ("area_z", "area_inside_95")
-                ),
-            ]
+            why = "neither side states an uncertainty"
+            return out + [make.skipped(Cause.NO_UNCERTAINTY, why, m) for m in ("area_z", "area_inside_95")]
         z = (p - o) / u
         return [
             *out,
@@ -103,7 +86,7 @@ def compare_abundance(
 
 
 def compare_area_errors(
-    predicted: Mapping[tuple[str, str], Abundance], observed: Mapping[tuple[str, str], Abundance], *, campaign: str
+    predicted: Mapping[tuple[str, str], Abundance], observed: Mapping[tuple[str, str], Abundance]
 ) -> list[Result]:
     """Rows by nominal area and method: ``area_bias_*`` and ``area_rmse_*`` [m2] of both sides over its targets.
 
@@ -115,7 +98,7 @@ def compare_area_errors(
     --------
     >>> predicted = {("a", "fcls"): Abundance(1.1, 0.1), ("b", "fcls"): Abundance(1.1, 0.1)}
     >>> observed = {("a", "fcls"): Abundance(1.2, 0.1, 4, 1.0), ("b", "fcls"): Abundance(1.0, 0.1, 4, 1.0)}
-    >>> rows = compare_area_errors(predicted, observed, campaign="c")
+    >>> rows = compare_area_errors(predicted, observed)
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('area_bias_observed', 0.1), ('area_bias_predicted', 0.1), ('area_rmse_observed', 0.141),
     ('area_rmse_predicted', 0.141)]
@@ -128,7 +111,7 @@ def compare_area_errors(
     for (method, nominal), keys in groups.items():
         if len(keys) < 2:
             continue
-        make = RowMaker(campaign, "abundance", f"all targets of {nominal:g} m2", method)
+        make = RowMaker("abundance", f"all targets of {nominal:g} m2", method)
         error = np.array([observed[k].area_m2 - nominal for k in keys])
         model = np.array([predicted[k].area_m2 - nominal for k in keys])
         spread = np.array([predicted[k].standard_uncertainty for k in keys])
@@ -139,10 +122,8 @@ def compare_area_errors(
         rmse = float(np.sqrt(np.mean(error**2)))
         low, high = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
         rows += [
-            make.row("area_bias_observed", bias, interval=(bias - half, bias + half), unit="m2", n=n),
-            make.row(
-                "area_bias_predicted", expected, interval=(expected - limits, expected + limits), unit="m2", n=n
-            ),
+            make.row("area_bias_observed", bias, half=half, unit="m2", n=n),
+            make.row("area_bias_predicted", expected, half=limits, unit="m2", n=n),
             make.row("area_rmse_observed", rmse, interval=(rmse * low, rmse * high), unit="m2", n=n),
             make.row("area_rmse_predicted", float(np.sqrt(np.mean(model**2 + spread**2))), unit="m2", n=n),
         ]

@@ -13,7 +13,6 @@ def compare_classification(
     predicted: ClassificationError | None,
     observed: ClassificationError | None,
     *,
-    campaign: str,
     subject: str,
     method: str,
 ) -> list[Result]:
@@ -29,13 +28,13 @@ def compare_classification(
     >>> limits = {"bound_lower": 0.02, "bound_upper": 0.22}
     >>> predicted = ClassificationError(0.10, 0.09, 0.11, distance=0.8, approximation=0.1, **limits)
     >>> observed = ClassificationError(0.12, 0.10, 0.14, 400, 380.0, distance=0.7)
-    >>> rows = compare_classification(predicted, observed, campaign="c", subject="grass / soil", method="2 bands")
+    >>> rows = compare_classification(predicted, observed, subject="grass / soil", method="2 bands")
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('error_predicted', 0.1), ('error_observed', 0.12), ('error_difference', -0.02), ('error_inside_interval',
     1.0), ('error_approximation', 0.1), ('distance_predicted', 0.8), ('distance_observed', 0.7),
     ('error_bounds', 0.066)]
     """
-    make = RowMaker(campaign, "classification", subject, method)
+    make = RowMaker("classification", subject, method)
 
     def rows(p: ClassificationError, o: ClassificationError) -> list[Result]:
         difference = p.error - o.error

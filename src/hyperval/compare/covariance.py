@@ -63,7 +63,6 @@ def compare_covariance(
     predicted: SpectralEstimate | None,
     observed: SpectralEstimate | None,
     *,
-    campaign: str,
     subject: str,
     method: str,
     axis: SpectralAxis,
@@ -90,13 +89,13 @@ def compare_covariance(
     >>> own = np.exp(-np.abs(np.subtract.outer(np.arange(8.0), np.arange(8.0))) / 4.0)
     >>> predicted = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.012 * own)
     >>> observed = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.010 * own, n=400)
-    >>> rows = compare_covariance(predicted, observed, campaign="c", subject="grass", method="radiance", axis=axis)
+    >>> rows = compare_covariance(predicted, observed, subject="grass", method="radiance", axis=axis)
     >>> [(r.metric, round(r.value, 2)) for r in rows if not r.metric.endswith(("@2", "@3", "@4", "@5"))]
     [('eigenvalue_ratio@1', 1.19), ('eigenvalues_inside_95', 0.0), ('total_variance_ratio', 1.2),
     ('subspace_angle@1', 0.0), ('subspace_inside_95@1', 1.0), ('bhattacharyya_distance', 0.02),
     ('bhattacharyya_covariance_excess', 0.0)]
     """
-    make = RowMaker(campaign, "covariance", subject, method)
+    make = RowMaker("covariance", subject, method)
     if predicted is None or observed is None:
         return []
     sample = sampled(predicted, observed, axis, predicted_distribution, observed_distribution, EIGENVALUES)
@@ -220,9 +219,7 @@ def _space_rows(
     for i, k in enumerate(spaces):
         angle = float(measured.angles_deg[i])
         # One-sided: only too large an angle tells against the prediction.
-        most = float(
-            np.sort(band.angles_deg[:, i])[-6]
-        )  # the sixth greatest of 119 is exceeded with probability 0.05
+        most = float(np.sort(band.angles_deg[:, i])[-6])  # the sixth of 119 is exceeded with probability 0.05
         reason = f"sampling alone stays below {most:.3g} deg in 95 % of draws"
         rows.append(make.row(f"subspace_angle@{k}", angle, unit="deg", n=n, reason=reason))
         rows.append(make.row(f"subspace_inside_95@{k}", float(angle <= most), n=n, reason=reason))
@@ -268,7 +265,6 @@ def compare_distribution(
     predicted: PixelDistribution | None,
     observed: PixelDistribution | None,
     *,
-    campaign: str,
     subject: str,
     method: str = "pixels",
 ) -> list[Result]:
@@ -283,12 +279,12 @@ def compare_distribution(
     Examples
     --------
     >>> measured = PixelDistribution(30.0, 20.0, 60.0, 0.3, 6, 25.0, 18.0, 50.0, 3, 400, np.array([300.0, 320.0]))
-    >>> rows = compare_distribution(PixelDistribution(20.0), measured, campaign="c", subject="grass")
+    >>> rows = compare_distribution(PixelDistribution(20.0), measured, subject="grass")
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('background_tail_dof', 30.0), ('background_tail_dof_leading', 25.0), ('tail_inverse_dof_difference',
     0.01), ('normality_p_value', 0.3), ('effective_pixels', 300.0)]
     """
-    make = RowMaker(campaign, "covariance", subject, method)
+    make = RowMaker("covariance", subject, method)
     if observed is None:
         return []
     o = observed

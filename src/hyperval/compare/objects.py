@@ -227,7 +227,6 @@ def compare_object_scores(
     predicted: Mapping[str, ObjectScores],
     measured: Mapping[str, ObjectScores],
     *,
-    campaign: str,
     method: str,
     subject: str = EVERY_OBJECT,
 ) -> list[Result]:
@@ -246,7 +245,7 @@ def compare_object_scores(
     --------
     >>> draws = np.random.default_rng(0).normal(size=(50, 80))
     >>> predicted, measured = {"panel": ObjectScores(draws)}, {"panel": ObjectScores(np.array([1.0]), ("p1",))}
-    >>> rows = compare_object_scores(predicted, measured, campaign="c", method="cem")
+    >>> rows = compare_object_scores(predicted, measured, method="cem")
     >>> [(r.metric, round(r.value, 2)) for r in rows if r.metric.startswith("object_")]
     [('object_score_measured', 1.0), ('object_score_predicted', -0.03), ('object_score_pit', 0.84),
     ('object_score_inside_95', 1.0)]
@@ -255,7 +254,7 @@ def compare_object_scores(
     common: dict[str, Array] = {}
     lost: list[str] = []
     for name, model in predicted.items():
-        make = RowMaker(campaign, "scores", name, method)
+        make = RowMaker("scores", name, method)
         scores = measured[name].values if name in measured else np.empty(0)
         scores = scores[np.isfinite(scores)]
         if scores.size == 0:
@@ -268,23 +267,16 @@ def compare_object_scores(
             continue
         low, middle, high = (float(x) for x in np.quantile(model.values, [0.025, 0.5, 0.975]))
         u = float(probability_integral_transform(scores, model.values)[0])
+        why = f"measured {scores[0]:.4g}, predicted {low:.4g} to {high:.4g}"
         out += [
             make.row("object_score_measured", float(scores[0]), n=1),
             make.row("object_score_predicted", middle, interval=(low, high)),
             make.row("object_score_pit", u, n=1),
-            make.row(
-                "object_score_inside_95",
-                float(central(np.array([u]))[0]),
-                n=1,
-                reason=f"measured {scores[0]:.4g}, predicted {low:.4g} to {high:.4g}",
-            ),
+            make.row("object_score_inside_95", float(central(np.array([u]))[0]), n=1, reason=why),
         ]
-    make = RowMaker(campaign, "scores", subject, method)
+    make = RowMaker("scores", subject, method)
     if not common:
-        return [
-            *out,
-            *(make.skipped(Cause.NO_OBSERVATION, "no object has both sides", metric) for metric in OF_ALL),
-        ]
+        return out + [make.skipped(Cause.NO_OBSERVATION, "no object has both sides", metric) for metric in OF_ALL]
     return [*out, *_together_rows(make, predicted, common, f"; without {', '.join(lost)}" if lost else "")]
 
 
@@ -311,19 +303,11 @@ def _together_rows(
         why = f"{n} objects; the draws of the model tell the joint distribution of {MOST_JOINED}"
         rows.append(make.skipped(Cause.FEW_PIXELS, why, JOINT))
     else:
-        rows.append(
-            test(JOINT, sets.joint, "Mahalanobis distance of the normal scores, against draws of the model")
-        )
+        why = "Mahalanobis distance of the normal scores, against draws of the model"
+        rows.append(test(JOINT, sets.joint, why))
     if sets.drift is not None:
-        rows.append(
-            make.row(
-                TREND,
-                sets.trend,
-                interval=sets.trend_interval,
-                n=n,
-                reason="against draws of the model",
-            )
-        )
+        why = "against draws of the model"
+        rows.append(make.row(TREND, sets.trend, interval=sets.trend_interval, n=n, reason=why))
         rows.append(test(f"{TREND}_p_value", sets.drift, "drift of the normal scores, against draws of the model"))
     if not math.isnan(sets.spread):
         why = "normal scores about their mean, against draws of the model"

@@ -23,20 +23,15 @@ _NOT_THERE = (Cause.NO_PREDICTION, Cause.NO_OBSERVATION, Cause.NO_BANDS)
 Judgement = tuple[Outcome, Cause, str]
 
 
-def judged(rows: Iterable[Result], gates: Sequence[Gate], campaign: str = "") -> list[Result]:
+def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     """The rows with every planned comparison judged.
 
     Call it once, on all rows of a campaign: the levels of its tests are shared out among them.  A row that several
     gates cover stands once for each.  A row that no gate covers and whose metric has a usual range is judged by
     that, and informs.  A subject pattern that no row meets gives an ERROR row, for ``gate: false`` too: nothing
     planned goes missing.  A pooled gate adds a row METRIC_fraction with the share and its Clopper-Pearson interval.
-
-    Parameters
-    ----------
-    campaign : name for rows that stand for no comparison; taken from the first row when empty
     """
     rows = list(rows)
-    campaign = campaign or (rows[0].campaign if rows else "")
     single = [g for g in gates if g.fraction_at_least is None]
     out: list[Result] = []
     for row in rows:
@@ -48,9 +43,9 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate], campaign: str = "") ->
         else:
             out.append(_by_usual_range(row))
     for gate in gates:
-        out += _unmet(rows, gate, campaign)
+        out += _unmet(rows, gate)
         if gate.fraction_at_least is not None:
-            out += _pooled(rows, gate, campaign)
+            out += _pooled(rows, gate)
     return shared_levels(out)
 
 
@@ -228,7 +223,7 @@ def _by_usual_range(row: Result) -> Result:
     )
 
 
-def _unmet(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
+def _unmet(rows: Sequence[Result], gate: Gate) -> list[Result]:
     """An ERROR row for every subject pattern of the gate that no row meets."""
     out = []
     for pattern in gate.subjects:
@@ -240,7 +235,7 @@ def _unmet(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
             reason += _nearest(rows, alone)
             out.append(
                 Result(
-                    campaign, gate.product, pattern, gate.method, gate.metric, outcome=Outcome.ERROR,
+                    "", gate.product, pattern, gate.method, gate.metric, outcome=Outcome.ERROR,
                     role=Role.GATE if gate.gate else Role.INFORM, cause=Cause.ABSENT, reason=reason,
                 )
             )  # fmt: skip
@@ -283,7 +278,7 @@ def _members(rows: Sequence[Result], gate: Gate) -> _Members:
     return out
 
 
-def _pooled(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
+def _pooled(rows: Sequence[Result], gate: Gate) -> list[Result]:
     """The row of a pooled gate; none when no row matches, as :func:`_unmet` reports that.
 
     Rows that cannot tell widen the interval: they count as amiss in its lower end, as met in its upper one.
@@ -300,7 +295,7 @@ def _pooled(rows: Sequence[Result], gate: Gate, campaign: str) -> list[Result]:
     what += f", {len(members.open)} without an outcome of their own" if members.open else ""
     what += f"; outside: {shown}" if shown else ""
     row = Result(
-        campaign, gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction", good / n,
+        "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction", good / n,
         lower=lower, upper=upper, n=n, evidence=metric_of(gate.metric).evidence, reason=what,
     )  # fmt: skip
     outcome, cause, words = outcome_of(row, gate.fraction_at_least, math.inf)

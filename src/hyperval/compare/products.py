@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -29,7 +29,6 @@ def compare_products(
     predicted: Products,
     observed: Products,
     *,
-    campaign: str,
     method: str = "model",
     pfa: Sequence[float] | None = None,
     equivalence_margin: float | None = None,
@@ -52,67 +51,35 @@ def compare_products(
         )
     rows: list[Result] = []
     for product in SPECTRAL:
-        left, right = getattr(predicted, product), getattr(observed, product)
-        for subject in _keys(left, right):
+        for subject, left, right in _pairs(getattr(predicted, product), getattr(observed, product)):
             rows += compare_spectra(
-                left.get(subject),
-                right.get(subject),
-                campaign=campaign,
-                product=product,
-                subject=subject,
-                method=method,
-                axis=observed.axis,
-            )
-    rows += _covariance_rows(predicted, observed, campaign)
-    rows += _paired(compare_classification, predicted.classification, observed.classification, campaign)
-    rows += _paired(compare_scores, predicted.scores, observed.scores, campaign)
+                left, right, product=product, subject=subject, method=method, axis=observed.axis
+            )  # fmt: skip
+    rows += _covariance_rows(predicted, observed)
+    for (subject, features), left, right in _pairs(predicted.classification, observed.classification):
+        rows += compare_classification(left, right, subject=subject, method=features)
+    for (subject, detector), left, right in _pairs(predicted.scores, observed.scores):
+        rows += compare_scores(left, right, subject=subject, method=detector)
     for detector in dict.fromkeys(detector for _, detector in predicted.object_scores):
-        rows += compare_object_scores(
-            {s: scores for (s, d), scores in predicted.object_scores.items() if d == detector},
-            {s: scores for (s, d), scores in observed.object_scores.items() if d == detector},
-            campaign=campaign,
-            method=detector,
+        left, right = (
+            {s: v for (s, d), v in p.object_scores.items() if d == detector} for p in (predicted, observed)
         )
+        rows += compare_object_scores(left, right, method=detector)
     for (subject, detector), curve in predicted.exceedance.items():
         measured = observed.exceedance.get((subject, detector))
-        rows += compare_exceedance(curve, measured, campaign=campaign, subject=subject, method=detector)
-    for subject, detector, unit in _keys(predicted.roc, observed.roc):
-        key_of_curve = (subject, detector, unit)
+        rows += compare_exceedance(curve, measured, subject=subject, method=detector)
+    for (subject, detector, unit), left, right in _pairs(predicted.roc, observed.roc):
         made = compare_roc(
-            predicted.roc.get(key_of_curve),
-            observed.roc.get(key_of_curve),
-            campaign=campaign,
-            subject=subject,
-            method=f"{detector}/{unit}",
-            pfa=pfa,
+            left, right, subject=subject, method=f"{detector}/{unit}", pfa=pfa,
             equivalence_margin=equivalence_margin,
-        )
-        lacking = next((side for side in (predicted, observed) if key_of_curve not in side.roc), None)
+        )  # fmt: skip
+        lacking = predicted if left is None else observed if right is None else None
         if lacking is not None:
             made = [replace(row, reason=f"{row.reason}{_alternatives(lacking, subject)}") for row in made]
         rows += made
-    rows += _paired(compare_abundance, predicted.abundance, observed.abundance, campaign)
-    return rows + compare_area_errors(predicted.abundance, observed.abundance, campaign=campaign)
-
-
-def _paired(
-    compare: Callable[..., list[Result]],
-    left: Mapping[tuple[str, str], Any],
-    right: Mapping[tuple[str, str], Any],
-    campaign: str,
-) -> list[Result]:
-    """Rows of a product that goes by subject and method."""
-    return [
-        row
-        for subject, method in _keys(left, right)
-        for row in compare(
-            left.get((subject, method)),
-            right.get((subject, method)),
-            campaign=campaign,
-            subject=subject,
-            method=method,
-        )
-    ]
+    for (subject, detector), left, right in _pairs(predicted.abundance, observed.abundance):
+        rows += compare_abundance(left, right, subject=subject, method=detector)
+    return rows + compare_area_errors(predicted.abundance, observed.abundance)
 
 
 def _alternatives(side: Products, subject: str) -> str:
@@ -127,17 +94,15 @@ def _alternatives(side: Products, subject: str) -> str:
     return ", which has " + ", ".join(repr(s) for s in subjects[:MOST_NAMED]) + more
 
 
-def _covariance_rows(predicted: Products, observed: Products, campaign: str) -> list[Result]:
+def _covariance_rows(predicted: Products, observed: Products) -> list[Result]:
     """Covariances that both sides hold, in each quantity, and the tails of the classes."""
     rows: list[Result] = []
     noise = predicted.noise if isinstance(predicted, Prediction) else {}
     for quantity in SPREAD:
-        left, right = getattr(predicted, quantity), getattr(observed, quantity)
-        for subject in _keys(left, right):
+        for subject, left, right in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
             rows += compare_covariance(
-                left.get(subject),
-                right.get(subject),
-                campaign=campaign,
+                left,
+                right,
                 subject=subject,
                 method=quantity,
                 axis=observed.axis,
@@ -145,16 +110,12 @@ def _covariance_rows(predicted: Products, observed: Products, campaign: str) -> 
                 observed_distribution=observed.distribution.get(subject),
                 predicted_noise=noise.get(subject) if quantity == "radiance" else None,
             )
-    for subject in _keys(predicted.distribution, observed.distribution):
-        rows += compare_distribution(
-            predicted.distribution.get(subject),
-            observed.distribution.get(subject),
-            campaign=campaign,
-            subject=subject,
-        )
+    for subject, left, right in _pairs(predicted.distribution, observed.distribution):
+        rows += compare_distribution(left, right, subject=subject)
     return rows
 
 
-def _keys(left: Mapping[K, Any], right: Mapping[K, Any]) -> list[K]:
-    """Keys of both, those of the observation first and in its order."""
-    return list(dict.fromkeys([*right, *left]))
+def _pairs(left: Mapping[K, Any], right: Mapping[K, Any]) -> Iterator[tuple[K, Any, Any]]:
+    """What either side has under each key, those of the observation first and in its order."""
+    for key in dict.fromkeys([*right, *left]):
+        yield key, left.get(key), right.get(key)

@@ -67,7 +67,6 @@ def compare_roc(
     predicted: RocCurve | None,
     observed: RocCurve | None,
     *,
-    campaign: str,
     subject: str,
     method: str,
     pfa: Sequence[float] | None = None,
@@ -101,13 +100,13 @@ def compare_roc(
     >>> pfa = np.array([1e-3, 1e-2, 1e-1, 1.0])
     >>> predicted = RocCurve(pfa, pfa**0.2, pfa**0.25, pfa**0.15, -pfa, preset_pfa=pfa / 2.0)
     >>> observed = RocCurve(pfa, pfa**0.3, pfa**0.4, pfa**0.25, -pfa, "pixel", 40, 10_000)
-    >>> rows = compare_roc(predicted, observed, campaign="c", subject="panel", method="cem/pixel", pfa=[1e-2])
+    >>> rows = compare_roc(predicted, observed, subject="panel", method="cem/pixel", pfa=[1e-2])
     >>> [(r.metric, round(r.value, 3)) for r in rows if r.metric.startswith("pd")]
     [('pd_predicted@1e-2', 0.398), ('pd_measured@1e-2', 0.251), ('pd_difference@1e-2', 0.147),
     ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
     0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
-    make = RowMaker(campaign, "roc", subject, method)
+    make = RowMaker("roc", subject, method)
 
     def rows(predicted: RocCurve, observed: RocCurve) -> list[Result]:
         if predicted.unit != observed.unit:
@@ -163,14 +162,9 @@ def _at(make: RowMaker, predicted: RocCurve, observed: RocCurve, pfa: float, mar
     if o_interval[1] - o_interval[0] > WIDEST_INTERVAL:
         reason = f"the measured interval {o_interval[0]:.2g} to {o_interval[1]:.2g}"
         reason += f" from {n} {observed.unit}{'' if n == 1 else 's'}" if n is not None else ""
-        return [
-            *out,
-            *(make.skipped(Cause.VACUOUS, f"{reason} accepts nearly any prediction", name) for name in names[3:]),
-        ]
-    out += [
-        make.row(names[3], inside, n=n),
-        make.row(names[4], inside_measured, n=n),
-    ]
+        why = f"{reason} accepts nearly any prediction"
+        return out + [make.skipped(Cause.VACUOUS, why, name) for name in names[3:]]
+    out += [make.row(names[3], inside, n=n), make.row(names[4], inside_measured, n=n)]
     if margin is not None:
         yes, (code, word) = equivalent((low, high), margin), equivalence((low, high), margin)
         words = f"margin {margin:g}"
@@ -206,15 +200,11 @@ def _preset_rows(
     ends = difference_interval(value, (low, high), *measured)
     label = scientific(pfa)
     known = not any(math.isnan(x) for x in measured[1])
+    inside = float(ends[0] <= 0.0 <= ends[1]) if known else math.nan
     words = f"(3.32) at the preset, without (3.33): {swept[0]:.3g} with it, measured {measured[0]:.3g}"
     return [
         make.row(f"pd_predicted_preset@{label}", value, interval=(low, high), reason=words),
-        make.row(
-            f"pd_inside_interval_preset@{label}",
-            float(ends[0] <= 0.0 <= ends[1]) if known else math.nan,
-            n=n,
-            reason=words,
-        ),
+        make.row(f"pd_inside_interval_preset@{label}", inside, n=n, reason=words),
     ]
 
 
@@ -222,15 +212,9 @@ def _bare(make: RowMaker, predicted: RocCurve, observed: RocCurve) -> Result:
     """The difference of areas of curves without scores."""
     low = max(float(predicted.pfa[0]), float(observed.pfa[0]))
     if low >= 0.1 or min(float(predicted.pfa[-1]), float(observed.pfa[-1])) < LEAST_END:
-        return make.skipped(
-            Cause.BEYOND_CURVE,
-            f"the curves do not both reach from P_FA below 0.1 to {LEAST_END:g}",
-            "auc_difference",
-        )
+        why = f"the curves do not both reach from P_FA below 0.1 to {LEAST_END:g}"
+        return make.skipped(Cause.BEYOND_CURVE, why, "auc_difference")
     area = RocArea(low, 1.0)
-    return make.row(
-        "auc_difference",
-        curve_area(predicted, area) - curve_area(observed, area),
-        n=observed.n_target,
-        reason=f"area of both curves over P_FA {low:.2g} to 1; no interval from curves alone",
-    )
+    gap = curve_area(predicted, area) - curve_area(observed, area)
+    why = f"area of both curves over P_FA {low:.2g} to 1; no interval from curves alone"
+    return make.row("auc_difference", gap, n=observed.n_target, reason=why)

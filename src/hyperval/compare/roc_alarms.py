@@ -42,7 +42,7 @@ def far_row(make: RowMaker, observed: RocCurve, pfa: float) -> list[Result]:
     >>> pfa = np.array([1e-3, 1e-2, 1e-1])
     >>> alarms = np.array([10, 100, 1000])
     >>> curve = RocCurve(pfa, pfa**0.2, pfa**0.3, pfa**0.1, -pfa, "pixel", 40, 10_000, 0.04, alarms)
-    >>> [(r.metric, r.value) for r in far_row(RowMaker("c", "roc", "panel", "cem/pixel"), curve, 1e-2)]
+    >>> [(r.metric, r.value) for r in far_row(RowMaker("roc", "panel", "cem/pixel"), curve, 1e-2)]
     [('far_measured@1e-2', 2500.0)]
     """
     name, alarms = f"far_measured@{scientific(pfa)}", alarms_on_grid(observed, pfa)
@@ -74,7 +74,7 @@ def far_at_detection_rows(make: RowMaker, predicted: RocCurve | None, observed: 
     >>> point = AlarmsAtDetection(0.5, 0.7, 40, 4e-3, 1e-3, 1e-2, 3e-3, 5e-3)
     >>> counts = {"n_target": 40, "n_background": 10_000, "background_area_km2": 0.04}
     >>> observed = replace(predicted, **counts, at_detection=(point,))
-    >>> rows = far_at_detection_rows(RowMaker("c", "roc", "panel", "cem/pixel"), predicted, observed)
+    >>> rows = far_at_detection_rows(RowMaker("roc", "panel", "cem/pixel"), predicted, observed)
     >>> [(r.metric, round(r.value)) for r in rows]
     [('far_predicted@pd0.5', 1160), ('far_measured@pd0.5', 1000), ('far_difference@pd0.5', 160)]
     """
@@ -124,7 +124,7 @@ def first_detection_rows(make: RowMaker, observed: RocCurve) -> list[Result]:
     --------
     >>> pfa = np.array([1e-2, 1e-1])
     >>> curve = RocCurve(pfa, pfa, pfa, pfa, -pfa, "object", 7, 10_000, alarms_before_first=3)
-    >>> [(r.metric, r.value) for r in first_detection_rows(RowMaker("c", "roc", "panel", "cem/object"), curve)]
+    >>> [(r.metric, r.value) for r in first_detection_rows(RowMaker("roc", "panel", "cem/object"), curve)]
     [('alarms_before_first', 3.0)]
     """
     if observed.alarms_before_first is None:
@@ -148,7 +148,7 @@ def joint_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve, p
     >>> pfa = np.array([1e-3, 1e-2, 1e-1])
     >>> pd, alarms = np.array([0.3, 0.6, 0.9]), np.array([10, 100, 1000])
     >>> curve = RocCurve(pfa, pd, pfa, pfa, -pfa, "pixel", 40, 10_000, None, alarms)
-    >>> rows = joint_rows(RowMaker("c", "roc", "panel", "cem/pixel"), curve, curve, 1e-2)
+    >>> rows = joint_rows(RowMaker("roc", "panel", "cem/pixel"), curve, curve, 1e-2)
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('joint_pfa@1e-2', 0.01), ('joint_pd@1e-2', 0.6), ('pd_inside_joint_region@1e-2', 1.0)]
     """

@@ -74,7 +74,7 @@ def area_rows(make: RowMaker, predicted: RocCurve | None, observed: RocCurve | N
     >>> rng = np.random.default_rng(0)
     >>> target, background = rng.normal(2.0, 1.0, 40), rng.normal(size=20_000)
     >>> measured = with_summary(empirical_roc(target, background), target, background, rng=rng)
-    >>> rows = area_rows(RowMaker("c", "roc", "panel", "cem/pixel"), measured, measured)
+    >>> rows = area_rows(RowMaker("roc", "panel", "cem/pixel"), measured, measured)
     >>> [(r.metric, round(r.value, 2)) for r in rows]
     [('auc_predicted', 0.94), ('auc_measured', 0.94), ('auc_difference', 0.0), ('partial_auc_predicted@0..1e-1',
     0.59), ('partial_auc_measured@0..1e-1', 0.59), ('partial_auc_difference@0..1e-1', -0.0),

@@ -18,9 +18,8 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class RowMaker:
-    """Fills in what the rows of one comparison share."""
+    """Fills in what the rows of one comparison share; their campaign is named when all of them are there."""
 
-    campaign: str
     product: str
     subject: str
     method: str
@@ -30,7 +29,8 @@ class RowMaker:
         metric: str,
         value: float,
         *,
-        interval: tuple[float, float] = (math.nan, math.nan),
+        interval: tuple[float, float] | None = None,
+        half: float = math.nan,
         unit: str = "1",
         band_nm: float = math.nan,
         n: int | None = None,
@@ -38,17 +38,18 @@ class RowMaker:
         evidence: Evidence | None = None,
         reason: str = "",
     ) -> Result:
-        """A row without an outcome; what is planned gives it one later."""
+        """A row without an outcome; what is planned gives it one later.  ``half``: half of its interval's width."""
+        low, high = interval or (value - half, value + half)
         return Result(
-            self.campaign, self.product, self.subject, self.method, metric, float(value), unit, float(band_nm),
-            float(interval[0]), float(interval[1]), n, evidence=evidence, detectable=float(detectable),
+            "", self.product, self.subject, self.method, metric, float(value), unit, float(band_nm),
+            float(low), float(high), n, evidence=evidence, detectable=float(detectable),
             reason=reason,
         )  # fmt: skip
 
     def skipped(self, cause: Cause, reason: str, metric: str = COMPARISON) -> Result:
         """A planned row that has no value, with the cause and words."""
         return Result(
-            self.campaign, self.product, self.subject, self.method, metric, outcome=Outcome.SKIPPED, cause=cause,
+            "", self.product, self.subject, self.method, metric, outcome=Outcome.SKIPPED, cause=cause,
             reason=reason,
         )  # fmt: skip
 

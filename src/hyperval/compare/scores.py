@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy import stats
 
@@ -25,7 +27,6 @@ def compare_scores(
     predicted: ScoreDistribution | None,
     observed: ScoreDistribution | None,
     *,
-    campaign: str,
     subject: str,
     method: str,
 ) -> list[Result]:
@@ -38,12 +39,12 @@ def compare_scores(
     Examples
     --------
     >>> predicted, observed = ScoreDistribution(1.0, 0.2), ScoreDistribution(0.9, 0.25, 50)
-    >>> rows = compare_scores(predicted, observed, campaign="c", subject="panel", method="cem")
+    >>> rows = compare_scores(predicted, observed, subject="panel", method="cem")
     >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('score_mean_predicted', 1.0), ('score_mean_observed', 0.9), ('score_mean_difference', 0.1),
     ('score_sd_ratio', 0.8)]
     """
-    make = RowMaker(campaign, "scores", subject, method)
+    make = RowMaker("scores", subject, method)
 
     def rows(predicted: ScoreDistribution, observed: ScoreDistribution) -> list[Result]:
         n = observed.n
@@ -52,20 +53,15 @@ def compare_scores(
         half = stats.t.ppf(0.975, n - 1) * observed.sd / np.sqrt(n) if known and n is not None else np.nan
         out = [
             make.row("score_mean_predicted", predicted.mean, n=predicted.n),
-            make.row(
-                "score_mean_observed", observed.mean, interval=(observed.mean - half, observed.mean + half), n=n
-            ),
-            make.row("score_mean_difference", difference, interval=(difference - half, difference + half), n=n),
+            make.row("score_mean_observed", observed.mean, half=half, n=n),
+            make.row("score_mean_difference", difference, half=half, n=n),
         ]
         if observed.sd > 0 and n is not None and n >= 2:
             interval = sd_ratio_interval(predicted.sd, observed.sd, n)
             out.append(make.row("score_sd_ratio", predicted.sd / observed.sd, interval=interval, n=n))
         else:
-            out.append(
-                make.skipped(
-                    Cause.FEW_PIXELS, "fewer than two observed scores, or no spread among them", "score_sd_ratio"
-                )
-            )
+            why = "fewer than two observed scores, or no spread among them"
+            out.append(make.skipped(Cause.FEW_PIXELS, why, "score_sd_ratio"))
         return out
 
     return make.compared(predicted, observed, rows)
@@ -78,7 +74,6 @@ def compare_exceedance(
     predicted: ExceedanceCurve | None,
     observed: ExceedanceCurve | None,
     *,
-    campaign: str,
     subject: str,
     method: str,
 ) -> list[Result]:
@@ -94,7 +89,7 @@ def compare_exceedance(
     ----------
     subject : what is looked for; the rows stand under the name of its background
     """
-    make = RowMaker(campaign, "scores", background_of(subject), method)
+    make = RowMaker("scores", background_of(subject), method)
 
     def rows(predicted: ExceedanceCurve, observed: ExceedanceCurve) -> list[Result]:
         out = []
@@ -102,11 +97,8 @@ def compare_exceedance(
             name, expected = f"pfa_ratio@{scientific(level)}", level * (observed.n or 0)
             if expected < LEAST_EXPECTED_ALARMS:
                 if level >= 1e-3:
-                    out.append(
-                        make.skipped(
-                            Cause.FEW_ALARMS, f"{observed.n} background pixels expect {expected:.3g} alarms", name
-                        )
-                    )
+                    why = f"{observed.n} background pixels expect {expected:.3g} alarms"
+                    out.append(make.skipped(Cause.FEW_ALARMS, why, name))
                 continue
             ratio = false_alarm_ratio(predicted, observed, level)
             at, model = ratio.at, ratio.predicted
@@ -116,22 +108,14 @@ def compare_exceedance(
             words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
             interval = ratio.lower, ratio.upper
             words += "; the interval is that of the measured rate alone"
-            if observed.half_image is None:
-                out.append(make.row(name, ratio.value, interval=interval, n=observed.n, reason=words))
-                continue
-            factor = float(observed.half_image[at])
-            words += f"; one half of the image misses the other by a factor of {factor:.2g}"
+            factor = math.nan if observed.half_image is None else float(observed.half_image[at])
+            if observed.half_image is not None:
+                words += f"; one half of the image misses the other by a factor of {factor:.2g}"
             out.append(make.row(name, ratio.value, interval=interval, n=observed.n, reason=words))
             alarms = round(measured * (observed.n or 0))
             if np.isfinite(factor):
-                out.append(
-                    make.row(
-                        f"pfa_repeatability@{scientific(level)}",
-                        factor,
-                        n=observed.n,
-                        reason=f"of {alarms} alarms; half of the random halves differ less",
-                    )
-                )
+                name, why = f"pfa_repeatability@{scientific(level)}", "half of the random halves differ less"
+                out.append(make.row(name, factor, n=observed.n, reason=f"of {alarms} alarms; {why}"))
         return out
 
     return make.compared(predicted, observed, rows)

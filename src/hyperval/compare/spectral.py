@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +26,7 @@ from hyperval.compare.rows import RowMaker
 from hyperval.compare.wavelengths import wavelength_rows
 from hyperval.processing.difference import difference_ratio, difference_ratio_covariance
 from hyperval.processing.intervals import Z95
-from hyperval.products import EstimatedPart, SpectralEstimate
+from hyperval.products import SpectralEstimate
 from hyperval.results import Cause, Result
 from hyperval.spectra.axis import SpectralAxis
 
@@ -45,7 +44,6 @@ def compare_spectra(
     predicted: SpectralEstimate | None,
     observed: SpectralEstimate | None,
     *,
-    campaign: str,
     product: str,
     subject: str,
     method: str,
@@ -64,7 +62,7 @@ def compare_spectra(
     of the observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
     ``fraction_inside_stated_windows``.
     """
-    make = RowMaker(campaign, product, subject, method)
+    make = RowMaker(product, subject, method)
     if predicted is not None and observed is not None and observed.circular:
         return [make.skipped(Cause.CIRCULAR, observed.circular)]
 
@@ -89,20 +87,8 @@ def _rows(
     out: list[Result] = []
     for b in np.flatnonzero(usable):
         at = float(axis.centre_nm[b])
-        if np.isfinite(ratio[b]):
-            out.append(
-                make.row(
-                    "difference_ratio",
-                    ratio[b],
-                    interval=(ratio[b] - half[b], ratio[b] + half[b]),
-                    band_nm=at,
-                    n=n,
-                )
-            )
-        else:
-            out.append(
-                make.row("difference_ratio", np.nan, band_nm=at, n=n, reason="observed value is not positive")
-            )
+        why = "" if np.isfinite(ratio[b]) else "observed value is not positive"
+        out.append(make.row("difference_ratio", ratio[b], half=half[b], band_nm=at, n=n, reason=why))
         if np.isfinite(z[b]):
             out.append(make.row("z", z[b], band_nm=at, n=n))
     if observed.stated is not None:
@@ -115,20 +101,7 @@ def _rows(
             continue  # the sensor does not see this part of the spectrum: nothing was planned there
         out += _summary(make, name, ratio, ratio_covariance, usable & region & np.isfinite(ratio))
     window = usable & regions(axis)["windows"]
-    estimated = (*predicted.estimated, *observed.estimated)
-    leading = leading_source(predicted, observed, window)
-    out += _consistency(
-        make,
-        predicted.mean,
-        observed.mean,
-        covariance,
-        window,
-        axis.centre_nm,
-        (ratio, ratio_covariance),
-        estimated,
-        leading,
-    )
-    return out
+    return out + _consistency(make, predicted, observed, window, axis.centre_nm, (ratio, ratio_covariance))
 
 
 def fraction_inside_stated(difference: Array, stated: Array) -> float:
@@ -171,14 +144,11 @@ def _summary(
 
 def _consistency(
     make: RowMaker,
-    predicted: Array,
-    observed: Array,
-    covariance: Array,
+    predicted: SpectralEstimate,
+    observed: SpectralEstimate,
     window: npt.NDArray[np.bool_],
     centre_nm: Array,
     relative: tuple[Array, Array],
-    estimated: Sequence[EstimatedPart] = (),
-    leading: str = "",
 ) -> list[Result]:
     names = (
         "chi2_reduced_diagonal", "p_value_diagonal", "chi2_reduced_full", "p_value_full",
@@ -186,13 +156,13 @@ def _consistency(
     )  # fmt: skip
     if not window.any():
         return [make.skipped(Cause.NO_BANDS, "no comparable band in windows", name) for name in names]
-    r = (predicted - observed)[window]
-    cov = covariance[np.ix_(window, window)]
-    parts_here = [part.bands(window) for part in estimated]
+    p, o = predicted.mean[window], observed.mean[window]
+    r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[np.ix_(window, window)]
+    parts_here = [part.bands(window) for part in (*predicted.estimated, *observed.estimated)]
     cause = Cause.NONE
-    if not np.all(np.diag(cov) > (NUMERICAL * observed[window]) ** 2):
+    if not np.all(np.diag(cov) > (NUMERICAL * o) ** 2):
         cause, reason = Cause.NO_UNCERTAINTY, "neither side states an uncertainty beyond rounding in some bands"
-    elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(observed[window])):
+    elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(o)):
         # Such as a panel that an empirical line of two panels goes through.
         reason = "both sides are equal to rounding: one was made from the other, which is no evidence"
         cause = Cause.CIRCULAR
@@ -200,31 +170,26 @@ def _consistency(
         out = [make.skipped(cause, reason, name) for name in names[:-1]]
     else:
         diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, cov, parts_here)
-        parts = bias_and_shape(r, observed[window], cov, parts_here)
-        tilts = detectable_tilts(observed[window], centre_nm[window], cov, parts_here)
+        parts = bias_and_shape(r, o, cov, parts_here)
+        tilts = detectable_tilts(o, centre_nm[window], cov, parts_here)
         inside, limits = share_inside(r, cov)
         bias, bias_sd = _mean_ratio(*relative, window)
         kept = f"{full.dof} of {int(window.sum())} directions kept" if full.dof < window.sum() else ""
         if math.isfinite(full.covariance_dof):
             words = f"covariance known by {full.covariance_dof:.0f} effective degrees of freedom"
             kept = f"{kept}; {words}" if kept else words
-        kept = "; ".join(part for part in (kept, leading) if part)
+        kept = "; ".join(part for part in (kept, leading_source(predicted, observed, window)) if part)
         out = [
             make.row(names[0], diagonal.reduced, n=diagonal.dof),
             make.row(names[1], diagonal.p_value, n=diagonal.dof),
             make.row(names[2], full.reduced, n=full.dof, reason=kept),
             make.row(names[3], full.p_value, n=full.dof, detectable=tilts[0], reason=kept),
-            make.row(
-                names[4],
-                bias,
-                interval=(bias - Z95 * bias_sd, bias + Z95 * bias_sd),
-                n=full.dof,
-            ),
+            make.row(names[4], bias, half=Z95 * bias_sd, n=full.dof),
             make.row(names[5], parts.shape.reduced, n=parts.shape.dof),
             make.row(names[6], parts.shape.p_value, n=parts.shape.dof, detectable=tilts[1]),
             make.row(names[7], inside, interval=limits, n=int(window.sum())),
         ]
-    angle = spectral_angle_degrees(predicted[window], observed[window])
+    angle = spectral_angle_degrees(p, o)
     return [*out, make.row(names[8], angle, unit="degree", n=int(window.sum()))]
 
 

@@ -28,7 +28,7 @@ def wavelength_rows(
     >>> def side(centre_nm):
     ...     depth = 0.5 * np.exp(-0.5 * ((w - centre_nm) / 4.0) ** 2)
     ...     return SpectralEstimate(1.0 - depth, 1e-6 * np.eye(w.size))
-    >>> make, axis = RowMaker("c", "radiance", "lawn", "sixs"), SpectralAxis(w, np.full(w.size, 5.0))
+    >>> make, axis = RowMaker("radiance", "lawn", "sixs"), SpectralAxis(w, np.full(w.size, 5.0))
     >>> [(row.metric, round(row.value, 1)) for row in wavelength_rows(make, side(764.0), side(763.0), axis)]
     [('absorption_centre_difference@oxygen-763', 1.0)]
     """
@@ -47,5 +47,5 @@ def wavelength_rows(
             continue
         half = Z95 * math.hypot(up, uo) or math.nan
         name = f"absorption_centre_difference@{feature.key}"
-        rows.append(make.row(name, p - o, interval=(p - o - half, p - o + half), unit="nm", n=observed.n))
+        rows.append(make.row(name, p - o, half=half, unit="nm", n=observed.n))
     return rows

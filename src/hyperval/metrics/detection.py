@@ -121,9 +121,9 @@ METRICS = (
            "predicted distribution; above 1 the prediction is too wide", _OBJECTS, low=0.0, agreement=1.0,
            interval="draws of the model", formula="sd(z drawn) / sd(z), z = Phi^-1(u)",
            short="spread of object scores", reference=_TOGETHER),
-    Metric("mean", "mean of one side alone", "campaign.one_side.product_rows", unit="", interval="normal",
+    Metric("mean", "mean of one side alone", "compare.one_side.product_rows", unit="", interval="normal",
            formula="m", reference="JCGM 100:2008, 4.2"),
-    Metric("sd", "standard deviation of one side alone", "campaign.one_side.product_rows", low=0.0, formula="s",
+    Metric("sd", "standard deviation of one side alone", "compare.one_side.product_rows", low=0.0, formula="s",
            reference="JCGM 100:2008, 4.2"),
     Metric("pfa_ratio", "predicted over measured false-alarm probability at one threshold; the number after @ is "
            "the measured one aimed at", "processing.exceedance.false_alarm_ratio", "P_p(x) / P_o(x)", low=0.0,
@@ -138,7 +138,7 @@ METRICS = (
            "after @ that part", "processing.exceedance.exceedance_curve", low=0.0, tolerance=of_value(0.01),
            evidence=_PIPELINE, formula="(1 - P_FA) quantile of the background's scores", reference=_TOGETHER),
     # ROC.
-    Metric("pd", "detection probability of one side alone" + _AFTER, "campaign.one_side.product_rows", low=0.0,
+    Metric("pd", "detection probability of one side alone" + _AFTER, "compare.one_side.product_rows", low=0.0,
            high=1.0, better="high", interval=_MID_P, tolerance=_PROBABILITY,
            formula="P(score > t), t at the P_FA", reference=_MODEL),
     Metric("pd_predicted", "predicted detection probability" + _AFTER, "processing.roc_reading.detection_at",
@@ -212,7 +212,7 @@ METRICS = (
     _flag("pd_inside_joint_region", "1 where the predicted curve passes through that region" + _AFTER, _JOINT,
            formula="[P_p(P_FA) passes through the rectangle]", reference=_REGION),
     # Areas of targets.
-    Metric("area", "area of a target, one side alone", "campaign.one_side.product_rows", unit="m2",
+    Metric("area", "area of a target, one side alone", "compare.one_side.product_rows", unit="m2",
            interval="normal", tolerance=_AREA, formula="sum of abundances times the pixel's area",
            reference=_UNMIXED),
     Metric("area_predicted", "predicted area of a target", _AREAS, unit="m2", interval="normal", tolerance=_AREA,

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.campaign.one_side import product_rows
 from hyperval.campaign.schema import Campaign
 from hyperval.collection import Detection
+from hyperval.compare.one_side import product_rows
 from hyperval.compare.rows import RowMaker
 from hyperval.observe import Observed
 from hyperval.observe.objects import scored_pixels, target_groups
@@ -153,47 +153,45 @@ def block_counts(observed: Observed, detection: Detection) -> BlockCounts:
 
 
 def detector_rows(
-    campaign: str, observed: Observed, question: Question, *, seed: int, show_progress: bool | None = None
+    observed: Observed, question: Question, *, seed: int, show_progress: bool | None = None
 ) -> list[Result]:
     """Rows of every detector: metrics by subject, the same of all objects, ranks, and what could not run."""
     detection = question.campaign.detection
     if detection is None or observed.detected is None:
         why = "the campaign looks for no targets"
-        return [RowMaker(campaign, PRODUCT, EVERY_OBJECT, "detectors").skipped(Cause.NO_OBSERVATION, why, "rank")]
-    rows = _measured_rows(campaign, observed)
+        return [RowMaker(PRODUCT, EVERY_OBJECT, "detectors").skipped(Cause.NO_OBSERVATION, why, "rank")]
+    rows = _measured_rows(observed)
     counts = block_counts(observed, detection)
     groups = {name: looks for name, looks in counts.group.items() if looks}
-    for name, looks in track(groups.items(), f"{campaign}: ranks", len(groups), show=show_progress):
+    for name, looks in track(groups.items(), "ranks", len(groups), show=show_progress):
         objects = len(set(counts.item[list(looks)]))
         if objects < 2:
             continue  # one object orders detectors by chance alone
         for measure in MEASURES.values():
             if measure.known_from(counts.n):
                 ranks = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
-                rows += rank_rows(campaign, name, counts, measure, ranks)
+                rows += rank_rows(name, counts, measure, ranks)
     for name, reason in question.left_out.items():
-        rows.append(
-            RowMaker(campaign, PRODUCT, EVERY_OBJECT, f"{name}/object").skipped(Cause.REFUSED, reason, "rank")
-        )
+        rows.append(RowMaker(PRODUCT, EVERY_OBJECT, f"{name}/object").skipped(Cause.REFUSED, reason, "rank"))
     return rows
 
 
-def _measured_rows(campaign: str, observed: Observed) -> list[Result]:
+def _measured_rows(observed: Observed) -> list[Result]:
     """The metrics of single subjects and pools, as the collection's own rows have them."""
     least = {(s, f"{d}/{u}"): c.n_background or 0 for (s, d, u), c in observed.observation.roc.items()}
     names = {m.observed: m for m in MEASURES.values()}
     rows = []
-    for row in product_rows(campaign, observed.observation, "observed"):
+    for row in product_rows(observed.observation, "observed"):
         measure = names.get(row.metric)
         if row.product != "roc" or measure is None or not measure.known_from(least[row.subject, row.method]):
             continue
-        make = RowMaker(campaign, PRODUCT, row.subject, row.method)
+        make = RowMaker(PRODUCT, row.subject, row.method)
         ends = (row.lower, row.upper)
         rows.append(make.row(measure.name, row.value, interval=ends, unit=row.unit, n=row.n, reason=row.reason))
     return rows
 
 
-def rank_rows(campaign: str, group: str, counts: BlockCounts, measure: Measure, ranks: Ranked) -> list[Result]:
+def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: Ranked) -> list[Result]:
     """``METRIC`` (of all objects together), ``rank_METRIC`` and ``first_METRIC`` of each detector on one group."""
     m, rows = ranks.objects, []
     words = f"paired: {DRAWS} draws of {m} objects and of blocks of the background, the same for all detectors"
@@ -201,7 +199,7 @@ def rank_rows(campaign: str, group: str, counts: BlockCounts, measure: Measure, 
         words += f"; {m} objects cannot order {ranks.distinct} detectors, {fewest_objects(ranks.distinct)} could"
     first = "share of the draws in which it is the best, equals counted alike"
     for d, detector in enumerate(counts.detectors):
-        make = RowMaker(campaign, PRODUCT, group, f"{detector}/object")
+        make = RowMaker(PRODUCT, group, f"{detector}/object")
         if group == EVERY_OBJECT:
             rows.append(_value_row(make, counts, measure, ranks, d))
         ends = float(ranks.rank_lower[d]), float(ranks.rank_upper[d])

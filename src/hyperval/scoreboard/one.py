@@ -11,8 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hyperval.campaign.draft import Waiting
-from hyperval.campaign.one import Inputs, Job, collected, jobs_of
+from hyperval.campaign.collected import Inputs, collected
+from hyperval.campaign.job import AnyJob, Job, Waiting, jobs_of
 from hyperval.campaign.provenance import command_without_output, record_of
 from hyperval.campaign.schema import Campaign
 from hyperval.datasets import InputLog
@@ -21,11 +21,11 @@ from hyperval.executors import in_order, worker_count, workers
 from hyperval.files import sha256_of, write_text
 from hyperval.folders import whole_folder
 from hyperval.observe.place import open_place
-from hyperval.progress import track
+from hyperval.progress import step, track
 from hyperval.report.benchmark import BenchmarkReport, CampaignWords, benchmark_page, draw_benchmark
 from hyperval.report.outputs import write_tables
 from hyperval.report.tables import json_value
-from hyperval.results import Cause, Outcome, Result, ResultTable
+from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 from hyperval.scenario import Scenario
 from hyperval.scoreboard.engines import ENGINES
 from hyperval.scoreboard.extend import load_extensions
@@ -49,7 +49,7 @@ INTERNAL_ERROR = 4
 class Entry:
     """One campaign to be run, as it is handed to a worker."""
 
-    job: Job | Waiting
+    job: AnyJob
     seed: int
     extensions: tuple[Path, ...] = ()
 
@@ -115,19 +115,21 @@ def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | Non
             chosen = with_own_detectors(chosen, job.campaign.detection, refused)
         return chosen.campaign
 
-    with collected(job, question=ask, show_progress=show_progress) as collection:
-        rows = detector_rows(name, collection.observed, chosen, seed=entry.seed, show_progress=show_progress)
-        rows += peer_rows(name, collection.observed, chosen.campaign.detection, collection.inputs.resolve)
-        variants, predictions = variant_rows(name, collection, seed=entry.seed, show_progress=show_progress)
+    with step(name, 1, 1, "benchmark"), collected(job, question=ask, show_progress=show_progress) as collection:
+        rows = detector_rows(collection.observed, chosen, seed=entry.seed, show_progress=show_progress)
+        rows += peer_rows(collection.observed, chosen.campaign.detection, collection.inputs.resolve)
+        variants, predictions = variant_rows(collection, seed=entry.seed, show_progress=show_progress)
         record = record_of(
             collection.inputs.log,
             collection.scenarios,
             collection.seed,
-            {"campaign": chosen.campaign.model_dump(mode="json", by_alias=True)},
+            {"campaign": chosen.campaign},
             [collection.observed.observation, *predictions],
         )
         notes = list(dict.fromkeys([*chosen.notes, *_halo(chosen), *collection.observed.observation.notes]))
-    return Benchmarked(name, job.campaign.title, bool(job.campaign.simulated), rows + variants, notes, record)
+    return Benchmarked(
+        name, job.campaign.title, bool(job.campaign.simulated), of_campaign(rows + variants, name), notes, record
+    )
 
 
 def _halo(question: Question) -> list[str]:
@@ -138,13 +140,12 @@ def _halo(question: Question) -> list[str]:
 
 def _stopped(entry: Entry, outcome: Outcome, reason: str, code: int | None = None) -> Benchmarked:
     campaign = entry.job.campaign
-    log = InputLog(entry.job.folder)
-    log.add(entry.job.path.resolve(), entry.job.path.name)
+    log = InputLog.of_file(entry.job.path)
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
     row = Result(
         campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason
     )
-    record = record_of(log, [], None, {"campaign": campaign.model_dump(mode="json", by_alias=True)}, [])
+    record = record_of(log, [], None, {"campaign": campaign}, [])
     return Benchmarked(campaign.name, campaign.title, bool(campaign.simulated), [row], [], record, code)
 
 
@@ -175,12 +176,7 @@ def benchmark(
     UsageError, InputError : campaign files or extensions that are not right; nothing is written.
     """
     load_extensions(extensions)
-    jobs = [job for path in paths for job in jobs_of(path)]
-    names = [job.campaign.name for job in jobs]
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(f"two campaigns are named {name!r}")
-    entries = [Entry(job, seed, tuple(Path(p).resolve() for p in extensions)) for job in jobs]
+    entries = [Entry(job, seed, tuple(Path(p).resolve() for p in extensions)) for job in jobs_of(*paths)]
     with whole_folder(output) as folder:
         done = _done(entries, executor, scheduler, show_progress)
         _write(done, extensions, seed, folder)

@@ -41,9 +41,7 @@ def _rx(image: Array, target: Array, background: Any) -> Array:
 PEERS: dict[str, Callable[[Array, Array, Any], Array]] = {"matched-filter": _matched_filter, "ace": _ace, "rx": _rx}
 
 
-def peer_rows(
-    campaign: str, observed: Observed, detection: Detection | None, resolve: Callable[[str], Path]
-) -> list[Result]:
+def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable[[str], Path]) -> list[Result]:
     """Area under the ROC by pixel of each subject and peer (``auc``), and how SPy's scores follow ours.
 
     ``score_rank_correlation`` is Spearman's between its map and ours over all pixels that both score: 1 where
@@ -55,7 +53,7 @@ def peer_rows(
     cube, bands = place.cube, np.flatnonzero(detected.bands)
     if cube.lines * cube.samples * bands.size > MOST_VALUES:
         why = f"SPy holds the image in memory, and it has more than {MOST_VALUES:.0e} values"
-        return [RowMaker(campaign, PRODUCT, EVERY_OBJECT, PEER).skipped(Cause.REFUSED, why, "auc")]
+        return [RowMaker(PRODUCT, EVERY_OBJECT, PEER).skipped(Cause.REFUSED, why, "auc")]
     image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
     if observed.elm is not None:
         image = (image - observed.elm.offset[bands]) / observed.elm.gain[bands]
@@ -73,11 +71,11 @@ def peer_rows(
             scores[~valid] = np.nan
             for subject, members in groups.items():
                 pixels = np.concatenate([values_on(scores, scored_pixels(o, place)) for o in members])
-                make = RowMaker(campaign, PRODUCT, subject, f"{PEER}-{name}/pixel")
+                make = RowMaker(PRODUCT, subject, f"{PEER}-{name}/pixel")
                 rows += _subject_rows(make, pixels[np.isfinite(pixels)], scores[alarms])
             own = detected.score_maps.get(name if name == "rx" else f"{target.name}-{name}")
             if own is not None:
-                make = RowMaker(campaign, PRODUCT, target.name, f"{PEER}-{name}/pixel")
+                make = RowMaker(PRODUCT, target.name, f"{PEER}-{name}/pixel")
                 both = np.isfinite(own) & np.isfinite(scores)
                 value = float(stats.spearmanr(own[both], scores[both]).statistic)
                 rows.append(make.row("score_rank_correlation", value, n=int(both.sum()), reason=_version()))

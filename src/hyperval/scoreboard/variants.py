@@ -10,8 +10,8 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.campaign.merge import merged, without_circles
-from hyperval.campaign.one import Collected
+from hyperval.campaign.collected import Collected
+from hyperval.campaign.predicted_side import merged, without_circles
 from hyperval.compare.roc import compare_roc
 from hyperval.compare.rows import RowMaker
 from hyperval.compare.spectral import compare_spectra
@@ -238,12 +238,12 @@ def variants_of(collection: Collected) -> list[Variant]:
 
 
 def variant_rows(
-    campaign: str, collection: Collected, *, seed: int, show_progress: bool | None = None
+    collection: Collected, *, seed: int, show_progress: bool | None = None
 ) -> tuple[list[Result], list[Prediction]]:
     """Rows of every variant, and the predictions behind them for the provenance."""
     agreements: list[tuple[Variant, Agreement | None]] = []
     predictions: list[Prediction] = []
-    for variant in track(variants_of(collection), f"{campaign}: variants", show=show_progress):
+    for variant in track(variants_of(collection), "variants", show=show_progress):
         if variant.reason:
             agreements.append((variant, None))
             continue
@@ -259,14 +259,12 @@ def variant_rows(
             continue
         predictions += sides
         whole = without_circles(merged(sides), [s.scenario for s in variant.served], collection.observed.place)
-        agreements.append(
-            (variant, agreement_of(_compared(whole, collection.observed.observation, campaign, variant.label)))
-        )
+        agreements.append((variant, agreement_of(_compared(whole, collection.observed.observation, variant.label))))
     base = next(x for v, x in agreements if v.own)
     assert base is not None  # noqa: S101 - what the campaign itself says was predicted or has raised
     rows: list[Result] = []
     for variant, score in agreements:
-        rows += _rows(campaign, variant, score, base, seed)
+        rows += _rows(variant, score, base, seed)
     return rows, predictions
 
 
@@ -275,25 +273,23 @@ def _predicted(one: Served, scenario: Scenario, collection: Collected) -> Predic
     return predict(one.scenario, origins)
 
 
-def _compared(predicted: Prediction, observed: Observation, campaign: str, label: str) -> list[Result]:
+def _compared(predicted: Prediction, observed: Observation, label: str) -> list[Result]:
     """Rows of spectra and curves that both sides hold: what the scores are made of."""
     rows: list[Result] = []
     for product in ("radiance", "reflectance"):
         left, right = getattr(predicted, product), getattr(observed, product)
         for subject in (s for s in right if s in left):
             rows += compare_spectra(
-                left[subject], right[subject], campaign=campaign, product=product, subject=subject, method=label,
+                left[subject], right[subject], product=product, subject=subject, method=label,
                 axis=observed.axis,
             )  # fmt: skip
     for key in (k for k in observed.roc if k in predicted.roc and k[2] == "pixel"):
-        rows += compare_roc(
-            predicted.roc[key], observed.roc[key], campaign=campaign, subject=key[0], method=label, pfa=_PFA
-        )
+        rows += compare_roc(predicted.roc[key], observed.roc[key], subject=key[0], method=label, pfa=_PFA)
     return rows
 
 
-def _rows(campaign: str, variant: Variant, score: Agreement | None, base: Agreement, seed: int) -> list[Result]:
-    make = RowMaker(campaign, PRODUCT, EVERY_SUBJECT, variant.label)
+def _rows(variant: Variant, score: Agreement | None, base: Agreement, seed: int) -> list[Result]:
+    make = RowMaker(PRODUCT, EVERY_SUBJECT, variant.label)
     if score is None:
         return [make.skipped(Cause.REFUSED, variant.reason, "agreement")]
     words = "; ".join(dict.fromkeys(s.note for s in variant.served if s.note))

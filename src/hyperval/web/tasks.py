@@ -19,9 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval import api
+from hyperval.campaign.collected import Inputs
 from hyperval.campaign.forward import predict_to_folder
+from hyperval.campaign.job import Job, jobs_of
 from hyperval.campaign.observing import observe
-from hyperval.campaign.one import Inputs, Job, jobs_of
 from hyperval.campaign.run import validate
 from hyperval.campaign.starter import starter_campaign
 from hyperval.campaign.starter_draft import Sources
@@ -275,7 +276,7 @@ def collection(folder: str, path: str) -> None:
     job = _job(path)
     if job is None or job.campaign.collection is None or job.campaign.collection.simulate is None:
         raise UsageError("this campaign simulates nothing")
-    file = Inputs(job.folder).resolve(job.campaign.collection.simulate)
+    file = Inputs(job.path).resolve(job.campaign.collection.simulate)
     scene, part = load_scene(file), Path(folder) / "collection.part"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
@@ -289,7 +290,7 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     collection = None if job is None else job.campaign.collection
     if job is None or collection is None or collection.cube is None:
         raise UsageError("this campaign has no cube")
-    inputs = Inputs(job.folder)
+    inputs = Inputs(job.path)
     if collection.simulate:
         inputs.simulated = Path(folder) / COLLECTION
     cube = open_source(collection.cube, inputs.resolve, collection.bands)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from hyperval.compare.rows import RowMaker
 from hyperval.results import Outcome, Result
 from hyperval.uncertainty.attribution.ranking import ENOUGH, Ranking, closing_change, in_words
 from hyperval.uncertainty.attribution.run import Attribution
@@ -15,7 +16,7 @@ from hyperval.uncertainty.attribution.what_ifs import Outcome as Experiment
 _EVERYTHING = "every input"
 
 
-def attribution_rows(attribution: Attribution, campaign: str) -> list[Result]:
+def attribution_rows(attribution: Attribution) -> list[Result]:
     """Rows of the products ``attribution``, ``sensitivity`` and ``what-if``.
 
     attribution: for each group of residuals ``reduced_chi_square`` and ``p_value`` under the stated uncertainties,
@@ -25,13 +26,13 @@ def attribution_rows(attribution: Attribution, campaign: str) -> list[Result]:
     what-if: ``reduced_chi_square`` after the experiment, each summary gap after it, and ``pfa_ratio`` of every
     background.  attribution of a background: its ``pfa_ratio``, and which experiment explains it if any.
     """
-    rows = [row for r in attribution.rankings for row in _ranking_rows(r, campaign)]
-    rows += _sensitivity_rows(attribution, campaign)
-    rows += [row for o in attribution.what_ifs for row in _outcome_rows(o, campaign)]
-    return rows + _alarm_rows(attribution.what_ifs, campaign)
+    rows = [row for r in attribution.rankings for row in _ranking_rows(r)]
+    rows += _sensitivity_rows(attribution)
+    rows += [row for o in attribution.what_ifs for row in _outcome_rows(o)]
+    return rows + _alarm_rows(attribution.what_ifs)
 
 
-def _alarm_rows(outcomes: Sequence[Experiment], campaign: str) -> list[Result]:
+def _alarm_rows(outcomes: Sequence[Experiment]) -> list[Result]:
     """Every ratio of false alarms with its reason, then the ratio after each experiment."""
     before: dict[tuple[str, str, str], AlarmRatio] = {}
     tried: dict[tuple[str, str, str], list[tuple[str, AlarmRatio]]] = {}
@@ -42,8 +43,8 @@ def _alarm_rows(outcomes: Sequence[Experiment], campaign: str) -> list[Result]:
             tried.setdefault(key, []).append((o.name, after))
 
     def row(product: str, method: str, r: AlarmRatio, reason: str) -> Result:
-        return Result(
-            campaign, product, r.subject, method, r.metric, r.value, lower=r.lower, upper=r.upper, reason=reason
+        return RowMaker(product, r.subject, method).row(
+            r.metric, r.value, interval=(r.lower, r.upper), reason=reason
         )
 
     rows = [row("attribution", r.detector, r, reason_for(r, tried[key])) for key, r in before.items()]
@@ -54,9 +55,9 @@ def _alarm_rows(outcomes: Sequence[Experiment], campaign: str) -> list[Result]:
     return rows
 
 
-def _ranking_rows(r: Ranking, campaign: str) -> list[Result]:
+def _ranking_rows(r: Ranking) -> list[Result]:
     def row(method: str, metric: str, value: float, reason: str = "", n: int | None = None) -> Result:
-        return Result(campaign, "attribution", r.group, method, metric, value, n=n, reason=reason)
+        return RowMaker("attribution", r.group, method).row(metric, value, n=n, reason=reason)
 
     # The test of all products together concludes too, and informs.
     whole = row(_EVERYTHING, "reduced_chi_square", r.chi_square / r.dof, r.conclusion, r.dof)
@@ -77,7 +78,7 @@ def _ranking_rows(r: Ranking, campaign: str) -> list[Result]:
     return rows
 
 
-def _sensitivity_rows(attribution: Attribution, campaign: str) -> list[Result]:
+def _sensitivity_rows(attribution: Attribution) -> list[Result]:
     rows = []
     place = {c: i for i, c in enumerate(attribution.stated)}
     for q, quantity in enumerate(attribution.quantities):
@@ -95,22 +96,19 @@ def _sensitivity_rows(attribution: Attribution, campaign: str) -> list[Result]:
                     reason += f"; share of the variance {first:.3g} alone, {total:.3g} in all"
             unit = "stated uncertainty" if candidate.budgeted else candidate.step
             method = f"{candidate.name} / {quantity.method}" if quantity.method else candidate.name
-            rows.append(
-                Result(campaign, "sensitivity", quantity.subject, method,
-                       f"{quantity.product}_{quantity.metric}_change", change, reason=f"per {unit}; {reason}")
-            )  # fmt: skip
+            metric = f"{quantity.product}_{quantity.metric}_change"
+            make = RowMaker("sensitivity", quantity.subject, method)
+            rows.append(make.row(metric, change, reason=f"per {unit}; {reason}"))
     return rows
 
 
-def _outcome_rows(o: Experiment, campaign: str) -> list[Result]:
-    def row(metric: str, value: float, reason: str) -> Result:
-        return Result(campaign, "what-if", "all", o.name, metric, value, n=o.dof, reason=reason)
-
+def _outcome_rows(o: Experiment) -> list[Result]:
+    make = RowMaker("what-if", "all", o.name)
     rows = [
-        row("reduced_chi_square", o.after, f"{o.before:.4g} before; {o.question}"),
-        row("likelihood_gain", o.gain, f"p = {o.p_value:.2g} after"),
+        make.row("reduced_chi_square", o.after, n=o.dof, reason=f"{o.before:.4g} before; {o.question}"),
+        make.row("likelihood_gain", o.gain, n=o.dof, reason=f"p = {o.p_value:.2g} after"),
     ]
     for name, (before, after) in o.gaps.items():
         words = name.replace("|", "").replace("@", " at ").split()
-        rows.append(row("_".join(words), after, f"{before:.4g} before"))
+        rows.append(make.row("_".join(words), after, n=o.dof, reason=f"{before:.4g} before"))
     return rows

@@ -1,4 +1,4 @@
-"""Predictions of a campaign's scenarios as one side of its comparison."""
+"""The predictions of a campaign's scenarios as the one side of its comparison."""
 
 from __future__ import annotations
 
@@ -8,12 +8,46 @@ from typing import Any
 
 import numpy as np
 
+from hyperval.campaign.collected import Collected
 from hyperval.collection import Detection
 from hyperval.errors import UsageError
+from hyperval.observe.classification import class_sets
 from hyperval.observe.place import Place
+from hyperval.prediction.departure import Departure
+from hyperval.prediction.inputs import Sources
+from hyperval.prediction.unmixing import predicted_areas, predicted_classification
 from hyperval.processing.roc import average_roc
-from hyperval.products import Observation, Prediction, Products, RocCurve
+from hyperval.products import Abundance, ClassificationError, Observation, Prediction, Products, RocCurve
 from hyperval.scenario import Scenario
+
+
+def predicted_side(
+    side: Collected, predictions: Sequence[Prediction], truths: Sequence[Departure] | None = None
+) -> Prediction:
+    """What is compared: the predictions, and those that need to know how the campaign looks at its collection.
+
+    These are the errors of its classifier and the areas by its unmixing.
+
+    Parameters
+    ----------
+    truths : how the truth departs from each scenario, that of the predictions; None: not at all
+    """
+    detected = side.observed.detected
+    nominal = detected.nominal_area_m2 if detected is not None else {}
+    stated = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
+    return replace(
+        joined(side, side.scenarios, predictions),
+        classification=_classification(side, merged(predictions)),
+        abundance={**stated, **_areas(side, predictions, truths)},
+    )
+
+
+def joined(side: Collected, scenarios: Sequence[Scenario], predictions: Sequence[Prediction]) -> Prediction:
+    """The predictions of scenarios in one, with the campaign's pools and without what came from its collection."""
+    whole = without_circles(merged(predictions), scenarios, side.observed.place)
+    if side.campaign.detection is None:
+        return whole
+    return replace(whole, roc=with_pools(whole.roc, side.observed.observation, side.campaign.detection))
 
 
 def merged(predictions: Sequence[Prediction]) -> Prediction:
@@ -92,4 +126,38 @@ def with_pools(
                 continue
             counts = [observation.roc[key].n_target or 0 for key in keys]
             out[name, detector, unit] = average_roc([predicted[key] for key in keys], counts)
+    return out
+
+
+def _classification(side: Collected, prediction: Prediction) -> Mapping[tuple[str, str], ClassificationError]:
+    """The errors of the campaign's classifier, in the quantity of its image."""
+    task = side.campaign.classification
+    if task is None:
+        return prediction.classification
+    quantity = str(side.observed.observation.provenance.get("quantity", "radiance"))
+    return predicted_classification(prediction, class_sets(task), task.features, quantity, task.seed)
+
+
+def _areas(
+    side: Collected, predictions: Sequence[Prediction], truths: Sequence[Departure] | None
+) -> dict[tuple[str, str], Abundance]:
+    """The areas that unmixing would find, by (subject, method); empty where the campaign does not unmix."""
+    out: dict[tuple[str, str], Abundance] = {}
+    unmixed, detection = side.observed.unmixed, side.campaign.detection
+    if unmixed is None or detection is None or detection.unmixing is None:
+        return out
+    truths = truths or [Departure() for _ in side.scenarios]
+    for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
+        out |= predicted_areas(
+            scenario,
+            prediction,
+            unmixed.subjects,
+            unmixed.bands,
+            unmixed.covariances,
+            unmixed.pixel_area_m2,
+            Sources(prediction.axis, side.observed.statistics, side.resolver(scenario)),
+            draws=detection.unmixing.draws,
+            seed=detection.unmixing.seed,
+            departure=truth,
+        )
     return out

@@ -14,7 +14,7 @@ from hyperval.products import ANOMALIES, ExceedanceCurve, Products, RocCurve
 from hyperval.results import Outcome, Result
 
 
-def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
+def product_rows(products: Products, side: str) -> list[Result]:
     """Rows of one side alone: spectra by band, score moments, P_D at decades of P_FA, areas.
 
     Examples
@@ -26,7 +26,7 @@ def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
     >>> pfa = np.array([1e-2, 1e-1])
     >>> roc = {("panel", "cem", "pixel"): RocCurve(pfa, pfa**0.2, pfa**0.3, pfa**0.1, -pfa)}
     >>> products = Products(SpectralAxis(np.array([550.0]), 10.0), scores=scores, abundance=areas, roc=roc)
-    >>> [(r.metric, round(r.value, 3)) for r in product_rows("c", products, "predicted") if np.isfinite(r.value)]
+    >>> [(r.metric, round(r.value, 3)) for r in product_rows(products, "predicted") if np.isfinite(r.value)]
     [('mean', 0.9), ('sd', 0.25), ('pd@1e-2', 0.398), ('pd@1e-1', 0.631), ('auc_predicted', 0.836), ('area',
     3.8)]
     """
@@ -38,86 +38,46 @@ def product_rows(campaign: str, products: Products, side: str) -> list[Result]:
         ("toa_reflectance", "1"),
     ):
         for subject, estimate in getattr(products, product).items():
-            half = 1.96 * estimate.standard_uncertainty
+            make, half = RowMaker(product, subject, side), 1.96 * estimate.standard_uncertainty
             for b in np.flatnonzero(np.isfinite(estimate.mean)):
-                rows.append(
-                    Result(
-                        campaign,
-                        product,
-                        subject,
-                        side,
-                        "mean",
-                        float(estimate.mean[b]),
-                        unit,
-                        float(products.axis.centre_nm[b]),
-                        float(estimate.mean[b] - half[b]),
-                        float(estimate.mean[b] + half[b]),
-                        estimate.n,
-                    )
-                )
-    for (subject, detector), score in products.scores.items():
-        for metric in ("mean", "sd"):
-            rows.append(Result(campaign, "scores", subject, detector, metric, getattr(score, metric), n=score.n))
-    for (subject, detector, unit), curve in products.roc.items():
+                at = products.axis.centre_nm[b]
+                rows.append(make.row("mean", estimate.mean[b], half=half[b], unit=unit, band_nm=at, n=estimate.n))
+    for key, score in products.scores.items():
+        make = RowMaker("scores", *key)
+        rows += [make.row(metric, getattr(score, metric), n=score.n) for metric in ("mean", "sd")]
+    for (subject, detector, by), curve in products.roc.items():
+        make = RowMaker("roc", subject, f"{detector}/{by}")
         for decade in range(-9, 0):
             at = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
-            if abs(np.log10(curve.pfa[at]) - decade) > 1e-6:
-                continue
-            rows.append(
-                Result(
-                    campaign,
-                    "roc",
-                    subject,
-                    f"{detector}/{unit}",
-                    f"pd@1e{decade}",
-                    float(curve.pd[at]),
-                    "1",
-                    lower=float(curve.pd_lower[at]),
-                    upper=float(curve.pd_upper[at]),
-                    n=curve.n_target,
-                )
-            )
-        rows += _beyond_points(RowMaker(campaign, "roc", subject, f"{detector}/{unit}"), curve)
-    rows += [row for key, curve in products.exceedance.items() for row in _thresholds(campaign, key, curve)]
-    for (subject, detector), area in products.abundance.items():
-        half_area = 1.96 * area.standard_uncertainty
-        rows.append(
-            Result(
-                campaign,
-                "abundance",
-                subject,
-                detector,
-                "area",
-                area.area_m2,
-                "m2",
-                lower=area.area_m2 - half_area,
-                upper=area.area_m2 + half_area,
-                n=area.n,
-            )
-        )
+            if abs(np.log10(curve.pfa[at]) - decade) <= 1e-6:
+                limits = (curve.pd_lower[at], curve.pd_upper[at])
+                rows.append(make.row(f"pd@1e{decade}", curve.pd[at], interval=limits, n=curve.n_target))
+        rows += _beyond_points(make, curve)
+    for key, exceedance in products.exceedance.items():
+        rows += _thresholds(RowMaker("scores", *key), exceedance)
+    for key, area in products.abundance.items():
+        half = 1.96 * area.standard_uncertainty
+        rows.append(RowMaker("abundance", *key).row("area", area.area_m2, half=half, unit="m2", n=area.n))
     for subject, distribution in products.distribution.items():
-        rows += compare_distribution(None, distribution, campaign=campaign, subject=subject)
-    for (classes, features), errors in products.classification.items():
-        make = RowMaker(campaign, "classification", classes, features)
+        rows += compare_distribution(None, distribution, subject=subject)
+    for key, errors in products.classification.items():
+        make = RowMaker("classification", *key)
         rows.append(make.row("error", errors.error, interval=(errors.lower, errors.upper), n=errors.n))
         rows.append(make.row("distance", errors.distance, n=errors.n))
     return rows
 
 
-def _thresholds(campaign: str, key: tuple[str, str], curve: ExceedanceCurve) -> list[Result]:
+def _thresholds(make: RowMaker, curve: ExceedanceCurve) -> list[Result]:
     """``anomaly_threshold@1e-3``: score that this part of the background exceeds, where no target is looked for."""
-    if key[0] != ANOMALIES or curve.n is None:
+    if make.subject != ANOMALIES or curve.n is None:
         return []
-    make, rows = RowMaker(campaign, "scores", *key), []
+    rows = []
     for level in sorted(ANOMALY_LEVELS, reverse=True):
         if level * curve.n >= LEAST_EXPECTED_ALARMS:
             at = int(np.argmin(np.abs(np.log(curve.probability.clip(1e-300)) - np.log(level))))
-            reason = f"{curve.probability[at]:.3g} of {curve.n} background pixels lie above"
-            rows.append(
-                make.row(
-                    f"anomaly_threshold@{scientific(level)}", float(curve.threshold[at]), n=curve.n, reason=reason
-                )
-            )
+            why = f"{curve.probability[at]:.3g} of {curve.n} background pixels lie above"
+            name = f"anomaly_threshold@{scientific(level)}"
+            rows.append(make.row(name, curve.threshold[at], n=curve.n, reason=why))
     return rows
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hyperval.campaign.references import Named, named_in
+from hyperval.campaign.references import Named, Reference, check_names, named_in
 from hyperval.campaign.schema import Campaign, Outline
 from hyperval.campaign.template import campaign_runs
 from hyperval.config import Location, load_yaml, unfilled, validate
@@ -28,6 +28,23 @@ class Waiting:
     def folder(self) -> Path:
         """Folder of the campaign file."""
         return self.path.resolve().parent
+
+
+@dataclass(frozen=True)
+class Job:
+    """A campaign that was read and checked, with its file and the files that it and its scenarios name."""
+
+    campaign: Campaign
+    path: Path
+    files: tuple[Reference, ...] = ()
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the campaign file, which its references are relative to."""
+        return self.path.resolve().parent
+
+
+AnyJob = Job | Waiting
 
 
 @dataclass(frozen=True)
@@ -90,3 +107,35 @@ def read_texts(path: Path) -> list[Text]:
         Text(Path(path), words, content, lines, named_in(Path(path), content, lines, words))
         for words, content in campaign_runs(data, lines, str(path))
     ]
+
+
+def jobs_of(*paths: Path, compares: bool = True) -> list[AnyJob]:
+    """The campaigns of files, one for each of their runs.
+
+    ``compares``: there must be a scenario and a comparison, without which a collection can only be observed.
+
+    A campaign with values that are still to be filled in waits where its collection is not public and no file of it
+    is on this machine.
+
+    Raises
+    ------
+    InputError : no such file.
+    UsageError : mistakes, file names that no registry knows, values still to be filled in of a campaign that
+        could run, or two campaigns of one name.
+    """
+    out: list[AnyJob] = []
+    for text in (text for path in paths for text in read_texts(path)):
+        check_names(text.path, text.named.files)
+        if compares:
+            text.check_two_sides()
+        if not text.named.to_fill_in:
+            out.append(Job(text.campaign(), text.path, text.named.files))
+            continue
+        absent = text.absent()
+        if absent is None:
+            raise text.unfilled()
+        out.append(Waiting(text.outline(), text.path, *absent))
+    names = [job.campaign.name for job in out]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UsageError(f"two campaigns are named {twice[0]!r}")
+    return out
