@@ -14,7 +14,7 @@ from hyperval.errors import InputError, UsageError
 from hyperval.imagery.truth import TargetMasks, TargetObject
 from hyperval.observe.anomalies import anomaly_note, anomaly_products
 from hyperval.observe.filter_bank import FilterBank, filter_bank, map_name, spectrum_by_number
-from hyperval.observe.objects import alarms_by_pixel, object_curve, scored_pixels, target_areas, target_groups
+from hyperval.observe.objects import object_curve, scored_pixels, target_areas, target_groups
 from hyperval.observe.place import IMAGE, SCENE, Place
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.alarm_blocks import AlarmBlocks
@@ -211,32 +211,17 @@ class _Curves:
             pixels, noise.scores, unit="pixel", background_area_km2=self.area_km2, blocks=noise
         )
         self.roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise.scores, blocks=noise)
-        if not self.detection.halo_pixels:  # the model does not know what a halo may catch
+        halo = self.detection.halo_pixels
+        if not halo:  # the model does not know what a halo may catch
             best = object_scores(scores, objects)
             self.of_objects[subject, detector] = ObjectScores(np.array(list(best.values())), tuple(best))
-        by_object = object_curve(
-            scores,
-            objects,
-            self.alarms,
-            noise,
-            self.detection.halo_pixels,
-            self.place.pixel_area_m2,
-            draws=self.detection.bootstrap.draws,
-            seed=self.detection.bootstrap.seed,
-        )
+        shared = scores, objects, self.alarms, noise, halo, self.place.pixel_area_m2, self.detection.bootstrap
+        by_object = object_curve(*shared)
         if self.detection.first_detection:
             by_object = replace(by_object, alarms_before_first=alarms_before_first(pixels, noise.scores))
         self.roc[subject, detector, "object"] = by_object
-        if self.detection.halo_pixels:
-            self.roc[subject, detector, BY_PIXEL] = alarms_by_pixel(
-                scores,
-                objects,
-                self.alarms,
-                self.detection.halo_pixels,
-                self.place.pixel_area_m2,
-                draws=self.detection.bootstrap.draws,
-                seed=self.detection.bootstrap.seed,
-            )
+        if halo:
+            self.roc[subject, detector, BY_PIXEL] = object_curve(*shared, by_pixel=True)
 
     def add_pools(self) -> None:
         """Curves of several subjects counted together."""

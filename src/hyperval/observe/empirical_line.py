@@ -114,15 +114,21 @@ def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
             "the panels of the empirical line do not lie on one line within their stated errors: reduced "
             f"chi-square {chi2:.3g} (median over bands), by which the line's variance is widened"
         )
-    if elm.leave_one_out is not None:
-        for name, error in zip(elm.panels, elm.leave_one_out[:, elm.usable & axis.good], strict=True):
-            known = error[np.isfinite(error)]
-            if known.size and np.median(np.abs(known)) > MOST_LEFT_OUT:
-                out.append(
-                    f"the other panels of the empirical line give {name} a reflectance that is off by "
-                    f"{np.median(np.abs(known)):.2g} (median over bands)"
-                )
+    out += [
+        f"the other panels of the empirical line give {name} a reflectance that is off by "
+        f"{np.median(np.abs(known)):.2g} (median over bands)"
+        for name, known in _left_out(elm, axis).items()
+        if known.size and np.median(np.abs(known)) > MOST_LEFT_OUT
+    ]
     return [f"warning: {line}" for line in out]
+
+
+def _left_out(elm: EmpiricalLine, axis: SpectralAxis) -> dict[str, Array]:
+    """Error of each panel's reflectance by the line through the others, where the line can be used and has one."""
+    if elm.leave_one_out is None:
+        return {}
+    errors = elm.leave_one_out[:, elm.usable & axis.good]
+    return {name: error[np.isfinite(error)] for name, error in zip(elm.panels, errors, strict=True)}
 
 
 def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
@@ -131,11 +137,9 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     if not elm.usable.all():
         lost = ", ".join(f"{w:.4g}" for w in axis.centre_nm[~elm.usable])
         notes[0] += f"; no gain at {lost} nm"
-    if elm.leave_one_out is not None and (elm.usable & axis.good).any():
-        errors = elm.leave_one_out[:, elm.usable & axis.good]
+    if (elm.usable & axis.good).any() and (left_out := _left_out(elm, axis)):
         parts = []
-        for name, error in zip(elm.panels, errors, strict=True):
-            known = error[np.isfinite(error)]
+        for name, known in left_out.items():
             if not known.size:
                 parts.append(f"{name} unknown, the others do not fix a line")
                 continue

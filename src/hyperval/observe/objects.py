@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.collection import AreaCheck, Detection, DetectionTarget
+from hyperval.collection import AreaCheck, Bootstrap, Detection, DetectionTarget
 from hyperval.errors import UsageError
 from hyperval.imagery.truth import TargetObject, all_pixels
 from hyperval.observe.place import Place
@@ -77,9 +77,9 @@ def object_curve(
     blocks: AlarmBlocks,
     halo: int,
     pixel_area_m2: float | None,
+    bootstrap: Bootstrap,
     *,
-    draws: int = 1000,
-    seed: int = 0,
+    by_pixel: bool = False,
 ) -> RocCurve:
     """ROC of objects, each with the greatest score over its pixels and ``halo`` pixels around them.
 
@@ -87,13 +87,17 @@ def object_curve(
     the background, where noise has as many chances as it has on the object; objects of different shapes each
     bring their own placements, objects of one shape the same.
 
+    ``by_pixel``: a false alarm is every pixel outside the halos.  This is how the MUUFL Gulfport collection is
+    scored (Bullwinkle).  It favours detection: an object has as many chances as its halo has pixels, a false
+    alarm one.
+
     Parameters
     ----------
     scores : (lines, samples), NaN where invalid
     objects : the pixels that are scored, each object in its window
     alarms : (lines, samples) True on the background
     blocks : the scores of its valid pixels with their places
-    draws, seed : of the bootstrap over objects
+    bootstrap : over objects
 
     Raises
     ------
@@ -101,42 +105,19 @@ def object_curve(
     """
     best = np.array(list(object_scores(scores, objects, halo).values()))
     best = best[np.isfinite(best)]
-    if halo == 0:
-        looked_at = int(np.count_nonzero(alarms))
-    else:
-        blocks, looked_at = _placements(scores, objects, alarms, halo)
-    area = None if pixel_area_m2 is None else looked_at * pixel_area_m2 / 1e6
-    noise = blocks.scores
-    curve = empirical_roc(best, noise, unit="object", background_area_km2=area, blocks=blocks)
-    return with_summary(curve, best, noise, draws=draws, rng=np.random.default_rng(seed), blocks=blocks)
-
-
-def alarms_by_pixel(
-    scores: Array,
-    objects: Mapping[str, Placed],
-    alarms: Mask,
-    halo: int,
-    pixel_area_m2: float | None,
-    *,
-    draws: int = 1000,
-    seed: int = 0,
-) -> RocCurve:
-    """ROC of objects by the greatest score in their halos, where every pixel outside the halos is a false alarm.
-
-    This is how the MUUFL Gulfport collection is scored (Bullwinkle).  It favours detection: an object has as many
-    chances as its halo has pixels, a false alarm one; :func:`object_curve` gives both the same.  Parameters as
-    there.
-    """
-    best = np.array(list(object_scores(scores, objects, halo).values()))
-    best = best[np.isfinite(best)]
-    counted = alarms.copy()
-    for placed in objects.values():
-        (line, sample), grown = placed_with_halo(placed, halo, scores.shape)
-        counted[line : line + grown.shape[0], sample : sample + grown.shape[1]] &= ~grown
-    blocks = AlarmBlocks.of_map(scores, counted)
-    area = None if pixel_area_m2 is None else int(np.count_nonzero(counted)) * pixel_area_m2 / 1e6
+    pixels = int(np.count_nonzero(alarms))
+    if by_pixel:
+        alarms = alarms.copy()
+        for placed in objects.values():
+            (line, sample), grown = placed_with_halo(placed, halo, scores.shape)
+            alarms[line : line + grown.shape[0], sample : sample + grown.shape[1]] &= ~grown
+        blocks, pixels = AlarmBlocks.of_map(scores, alarms), int(np.count_nonzero(alarms))
+    elif halo:
+        blocks, pixels = _placements(scores, objects, alarms, halo)
+    area = None if pixel_area_m2 is None else pixels * pixel_area_m2 / 1e6
     curve = empirical_roc(best, blocks.scores, unit="object", background_area_km2=area, blocks=blocks)
-    return with_summary(curve, best, blocks.scores, draws=draws, rng=np.random.default_rng(seed), blocks=blocks)
+    rng = np.random.default_rng(bootstrap.seed)
+    return with_summary(curve, best, blocks.scores, draws=bootstrap.draws, rng=rng, blocks=blocks)
 
 
 def _placements(scores: Array, objects: Mapping[str, Placed], alarms: Mask, halo: int) -> tuple[AlarmBlocks, int]:
@@ -171,15 +152,18 @@ def target_areas(place: Place, detection: Detection, maps: Mapping[str, Array]) 
     areas: Areas = {}
     nominal: Nominal = {}
     for check in detection.areas:
-        measured, stated = _areas(place, detection, check, maps)
-        areas.update(measured)
-        nominal.update(stated)
+        _add_areas(place, detection, check, maps, areas, nominal)
     return areas, nominal
 
 
-def _areas(
-    place: Place, detection: Detection, check: AreaCheck, maps: Mapping[str, Array]
-) -> tuple[Areas, Nominal]:
+def _add_areas(
+    place: Place,
+    detection: Detection,
+    check: AreaCheck,
+    maps: Mapping[str, Array],
+    areas: Areas,
+    nominal: Nominal,
+) -> None:
     """Sum of scores over each object times the pixel area, and the area that the truth states.
 
     The uncertainty is the spread of the same sum over background that has the object's footprint.  Both are
@@ -192,8 +176,6 @@ def _areas(
         raise UsageError(f"areas: no score map of target {check.target!r} with detector {check.detector!r}")
     scores = maps[f"{check.target}-{check.detector}"]
     everything = all_pixels(place.targets, place.cube.shape)
-    out: Areas = {}
-    nominal: Nominal = {}
     # A background of "image" holds the targets too; their sums say nothing of the error.
     counted = place.background(detection.background) & ~place.near_targets
     spread: dict[tuple[tuple[int, ...], bytes], float] = {}  # variance of the sum, by shape of the footprint
@@ -213,13 +195,12 @@ def _areas(
                 spread[key] = float(np.var(elsewhere, ddof=1)) if elsewhere.size > 1 else float("nan")
             variance += spread[key]
         area = place.pixel_area_m2
-        out[subject, check.detector] = Abundance(
+        areas[subject, check.detector] = Abundance(
             total / len(members) * area, float(np.sqrt(variance)) / len(members) * area, pixels
         )
         stated = float(np.mean([o.area_m2 for o in members]))
         if np.isfinite(stated):  # a truth may say where the objects are and not how large
             nominal[subject, check.detector] = stated
-    return out, nominal
 
 
 def _window(image: npt.NDArray[Any], corner: tuple[int, int], like: Mask) -> npt.NDArray[Any]:

@@ -16,6 +16,7 @@ from hyperval.errors import InputError, UsageError, reader
 from hyperval.observe.empirical_line import field_reflectance, line_warnings
 from hyperval.observe.uncertainty import calibration_covariance, detector_covariance, spectral_estimate
 from hyperval.observe.wavelengths import wavelength_notes
+from hyperval.paths import checked_file
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import PanelErrors, line_error
 from hyperval.processing.elm_in_scene import fit_gain
@@ -23,6 +24,7 @@ from hyperval.products import Observation, SpectralEstimate
 from hyperval.sensor.specification import load_sensor
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
 from hyperval.spectra.readers import FieldSpectrum, read_spectrum
+from hyperval.spectra.readers_text import number_table
 from hyperval.spectra.response import band_average
 from hyperval.units import RADIANCE_UNIT, wavelength_to_nm
 
@@ -48,8 +50,8 @@ def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> O
         raise UsageError("collected spectra need a band table")
     axis = read_band_table(resolve(collection.bands.path), collection.bands)
     radiance, notes = {}, []
-    own: dict[str, Array] = {}
-    common: dict[str, Array] = {}
+    sites: dict[str, Site] = {}
+    zero = np.zeros((len(axis), len(axis)))
     detector = None
     if (name := collection.detector) is not None:
         detector = load_sensor(resolve(name) if name.endswith((".yaml", ".yml")) else name)
@@ -71,16 +73,16 @@ def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> O
         notes += [f"{site.subject}: {note}" for note in (*read.notes, *how)]
         parts = {}
         if collection.calibration is not None:
-            parts["calibration"] = common[site.subject] = calibration_covariance(
-                mean, axis, collection.calibration, resolve
-            )
+            parts["calibration"] = calibration_covariance(mean, axis, collection.calibration, resolve)
         if detector is not None and site.pixels is not None:
-            parts["detector noise"] = own[site.subject] = detector_covariance(mean, axis, detector, site.pixels)
+            parts["detector noise"] = detector_covariance(mean, axis, detector, site.pixels)
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
+        level = np.where(mean == 0.0, np.inf, mean)
+        relative = parts.get("calibration", zero) / np.outer(level, level)
+        sites[site.subject] = Site(mean, parts.get("detector noise", zero), relative, site.pixels, site.line)
     notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
     reflectance: dict[str, SpectralEstimate] = {}
     if collection.empirical_line is not None:
-        sites = sites_of(collection, {name: e.mean for name, e in radiance.items()}, own, common)
         reflectance, more = site_reflectance(collection.empirical_line, sites, axis, resolve)
         notes += more
     return Observation(
@@ -127,30 +129,25 @@ def in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str,
 @reader
 def read_band_table(path: Path, table: BandTable) -> SpectralAxis:
     """The spectral axis of a whitespace-separated text table."""
-    if path.stat().st_size > MAX_TABLE_BYTES:
-        raise InputError(f"larger than {MAX_TABLE_BYTES} bytes", where=str(path), expected="a table of bands")
+    checked_file(path, what="table of bands", most=MAX_TABLE_BYTES)
     needed = max(table.centre_column, table.fwhm_column or 0)
-    rows = []
-    for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), start=1):
-        words = line.split("#")[0].replace(",", " ").split()
-        if not words:
-            continue
-        try:
-            rows.append([float(w) for w in words])
-        except ValueError as error:
-            raise InputError(
-                "not a row of numbers", where=f"{path}:{number}", expected="numbers; a heading begins with #"
-            ) from error
-        if len(words) <= needed:
-            raise InputError(f"{len(words)} columns", where=f"{path}:{number}", expected=f"{needed + 1} or more")
-    if not rows:
+    lines = [line.split("#")[0] for line in path.read_text("utf-8", errors="replace").splitlines()]
+    start = next((number for number, line in enumerate(lines, start=1) if line.strip()), None)
+    if start is None:
         raise InputError("holds no band", where=str(path), expected="a table of band centres and widths")
+    header, rows, first = number_table("\n".join(lines), path)
+    if header:
+        raise InputError(
+            "not a row of numbers", where=f"{path}:{start}", expected="numbers; a heading begins with #"
+        )
+    if rows.shape[1] <= needed:
+        raise InputError(f"{rows.shape[1]} columns", where=f"{path}:{first}", expected=f"{needed + 1} or more")
     factor = wavelength_to_nm(table.wavelength_unit)
-    centre = np.array([row[table.centre_column] for row in rows]) * factor
+    centre = rows[:, table.centre_column] * factor
     try:
         if table.fwhm_column is None:
             return SpectralAxis(centre, fwhm_from_spacing(centre))
-        return SpectralAxis(centre, np.array([row[table.fwhm_column] for row in rows]) * factor)
+        return SpectralAxis(centre, rows[:, table.fwhm_column] * factor)
     except UsageError as error:
         raise InputError(f"not a table of bands: {error.what}", where=str(path), expected=error.expected) from error
 
@@ -286,20 +283,3 @@ def _by_line(
         whole[name][at] = part
     words = f"{' and '.join(line.panels)}, usable in {int(line.usable.sum())} of {known.size} bands"
     return spectral_estimate(mean, whole, n=site.n), [words, *line_warnings(line, axis.select(known))]
-
-
-def sites_of(
-    collection: Collection, means: Mapping[str, Array], own: Mapping[str, Array], calibration: Mapping[str, Array]
-) -> dict[str, Site]:
-    """The sites of a collection of spectra, with what is known of their radiances.
-
-    ``own``, ``calibration`` : subject -> (B, B) error covariance of the radiance by detector noise, by calibration
-    """
-    out = {}
-    for entry in collection.spectra:
-        mean = means[entry.subject]
-        zero = np.zeros((mean.size, mean.size))
-        level = np.where(mean == 0.0, np.inf, mean)
-        relative = calibration.get(entry.subject, zero) / np.outer(level, level)
-        out[entry.subject] = Site(mean, own.get(entry.subject, zero), relative, entry.pixels, entry.line)
-    return out
