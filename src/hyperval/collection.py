@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -18,6 +19,11 @@ from hyperval.config import Model
 from hyperval.processing.detectors import ANOMALY_DETECTORS, detector_names
 from hyperval.processing.local_scores import LOCAL_DETECTORS
 from hyperval.scenario import SpectrumSource
+
+
+def _twice(names: Sequence[str]) -> list[str]:
+    """The names that stand more than once, in order."""
+    return sorted({n for n in names if names.count(n) > 1})
 
 
 class PanelReference(Model):
@@ -215,8 +221,7 @@ class Classification(Model):
     @model_validator(mode="after")
     def _names_differ(self) -> Classification:
         for names in (self.classes, [f.name for f in self.features]):
-            twice = sorted({n for n in names if names.count(n) > 1})
-            if twice:
+            if twice := _twice(names):
                 raise ValueError(f"{twice[0]!r} stands twice")
         return self
 
@@ -332,22 +337,12 @@ class Detection(Model):
         return self
 
     @model_validator(mode="after")
-    def _local_forms(self) -> Detection:
+    def _detectors_fit(self) -> Detection:
         without = [name for name in self.detectors if name not in LOCAL_DETECTORS]
         if self.local_window is not None and without:
             raise ValueError(f"local_window: the detector {without[0]!r} has no mean that could be local")
-        return self
-
-    @model_validator(mode="after")
-    def _osp_has_undesired(self) -> Detection:
         if ("osp" in self.detectors) != bool(self.undesired):
             raise ValueError("the detector 'osp' and 'undesired', the regions that it projects away, go together")
-        return self
-
-    @model_validator(mode="after")
-    def _names_differ(self) -> Detection:
-        names = [t.name for t in self.targets]
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
+        if twice := _twice([t.name for t in self.targets]):
             raise ValueError(f"two detection targets are named {twice[0]!r}")
         return self

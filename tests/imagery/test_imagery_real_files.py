@@ -15,7 +15,7 @@ from hyperval.errors import InputError
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.regions import objects, overlaps, read_regions
-from hyperval.imagery.truth_masks import intersected_objects
+from hyperval.imagery.truth import intersected_objects
 
 pytestmark = pytest.mark.data
 

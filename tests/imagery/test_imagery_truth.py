@@ -11,8 +11,14 @@ from affine import Affine
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.regions import Region, guard
-from hyperval.imagery.truth import TargetMasks, all_pixels, cut_out, read_targets
-from hyperval.imagery.truth_masks import intersected_objects, region_objects
+from hyperval.imagery.truth import (
+    TargetMasks,
+    all_pixels,
+    cut_out,
+    intersected_objects,
+    read_targets,
+    region_objects,
+)
 
 SHAPE = (20, 30)
 TRANSFORM = Affine(2.0, 0, 1000.0, 0, -2.0, 5000.0)

@@ -314,30 +314,6 @@ def open_cube(
         raster = interchange.raster_of(path, variable)
     else:
         raster = open_raster(path, header=header, root=root, variable=variable, engine=engine)
-    return cube_of(
-        raster,
-        quantity=quantity,
-        unit=unit,
-        scale=scale,
-        wavelength_unit=wavelength_unit,
-        axis=axis,
-        sort_bands=sort_bands,
-        check_values=check_values,
-    )
-
-
-def cube_of(
-    raster: Raster,
-    *,
-    quantity: Quantity,
-    unit: str | None = None,
-    scale: float | None = None,
-    wavelength_unit: str | None = None,
-    axis: Bands = None,
-    sort_bands: bool = False,
-    check_values: bool = True,
-) -> Cube:
-    """The cube of an opened raster, by the rules of :func:`open_cube`."""
     table = _table(raster, axis, wavelength_unit, sort_bands)
     about = raster.description
     if about is not None:

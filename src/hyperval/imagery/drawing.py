@@ -16,7 +16,7 @@ import numpy.typing as npt
 import shapely
 from affine import Affine
 from rasterio.crs import CRS
-from rasterio.errors import NotGeoreferencedWarning
+from rasterio.errors import CRSError, NotGeoreferencedWarning
 from rasterio.features import rasterize
 from rasterio.warp import transform as reproject
 
@@ -147,37 +147,58 @@ def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where
     return np.column_stack(placed)
 
 
-def placing(
-    coordinates: str | None, stated: CRS | None, transform: Position, crs: CRS | None, where: str
-) -> Callable[[Array, str, bool], Array]:
-    """A function from the coordinates (n, 2) of a file to continuous pixel coordinates.
+@dataclass(frozen=True)
+class Grid:
+    """The image that the drawings of a file lie on, and what is said of their coordinates and names.
 
-    Parameters
+    Attributes
     ----------
-    coordinates : "pixel", "map" (the cube's own system) or "lonlat"; None: those of the system that the file
+    shape : (lines, samples) of the image
+    transform, crs : its position
+    coordinates : "pixel", "map" (the image's own system) or "lonlat"; None: those of the system that the file
         states, longitude and latitude without one
-    stated : the system that the file states
-    transform, crs : position of the cube
-
-    Raises
-    ------
-    InputError : the file states another system than ``coordinates``.
+    name_field : attribute that names the drawings, None for the usual ones
     """
-    if coordinates == "map" and stated is not None and crs is not None and stated != crs:
-        raise InputError(f"the file is in {stated}, the cube in {crs}", where=where, mend="leave coordinates out")
-    if coordinates == "lonlat" and stated is not None and not stated.is_geographic:
-        raise InputError(
-            f"the file is in {stated}, not in longitude and latitude", where=where, mend="leave coordinates out"
-        )
 
-    def place(points: Array, where: str, ring: bool) -> Array:
-        if coordinates == "pixel":
-            return points
-        if coordinates != "map":
-            points = reprojected(points, stated or CRS.from_epsg(4326), crs, where=where)
-        return map_to_pixel(points, transform, where=where, ring=ring)
+    shape: tuple[int, int]
+    transform: Position = None
+    crs: CRS | None = None
+    coordinates: str | None = None
+    name_field: str | None = None
 
-    return place
+    def placing(self, stated: CRS | None, where: str) -> Callable[[Array, str, bool], Array]:
+        """A function from the coordinates (n, 2) of a file in a stated system to continuous pixel coordinates.
+
+        Raises
+        ------
+        InputError : the file states another system than ``coordinates``.
+        """
+        means, crs = self.coordinates, self.crs
+        if means == "map" and stated is not None and crs is not None and stated != crs:
+            raise InputError(
+                f"the file is in {stated}, the cube in {crs}", where=where, mend="leave coordinates out"
+            )
+        if means == "lonlat" and stated is not None and not stated.is_geographic:
+            raise InputError(
+                f"the file is in {stated}, not in longitude and latitude", where=where, mend="leave coordinates out"
+            )
+
+        def place(points: Array, where: str, ring: bool) -> Array:
+            if means == "pixel":
+                return points
+            if means != "map":
+                points = reprojected(points, stated or CRS.from_epsg(4326), crs, where=where)
+            return map_to_pixel(points, self.transform, where=where, ring=ring)
+
+        return place
+
+
+def named_crs(name: str, where: str) -> CRS:
+    """The coordinate system of a name; InputError for one that is not known."""
+    try:
+        return CRS.from_user_input(name)
+    except (CRSError, ValueError):
+        raise InputError(f"unknown coordinate system {name!r}", where=where) from None
 
 
 def _pair(xy: Array) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,7 +16,7 @@ from skimage.measure import label
 
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery import regions_envi, regions_files
-from hyperval.imagery.drawing import WARNING, Drawing, Position
+from hyperval.imagery.drawing import WARNING, Drawing, Grid, Position
 from hyperval.imagery.envi_raster import header_beside
 from hyperval.imagery.text_files import head_of
 from hyperval.imagery.tiff_raster import TIFF_SUFFIXES
@@ -109,29 +109,20 @@ def read_regions(
     path = checked_file(path, root=root, what="region file")
     head = head_of(path)
     stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    grid = Grid(cube_shape, transform, crs, coordinates, name_field)
     drawn: Mapping[Any, Mask | Drawing]
     if path.suffix.lower() in TIFF_SUFFIXES or head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names), root=root)
     elif stripped.startswith(b"<") and not regions_files.is_kml(head):
-        drawn = regions_envi.xml_drawings(path, cube_shape, transform=transform, crs=crs)
+        drawn = regions_envi.xml_drawings(path, grid)
     elif b"ENVI Output of ROIs" in head[:200]:
         drawn = regions_envi.ascii_drawings(path, cube_shape)
     elif head.startswith(b"JoeB"):
         drawn = regions_envi.binary_drawings(path, cube_shape)
     elif regions_files.is_vector(head):
-        drawn = regions_files.vector_drawings(
-            path,
-            cube_shape,
-            coordinates=coordinates,
-            transform=transform,
-            crs=crs,
-            root=root,
-            name_field=name_field,
-        )
+        drawn = regions_files.vector_drawings(path, grid, root)
     elif stripped.startswith(b"{"):
-        drawn = regions_files.geojson_drawings(
-            path, cube_shape, coordinates=coordinates, transform=transform, crs=crs, name_field=name_field
-        )
+        drawn = regions_files.geojson_drawings(path, grid)
     elif path.suffix.lower() == ".hdr" or header_beside(path) is not None:
         drawn = regions_files.raster_masks(path, cube_shape, by_value=_by_value(names), root=root)
     elif path.suffix.lower() in (".csv", ".txt"):
@@ -239,6 +230,16 @@ def objects(mask: Mask) -> tuple[npt.NDArray[np.int32], int]:
     """Connected groups of pixels (8 neighbours): labels (lines, samples), 0 outside, and their number."""
     labels, count = label(mask, connectivity=2, return_num=True)
     return labels.astype(np.int32), int(count)
+
+
+def patches(mask: Mask, name: str, *, whole: bool = False) -> Iterator[tuple[str, tuple[slice, slice], Mask]]:
+    """Name, window and mask within it of each group of touching pixels (8 neighbours), of all where ``whole``.
+
+    A number stands after the name where there are several, lines first.
+    """
+    labels, count = (mask.astype(np.int32), 1) if whole else objects(mask)
+    for number, window in enumerate(ndimage.find_objects(labels), start=1):
+        yield name if count == 1 else f"{name} {number}", window, labels[window] == number
 
 
 def guard(mask: Mask, radius_pixels: float) -> Mask:

@@ -9,10 +9,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
-from rasterio.crs import CRS
 
 from hyperval.errors import InputError
-from hyperval.imagery.drawing import Drawing, Position, map_to_pixel, reprojected
+from hyperval.imagery.drawing import Drawing, Grid
 from hyperval.imagery.georeference import crs_of_wkt
 from hyperval.imagery.text_files import read_text, read_xml
 from hyperval.paths import checked_file
@@ -30,9 +29,7 @@ def _root(path: Path) -> ElementTree.Element:
     return root
 
 
-def xml_drawings(
-    path: Path, shape: tuple[int, int], *, transform: Position = None, crs: CRS | None = None
-) -> dict[str, Drawing]:
+def xml_drawings(path: Path, grid: Grid) -> dict[str, Drawing]:
     """Drawings by name of an ENVI 5 ROI file.
 
     ``CoordSysStr`` "none" means continuous pixel coordinates, a WKT means map coordinates, which
@@ -49,12 +46,12 @@ def xml_drawings(
         where = f"{path}: region {name!r}"
         if name in drawings:
             raise InputError("the name stands twice", where=where)
-        drawing = Drawing(shape)
+        drawing = Drawing(grid.shape)
         for definition in region.iter("GeometryDef"):
             system = " ".join((definition.findtext("CoordSysStr") or "none").split())
 
             def placed(element: ElementTree.Element, ring: bool, system: str = system, where: str = where) -> Array:
-                return _placed(_pairs(element, where), system, transform, crs, where, ring)
+                return _placed(_pairs(element, where), system, grid, where, ring)
 
             for child in definition:
                 if child.tag == "CoordSysStr":
@@ -220,13 +217,13 @@ def _pairs(element: ElementTree.Element, where: str) -> Array:
     return values.reshape(-1, 2)
 
 
-def _placed(points: Array, system: str, transform: Position, crs: CRS | None, where: str, ring: bool) -> Array:
+def _placed(points: Array, system: str, grid: Grid, where: str, ring: bool) -> Array:
     if system.lower() == "none":
         return points
     source = crs_of_wkt(system)
     if source is None:
         raise InputError(f"unknown coordinate system {system[:60]!r}", where=where)
-    return map_to_pixel(reprojected(points, source, crs, where=where), transform, where=where, ring=ring)
+    return Grid(grid.shape, grid.transform, grid.crs).placing(source, where)(points, where, ring)
 
 
 def _whole(text: str, where: str) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.drawing import Drawing, Position, placing
+from hyperval.imagery.drawing import Drawing, Grid, named_crs
 from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.text_files import head_of, read_table, read_text
 from hyperval.imagery.tiff_raster import TiffRaster
@@ -34,18 +34,10 @@ _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
 _KINDS = ("Polygon", "MultiPolygon", "Point", "MultiPoint")
 
 
-def geojson_drawings(
-    path: Path,
-    shape: tuple[int, int],
-    *,
-    coordinates: str | None,
-    transform: Position,
-    crs: CRS | None,
-    name_field: str | None = None,
-) -> dict[str, Drawing]:
+def geojson_drawings(path: Path, grid: Grid) -> dict[str, Drawing]:
     """Drawings by name of the polygons and points of a GeoJSON file; features of one name are united.
 
-    Where neither the file nor ``coordinates`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
+    Where neither the file nor ``grid`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
     has it.
     """
     try:
@@ -53,14 +45,14 @@ def geojson_drawings(
     except (ValueError, RecursionError) as error:
         raise InputError(f"not valid GeoJSON: {error}", where=str(path)) from error
     stated = _stated_crs(data, path)
-    assumed = coordinates is None and stated is None
-    if assumed and transform is None:
+    assumed = grid.coordinates is None and stated is None
+    if assumed and grid.transform is None:
         raise UsageError(
             "a GeoJSON file holds longitude and latitude (RFC 7946), and the cube has no position",
             where=str(path),
             mend="state coordinates: pixel, map (the cube's own system) or lonlat",
         )
-    in_pixels = placing(coordinates, stated, transform, crs, str(path))
+    in_pixels = grid.placing(stated, str(path))
 
     def place(points: Any, where: str, ring: bool) -> npt.NDArray[np.float64]:
         try:
@@ -76,19 +68,19 @@ def geojson_drawings(
         return in_pixels(xy, where, ring)
 
     drawings: dict[str, Drawing] = {}
-    for number, (name, geometry) in enumerate(_features(data, path, name_field), start=1):
+    for number, (name, geometry) in enumerate(_features(data, path, grid.name_field), start=1):
         where = f"{path}: feature {number} ({name})"
         kind, parts = geometry.get("type"), geometry.get("coordinates")
         if kind in ("Point", "MultiPoint"):
             placed = place([parts] if kind == "Point" else parts, where, False)
-            drawings.setdefault(name, Drawing(shape)).add_points(placed, where=where)
+            drawings.setdefault(name, Drawing(grid.shape)).add_points(placed, where=where)
         elif kind in ("Polygon", "MultiPolygon"):
             polygons = [parts] if kind == "Polygon" else parts
             for rings in polygons if isinstance(polygons, list) else [None]:
                 if not isinstance(rings, list) or not rings:
                     raise InputError("a polygon without vertices", where=where)
                 outer, *inner = [place(ring, where, True) for ring in rings]
-                drawings.setdefault(name, Drawing(shape)).add_polygon(outer, inner, where=where)
+                drawings.setdefault(name, Drawing(grid.shape)).add_polygon(outer, inner, where=where)
         else:
             raise InputError(f"geometry {kind!r}", where=where, expected="Polygon, MultiPolygon, Point, MultiPoint")
     return drawings
@@ -209,12 +201,7 @@ def _stated_crs(data: Any, path: Path) -> CRS | None:
     crs = data.get("crs") if isinstance(data, dict) else None
     properties = crs.get("properties") if isinstance(crs, dict) else None
     name = properties.get("name") if isinstance(properties, dict) else None
-    if not isinstance(name, str):
-        return None
-    try:
-        return CRS.from_user_input(name)
-    except (CRSError, ValueError):
-        raise InputError(f"unknown coordinate system {name!r}", where=str(path)) from None
+    return named_crs(name, str(path)) if isinstance(name, str) else None
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -244,16 +231,7 @@ def is_kml(head: bytes) -> bool:
     return re.search(rb"<\s*(\w+:)?kml[\s>]", head) is not None
 
 
-def vector_drawings(
-    path: Path,
-    shape: tuple[int, int],
-    *,
-    coordinates: str | None = None,
-    transform: Position = None,
-    crs: CRS | None = None,
-    root: Path | None = None,
-    name_field: str | None = None,
-) -> dict[str, Drawing]:
+def vector_drawings(path: Path, grid: Grid, root: Path | None = None) -> dict[str, Drawing]:
     """Drawings by name of the polygons and points of every layer; features of one name are united.
 
     A name comes from the attribute ``name_field``, or else from ``region``, ``name``, ``class`` or ``class_name``;
@@ -286,12 +264,13 @@ def vector_drawings(
                 if count > MAX_FEATURES:
                     raise InputError(f"{count} features", where=str(path), expected=f"at most {MAX_FEATURES}")
                 meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
-                place = _placing(coordinates, meta["crs"], transform, crs, f"{path}: layer {layer!r}")
+                inner = f"{path}: layer {layer!r}"
+                place = _placing(grid, meta["crs"], inner)
                 fields = dict(zip((str(f) for f in meta["fields"]), columns, strict=True))
-                names = _names(layer, fields, len(shapes), name_field, f"{path}: layer {layer!r}")
+                names = _names(layer, fields, len(shapes), grid.name_field, inner)
                 for number, (name, wkb) in enumerate(zip(names, shapes, strict=True), start=1):
-                    where = f"{path}: layer {layer!r}, feature {number} ({name})"
-                    _draw(drawings.setdefault(name, Drawing(shape)), wkb, place, where)
+                    where = f"{inner}, feature {number} ({name})"
+                    _draw(drawings.setdefault(name, Drawing(grid.shape)), wkb, place, where)
     except (DataLayerError, DataSourceError) as error:
         raise InputError(f"cannot be read: {error}", where=str(path)) from error
     return drawings
@@ -316,23 +295,20 @@ def _check_files(path: Path, root: Path | None) -> None:
         raise InputError(f"larger than {MAX_BYTES >> 20} MiB", where=str(path))
 
 
-def _placing(coordinates: str | None, stated: str | None, transform: Position, crs: CRS | None, where: str) -> Any:
+def _placing(grid: Grid, stated: str | None, where: str) -> Callable[[Array, str, bool], Array]:
     """A function from the file's coordinates (n, 2) to continuous pixel coordinates."""
-    try:
-        own = CRS.from_user_input(stated) if stated else None
-    except CRSError:
-        raise InputError(f"unknown coordinate system {stated!r}", where=where) from None
-    if own is None and coordinates is None:
+    own = named_crs(stated, where) if stated else None
+    if own is None and grid.coordinates is None:
         raise UsageError(
             "the file states no coordinate system",
             where=where,
             mend="state coordinates: pixel, map (the cube's own system) or lonlat",
         )
-    if own is not None and coordinates == "pixel":
+    if own is not None and grid.coordinates == "pixel":
         raise InputError(
             f"the file is in {own}, not in pixel coordinates", where=where, mend="leave coordinates out"
         )
-    return placing(coordinates, own, transform, crs, where)
+    return grid.placing(own, where)
 
 
 def _names(layer: str, fields: dict[str, Any], count: int, name_field: str | None, where: str) -> list[str]:

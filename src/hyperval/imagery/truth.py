@@ -1,11 +1,12 @@
-"""Truth: the target objects of a collection, and the list of them."""
+"""Truth: the target objects of a collection, by a list of them, class rasters, or regions drawn on the image."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +15,7 @@ from affine import Affine
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, point_mask, polygon_mask
 from hyperval.imagery.lookup_table import LookupTable
-from hyperval.imagery.regions import guard
+from hyperval.imagery.regions import Region, guard, patches
 from hyperval.imagery.text_files import read_table
 from hyperval.paths import checked_file
 
@@ -314,3 +315,84 @@ def _number(text: str | None, key: str, where: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{key} is {text[:40]!r}", where=where, expected="a number")
     return value
+
+
+def intersected_objects(
+    materials: Mapping[str, Mask],
+    size_class: npt.ArrayLike,
+    side_m: Mapping[int, float],
+) -> list[TargetObject]:
+    """Objects as the intersection of material masks with a raster of size classes.
+
+    Parameters
+    ----------
+    materials : (lines, samples) mask by material
+    size_class : (lines, samples) whole numbers, 0 where there is no target
+    side_m : side [m] of each class; classes that are left out make no object
+
+    Returns
+    -------
+    One object for every material and listed class, named "material side m", in the order given.
+
+    Raises
+    ------
+    InputError : shapes differ, or a material has no pixel of a listed class.
+    """
+    classes = np.asarray(size_class)
+    out = []
+    for material, mask in materials.items():
+        if mask.shape != classes.shape:
+            raise InputError(f"{material}: mask {mask.shape} and size classes {classes.shape} differ in shape")
+        for value, side in side_m.items():
+            here = mask & (classes == value)
+            if not here.any():
+                raise InputError(f"{material} has no pixel of size class {value}")
+            attributes = {"material": material, "side_m": f"{side:g}"}
+            of = f"{material} {side:g} m", material, float(side), float(side) ** 2, (here.shape[0], here.shape[1])
+            out.append(TargetObject(*of, *cut_out(here), attributes=attributes))
+    return out
+
+
+def region_objects(
+    regions: Iterable[Region],
+    material: str,
+    *,
+    whole: bool = False,
+    side_m: float | Literal["marked"] | None = None,
+    pixel_area_m2: float | None = None,
+) -> list[TargetObject]:
+    """Objects of one material drawn as regions.
+
+    Parameters
+    ----------
+    whole : each region is an object, in place of each connected group of its pixels (8 neighbours)
+    side_m : side of the square targets [m]; "marked": each has the area of its pixels; None: not known
+    pixel_area_m2 : ground area of a pixel, for "marked"
+
+    Returns
+    -------
+    Objects named by their region, with a number where it falls into several, lines first.  The column ``region``
+    holds the region's name, ``pixels`` how many it marks.
+
+    Raises
+    ------
+    UsageError : sides by marked pixels whose ground area is not known.
+    """
+    if side_m == "marked" and pixel_area_m2 is None:
+        raise UsageError(
+            "side_m: marked needs the ground area of a pixel",
+            where="targets.regions",
+            mend="state targets.pixel_size_m",
+        )
+    out = []
+    for region in regions:
+        shape = (region.mask.shape[0], region.mask.shape[1])
+        for name, window, part in patches(region.mask, region.name, whole=whole):
+            corner = (int(window[0].start), int(window[1].start))
+            pixels = int(np.count_nonzero(part))
+            side = math.sqrt(pixels * (pixel_area_m2 or 0.0)) if side_m == "marked" else side_m
+            attributes = {"material": material, "region": region.name, "pixels": str(pixels)}
+            attributes |= {} if side is None else {"side_m": f"{side:.6g}"}
+            side = math.nan if side is None else side
+            out.append(TargetObject(name, material, side, side**2, shape, corner, part, attributes=attributes))
+    return out

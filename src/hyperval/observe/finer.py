@@ -11,19 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from affine import Affine
-from scipy import ndimage
 from scipy.special import ndtri
 
 from hyperval.collection_files import BandRange, FinerTruth
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.rasters import Raster, open_raster
-from hyperval.imagery.regions import objects
+from hyperval.imagery.regions import patches
 from hyperval.imagery.truth import TargetObject, cut_out
 from hyperval.scene.fill import aperture_weights
 from hyperval.spectra.response import SIGMA_PER_FWHM
@@ -126,15 +126,13 @@ def finer_targets(
     both = blur if isinstance(blur, tuple) else (blur, blur)
     out: list[TargetObject] = []
     for material, mask in _class_masks(truth, raster, str(path)):
-        cells, count = objects(mask) if truth.objects == "patches" else (mask.astype(np.int32), 1)
-        if count > MAX_OBJECTS:
+        listed = list(islice(patches(mask, material, whole=truth.objects == "classes"), MAX_OBJECTS + 1))
+        if len(listed) > MAX_OBJECTS:
             raise InputError(
-                f"{count} patches of {material!r}", where=str(path), expected=f"at most {MAX_OBJECTS}",
+                f"more than {MAX_OBJECTS} patches of {material!r}", where=str(path),
                 mend="filter single cells out of the finer map, or state objects: classes",
             )  # fmt: skip
-        for number, (rows, columns) in enumerate(ndimage.find_objects(cells), start=1):
-            name = material if count == 1 else f"{material} {number}"
-            inside = cells[rows, columns] == number
+        for name, (rows, columns), inside in listed:
             there = FinerGrid(
                 grid.line + grid.line_step * rows.start, grid.sample + grid.sample_step * columns.start,
                 grid.line_step, grid.sample_step,

@@ -25,8 +25,7 @@ from hyperval.imagery.location import location_table
 from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.regions import guard, read_regions
-from hyperval.imagery.truth import TargetObject, all_pixels, read_targets
-from hyperval.imagery.truth_masks import intersected_objects, region_objects
+from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
 from hyperval.observe.finer import finer_targets
 from hyperval.observe.regions import collection_regions, region_notes, regions_of_file, target_overlaps
 from hyperval.observe.site_spectra import read_band_table
@@ -278,7 +277,7 @@ def _drawn_targets(
         ]
         remarks += [f"{remark} (targets)" for region in chosen for remark in region.remarks]
         new = region_objects(
-            chosen, source.material, patches=source.objects == "patches", side_m=source.side_m, pixel_area_m2=area
+            chosen, source.material, whole=source.objects == "regions", side_m=source.side_m, pixel_area_m2=area
         )
         # A class raster for each material, of one name: the material tells the objects apart.
         taken = {o.name for o in out if o.material != source.material}

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from hyperval.collection_files import AbundanceTruth, RegionSource
 from hyperval.errors import InputError
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.rasters import Raster, open_raster
-from hyperval.imagery.regions import Region, objects
+from hyperval.imagery.regions import Region, patches
 from hyperval.imagery.truth import TargetObject
 from hyperval.observe.finer import object_of_fills
 
@@ -75,11 +74,9 @@ def abundance_targets(
             raise InputError(
                 f"no pixel is filled by {material!r}", where=str(path), expected=f"{truth.least_fill:g}"
             )
-        labels, count = objects(mask) if truth.objects == "patches" else (mask.astype(np.int32), 1)
-        for number, window in enumerate(ndimage.find_objects(labels), start=1):
-            part = np.where(labels[window] == number, fill[window], 0.0)
+        for name, window, inside in patches(mask, material, whole=truth.objects == "bands"):
+            part = np.where(inside, fill[window], 0.0)
             area = math.nan if pixel_area_m2 is None else float(part.sum()) * pixel_area_m2
-            name = material if count == 1 else f"{material} {number}"
             corner = int(window[0].start), int(window[1].start)
             out.append(
                 object_of_fills(name, material, part[None], corner, cube.shape, area, truth.least_fill, str(path))

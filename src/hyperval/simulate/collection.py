@@ -21,7 +21,7 @@ from hyperval.folders import COLLECTION, whole_folder
 from hyperval.imagery.envi_write import envi_writer, write_cube
 from hyperval.progress import track
 from hyperval.simulate import streams, truth
-from hyperval.simulate.inputs import SimulationInputs, class_source, load_inputs
+from hyperval.simulate.inputs import SimulationInputs, load_inputs
 from hyperval.simulate.layout import Ground, lay_out, regions
 from hyperval.simulate.radiometry import Detector, detector
 from hyperval.simulate.schema import SceneFile, load_scene
@@ -105,18 +105,17 @@ def simulate(
     average, dark = average_reflectance(renderer, show=show_progress)
     chain = detector(inputs, average, scene.counts_per_radiance)
     files = {
-        "cube": folder / f"{scene.name}_rad.img",
         "regions": folder / "regions.geojson",
         "targets": folder / "targets.csv",
         "panel_spectra": folder / "panel_spectra.csv",
-        "class_map": folder / f"{scene.name}_class.img",
-        "fill_map": folder / f"{scene.name}_fill.img",
         "truth": folder / "truth.json",
     }
+    ends = {"cube": "rad", "class_map": "class", "fill_map": "fill"}
+    files |= {part: folder / f"{scene.name}_{end}.img" for part, end in ends.items()}
     saturated = _write_cube(files["cube"], scene, inputs, renderer, chain, lines_per_block, show_progress)
     truth.write_regions(files["regions"], scene, masks)
     truth.write_table(files["targets"], truth.TARGET_COLUMNS, truth.target_rows(scene, ground))
-    truth.write_panel_spectra(files["panel_spectra"], scene, class_source)
+    truth.write_panel_spectra(files["panel_spectra"], scene)
     _write_maps(files["class_map"], files["fill_map"], scene, ground)
     facts = {
         "simulated": True,

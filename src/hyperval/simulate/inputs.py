@@ -69,11 +69,6 @@ class SimulationInputs:
                 raise UsageError(f"the class {name!r} does not stand on the sensor's bands")
 
 
-def class_source(name: str, axis: SpectralAxis) -> ClassStatistics:
-    """Reflectance statistics of a surface on any bands: the built-in surfaces."""
-    return builtin_class(name, axis)
-
-
 def sensor_numbers(name: str) -> SensorNumbers:
     """The numbers of a sensor of the library or of a sensor file.
 
@@ -116,7 +111,7 @@ def load_inputs(scene: SceneFile, beside: Path) -> SimulationInputs:
     path = beside / scene.sensor
     sensor = sensor_numbers(str(path) if path.is_file() else scene.sensor)
     # Before the engine, which may take a minute: a name that no surface has is told at once.
-    classes = {name: class_source(name, sensor.axis) for name in scene.materials()}
+    classes = {name: builtin_class(name, sensor.axis) for name in scene.materials()}
     resolve = partial(datasets.resolve, base=beside)
     terms = atmospheric_terms(scene.atmosphere, resolve=resolve).at_bands(sensor.axis)
     return SimulationInputs(sensor, terms, classes)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rasterio import features
 
 from hyperval.files import write_text
-from hyperval.scene.statistics import ClassStatistics
+from hyperval.scene.builtin import builtin_class
 from hyperval.simulate import streams
 from hyperval.simulate.layout import Ground, Mask, touched
 from hyperval.simulate.schema import SceneFile
@@ -102,37 +101,22 @@ def field_axis() -> SpectralAxis:
     return SpectralAxis(centre, np.full(centre.size, FIELD_FWHM_NM))
 
 
-def panel_readings(
-    scene: SceneFile, spectra: Callable[[str, SpectralAxis], ClassStatistics]
-) -> tuple[SpectralAxis, dict[str, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]]:
-    """Mean and standard deviation of the readings of every panel at 1 nm.
+def write_panel_spectra(path: Path, scene: SceneFile) -> None:
+    """CSV: wavelength_nm, then mean NAME and standard deviation NAME_sd of every panel, reflectance as a fraction.
 
     A reading is the panel's mean reflectance with ``relative_noise`` of the instrument, independent between
-    wavelengths; the panels' own spread from pixel to pixel is averaged by the sweep of the spectrometer.
+    wavelengths; the panels' own spread from pixel to pixel is averaged by the sweep of the spectrometer.  A comment
+    says how many readings are behind the means, where there is more than one.
     """
     axis = field_axis()
     noise, count = scene.field_spectra.relative_noise, scene.field_spectra.readings
-    out = {}
+    columns, values = ["wavelength_nm"], [axis.centre_nm]
     for number, panel in enumerate(scene.panels):
-        mean = spectra(panel.surface, axis).mean
+        mean = builtin_class(panel.surface, axis).mean
         rng = streams.generator(scene.seed, streams.FIELD_SPECTRA, number)
         readings = mean * (1.0 + noise * rng.standard_normal((count, mean.size)))
-        spread = readings.std(axis=0, ddof=1) if count > 1 else np.zeros(mean.size)
-        out[panel.name] = (readings.mean(axis=0), spread)
-    return axis, out
-
-
-def write_panel_spectra(
-    path: Path, scene: SceneFile, spectra: Callable[[str, SpectralAxis], ClassStatistics]
-) -> None:
-    """CSV: wavelength_nm, then NAME and NAME_sd of every panel, reflectance as a fraction.
-
-    Above it a comment says how many readings are behind the means, where there is more than one.
-    """
-    axis, readings = panel_readings(scene, spectra)
-    columns = ["wavelength_nm"] + [c for name in readings for c in (name, f"{name}_sd")]
-    values = [axis.centre_nm] + [v for pair in readings.values() for v in pair]
-    count = scene.field_spectra.readings
+        columns += [panel.name, f"{panel.name}_sd"]
+        values += [readings.mean(axis=0), readings.std(axis=0, ddof=1) if count > 1 else np.zeros(mean.size)]
     lines = [f"# means of N = {count} readings and their standard deviations"] if count > 1 else []
     lines += [",".join(columns)]
     lines += [f"{row[0]:.1f}," + ",".join(f"{v:.6f}" for v in row[1:]) for row in np.stack(values, axis=1)]
