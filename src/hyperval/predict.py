@@ -35,7 +35,7 @@ from hyperval.prediction.uncertainty import (
     with_bands,
     with_moves,
 )
-from hyperval.products import PixelDistribution, Prediction
+from hyperval.products import SPECTRA, PixelDistribution, Prediction
 from hyperval.scenario import Scenario
 from hyperval.scenario_uncertainty import Uncertainty
 
@@ -253,9 +253,7 @@ def _with_moves(
     of_classes: Sequence[Moved],
 ) -> Prediction:
     """The prediction with the errors by inputs that change surfaces, fills or bands, and limits of its curves."""
-    spectra: dict[str, Any] = {
-        p: dict(getattr(prediction, p)) for p in ("radiance", "snr", "reflectance", "toa_reflectance")
-    }
+    spectra: dict[str, Any] = {p: dict(getattr(prediction, p)) for p in SPECTRA}
     for product, estimates in spectra.items():
         with_moves(estimates, product, moves)
     pairs = [*moves, *of_classes]

@@ -298,6 +298,8 @@ class ClassificationError:
     bound_upper: float = math.nan
 
 
+# Products that are spectra by band.
+SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 ANOMALIES = "anomalies"  # the subject of scores of every pixel, where no target is looked for
 
 

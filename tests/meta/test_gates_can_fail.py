@@ -326,7 +326,7 @@ def sides(mean=1.0, pd=0.7, observed_mean=1.0, width=0.15):
 
 
 def code_of(predicted, observed):
-    rows = compare_products(predicted, observed, pfa=[1e-2, 1e-3])
+    rows = compare_products(predicted, observed)
     return ResultTable(judged(rows, GATES)).exit_code()
 
 
@@ -345,7 +345,7 @@ def test_each_falsified_product_turns_the_verdict(falsified):
 
 @pytest.mark.parametrize("falsified", [{"pd": math.nan}, {"width": math.nan}])
 def test_a_curve_that_says_nothing_is_no_agreement(falsified):
-    rows = compare_products(*sides(**falsified), pfa=[1e-2, 1e-3])
+    rows = compare_products(*sides(**falsified))
     found = [r for r in judged(rows, GATES) if r.gates and r.product == "roc"]
     assert found
     assert {r.outcome for r in found} <= {S, U, E}

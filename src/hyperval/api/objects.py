@@ -25,7 +25,6 @@ from hyperval.results import ResultTable
 from hyperval.simulate.collection import SimulatedCollection
 from hyperval.units import RADIANCE_UNIT
 
-_SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 _WIDTH = 100
 _LINES = 9
 _ROWS = 10  # in a notebook
@@ -60,16 +59,7 @@ class _Side(_Shown):
         nm = self.axis.centre_nm
         facts: dict[str, Iterable[object]] = {
             name: sorted({key if isinstance(key, str) else "/".join(key) for key in getattr(self, name)})
-            for name in (
-                "radiance",
-                "snr",
-                "reflectance",
-                "toa_reflectance",
-                "scores",
-                "roc",
-                "abundance",
-                "classification",
-            )
+            for name in (*products.SPECTRA, "scores", "roc", "abundance", "classification")
         }
         return _card(f"{type(self).__name__} of {nm.size} bands, {nm[0]:.0f}-{nm[-1]:.0f} nm", facts)
 
@@ -170,7 +160,7 @@ class Run(_Shown):
         """Means with their standard uncertainties: a row for each side, product, subject and band."""
         parts = []
         for side, data in self.sides.items():
-            for product in (name for name in _SPECTRA if name in data):
+            for product in (name for name in products.SPECTRA if name in data):
                 names = [product, f"{product}_standard_uncertainty"]
                 part = data[names].rename({names[0]: "value", names[1]: "standard_uncertainty"})
                 frame = part.rename({f"{product}_subject": "subject"}).to_dataframe().reset_index()
@@ -192,7 +182,7 @@ class Run(_Shown):
         """
         whole, names = self.sides.get(side), f"{product}_subject"
         if whole is None or f"{product}_error_covariance" not in whole or subject not in whole[names]:
-            have = [f"{k} {n} {s}" for k, d in self.sides.items() for n in _SPECTRA
+            have = [f"{k} {n} {s}" for k, d in self.sides.items() for n in products.SPECTRA
                     if f"{n}_error_covariance" in d for s in d[f"{n}_subject"].to_numpy()]  # fmt: skip
             raise UsageError(f"no {side} {product} of {subject!r} with a covariance", expected=", ".join(have))
         one = whole.sel({names: subject}, drop=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -85,28 +86,15 @@ def check(
     ------
     UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
     """
-    if output is None:
-        outcome = _checked(campaigns, sensors, baselines, source, None, engine, show_progress)
-    else:
-        with whole_folder(output) as folder:
-            outcome = _checked(campaigns, sensors, baselines, source, folder / RUNS, engine, show_progress)
+    with whole_folder(output) if output is not None else nullcontext() as folder:
+        keep = folder / RUNS if folder is not None else None
+        runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine, show_progress=show_progress)
+        outcome = Checks([_against(run, baselines) for run in runs])
+        if folder is not None:
             _write(outcome, folder)
     if junit is not None:
         write_text(junit, junit_xml(outcome.table))
     return outcome
-
-
-def _checked(
-    campaigns: Sequence[Path],
-    sensors: Sequence[str],
-    baselines: Path,
-    source: Path | None,
-    keep: Path | None,
-    engine: Engine | None,
-    show_progress: bool | None,
-) -> Checks:
-    runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine, show_progress=show_progress)
-    return Checks([_against(run, baselines) for run in runs])
 
 
 def _against(run: Run, folder: Path) -> Checked:

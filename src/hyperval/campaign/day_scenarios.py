@@ -60,8 +60,6 @@ def scenarios_of(
     if source in builtin_scenarios():
         return [load_scenario(source)]
     path = resolve(source)
-    if not words:
-        return [load_scenario(path)]
     data, lines = load_yaml(path)
     scenario = validate(Scenario, with_words(data, words), lines, str(path))
     scenario._folder = path.resolve().parent

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from hyperval.campaign.day_scenarios import DayScenarios, day_scenarios
+from hyperval.campaign.day_scenarios import DayScenarios, scenarios_of
 from hyperval.campaign.job import Text, read_texts
 from hyperval.campaign.names import (
     Lookup,
@@ -17,14 +17,13 @@ from hyperval.campaign.names import (
     scenario_mistakes,
 )
 from hyperval.campaign.references import Reference
-from hyperval.campaign.template import with_words
 from hyperval.compare.gates import Gate
-from hyperval.config import Location, load_yaml, validate
+from hyperval.config import Location, load_yaml
 from hyperval.datasets import how_to_get, resolve, set_on_request
 from hyperval.file_names import matching
 from hyperval.imagery.envi_raster import header_beside
 from hyperval.imagery.rasters import needs_header
-from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.scenario import Scenario, builtin_scenarios
 
 FILE, VALUE, COMPARISON, NAME = "file", "value", "comparison", "name"
 PRESENT, MISSING, TO_FILL_IN, PLANNED, WRONG = "found", "missing", "to fill in", "planned", "wrong"
@@ -168,31 +167,23 @@ def _comparison(name: str, gate: Gate) -> Item:
 
 
 def _scenarios(text: Text) -> list[tuple[Scenario, str, Mapping[Location, int], Location]]:
-    """The scenarios that are at hand, each with the file it stands in, its lines, and where in it.
+    """The scenarios, whose files are at hand, each with the file it stands in, its lines, and where in it.
 
     Raises
     ------
     UsageError : mistakes in the campaign or in the scenario files.
     """
     out: list[tuple[Scenario, str, Mapping[Location, int], Location]] = []
+    base = text.path.resolve().parent
+    find = partial(resolve, base=base)
     for i, source in enumerate(text.campaign().scenarios):
-        if isinstance(source, Scenario):
-            source._folder = text.path.resolve().parent
-            out.append((source, str(text.path), text.lines, ("scenarios", i)))
-        elif isinstance(source, DayScenarios):
-            base = text.path.resolve().parent
-            paths = [Reference("scenarios", name, base).path for name in (source.scenario, source.radcalnet)]
-            if paths[0] is not None and paths[1] is not None:
-                own = load_yaml(paths[0])[1]
-                days = day_scenarios(source, paths[0], paths[1], text.words)
-                out += [(scenario, str(paths[0]), own, ()) for scenario in days]
-        elif source in builtin_scenarios():
-            out.append((load_scenario(source), str(text.path), text.lines, ("scenarios", i)))
-        else:
-            path = Reference("scenarios", source, text.path.resolve().parent).path
-            if path is not None:
-                scenario, lines = scenario_of(path, text)
-                out.append((scenario, str(path), lines, ()))
+        named = source.scenario if isinstance(source, DayScenarios) else source
+        at: Location = ("scenarios", i)
+        file, lines = text.path, text.lines
+        if isinstance(named, str) and named not in builtin_scenarios():
+            file, at = find(named), ()
+            lines = load_yaml(file)[1]
+        out += [(scenario, str(file), lines, at) for scenario in scenarios_of(source, find, base, text.words)]
     return out
 
 
@@ -214,11 +205,3 @@ def _mistakes(
         others += lookup.mistakes
     comparison_mistakes(campaign, own, offered, subjects)
     return [*own.mistakes, *others]
-
-
-def scenario_of(path: Path, text: Text) -> tuple[Scenario, Mapping[Location, int]]:
-    """A scenario file with the words of the run, and its lines; UsageError for its mistakes."""
-    data, lines = load_yaml(path)
-    scenario = validate(Scenario, with_words(data, text.words), lines, str(path))
-    scenario._folder = path.resolve().parent
-    return scenario, lines

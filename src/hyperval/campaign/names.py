@@ -63,8 +63,13 @@ class Lookup:
         """A mistake for every name of a list that is none of ``known``."""
         listed = list(dict.fromkeys(known))
         for i, name in enumerate(names):
-            if name not in listed:
-                self.add((*location, i), f"no {noun} {name!r}; expected: one of {', '.join(listed) or 'none'}")
+            self.one((*location, i), name, listed, noun)
+
+    def one(self, location: Location, name: str, known: Sequence[str], noun: str) -> bool:
+        """Whether a name is one of ``known``; a mistake where it is none."""
+        if name not in known:
+            self.add(location, f"no {noun} {name!r}; expected: one of {', '.join(known) or 'none'}")
+        return name in known
 
 
 @dataclass(frozen=True)
@@ -101,9 +106,7 @@ def campaign_mistakes(campaign: Campaign, lookup: Lookup, base: Path) -> Collect
         subjects = tuple(s.subject for s in collection.spectra)
         line = collection.empirical_line
         for i, panel in enumerate(line.panels if line else ()):
-            if panel.region not in subjects:
-                at = ("collection", "empirical_line", "panels", i, "region")
-                lookup.add(at, f"no site {panel.region!r}; expected: one of {', '.join(subjects)}")
+            lookup.one(("collection", "empirical_line", "panels", i, "region"), panel.region, subjects, "site")
         return Collected(None, subjects, (), True)
     offered = _simulated(campaign, lookup, find) if collection.simulate else _opened(campaign, lookup, find)
     if offered is None:
@@ -114,8 +117,7 @@ def campaign_mistakes(campaign: Campaign, lookup: Lookup, base: Path) -> Collect
     line = collection.empirical_line
     for i, panel in enumerate(line.panels if line else ()):
         panel_at: Location = ("collection", "empirical_line", "panels", i)
-        if panel.region not in regions:
-            lookup.add((*panel_at, "region"), f"no region {panel.region!r}; expected: one of {', '.join(regions)}")
+        lookup.one((*panel_at, "region"), panel.region, regions, "region")
         _spectrum(lookup, (*panel_at, "spectrum"), panel.spectrum, panel.region, offered.axis, find, ())
     if campaign.classification is not None:
         lookup.known(("classification", "classes"), campaign.classification.classes, regions, "region")
@@ -276,23 +278,18 @@ def _detection(detection: Detection, offered: Collected, lookup: Lookup, find: C
             lookup.known(("detection", "pools", i, "subjects"), pool.subjects, offered.subjects, "subject")
     named = [t.name for t in detection.targets]
     for i, check in enumerate(detection.areas):
-        _target(lookup, ("detection", "areas", i, "target"), check.target, named)
+        lookup.one(("detection", "areas", i, "target"), check.target, named, "detection target")
         if check.detector not in detection.detectors:
             lookup.add(("detection", "areas", i, "detector"), f"{check.detector!r} is none of detection.detectors")
     if detection.unmixing is not None:
         for i, item in enumerate(detection.unmixing.targets):
-            _target(lookup, ("detection", "unmixing", "targets", i, "target"), item.target, named)
+            lookup.one(("detection", "unmixing", "targets", i, "target"), item.target, named, "detection target")
         lookup.known(("detection", "unmixing", "background"), [detection.unmixing.background], regions, "region")
     if (detection.areas or detection.unmixing) and not offered.pixel_size:
         lookup.add(
             ("detection", "areas" if detection.areas else "unmixing"),
             "areas need the ground area of a pixel, which neither the cube's map nor targets.pixel_size_m states",
         )
-
-
-def _target(lookup: Lookup, at: Location, name: str, named: Sequence[str]) -> None:
-    if name not in named:
-        lookup.add(at, f"no detection target {name!r}; expected: one of {', '.join(named)}")
 
 
 def _spectrum(
@@ -317,6 +314,6 @@ def _spectrum(
 
 def _unmeasured(lookup: Lookup, at: Location, region: str, regions: Sequence[str], measured: bool) -> None:
     if measured:
-        lookup.add(at, f"no region {region!r}; expected: one of {', '.join(regions)}")
+        lookup.one(at, region, regions, "region")
     else:
         lookup.add(at, "nothing is measured in reflectance: a cube in radiance needs collection.empirical_line")

@@ -7,6 +7,7 @@ import io
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -90,19 +91,14 @@ def power(
     """
     jobs = jobs_of(*paths)
     before = {job.campaign.name: accepted_table(job.campaign.name) for job in jobs}
-    if output is None:
+    with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
         tables = _tables(jobs, before, show_progress)
-    else:
-        with whole_folder(output, POWER) as folder:
-            tables = _tables(jobs, before, show_progress)
+        for place in (*([folder] if folder is not None else []), *([ACCEPTED] if accept else [])):
             for item in tables:
                 if item.table is not None:
-                    write_power_table(folder / f"{item.campaign}.yaml", item.table)
+                    write_power_table(place / f"{item.campaign}.yaml", item.table)
+        if folder is not None:
             write_text(folder / POWER.marker, _csv(tables))
-    if accept:
-        for item in tables:
-            if item.table is not None:
-                write_power_table(ACCEPTED / f"{item.campaign}.yaml", item.table)
     return tables
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rasterio import warp
 
+from hyperval.campaign.scenario_notes import centre_of
 from hyperval.campaign.starter_draft import Draft, Sources
 from hyperval.config import FILL_IN
 from hyperval.errors import HypervalError, InputError, UsageError
@@ -206,25 +206,15 @@ def _flight(sources: Sources, place: Place, draft: Draft) -> dict[str, Any]:
         "scenarios", "atmosphere", because="aerosol depth 0.1, 1.5 g cm-2 of water and a ground at sea level"
     )
     state["sensor_altitude_km"] = sources.altitude_km or f"{FILL_IN}: sensor above sea level [km]"
-    centre = _centre(place)
+    centre = centre_of(place)
     if centre is None:
         state["latitude_deg"] = f"{FILL_IN}: latitude, north positive [deg]"
         state["longitude_deg"] = f"{FILL_IN}: longitude, east positive [deg]"
     else:
-        state["latitude_deg"], state["longitude_deg"] = centre
+        state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
     state["time_utc"] = sources.time_utc or f"{FILL_IN}: time of the line, such as 2012-09-20T16:31:00Z"
     sensor = sources.sensor or _library_sensor(place.cube.axis, draft, sources.cube)
     return {"atmosphere": state, "sensor": draft.reference(Path(sensor)) if Path(sensor).is_file() else sensor}
-
-
-def _centre(place: Place) -> tuple[float, float] | None:
-    """Latitude and longitude of the middle of the image [deg], None where it has no position."""
-    cube = place.cube
-    if cube.transform is None or cube.crs is None:
-        return None
-    x, y = cube.transform @ (cube.samples / 2, cube.lines / 2)
-    longitude, latitude = warp.transform(cube.crs, "EPSG:4326", [x], [y])
-    return round(latitude[0], 4), round(longitude[0], 4)
 
 
 def _library_sensor(axis: SpectralAxis, draft: Draft, cube: Path) -> str:

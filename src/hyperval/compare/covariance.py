@@ -114,9 +114,8 @@ def compare_covariance(
         why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
         names = ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
         return rows + [make.skipped(Cause.FEW_PIXELS, why, name) for name in names]
-    at = np.ix_(sample.bands, sample.bands)
-    first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
-    distance = bhattacharyya_distance(predicted.mean[sample.bands], first, observed.mean[sample.bands], second)
+    means = predicted.mean[sample.bands], observed.mean[sample.bands]
+    distance = bhattacharyya_distance(means[0], sample.covariances[0], means[1], sample.covariances[1])
     rows.append(make.row("bhattacharyya_distance", distance, n=n))
     excess = measured.distance - float(band.distance.mean())
     low, high = SamplingBand.limits(band.distance - band.distance.mean())
@@ -132,6 +131,7 @@ class Sampled:
     Attributes
     ----------
     bands : (B,) compared
+    covariances : (b, b) predicted and measured, in those bands
     measured, band : statistics of the measured covariance and of the drawn ones
     spaces : the k of the principal angles
     n : pixels; ``fewest``: independent ones behind any direction
@@ -139,6 +139,7 @@ class Sampled:
     """
 
     bands: Mask
+    covariances: tuple[Array, Array]
     measured: Statistics
     band: SamplingBand
     spaces: tuple[int, ...]
@@ -181,7 +182,7 @@ def sampled(
     measured = statistics_of_covariance(directions, directions.of_other(second), count, spaces, full_rank=full)
     band = _band(directions.values.tobytes(), independent.tobytes(), drawn, spaces, kurtosis)
     band = replace(band, eigenvalues=band.eigenvalues[:, :count])
-    return Sampled(bands, measured, band, spaces, n, float(independent.min()) + 1.0, size)
+    return Sampled(bands, (first, second), measured, band, spaces, n, float(independent.min()) + 1.0, size)
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -14,10 +14,9 @@ from hyperval.compare.roc import compare_roc
 from hyperval.compare.scores import compare_exceedance, compare_scores
 from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import UsageError
-from hyperval.products import Prediction, Products
+from hyperval.products import SPECTRA, Prediction, Products
 from hyperval.results import Result
 
-SPECTRAL = ("radiance", "snr", "reflectance", "toa_reflectance")
 # Quantities in which pixels of a class spread.
 SPREAD = ("radiance", "reflectance")
 MOST_NAMED = 6
@@ -30,7 +29,6 @@ def compare_products(
     observed: Products,
     *,
     method: str = "model",
-    pfa: Sequence[float] | None = None,
     equivalence_margin: float | None = None,
 ) -> list[Result]:
     """Rows of every product and subject that at least one side holds, in a fixed order.
@@ -50,7 +48,7 @@ def compare_products(
             mend="predict on the axis of the collection",
         )
     rows: list[Result] = []
-    for product in SPECTRAL:
+    for product in SPECTRA:
         for subject, left, right in _pairs(getattr(predicted, product), getattr(observed, product)):
             rows += compare_spectra(
                 left, right, product=product, subject=subject, method=method, axis=observed.axis
@@ -70,8 +68,7 @@ def compare_products(
         rows += compare_exceedance(curve, measured, subject=subject, method=detector)
     for (subject, detector, unit), left, right in _pairs(predicted.roc, observed.roc):
         made = compare_roc(
-            left, right, subject=subject, method=f"{detector}/{unit}", pfa=pfa,
-            equivalence_margin=equivalence_margin,
+            left, right, subject=subject, method=f"{detector}/{unit}", equivalence_margin=equivalence_margin
         )  # fmt: skip
         lacking = predicted if left is None else observed if right is None else None
         if lacking is not None:

@@ -2,6 +2,8 @@
 
 The scenario is what is believed: filters look for the spectra it names, products are labelled by its bands.
 A departure changes what is there to be seen; ``predict(scenario, departure=...)`` gives the products of that truth.
+It is the model's own record of what the values of inputs become: nobody outside this room writes one by hand, but
+takes it from a path and a value (:func:`hyperval.prediction.input_paths.input_path`) or from an ``Input``.
 """
 
 from __future__ import annotations

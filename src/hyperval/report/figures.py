@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from hyperval.products import SPECTRA
 from hyperval.report.charts_objects import map_objects
 from hyperval.report.figures_attribution import attribution_figures
 from hyperval.report.figures_covariance import sampled_eigenvalue_figures, tail_figures
@@ -57,7 +58,7 @@ def print_figures(sides: Sides, *, simulated: bool, print_as: Print) -> list[Dra
     """Every figure that products allow, spectra and ROC curves first."""
     with house_style(print_as):
         drawings: list[Drawing] = []
-        for product in ("radiance", "snr", "reflectance", "toa_reflectance"):
+        for product in SPECTRA:
             drawings += pair_figures(sides, product, simulated=simulated)
         drawings += roc_figures(sides, simulated=simulated)
         drawings += budget_figures(sides, simulated=simulated)

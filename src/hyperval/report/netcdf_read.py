@@ -16,6 +16,7 @@ import xarray as xr
 
 from hyperval.errors import InputError, reader
 from hyperval.products import (
+    SPECTRA,
     Abundance,
     ClassificationError,
     ExceedanceCurve,
@@ -29,7 +30,6 @@ from hyperval.products import (
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
-_SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 _FROM = "_uncertainty_from_"
 
 
@@ -60,7 +60,7 @@ def _content(data: xr.Dataset) -> dict[str, Any]:
     axis = SpectralAxis(
         data["wavelength"].to_numpy(), data["fwhm"].to_numpy(), data["good_band"].to_numpy().astype(bool)
     )
-    content: dict[str, Any] = {name: dict(_spectra(data, name)) for name in _SPECTRA}
+    content: dict[str, Any] = {name: dict(_spectra(data, name)) for name in SPECTRA}
     content["roc"] = dict(_entries(data, "roc", ("subject", "detector", "unit"), _roc))
     content["scores"] = dict(
         _entries(

@@ -16,11 +16,12 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.predict import Origins, predict
 from hyperval.prediction.budget import given_of
-from hyperval.prediction.departure import Departure, combined, true_scenario
+from hyperval.prediction.departure import Departure, combined
 from hyperval.prediction.input_paths import Given, input_path
 from hyperval.products import Prediction, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import BUILTIN_NAMES, builtin_class
+from hyperval.settings import with_settings
 
 Array = npt.NDArray[np.float64]
 Values = Mapping[str, Any]  # dotted path -> value that stands there
@@ -101,7 +102,7 @@ def planted_prediction(
     """
     truth = error.departure(given_of(scenario, origins))
     # Entries of the file differ in the scenario itself: the budget may move the same ones from there.
-    planted = true_scenario(scenario, Departure(truth.settings))
+    planted = with_settings(scenario, truth.settings)
     prediction = predict(planted, origins, departure=replace(truth, settings={}), objects=objects)
     return _seen(prediction, scenario, error), truth
 
