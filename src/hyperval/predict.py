@@ -22,6 +22,7 @@ from hyperval.prediction.forms import spectrum_error_covariance
 from hyperval.prediction.input import Input
 from hyperval.prediction.input_paths import Given
 from hyperval.prediction.inputs import class_tail
+from hyperval.prediction.law_sampling import detection_changes, law_directions, setups_without, with_law_errors
 from hyperval.prediction.object_scores import predicted_object_scores
 from hyperval.prediction.setup import Setup, engine_notes, saturation_notes, sensor_notes, unstated_notes
 from hyperval.prediction.spectra import spectral_products, without_calibration_error
@@ -89,7 +90,8 @@ def predict(
         from_here = replace(origins, engine=stand_in or origins.engine)
         return predictions(scenario, (moved_on(truth, d) for d in truths), from_here)
 
-    products, changes = _prediction(case, steps, objects, object_curves)
+    setups = setups_without(scenario, origins, truth)
+    products, changes = _prediction(case, steps, objects, object_curves, setups)
     products = _with_moves(products, changes, moved_predictions(inputs, again), _of_classes(products, given, again))
     if scenario.uncertainty.method == "linear" or departure is not None:
         return products
@@ -160,12 +162,12 @@ def spectrum_errors(setup: Setup) -> dict[str, Array]:
 
 
 def _prediction(
-    case: Case, steps: Steps, objects: bool | int, object_curves: bool
+    case: Case, steps: Steps, objects: bool | int, object_curves: bool, setups: Iterable[Sequence[Setup]]
 ) -> tuple[Prediction, dict[RocKey, list[Change]]]:
     """A case with the errors of its spectra by light and sensor.
 
-    The second part are the changes of probit P_D by one standard uncertainty of each input of light and sensor, and
-    by the field spectra of the targets.
+    The second part are the changes of probit P_D by one standard uncertainty of each input of light and sensor, by
+    the field spectra of the targets, and by the laws of the background (``setups`` without parts of its pixels).
     """
     errors = spectrum_errors(case.setup)
     leading = steps.leading
@@ -175,7 +177,14 @@ def _prediction(
     detection = detect(batch, object_curves=object_curves)[0]
     if objects:
         detection = _with_objects(detection, batch, np.arange(1 + 2 * len(leading)), objects)
-    return _joined(case, batch, 0, steps, detection), _changes(detection, len(leading))
+    changes = _changes(detection, len(leading))
+    directions = law_directions(batch, case, setups)
+    detection = replace(detection, exceedance=with_law_errors(detection.exceedance, directions))
+    for key, curve in detection.roc.items() if directions else ():
+        filter_name = batch.targets[batch.population(key[0])[0]].name, key[1]
+        if filter_name in directions:
+            changes[key] += detection_changes(curve, directions[filter_name])
+    return _joined(case, batch, 0, steps, detection), changes
 
 
 def _with_objects(

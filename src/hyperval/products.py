@@ -203,7 +203,8 @@ class ExceedanceCurve:
     ----------
     threshold : (T,) increasing [1]
     probability : (T,) part of the background above it [1]
-    lower, upper : (T,) 95 % interval, that of a measured curve by blocks of the image; NaN where unknown
+    lower, upper : (T,) 95 % interval, that of a measured curve by blocks of the image, of a predicted one by
+        leaving parts of the image out of the law that was fitted to it; NaN where unknown
     n : background pixels, None for a prediction
     half_image : (T,) factor by which one half of the image misses the other half's; None for a prediction
     """

@@ -7,7 +7,7 @@ import pytest
 from small_world import BANDS, background_spread
 
 from hyperval.errors import UsageError
-from hyperval.observe.mixtures import RegionMixtures, region_components
+from hyperval.observe.mixtures import RegionLaws
 from hyperval.scenario import Scenario
 
 AWAY = np.linspace(0.05, -0.08, BANDS)
@@ -43,7 +43,7 @@ def scenario(*mixtures):
 def test_clusters_of_a_region(observed):
     # 720 and 2,880 pixels: means are known to 4 % of a standard deviation, and drawn as such; five of these.
     _, patch = clustered()
-    parts = region_components(observed, "all", "auto", tails=False)
+    parts = RegionLaws(observed).statistics(scenario("auto"))["all"].components
     assert len(parts) == 2
     order = np.argsort(parts.weights)
     assert parts.weights[order] == pytest.approx([patch.mean(), 1.0 - patch.mean()], abs=0.01)
@@ -52,7 +52,7 @@ def test_clusters_of_a_region(observed):
 
 
 def test_what_a_scenario_asks_for_is_fitted_once(observed):
-    regions = RegionMixtures(observed)
+    regions = RegionLaws(observed)
     first = regions.statistics(scenario(2))["all"].components
     assert len(first) == 2
     assert regions.statistics(scenario(2))["all"].components is first
@@ -73,5 +73,5 @@ def test_too_few_pixels_are_refused_by_name(observed):
     of = scenario(8)
     of.scene.classes[:] = [one]
     with pytest.raises(UsageError, match="8 components of 9 pixels") as caught:
-        RegionMixtures(observed).statistics(of)
+        RegionLaws(observed).statistics(of)
     assert "region 'corner'" in str(caught.value)

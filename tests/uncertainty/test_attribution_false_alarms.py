@@ -108,6 +108,6 @@ def test_the_reason_is_the_experiment_that_leaves_least():
     assert "'tails' leaves 0.4: the nearest, and not enough" in reason_for(ratio(6.0), [tried[0], tried[2]])
     assert reason_for(ratio(6.0), [tried[2]]).endswith("no what-if brings it nearer")
     assert reason_for(ratio(1.9), tried) == "within a factor of two"
-    assert "within what the measured interval allows" in reason_for(ratio(4.0, spread=5.0), tried)
+    assert "within what its interval allows" in reason_for(ratio(4.0, spread=5.0), tried)
     for off in (6.0, 1 / 6.0):  # an interval that ends before the factor, above it or below
-        assert "within what the measured interval allows" not in reason_for(ratio(off), tried)
+        assert "within what its interval allows" not in reason_for(ratio(off), tried)

@@ -19,7 +19,7 @@ from hyperval.errors import UsageError
 from hyperval.files import scratch_folder
 from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
-from hyperval.observe.mixtures import RegionMixtures
+from hyperval.observe.mixtures import RegionLaws
 from hyperval.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -84,13 +84,13 @@ class Collected:
         from hyperval.predict import Origins
 
         return Origins(
-            observed.observation.axis, self._mixtures.statistics(scenario), self.resolver(scenario),
-            show_progress=show_progress,
+            observed.observation.axis, self._laws.statistics(scenario), self.resolver(scenario),
+            show_progress=show_progress, left_out=lambda: self._laws.left_out(scenario),
         )  # fmt: skip
 
     @cached_property
-    def _mixtures(self) -> RegionMixtures:
-        return RegionMixtures(self.observed)
+    def _laws(self) -> RegionLaws:
+        return RegionLaws(self.observed)
 
 
 @contextmanager

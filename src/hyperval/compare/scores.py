@@ -82,8 +82,9 @@ def compare_exceedance(
     Beside it ``pfa_repeatability@1e-3``: the factor by which one half of the image misses the other half's P_FA
     at that threshold; what a model can be asked for ends there.
 
-    The interval is that of the measured P_FA, from blocks of the image.  A level that expects fewer than 10 alarms
-    gives a SKIPPED row, save that levels below 1e-3 then give none.
+    The interval has that of the measured P_FA, from blocks of the image, and what the pixels leave open that the
+    law was fitted to.  A level that expects fewer than 10 alarms gives a SKIPPED row, save that levels below 1e-3
+    then give none.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ def compare_exceedance(
             words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{model:.3g}, "
             words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
             interval = ratio.lower, ratio.upper
-            words += "; the interval is that of the measured rate alone"
+            words += f"; its law is known to a factor of {ratio.law_factor:.2g}" if ratio.law_factor > 1.0 else ""
             factor = math.nan if observed.half_image is None else float(observed.half_image[at])
             if observed.half_image is not None:
                 words += f"; one half of the image misses the other by a factor of {factor:.2g}"

@@ -127,8 +127,8 @@ METRICS = (
            reference="JCGM 100:2008, 4.2"),
     Metric("pfa_ratio", "predicted over measured false-alarm probability at one threshold; the number after @ is "
            "the measured one aimed at", "processing.exceedance.false_alarm_ratio", "P_p(x) / P_o(x)", low=0.0,
-           agreement=1.0, interval="blocks of the image, of the measured rate alone", tolerance=_ALARM_COUNT,
-           usual=(0.5, 2.0),
+           agreement=1.0, interval="blocks of the image; parts of it left out of a fitted law",
+           tolerance=_ALARM_COUNT, usual=(0.5, 2.0),
            short="false-alarm rate", reference=_TOGETHER),
     Metric("pfa_repeatability", "factor by which the false-alarm probability of one half of the image misses that "
            "of the other, at one threshold; the number after @ is the measured one aimed at",

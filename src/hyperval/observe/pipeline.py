@@ -31,6 +31,7 @@ from hyperval.processing.region_statistics import region_statistics
 from hyperval.processing.sample import SCENE, SampleStatistics
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.processing.spatial_correlation import nth_pixels
+from hyperval.processing.tails import LEAST_DOF
 from hyperval.products import EstimatedPart, Observation, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.scene.statistics import ClassStatistics
@@ -313,8 +314,7 @@ def _classes(
             # A band without a gain has no reflectance; the detectors do not use it either.
             mean = np.where(known, mean, 0.0)
             covariance = np.where(np.outer(known, known), covariance, 0.0)
-        # Only a very heavy tail has no covariance; such a fit is held just above it.
-        tail = max(tails[name], 2.05) if name in tails else None
+        tail = max(tails[name], LEAST_DOF) if name in tails else None
         source = f"{sample.n} pixels of region {name}"
         out[name] = ClassStatistics(name, axis, mean, (covariance + covariance.T) / 2.0, sample.n, source, tail)
     return out

@@ -27,7 +27,14 @@ from hyperval.processing.spatial_correlation import (
     neighbour_shares,
     nth_pixels,
 )
-from hyperval.processing.tails import TailFit, fit_tail_dof, left_out_distances, squared_mahalanobis
+from hyperval.processing.tails import (
+    FEWEST_LEADING,
+    TailFit,
+    fit_tail_dof,
+    leading_count,
+    left_out_distances,
+    squared_mahalanobis,
+)
 from hyperval.products import EstimatedPart, PixelDistribution
 from hyperval.spectra.windows import in_window
 
@@ -39,8 +46,6 @@ MOST_NUMBERS = 8_000_000  # pixels times bands held at once
 FEWEST_PIXELS = 200
 PIXELS_PER_BAND = 10  # fewer, and distances are taken in fewer components
 COMPONENTS = 6  # leading ones whose correlation on the ground is measured
-LEADING_SHARE = 0.99  # of the variance, in the leading components that tails are measured in as well
-FEWEST_LEADING = 2
 TOGETHER = 2048  # pixels that are held at once
 WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
 LINES_TOGETHER = 32  # of a window that are read at once
@@ -107,9 +112,7 @@ def pixel_distances(place: Place, region: Mask, statistics: SampleStatistics) ->
     dimension = min(directions.values.size, statistics.n // PIXELS_PER_BAND)
     directions = Directions(directions.vectors[:, :dimension], directions.values[:dimension])
     mean = statistics.mean[bands]
-    share = np.cumsum(directions.values) / np.trace(statistics.covariance[np.ix_(bands, bands)])
-    leading = min(max(int(np.searchsorted(share, LEADING_SHARE)) + 1, FEWEST_LEADING), dimension)
-    leading = min(leading, max(COMPONENTS, FEWEST_LEADING))
+    leading = leading_count(directions.values, float(np.trace(statistics.covariance[np.ix_(bands, bands)])))
 
     independent, part = _independence(place, region, statistics.n, bands, mean, directions, leading, rng)
     most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS)

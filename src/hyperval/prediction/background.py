@@ -188,6 +188,12 @@ class Settings:
         grounds = self.grounds
         return grounds[0].means[None] if len(grounds) == 1 else np.array([g.means for g in grounds])[self.which]
 
+    def law_fractions(self) -> Array:
+        """(U, J) area fractions of the laws that the classes are made of (3.33)."""
+        laws = self.grounds[0].laws
+        owner, part = np.array([law.owner for law in laws]), np.array([law.weight for law in laws])
+        return np.asarray(self.fractions[:, owner] * part)
+
     def rows(self, index: Index) -> Settings:
         """The settings that ``index`` names."""
         if index.size == len(self) and np.array_equal(index, np.arange(len(self))):

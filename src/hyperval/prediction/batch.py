@@ -277,11 +277,7 @@ class Batch:
         first, which = distinct([points.setting, *(dof.T if dof.shape[0] > 1 else ())], len(self))
         settings = points.setting[first]
         tails = np.broadcast_to(dof, (len(self), dof.shape[1]))[first]
-        fractions = self.settings.fractions[settings]
-        if any(law.offset is not None for law in laws):
-            owner, part = np.array([law.owner for law in laws]), np.array([law.weight for law in laws])
-            fractions = fractions[:, owner] * part
-        return ClassScores(fractions, means[settings], sds[settings], tails), which
+        return ClassScores(self.settings.law_fractions()[settings], means[settings], sds[settings], tails), which
 
     def responses(self, group: Group, target: int, detector: str, points: Index) -> tuple[Index, Responses]:
         """Scores against the fill by the filter that looks for a target, and which row of them each point has."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -84,6 +84,8 @@ class Origins:
     cache_dir, show_progress : of the atmosphere engine
     engine : stands in for the atmosphere engine
     sensor : stands in for the sensor that the scenario names
+    left_out : (region, its measured statistics without each of the parts of the image that it lies in), of the
+        regions whose law is known from their pixels alone
     """
 
     axis: SpectralAxis | None = None
@@ -93,6 +95,7 @@ class Origins:
     show_progress: bool | None = None
     engine: Engine | None = None
     sensor: Sensor | None = None
+    left_out: Callable[[], Iterable[tuple[str, Sequence[ClassStatistics]]]] | None = None
 
     def find(self, scenario: Scenario) -> Resolve:
         """Turns the file references of a scenario into paths."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.processing.mixture_fit import chosen_count, chosen_dof, fit_mixture
+from hyperval.processing.mixture_fit import MixtureFit, chosen_count, chosen_dof, fit_again, fit_mixture
 from hyperval.scene.components import Components
 
 Array = npt.NDArray[np.float64]
@@ -22,6 +23,57 @@ MOST_CHOOSING = 5000
 _LEAST_VARIANCE = 1e-10  # of the greatest: below it a component is rounding
 
 
+@dataclass(frozen=True, eq=False)
+class ClassMixture:
+    """The mixture that the pixels of a class are, in the leading components that it was fitted in.
+
+    Attributes
+    ----------
+    mean : (B,) of the pixels
+    lead : bands of the leading components
+    directions : (bands of ``lead``, P) that make a pixel's departure from the mean its standardised values
+    fit : in those
+    """
+
+    mean: Array
+    lead: npt.NDArray[np.intp]
+    directions: Array
+    fit: MixtureFit
+
+    def components(self, pixels: Array) -> Components | None:
+        """The laws in all bands, by the share that each pixel (n, B) has in each; None where one is left."""
+        return self._moments(pixels, self._standardised(pixels), self.fit)
+
+    def components_without(self, pixels: Array, part: npt.NDArray[np.intp], number: int) -> Components | None:
+        """The same without the pixels of one part of the image, the fit made again from where it stands."""
+        rest = pixels[part != number]
+        values = self._standardised(rest)
+        return self._moments(rest, values, fit_again(values, self.fit))
+
+    def _standardised(self, pixels: Array) -> Array:
+        return np.asarray((pixels - self.mean)[:, self.lead] @ self.directions)
+
+    def _moments(self, pixels: Array, values: Array, fit: MixtureFit) -> Components | None:
+        centred = pixels - pixels.mean(axis=0)
+        probability, weight = fit.shares(values)
+        size = probability.sum(axis=0)
+        kept = size > 1.0  # a law of less than one pixel has no covariance, and no alarms
+        if np.count_nonzero(kept) < 2:
+            return None
+        probability, weight, size = probability[:, kept], weight[:, kept], size[kept]
+        both = probability * weight
+        offsets = (both.T @ centred) / both.sum(axis=0)[:, None]
+        # The scale of a t law is the weighted scatter over the unweighted number; n/(n - 1) as for the class.
+        n = pixels.shape[0]
+        inflation = (1.0 if np.isinf(fit.dof) else fit.dof / (fit.dof - 2.0)) * n / max(n - 1, 1)
+        covariances = np.empty((size.size, pixels.shape[1], pixels.shape[1]))
+        for k in range(size.size):
+            away = centred - offsets[k]
+            covariances[k] = inflation * (away * both[:, k, None]).T @ away / size[k]
+        shrunk = shrunk_covariances(covariances, size)
+        return Components(size / size.sum(), offsets, 0.5 * (shrunk + shrunk.transpose(0, 2, 1)), fit.dof)
+
+
 def class_components(
     pixels: npt.ArrayLike,
     block: npt.ArrayLike,
@@ -32,6 +84,22 @@ def class_components(
     seed: int = 0,
     counts: Sequence[int] = COUNTS,
 ) -> Components | None:
+    """The components of :func:`class_mixture`; None where one law is all that the pixels show."""
+    x = np.asarray(pixels, dtype=float)
+    mixture = class_mixture(x, block, count, tails=tails, lead=lead, seed=seed, counts=counts)
+    return None if mixture is None else mixture.components(x)
+
+
+def class_mixture(
+    pixels: npt.ArrayLike,
+    block: npt.ArrayLike,
+    count: int | Literal["auto"],
+    *,
+    tails: bool,
+    lead: npt.NDArray[np.intp] | None = None,
+    seed: int = 0,
+    counts: Sequence[int] = COUNTS,
+) -> ClassMixture | None:
     """The mixture that pixels (n, B) of a class are; None where one law is all that they show.
 
     The laws are fitted in the leading components of the class, where clusters differ; the moments of all bands
@@ -52,8 +120,8 @@ def class_components(
     x = np.asarray(pixels, dtype=float)
     rng = np.random.default_rng(seed)
     mean = x.mean(axis=0)
-    centred = x - mean
-    used = centred if lead is None else centred[:, lead]
+    lead = np.arange(x.shape[1]) if lead is None else lead
+    used = (x - mean)[:, lead]
     values, vectors = np.linalg.eigh(used.T @ used / max(x.shape[0] - 1, 1))
     values, vectors = values[::-1], vectors[:, ::-1]
     keep = min(DIMENSIONS, int(np.count_nonzero(values > _LEAST_VARIANCE * values[0])))
@@ -62,7 +130,8 @@ def class_components(
     # The sign of an eigenvector is nobody's choice; the starts of the fit shall not depend on it.
     vectors = vectors[:, :keep]
     vectors = vectors * np.sign(vectors[np.argmax(np.abs(vectors), axis=0), np.arange(keep)])
-    leading = used @ vectors / np.sqrt(values[:keep])
+    directions = vectors / np.sqrt(values[:keep])
+    leading = used @ directions
     dof: float | None = None if tails else np.inf
     thin = slice(None, None, -(-x.shape[0] // MOST_CHOOSING))
     some, where = leading[thin], np.asarray(block)[thin]
@@ -71,23 +140,7 @@ def class_components(
         return None
     if tails and count == "auto":
         dof = chosen_dof(some, where, number, rng)
-    fit = fit_mixture(leading, number, rng, dof=dof)
-    probability, weight = fit.shares(leading)
-    size = probability.sum(axis=0)
-    kept = size > 1.0  # a law of less than one pixel has no covariance, and no alarms
-    if np.count_nonzero(kept) < 2:
-        return None
-    probability, weight, size = probability[:, kept], weight[:, kept], size[kept]
-    both = probability * weight
-    offsets = (both.T @ centred) / both.sum(axis=0)[:, None]
-    # The scale of a t law is the weighted scatter over the unweighted number; n/(n - 1) as for the class itself.
-    inflation = (1.0 if np.isinf(fit.dof) else fit.dof / (fit.dof - 2.0)) * x.shape[0] / max(x.shape[0] - 1, 1)
-    covariances = np.empty((size.size, x.shape[1], x.shape[1]))
-    for k in range(size.size):
-        away = centred - offsets[k]
-        covariances[k] = inflation * (away * both[:, k, None]).T @ away / size[k]
-    shrunk = shrunk_covariances(covariances, size)
-    return Components(size / size.sum(), offsets, 0.5 * (shrunk + shrunk.transpose(0, 2, 1)), fit.dof)
+    return ClassMixture(mean, lead, directions, fit_mixture(leading, number, rng, dof=dof))
 
 
 def shrunk_covariances(covariances: Array, pixels: Array) -> Array:

@@ -28,9 +28,11 @@ class FalseAlarmRatio:
 
     Attributes
     ----------
-    value, lower, upper : the ratio and its interval, which is that of the measured P_FA [1]
+    value, lower, upper : the ratio and its 95 % interval [1]
     at : which point of the measured curve it is
     predicted : P_FA of the model at that threshold
+    law_factor : factor by which the pixels that the model's law was fitted to leave that open at 95 %; 1 where the
+        law is stated
     """
 
     value: float
@@ -38,6 +40,7 @@ class FalseAlarmRatio:
     upper: float
     at: int
     predicted: float
+    law_factor: float
 
 
 def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
@@ -80,23 +83,37 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
 
 def exceedance_at(curve: ExceedanceCurve, threshold: float) -> float:
     """P(score > threshold), linear in log P between the points of a curve; that of its ends beyond them."""
+    return _read(curve, curve.probability, threshold)
+
+
+def _read(curve: ExceedanceCurve, values: Array, threshold: float) -> float:
     keep = curve.probability > 0
-    x, p = curve.threshold[keep], curve.probability[keep]
-    return float(np.exp(np.interp(threshold, x, np.log(p))))
+    return float(np.exp(np.interp(threshold, curve.threshold[keep], np.log(values[keep]))))
 
 
 def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, level: float) -> FalseAlarmRatio:
     """The ratio at the point of the measured curve whose P_FA is nearest to ``level`` in its logarithm.
 
+    The limits of both sides go together in quadrature, in the logarithm (Zou & Donner, Stat. Med. 27, 1693-1702,
+    2008), as of sides that do not know of each other.
+
     Examples
     --------
     >>> x = np.linspace(0.0, 8.0, 81)
-    >>> predicted = ExceedanceCurve(x, np.exp(-x), np.exp(-x), np.exp(-x))
-    >>> measured = ExceedanceCurve(x, np.exp(-1.1 * x), np.exp(-1.2 * x), np.exp(-x), 100_000)
-    >>> round(false_alarm_ratio(predicted, measured, 1e-2).value, 2)
-    1.52
+    >>> predicted = ExceedanceCurve(x, np.exp(-x), np.exp(-x) / 1.3, np.exp(-x) * 1.3)
+    >>> measured = ExceedanceCurve(x, np.exp(-1.1 * x), np.exp(-1.1 * x) / 1.4, np.exp(-1.1 * x) * 1.4, 100_000)
+    >>> ratio = false_alarm_ratio(predicted, measured, 1e-2)
+    >>> [round(v, 2) for v in (ratio.value, ratio.upper / ratio.value, ratio.law_factor)]
+    [1.52, 1.53, 1.3]
     """
     at = int(np.argmin(np.abs(np.log(measured.probability.clip(1e-300)) - math.log(level))))
-    p = exceedance_at(predicted, float(measured.threshold[at]))
-    low, high = p / float(measured.upper[at]), p / float(measured.lower[at])
-    return FalseAlarmRatio(p / float(measured.probability[at]), low, high, at, p)
+    threshold, m = float(measured.threshold[at]), float(measured.probability[at])
+    p = exceedance_at(predicted, threshold)
+    law = [abs(math.log(_read(predicted, side, threshold) / p)) for side in (predicted.lower, predicted.upper)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = np.abs(np.log(np.array([measured.upper[at], measured.lower[at]]) / m))
+    down, up = np.hypot(law, rate)
+    ratio = p / m
+    return FalseAlarmRatio(
+        ratio, float(ratio * np.exp(-down)), float(ratio * np.exp(up)), at, p, math.exp(max(law))
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,9 @@ Array = npt.NDArray[np.float64]
 _LEAST, _MOST = 1e-6, 0.499
 _HALF_DROP = 1.920729410347062  # half the 0.95 quantile of chi-square with one degree of freedom
 _SCALE_STEPS = 60
+LEADING_SHARE = 0.99  # of the variance, in the leading components that tails are measured in as well
+FEWEST_LEADING, MOST_LEADING = 2, 6
+LEAST_DOF = 2.05  # only a very heavy tail has no covariance; such a fit is held just above it
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,29 @@ def fit_tail_dof(
     ------
     UsageError : fewer than ten distances, or no more pixels than bands.
     """
+    fit, at, top, end, d = _most_likely(squared_distances, dimension, estimated_on, independent)
+    normal = fit(0.0)
+
+    def drop(a: float) -> float:
+        return top - fit(a) - _HALF_DROP
+
+    high = end if drop(end) < 0 else float(scipy.optimize.brentq(drop, at, end))
+    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else float(scipy.optimize.brentq(drop, 0.0, at))
+    # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
+    # (Self & Liang 1987).
+    p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0
+    return TailFit(_inverse(at), _inverse(high), _inverse(low), p_value, int(d.size), dimension)
+
+
+def dof_of_distances(squared_distances: npt.ArrayLike, dimension: int, *, estimated_on: int) -> float:
+    """The degrees of freedom of :func:`fit_tail_dof` without their limits; at least 2.05, where a covariance is."""
+    return max(_inverse(_most_likely(squared_distances, dimension, estimated_on, None)[1]), LEAST_DOF)
+
+
+def _most_likely(
+    squared_distances: npt.ArrayLike, dimension: int, estimated_on: int | None, independent: float | None
+) -> tuple[Callable[[float], float], float, float, float, Array]:
+    """Log likelihood of 1/nu, where it is greatest, how great, the end of its range, the distances that count."""
     d = np.asarray(squared_distances, dtype=float)
     d = d[np.isfinite(d) & (d > 0)]
     if d.size < 10:
@@ -131,17 +158,7 @@ def fit_tail_dof(
     at, top, normal = float(best.x), -float(best.fun), fit(0.0)
     if at <= 2.0 * _LEAST or top <= normal:
         at, top = 0.0, max(normal, top)
-
-    def drop(a: float) -> float:
-        return top - fit(a) - _HALF_DROP
-
-    end = _MOST - offset
-    high = end if drop(end) < 0 else float(scipy.optimize.brentq(drop, at, end))
-    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else float(scipy.optimize.brentq(drop, 0.0, at))
-    # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
-    # (Self & Liang 1987).
-    p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0
-    return TailFit(_inverse(at), _inverse(high), _inverse(low), p_value, int(d.size), dimension)
+    return fit, at, top, _MOST - offset, d
 
 
 def _inverse(a: float) -> float:
@@ -154,6 +171,12 @@ def exceedance_of_distance(squared_distance: npt.ArrayLike, dimension: int, dof:
     if np.isinf(dof):
         return np.asarray(chdtrc(dimension, d))
     return np.asarray(fdtrc(dimension, dof, d * dof / (dof - 2.0) / dimension))
+
+
+def leading_count(variances: Array, total: float) -> int:
+    """How many leading components tails are measured in: those that hold 99 % of the ``total`` variance, 2 to 6."""
+    count = int(np.searchsorted(np.cumsum(variances) / total, LEADING_SHARE)) + 1
+    return min(max(count, FEWEST_LEADING), MOST_LEADING, variances.size)
 
 
 def squared_mahalanobis(pixels: npt.ArrayLike, mean: npt.ArrayLike, vectors: Array, values: Array) -> Array:

@@ -108,7 +108,9 @@ def exceedance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
             words.append(_tail_panel(axes, key, predicted[key], measured.get(key)))
             axes.set_title(style.plain(f"{key[0]}, {key[1]}"), loc="left", fontsize=8.5)
         band = style.interval_handle(COLLECTED.colour), "95 % interval, by blocks of the image"
-        style.add_legend(figure, [*line_entries(True, True), band])
+        fitted = any(np.any(predicted[key].upper > predicted[key].probability) for key in keys)
+        law = [(style.interval_handle(PREDICTED.colour), "95 % interval of its fitted law")] if fitted else []
+        style.add_legend(figure, [*line_entries(True, True), band, *law])
         alt = f"Part of the background above each score, predicted (dashed) and measured. {' '.join(words)}"
         title = f"False-alarm probability against the threshold{_part(len(keys), len(every))}"
         drawings.append(style.vector_drawing(figure, "exceedance", "scores", title, alt))
@@ -209,6 +211,8 @@ def _tail_panel(
         at = int(np.argmin(np.abs(np.log(p) - math.log(1e-2))))
         model = float(np.exp(np.interp(x[at], predicted.threshold, np.log(predicted.probability))))
         words += f"at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}."
+    x, low, high = predicted.threshold, predicted.lower, predicted.upper
+    axes.fill_between(x, low, high, color=PREDICTED.colour, alpha=0.2, linewidth=0)
     axes.plot(predicted.threshold, predicted.probability, color=PREDICTED.colour, linestyle=PREDICTED.line)
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.set_yscale("log")

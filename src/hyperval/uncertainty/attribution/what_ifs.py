@@ -205,7 +205,7 @@ class AlarmRatio:
     ----------
     subject, detector, metric : as the rows of the comparison have them
     value : the ratio [1]
-    lower, upper : its interval, that of the measured P_FA [1]
+    lower, upper : its interval [1]
     """
 
     subject: str
@@ -254,7 +254,7 @@ def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> s
         return "within a factor of two"
     size = f"off by a factor of {math.exp(before.off):.2g}"
     if before.lower <= FACTOR and before.upper >= 1.0 / FACTOR:
-        size += ", within what the measured interval allows"
+        size += ", within what its interval allows"
     best = min(tried, key=lambda item: item[1].off, default=None)
     if best is None or best[1].off >= before.off:
         return f"{size}; no what-if brings it nearer"
