@@ -75,3 +75,17 @@ def test_too_few_pixels_are_refused_by_name(observed):
     with pytest.raises(UsageError, match="8 components of 9 pixels") as caught:
         RegionLaws(observed).statistics(of)
     assert "region 'corner'" in str(caught.value)
+
+
+def test_statistics_without_each_part_of_a_region(observed):
+    """Sixteen parts of 225 pixels; what is left out and what is left make the whole; small regions have none."""
+    regions = RegionLaws(observed)
+    ((name, without),) = regions.left_out(scenario(2))
+    assert (name, len(without)) == ("all", 16)
+    assert without is next(iter(regions.left_out(scenario(2))))[1]
+    stated = observed.statistics["all"]
+    assert np.mean([s.mean for s in without], axis=0) == pytest.approx(stated.mean, rel=1e-9)
+    assert max(np.abs(s.mean - stated.mean).max() for s in without) > 1e-4
+    for s in without:
+        assert len(s.components) == 2
+        assert s.components.covariance == pytest.approx(s.covariance, abs=0.1 * np.abs(s.covariance).max())

@@ -88,9 +88,7 @@ def fitted_curve(scores: np.ndarray) -> ExceedanceCurve:
     stated = log_tail(values.mean(axis=0), np.atleast_2d(values.var(ddof=1)))
     directions = jackknife_directions([log_tail(*m) for m in moments_without_each(values, part)])
     half = 1.96 * np.sqrt((directions**2).sum(axis=0))
-    return ExceedanceCurve(
-        x[::-1], np.exp(stated)[::-1], np.exp(stated - half)[::-1], np.exp(stated + half)[::-1]
-    )
+    return ExceedanceCurve(x[::-1], np.exp(stated)[::-1], np.exp(stated - half)[::-1], np.exp(stated + half)[::-1])
 
 
 def test_interval_of_a_law_holds_the_truth():
