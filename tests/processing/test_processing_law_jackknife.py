@@ -106,9 +106,9 @@ def test_interval_of_a_law_holds_the_truth():
 def test_interval_of_a_ratio_holds_that_of_the_laws(same):
     """100 maps, 50 of the same image; the ratio is 1 in truth.
 
-    With the interval of the measured rate alone a law that was fitted to other pixels is called wrong too often: it
-    holds in 0.87, with both parts in 0.94 (docs/statistics.md).  P(X < 86 of 100 at 94 %) = 0.2 %;
-    P(X > 94 of 100 at 87 %) = 0.8 %.  Of the same pixels the two errors go together, and the interval is wide.
+    The interval of the measured rate alone holds 1 less often where the law was fitted to other pixels
+    (docs/statistics.md).  With both parts it holds in 0.965: P(X < 88 of 100) = 0.04 %.  Of the same pixels the two
+    errors go together, and the interval is wide.
     """
     both = alone = 0
     for seed in range(50 if same else 100):
@@ -120,5 +120,5 @@ def test_interval_of_a_ratio_holds_that_of_the_laws(same):
             assert (ratio.law_factor > 1.0) == widths
             hit = ratio.lower <= 1.0 <= ratio.upper
             both, alone = both + (widths and hit), alone + (not widths and hit)
-    assert both >= (48 if same else 86), both
-    assert same or alone <= 94, alone
+    assert both >= (49 if same else 88), both
+    assert same or alone < both, alone
