@@ -31,7 +31,14 @@ Array = npt.NDArray[np.float64]
 
 MAX_BYTES = 512 << 20
 MAX_BANDS, MAX_CLASSES = 5000, 1000
-_NAMES = ("wavelength", "fwhm", "class_name", "mean", "covariance", "n", "source")
+_DIMENSIONS = {
+    "wavelength": "band", "fwhm": "band", "class_name": "class", "mean": "class band",
+    "covariance": "class band band_2", "n": "class", "source": "class",
+}  # fmt: skip
+_OF_COMPONENTS = {
+    "component_weight": "class component", "component_offset": "class component band",
+    "component_covariance": "class component band band_2", "component_dof": "class",
+}  # fmt: skip
 
 
 def statistics_of_samples(
@@ -79,10 +86,8 @@ def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> 
         {
             "fwhm": ("band", axis.fwhm_nm, {"units": "nm"}),
             "good_band": ("band", axis.good.astype(np.int8), {"units": "1"}),
-            "mean": (("class", "band"), np.array([c.mean for c in classes]), {"units": "1"}),
-            "covariance": (
-                ("class", "band", "band_2"), np.array([c.covariance for c in classes]), {"units": "1"}
-            ),
+            "mean": (_along("mean"), np.array([c.mean for c in classes]), {"units": "1"}),
+            "covariance": (_along("covariance"), np.array([c.covariance for c in classes]), {"units": "1"}),
             "n": ("class", np.array([c.n or 0 for c in classes], dtype=np.int64), {"units": "1"}),
             "tail_dof": ("class", np.array(tail), {"units": "1"}),
             "source": ("class", np.array([c.source for c in classes], dtype=object)),
@@ -109,13 +114,13 @@ def _component_variables(classes: Sequence[ClassStatistics]) -> dict[str, tuple[
             k = len(parts)
             weight[i, :k], offset[i, :k], covariance[i, :k] = parts.weights, parts.offsets, parts.covariances
             dof[i] = np.nan if np.isinf(parts.dof) else parts.dof
-    units = {"units": "1"}
-    return {
-        "component_weight": (("class", "component"), weight, units),
-        "component_offset": (("class", "component", "band"), offset, units),
-        "component_covariance": (("class", "component", "band", "band_2"), covariance, units),
-        "component_dof": ("class", dof, units),
-    }
+    values = zip(_OF_COMPONENTS, (weight, offset, covariance, dof), strict=True)
+    return {name: (_along(name), array, {"units": "1"}) for name, array in values}
+
+
+def _along(name: str) -> tuple[str, ...]:
+    """The dimensions of a variable."""
+    return tuple((_DIMENSIONS | _OF_COMPONENTS)[name].split())
 
 
 @reader
@@ -139,34 +144,30 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
     except Exception as error:
         raise InputError(f"not a NetCDF-4 file ({error})", where=str(path)) from error
     with data:
-        lacking = [name for name in _NAMES if name not in data.variables]
+        lacking = [name for name in _DIMENSIONS if name not in data.variables]
         if lacking:
             raise InputError(
                 f"has no variable {', '.join(lacking)}", where=str(path), expected="a statistics library"
             )
-        bands, count = data.sizes.get("band", 0), data.sizes.get("class", 0)
-        shapes = {
-            "wavelength": (bands,), "fwhm": (bands,), "mean": (count, bands), "covariance": (count, bands, bands),
-            "n": (count,), "source": (count,), "class_name": (count,),
-        }  # fmt: skip
+        sizes = {name: data.sizes.get(name, 0) for name in ("band", "class", "component")}
+        bands, count, parts = sizes.values()
+        sizes["band_2"] = bands
         if not (0 < bands <= MAX_BANDS and 0 < count <= MAX_CLASSES):
             raise InputError(
                 f"{count} classes of {bands} bands",
                 where=str(path),
                 expected=f"1-{MAX_CLASSES} classes, 1-{MAX_BANDS} bands",
             )
+        dimensions = _DIMENSIONS
         if "component_weight" in data.variables:
-            parts = data.sizes.get("component", 0)
-            shapes |= {
-                "component_weight": (count, parts), "component_offset": (count, parts, bands),
-                "component_covariance": (count, parts, bands, bands), "component_dof": (count,),
-            }  # fmt: skip
-            lacking = [name for name in shapes if name not in data.variables]
+            dimensions = _DIMENSIONS | _OF_COMPONENTS
+            lacking = [name for name in dimensions if name not in data.variables]
             if lacking or not 0 < parts <= MOST_COMPONENTS:
                 raise InputError(
                     f"classes of {parts} components" + (f" without {', '.join(lacking)}" if lacking else ""),
                     where=str(path), expected=f"weights, offsets, covariances and dof of 1-{MOST_COMPONENTS}",
                 )  # fmt: skip
+        shapes = {name: tuple(sizes[d] for d in _along(name)) for name in dimensions}
         wrong = [f"{name} {data[name].shape}" for name, shape in shapes.items() if data[name].shape != shape]
         if wrong:
             raise InputError(f"sizes contradict each other: {', '.join(wrong)}", where=str(path))

@@ -17,8 +17,8 @@ from hyperval.imagery.cube import open_cube
 from hyperval.imagery.envi_write import write_cube
 from hyperval.report.run import ScoreMap
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.interchange import library_to_spy, library_to_xarray
 from hyperval.spectra.readers import read_records
+from hyperval.spectra.readers_library import library_to_spy, library_to_xarray
 
 
 @pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])

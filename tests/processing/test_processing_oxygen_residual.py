@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.observe.wavelengths import wavelength_notes
+from hyperval.observe.uncertainty import wavelength_notes
 from hyperval.processing.oxygen_residual import RANGE_NM, oxygen_absorption, oxygen_residual
 from hyperval.spectra.axis import SpectralAxis
 

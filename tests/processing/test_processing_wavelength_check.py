@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval.compare.spectral import compare_spectra
-from hyperval.observe.wavelengths import wavelength_notes
+from hyperval.observe.uncertainty import wavelength_notes
 from hyperval.processing.wavelength_check import (
     FEATURES,
     RED_EDGE,

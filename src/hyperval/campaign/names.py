@@ -18,7 +18,7 @@ from hyperval.errors import HypervalError
 from hyperval.metrics import foreign
 from hyperval.observe.objects import target_groups
 from hyperval.observe.place import IMAGE, SCENE, Place, check_line_for_detection, open_place
-from hyperval.observe.radcalnet import observe_radcalnet
+from hyperval.observe.site_spectra import observe_radcalnet
 from hyperval.prediction.inputs import Sources
 from hyperval.scenario import Scenario, SpectrumSource
 from hyperval.scene.builtin import builtin_class

@@ -17,9 +17,9 @@ from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery import band_table as bands_of
 from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.band_table import Bands, BandTable
+from hyperval.imagery.description import Scaling
 from hyperval.imagery.georeference import pixel_area_m2
 from hyperval.imagery.rasters import Raster, file_scaling, open_raster
-from hyperval.imagery.scaling import Scaling
 from hyperval.imagery.tiff_raster import TiffRaster
 from hyperval.imagery.validity import check_values_of, equals, usable_pixels
 from hyperval.spectra.axis import SpectralAxis

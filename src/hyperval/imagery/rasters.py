@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from hyperval.envi_header import read_header
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster
+from hyperval.imagery.description import Scaling, divided, gain_file_beside, header_scaling, scaled
 from hyperval.imagery.envi_raster import EnviRaster, check_size, header_beside
-from hyperval.imagery.scaling import Scaling, divided, gain_file_beside, scaling_of
 from hyperval.imagery.sidecars import image_of
 from hyperval.imagery.stores import check_own_values
 from hyperval.imagery.tiff_raster import TIFF_SUFFIXES, TiffRaster, open_tiff
@@ -134,19 +136,28 @@ def _data_beside(header: Path) -> Path:
 def file_scaling(raster: Raster, *, quantity: str, unit: str | None, scale: float | None) -> Scaling:
     """Gain and offset of every band of a file that is no product with a description of its own.
 
+    ``scale`` replaces whatever the header, the tags of a GeoTIFF or a file of divisors beside the cube says.
+
     Raises
     ------
-    InputError, UsageError : as for :func:`hyperval.imagery.scaling.scaling_of`.
+    InputError : the header gives a scale factor that is zero or two that exclude each other, or so does the file.
+    UsageError : an unknown unit or quantity, a radiance without unit, or a scale that is no number.
     """
+    one, zero, header = np.ones(raster.bands), np.zeros(raster.bands), raster.header
     if isinstance(raster, TiffRaster):
-        return scaling_of(
-            raster.header, raster.bands, quantity=quantity, unit=unit, scale=scale, file_gains=raster.gains,
-            file_offsets=raster.offsets,
-        )  # fmt: skip
-    path = raster.divisors_path if isinstance(raster, EnviRaster) else None
-    gains, unit = divided(path, raster.bands, quantity, unit, scale)
-    return scaling_of(
-        raster.header, raster.bands, quantity=quantity, unit=unit, scale=scale,
-        file_gains=() if gains is None else gains.tolist(),
-        file_note="" if path is None else f"stored values / those of {path.name}",
-    )  # fmt: skip
+        own, of_file = (np.array(raster.gains), np.array(raster.offsets)), "scale and offset tags of the GeoTIFF"
+    else:
+        path = raster.divisors_path if isinstance(raster, EnviRaster) else None
+        gains, unit = divided(path, raster.bands, quantity, unit, scale)
+        own = one if gains is None else gains, zero
+        of_file = "" if path is None else f"stored values / those of {path.name}"
+    gain, offset, note = header_scaling(header, raster.bands, quantity) if scale is None else (one, zero, "")
+    if scale is None and (np.any(own[0] != 1.0) or np.any(own[1] != 0.0)):
+        if note:
+            raise InputError(
+                f"its header scales the values, and so do the {of_file}",
+                where=str(header.path) if header else None,
+                mend="state scale: in the campaign",
+            )
+        (gain, offset), note = own, of_file
+    return scaled(gain, offset, note, quantity=quantity, unit=unit, scale=scale)

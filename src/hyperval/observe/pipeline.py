@@ -18,12 +18,15 @@ from hyperval.observe.empirical_line import empirical_line, line_notes, refuse_s
 from hyperval.observe.filter_bank import BACKGROUND, in_reflectance
 from hyperval.observe.objects import scored_pixels, target_groups
 from hyperval.observe.place import IMAGE, Place, check_line_for_detection, open_place
-from hyperval.observe.radcalnet import observe_radcalnet
-from hyperval.observe.site_spectra import observe_spectra
+from hyperval.observe.site_spectra import observe_radcalnet, observe_spectra
 from hyperval.observe.spread import mean_error, pixel_distances
-from hyperval.observe.uncertainty import calibration_covariance, rounding_variance, spectral_estimate
+from hyperval.observe.uncertainty import (
+    calibration_covariance,
+    rounding_variance,
+    spectral_estimate,
+    wavelength_notes,
+)
 from hyperval.observe.unmixing import Unmixed, unmix
-from hyperval.observe.wavelengths import wavelength_notes
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.elm_error import LineError
 from hyperval.processing.mask_bits import PackedMasks

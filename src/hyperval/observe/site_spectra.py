@@ -1,4 +1,4 @@
-"""Collected spectra of single sites, where no cube is held."""
+"""Spectra of single sites, where no cube is held; their reflectance by each other, or as a network computed it."""
 
 from __future__ import annotations
 
@@ -11,18 +11,24 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import Collection, EmpiricalLineSource, PathRadiance
-from hyperval.collection_files import BandTable
+from hyperval.collection_files import BandTable, RadCalNetSource
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.observe.empirical_line import field_reflectance, line_warnings
-from hyperval.observe.uncertainty import calibration_covariance, detector_covariance, spectral_estimate
-from hyperval.observe.wavelengths import wavelength_notes
+from hyperval.observe.uncertainty import (
+    calibration_covariance,
+    detector_covariance,
+    spectral_estimate,
+    wavelength_notes,
+)
 from hyperval.paths import checked_file
+from hyperval.prediction.inputs import correlation
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import PanelErrors, line_error
 from hyperval.processing.elm_in_scene import fit_gain
 from hyperval.products import Observation, SpectralEstimate
 from hyperval.sensor.specification import load_sensor
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing
+from hyperval.spectra.radcalnet import TOP, read_radcalnet
 from hyperval.spectra.readers import FieldSpectrum, read_spectrum
 from hyperval.spectra.readers_text import number_table
 from hyperval.spectra.response import band_average
@@ -35,6 +41,8 @@ Mask = npt.NDArray[np.bool_]
 Resolve = Callable[[str], Path]
 # Sites are what the scene has: the gain over its uncertainty decides, and this keeps equal sites from a line.
 LEAST_CONTRAST = 0.01
+DECIMALS = 4  # of the values in a file
+ROUNDING, NETWORK = "rounding", "as the network states"
 
 
 def observe_spectra(collection: Collection, resolve: Callable[[str], Path]) -> Observation:
@@ -283,3 +291,42 @@ def _by_line(
         whole[name][at] = part
     words = f"{' and '.join(line.panels)}, usable in {int(line.usable.sum())} of {known.size} bands"
     return spectral_estimate(mean, whole, n=site.n), [words, *line_warnings(line, axis.select(known))]
+
+
+def observe_radcalnet(source: RadCalNetSource, resolve: Callable[[str], Path]) -> Observation:
+    """The half hours of a day, each a subject.
+
+    The bands are those in which any of them has a value.
+
+    Raises
+    ------
+    InputError : a file that is missing or corrupt, of the surface, or without a value.
+    UsageError : a half hour without values.
+    """
+    day = read_radcalnet(resolve(source.path))
+    if day.quantity != TOP:
+        raise InputError(
+            "holds the reflectance of the surface", where=day.source, expected="the day's file that ends in .output"
+        )
+    times = tuple(source.times) or day.valid
+    if not times:
+        raise InputError("no half hour has a value", where=day.source, mend="take a day of better weather")
+    rows = [day.column(time) for time in times]
+    bands = np.isfinite(day.values[rows]).any(axis=0)
+    nm = day.wavelength_nm[bands]
+    axis = SpectralAxis(nm, np.full(nm.size, source.fwhm_nm))
+    rounding = np.eye(nm.size) * 10.0 ** (-2 * DECIMALS) / 12.0
+    out = {}
+    for time, row in zip(times, rows, strict=True):
+        stated = np.nan_to_num(day.uncertainty[row, bands])
+        errors = {ROUNDING: rounding}
+        if not source.shared_inputs:
+            errors[NETWORK] = np.outer(stated, stated) * correlation(axis, source.correlation_nm)
+        budget = {name: np.sqrt(np.diag(c)) for name, c in errors.items()}
+        out[source.subject.format(site=day.site, time=time)] = SpectralEstimate(
+            day.values[row, bands], np.sum(list(errors.values()), axis=0), budget=budget, stated=stated
+        )
+    notes = [f"bands are taken as {source.fwhm_nm:g} nm wide: the network's file does not state their width"]
+    if source.shared_inputs:
+        notes.append("both sides start from the same surface and state: their errors are not in the difference")
+    return Observation(axis=axis, toa_reflectance=out, notes=tuple(notes), provenance={"quantity": TOP})

@@ -23,6 +23,12 @@ Array = npt.NDArray[np.float64]
 # What the maker says that the numbers of a .sig file, times 1e-10, are in; the file names the quantity alone.
 SVC_UNITS = {"radiance": "W cm-2 sr-1 nm-1", "irradiance": "W cm-2 nm-1"}
 SVC_SCALE = 1e-10
+# How the title of a column of a .sed file begins, and its usual forms.
+_SED_COLUMNS = {
+    "reflectance": (r"reflect|tgt\.?\s*/\s*ref", "'Reflect. %', 'Reflect. [1.0]' or 'Tgt./Ref. %'"),
+    "radiance": (r"rad\w*\.?\s*\(target", "'Rad. (Target)'"),
+    "irradiance": (r"irr\w*\.?\s*\(target", "'Irr. (Target)'"),
+}
 
 
 def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
@@ -123,28 +129,25 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
     if begin is None or begin + 1 >= len(lines):
         raise InputError("no 'Data:' line", where=str(path))
     titles = [t.strip() for t in lines[begin + 1].split("\t")]
-    if quantity in ("radiance", "irradiance"):
-        return _sed_power(text, lines, begin, titles, path, quantity)
-    columns = [i for i, title in enumerate(titles) if re.match(r"reflect|tgt\.?\s*/\s*ref", title, re.IGNORECASE)]
+    power = quantity in ("radiance", "irradiance")
+    wanted = quantity if power else "reflectance"
+    pattern, forms = _SED_COLUMNS[wanted]
+    columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
     if len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE):
         raise InputError(
-            "no reflectance column: " + ", ".join(titles),
+            f"no {wanted} column: " + ", ".join(titles),
             where=f"{path}:{begin + 2}",
-            expected="Wvl and one column 'Reflect. %', 'Reflect. [1.0]' or 'Tgt./Ref. %'",
+            expected=f"Wvl and one column {forms}",
         )
-    unit = reflectance_unit_in(titles[columns[0]])
-    if unit is None:
+    unit = None if power else reflectance_unit_in(titles[columns[0]])
+    if unit is None and not power:
         raise InputError(f"the unit of {titles[columns[0]]!r} is not known", where=f"{path}:{begin + 2}")
+    stated = next((x.partition(":")[2] for x in lines[:begin] if x.lower().startswith("units:")), "")
     table = _sed_table(text, lines, begin, len(titles), path)
     return Record(
-        name=path.stem,
-        wavelength=table[:, 0],
-        values=table[:, columns[0]],
-        where=str(path),
-        wavelength_unit="nm",
-        reflectance_unit=unit,
-        quantity="reflectance",
-    )
+        path.stem, table[:, 0], table[:, columns[0]], str(path), wavelength_unit="nm", reflectance_unit=unit,
+        quantity=wanted, unit=power_unit_in(stated) if power else None,
+    )  # fmt: skip
 
 
 def _sed_table(text: str, lines: list[str], begin: int, columns: int, path: Path) -> Array:
@@ -162,20 +165,3 @@ def _sed_table(text: str, lines: list[str], begin: int, columns: int, path: Path
     )  # fmt: skip
     check_last_line(text, str(path))
     return table
-
-
-def _sed_power(text: str, lines: list[str], begin: int, titles: list[str], path: Path, quantity: str) -> Record:
-    pattern = r"irr\w*\.?\s*\(target" if quantity == "irradiance" else r"rad\w*\.?\s*\(target"
-    columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
-    if len(columns) != 1:
-        raise InputError(
-            f"no {quantity} of the target: " + ", ".join(titles),
-            where=f"{path}:{begin + 2}",
-            expected="Wvl and one column 'Rad. (Target)' or 'Irr. (Target)'",
-        )
-    stated = next((x.partition(":")[2] for x in lines[:begin] if x.lower().startswith("units:")), "")
-    table = _sed_table(text, lines, begin, len(titles), path)
-    return Record(
-        path.stem, table[:, 0], table[:, columns[0]], str(path),
-        wavelength_unit="nm", quantity=quantity, unit=power_unit_in(stated),
-    )  # fmt: skip

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,11 @@ import numpy.typing as npt
 from hyperval.envi_header import EnviHeader, read_header
 from hyperval.errors import InputError, UsageError
 from hyperval.paths import checked_file
-from hyperval.spectra.readers_record import MAX_BYTES, Record
+from hyperval.spectra.readers_record import MAX_BYTES, FieldSpectrum, Record
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from spectral.io.envi import SpectralLibrary
 
 _SUFFIXES = (".sli", ".lib", ".img", "", ".SLI", ".LIB", ".IMG")
 Array = npt.NDArray[np.float64]
@@ -229,3 +234,42 @@ def _values(raw: npt.NDArray[np.uint8], flags: npt.NDArray[np.uint32], spectrum:
         )
     parts = [raw[at, 512:].tobytes(), *(raw[i, 4:].tobytes() for i in range(at + 1, at + 1 + more))]
     return np.frombuffer(b"".join(parts), ">f4")[:n].astype(float)
+
+
+def library_to_spy(spectra: Sequence[FieldSpectrum]) -> SpectralLibrary:
+    """Spectra on one set of wavelengths as a library of SPy; :func:`read_records` takes it back.
+
+    Raises
+    ------
+    UsageError : no spectrum, or different wavelengths.
+    """
+    from spectral.io.envi import SpectralLibrary  # with xarray 70 MB, which most runs need not
+
+    _check(spectra)
+    header = {
+        "wavelength": spectra[0].wavelength_nm.tolist(),
+        "wavelength units": "nm",
+        "spectra names": [s.name for s in spectra],
+    }
+    return SpectralLibrary(np.stack([s.values for s in spectra]), header)
+
+
+def library_to_xarray(spectra: Sequence[FieldSpectrum]) -> xr.DataArray:
+    """Spectra on one set of wavelengths as an array (spectrum, wavelength); UsageError as for SPy."""
+    import xarray as xr
+
+    _check(spectra)
+    return xr.DataArray(
+        np.stack([s.values for s in spectra]),
+        dims=("spectrum", "wavelength"),
+        coords={
+            "spectrum": [s.name for s in spectra],
+            "wavelength": ("wavelength", spectra[0].wavelength_nm, {"units": "nm"}),
+        },
+        name=spectra[0].quantity,
+    )
+
+
+def _check(spectra: Sequence[FieldSpectrum]) -> None:
+    if not spectra or any(not np.array_equal(s.wavelength_nm, spectra[0].wavelength_nm) for s in spectra):
+        raise UsageError("a library needs spectra on one set of wavelengths", mend="resample them first")

@@ -5,31 +5,25 @@ from __future__ import annotations
 import csv
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperval.errors import InputError
 from hyperval.spectra.readers_record import MAX_ROWS, Record
 from hyperval.units import only_wavelength_unit
 
+Array = npt.NDArray[np.float64]
 FEWEST_BANDS = 4
 MAX_CELLS = 2_000_000
 _BEFORE = r"(?:(?:x|r|wl|wvl|wave|wavelength|lambda|refl|reflectance|nm)[_. ]?)?"  # no b: that counts bands
 _WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?(nm|um)?$", re.IGNORECASE)
 _FIRST_TITLE = re.compile(r"^\W*(wave|wvl|wl\b|lambda|nm\b)(?!.*units)", re.IGNORECASE)
 _NAMES = (
-    "name",
-    "sample_name",
-    "sample name",
-    "spectrum",
-    "spectra",
-    "sample",
-    "sample_id",
-    "id",
-    "fname",
-    "names",
-)
+    "name", "sample_name", "sample name", "spectrum", "spectra", "sample", "sample_id", "id", "fname", "names",
+)  # fmt: skip
 
 
 def is_row_table(text: str) -> bool:
@@ -64,7 +58,6 @@ def row_records(text: str, path: Path) -> list[Record]:
     try:
         titles = _without_end([t.strip() for t in next(reader)])
         first = _first_band(titles) or 0
-        wavelength = np.array([float(_WAVELENGTH.match(t)[1]) for t in titles[first:]])  # type: ignore[index]
         rows: list[tuple[int, list[str]]] = []
         for cells in reader:
             if not any(cell.strip() for cell in cells):
@@ -87,46 +80,36 @@ def row_records(text: str, path: Path) -> list[Record]:
     lower = [t.lower() for t in titles[:first]]
     column = next((c for n in _NAMES if n in lower and _differ(rows, c := lower.index(n))), None)
     return [
-        _record(cells, number, i, titles, lower, column, first, wavelength, path)
-        for i, (number, cells) in enumerate(rows)
+        replace(
+            _record(dict(zip(lower, cells, strict=False)), titles[first:], cells[first:], f"{path}:{number}"),
+            name=cells[column] if column is not None else f"row {i}",
+        )
+        for i, (number, cells) in enumerate(rows, start=1)
     ]
 
 
-def _record(
-    cells: list[str],
-    number: int,
-    index: int,
-    titles: list[str],
-    lower: list[str],
-    column: int | None,
-    first: int,
-    wavelength: np.ndarray,
-    path: Path,
-) -> Record:
+def _record(about: dict[str, str], titles: list[str], cells: list[str], where: str) -> Record:
+    """The spectrum of a row by the titles of its bands, and what the columns before them say of it."""
     try:
-        values = np.array([float(c) if c and c.lower() not in ("na", "nan") else np.nan for c in cells[first:]])
+        values = np.array([float(c) if c and c.lower() not in ("na", "nan") else np.nan for c in cells])
     except ValueError:
-        bad = next(t for t, c in zip(titles[first:], cells[first:], strict=True) if not _is_number(c))
-        raise InputError(f"the cell under {bad!r} is no number", where=f"{path}:{number}") from None
-
-    def stated(title: str) -> str:
-        return cells[lower.index(title)].lower() if title in lower else ""
-
-    suffix = _WAVELENGTH.match(titles[first])
-    unit = (suffix[2] if suffix else None) or _wavelength_unit(stated("wavelength units"))
-    percent, doubt = "percent" in stated("measurement units"), None
+        bad = next(t for t, c in zip(titles, cells, strict=True) if not _is_number(c))
+        raise InputError(f"the cell under {bad!r} is no number", where=where) from None
+    suffix = _WAVELENGTH.match(titles[0])
+    unit = (suffix[2] if suffix else None) or _wavelength_unit(about.get("wavelength units", "").lower())
+    percent, doubt = "percent" in about.get("measurement units", "").lower(), None
     if percent and np.nanmax(values, initial=0.0) <= 1.5:
         percent = False
         doubt = f"the file says percent, and the values reach {np.nanmax(values):.3g}"
     return Record(
-        name=cells[column] if column is not None else f"row {index + 1}",
-        wavelength=wavelength,
-        values=values,
-        where=f"{path}:{number}",
-        wavelength_unit=unit,
-        reflectance_unit="percent" if percent else None,
-        doubt=doubt,
-    )
+        "", _wavelengths(titles), values, where,
+        wavelength_unit=unit, reflectance_unit="percent" if percent else None, doubt=doubt,
+    )  # fmt: skip
+
+
+def _wavelengths(titles: list[str]) -> Array:
+    """The numbers in titles that are wavelengths."""
+    return np.array([float(_WAVELENGTH.match(t.strip())[1]) for t in titles])  # type: ignore[index]
 
 
 def _first_band(titles: list[str]) -> int | None:
@@ -135,7 +118,7 @@ def _first_band(titles: list[str]) -> int | None:
     first = len(titles)
     while first and _WAVELENGTH.match(titles[first - 1].strip()):
         first -= 1
-    numbers = np.array([float(_WAVELENGTH.match(t.strip())[1]) for t in titles[first:]])  # type: ignore[index]
+    numbers = _wavelengths(titles[first:])
     if numbers.size < FEWEST_BANDS or only_wavelength_unit(numbers) is None:
         return None
     step = np.diff(numbers)
