@@ -76,7 +76,7 @@ audit: $(READY)  ## known weaknesses of the locked packages (needs pip-audit, an
 	pip-audit --requirement requirements.lock --requirement requirements-dev.lock --disable-pip --no-deps
 
 docs: $(READY)  ## render the documentation, its examples run; build/docs/index.html
-	@$(BIN)/python -c "import furo, myst_parser, sphinx_gallery" 2>/dev/null || \
+	@$(BIN)/python -c "import furo, myst_nb, sphinx_gallery" 2>/dev/null || \
 	  PYTHON="$(PYTHON)" VENV="$(VENV)" sh scripts/setup.sh requirements-docs.lock
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 

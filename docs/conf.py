@@ -13,8 +13,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 project = "hyperval"
 release = version = hyperval.__version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
-exclude_patterns = ["examples/*", "gallery/*.md5"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
+exclude_patterns = ["examples/*", "gallery/*.md5", "gallery/*.ipynb"]
 templates_path: list[str] = []
 
 html_theme = "furo"
@@ -26,6 +26,10 @@ html_static_path: list[str] = []
 myst_heading_anchors = 4
 # Files of the repository that are named by the documents and are not documents themselves.
 suppress_warnings = ["myst.xref_missing", "myst.header", "config.cache"]
+# The notebook is kept without outputs, and runs here.
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
 
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"

@@ -12,11 +12,13 @@ import pytest
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLES = sorted((DOCS / "examples").glob("plot_*.py"))
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 
 
 def test_every_page_stands_in_the_table_of_contents():
     listed = re.findall(r"^([\w/-]+)$", (DOCS / "index.md").read_text("utf-8"), re.MULTILINE)
     pages = {p.stem for p in DOCS.glob("*.md")} - {"index"} | {"gallery/index"}
+    pages |= {f"notebooks/{p.stem}" for p in NOTEBOOKS}
     assert sorted(listed) == sorted(pages)
 
 
@@ -46,3 +48,24 @@ def test_each_example_draws(example, monkeypatch):
             assert axes.get_xlabel()
             assert axes.get_ylabel()
     plt.close("all")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_the_notebook_runs_in_a_kernel_and_shows_what_it_speaks_of(path):
+    nbclient = pytest.importorskip("nbclient", reason="nbclient, which runs notebooks, is not installed")
+    pytest.importorskip("ipykernel", reason="ipykernel, in which notebooks run, is not installed")
+    import nbformat
+
+    notebook = nbformat.read(path, as_version=4)
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert not any(cell.outputs or cell.execution_count for cell in cells)  # outputs are not committed
+    nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(path.parent)}}).execute()
+    shown = [out.get("data", {}) for cell in cells for out in cell.outputs]
+    assert sum("image/png" in data for data in shown) == 3
+    html = " ".join(data["text/html"] for data in shown if "text/html" in data)
+    assert "agrees" in html
+    assert "radiance" in html
+    assert not any(
+        out.output_type == "error" or out.get("name") == "stderr" for cell in cells for out in cell.outputs
+    )

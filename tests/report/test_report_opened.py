@@ -66,6 +66,7 @@ def test_a_notebook_shows_words_and_rows_escaped(opened):
     assert text.startswith("<pre>&lt;Run of invented&gt;")
     assert "<table" in text
     assert text.count("<tr") < 14
+    assert "<td>none</td>" not in text  # what was judged, not the numbers of single bands
 
 
 def test_products_have_a_short_repr(run):

@@ -31,11 +31,16 @@ _ROWS = 10  # in a notebook
 
 
 class _Shown:
-    """What a notebook shows: the object in words, and its first rows."""
+    """What a notebook shows: the object in words, and its first rows without the columns that are empty there."""
 
     def _repr_html_(self: Any) -> str:
-        table = self.to_dataframe()
-        return f"<pre>{html.escape(repr(self))}</pre>{table.head(_ROWS).to_html(border=0, notebook=True)}"
+        rows = self._first_rows().head(_ROWS)
+        rows = rows.loc[:, ~(rows.isna() | (rows == "")).all()]
+        return f"<pre>{html.escape(repr(self))}</pre>{rows.to_html(border=0, notebook=True)}"
+
+    def _first_rows(self: Any) -> pd.DataFrame:
+        frame: pd.DataFrame = self.to_dataframe()
+        return frame
 
 
 def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
@@ -148,6 +153,10 @@ class Run(_Shown):
     def to_dataframe(self) -> pd.DataFrame:
         """The rows in the columns of ``results.csv``."""
         return self.results.to_dataframe()
+
+    def _first_rows(self) -> pd.DataFrame:
+        """What was judged."""
+        return self.summary
 
     @property
     def summary(self) -> pd.DataFrame:
