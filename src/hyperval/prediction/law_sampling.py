@@ -14,8 +14,9 @@ from hyperval.prediction.cases import Case, Origins, points_of, settings_of
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.filters import law_scores
 from hyperval.prediction.setup import Setup
-from hyperval.prediction.uncertainty import Z95, probit
+from hyperval.prediction.uncertainty import probit
 from hyperval.processing.filters import LINEAR_DETECTORS
+from hyperval.processing.intervals import Z95
 from hyperval.processing.law_jackknife import jackknife_directions
 from hyperval.processing.thresholds import ClassScores, false_alarm_grid, log_false_alarm
 from hyperval.products import ExceedanceCurve, RocCurve

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy import special
 
 from hyperval.processing.covariance_sampling import Directions
+from hyperval.processing.intervals import Z95
 from hyperval.processing.tails import dof_of_distances, leading_count, squared_mahalanobis
 
 Array = npt.NDArray[np.float64]
@@ -20,7 +21,6 @@ Index = npt.NDArray[np.intp]
 
 _HALVINGS = 4  # 16 parts
 _FEWEST = 8  # pixels of a part
-_Z95 = 1.959963984540054
 
 
 def compact_parts(lines: npt.ArrayLike, samples: npt.ArrayLike) -> Index:
@@ -64,7 +64,7 @@ def jackknife_directions(values: npt.ArrayLike) -> Array:
     """
     v = np.asarray(values, dtype=float)
     parts = v.shape[0]
-    widening = special.stdtrit(parts - 1.0, 0.975) / _Z95
+    widening = special.stdtrit(parts - 1.0, 0.975) / Z95
     return np.asarray(widening * np.sqrt((parts - 1.0) / parts) * (v - v.mean(axis=0)))
 
 
