@@ -16,9 +16,8 @@ from hyperval.api.objects import Collection, Metrics, Observation, Prediction, R
 from hyperval.baseline.check import check as check_numbers
 from hyperval.baseline.store import DEFAULT_FOLDER
 from hyperval.campaign.collected import collected
-from hyperval.campaign.job import Job, jobs_of
+from hyperval.campaign.job import Job, job_of, jobs_of
 from hyperval.campaign.one import run_campaign
-from hyperval.campaign.schema import load_campaign as read_campaign
 from hyperval.compare import compare_products
 from hyperval.errors import InputError
 from hyperval.folders import whole_folder
@@ -52,7 +51,7 @@ def load_campaign(path: Path | str) -> Job:
     ------
     InputError, UsageError : of the file.
     """
-    return Job(read_campaign(Path(path)), Path(path))
+    return job_of(Path(path))
 
 
 def predict(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperval.campaign.references import Named, Reference, check_names, named_in
-from hyperval.campaign.schema import Campaign, Outline
+from hyperval.campaign.schema import Campaign, Outline, load_campaign
 from hyperval.campaign.template import campaign_runs
 from hyperval.config import Location, load_yaml, unfilled, validate
 from hyperval.datasets import set_on_request
@@ -107,6 +107,16 @@ def read_texts(path: Path) -> list[Text]:
         Text(Path(path), words, content, lines, named_in(Path(path), content, lines, words))
         for words, content in campaign_runs(data, lines, str(path))
     ]
+
+
+def job_of(path: Path) -> Job:
+    """The campaign of a file of one run, which need not predict or compare.
+
+    Raises
+    ------
+    InputError, UsageError : of the file, as for :func:`hyperval.campaign.schema.load_campaign`.
+    """
+    return Job(load_campaign(path), path, read_texts(path)[0].named.files)
 
 
 def jobs_of(*paths: Path, compares: bool = True) -> list[AnyJob]:

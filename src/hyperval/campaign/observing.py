@@ -51,12 +51,11 @@ def observed_report(
     ------
     UsageError : as for :func:`observe`.
     """
-    from hyperval.campaign.job import Job
+    from hyperval.campaign.job import job_of
     from hyperval.campaign.one import run_campaign
-    from hyperval.campaign.schema import load_campaign
     from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
 
-    job = Job(load_campaign(path), path)
+    job = job_of(path)
     if write_reflectance and job.campaign.collection.empirical_line is None:
         raise UsageError(
             "there is no empirical line that would make a reflectance cube",

@@ -20,7 +20,7 @@ from hyperval.products import Prediction
 from hyperval.progress import step
 from hyperval.report import RunReport
 from hyperval.report.power import accepted_table
-from hyperval.results import Cause, Outcome, Result, ResultTable, Role, of_campaign
+from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 
 
 def run_campaign(
@@ -159,13 +159,8 @@ def unfinished(job: Job | Waiting, outcome: Outcome, reason: str) -> RunReport:
     campaign = job.campaign
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
     rows = [
-        Result(
-            "", g.product, subject, g.method, g.metric, outcome=outcome,
-            role=Role.GATE if g.gate else Role.INFORM, cause=cause, reason=reason,
-        )
-        for g in campaign.comparisons
-        for subject in g.subjects
-    ]  # fmt: skip
+        gate.unmade(subject, outcome, cause, reason) for gate in campaign.comparisons for subject in gate.subjects
+    ]
     return replace(
         report_of(campaign, rows),
         provenance=record_of(InputLog.of_file(job.path), [], None, {"campaign": campaign}, []),

@@ -12,7 +12,7 @@ from hyperval.compare.rows import COMPARISON
 from hyperval.config import Model
 from hyperval.errors import UsageError
 from hyperval.metrics import Kind, metric_of
-from hyperval.results import Result
+from hyperval.results import Cause, Outcome, Result, Role
 
 _CHI2_SLIP = 100.0
 
@@ -118,6 +118,18 @@ class Gate(Model):
         if self.within is not None:
             return f"within {low:g} to {high:g}"
         return f"at most {high:g}" if self.at_most is not None else f"at least {low:g}"
+
+    @property
+    def role(self) -> Role:
+        """Whether its rows decide."""
+        return Role.GATE if self.gate else Role.INFORM
+
+    def unmade(self, subject: str, outcome: Outcome, cause: Cause, reason: str) -> Result:
+        """The row of a planned comparison that was not made."""
+        return Result(
+            "", self.product, subject, self.method, self.metric, outcome=outcome, role=self.role, cause=cause,
+            reason=reason,
+        )  # fmt: skip
 
     def covers(self, row: Result) -> bool:
         """True for the rows this gate is about, and for skipped comparisons that would have held them."""

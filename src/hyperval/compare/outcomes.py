@@ -187,20 +187,19 @@ def detectable_share(n: int, least: float) -> float:
 
 
 def _by_gate(row: Result, gate: Gate) -> Result:
-    low, high = gate.limits
-    outcome, cause, words = outcome_of(row, low, high)
-    if gate.gate and outcome is Outcome.SKIPPED and cause in _NOT_THERE:
-        outcome = Outcome.ERROR
+    out = _concluded(replace(row, role=gate.role), gate.limits, gate.reason)
+    lost = gate.gate and out.outcome is Outcome.SKIPPED and out.cause in _NOT_THERE
+    return replace(out, outcome=Outcome.ERROR) if lost else out
+
+
+def _concluded(row: Result, limits: tuple[float, float], *reasons: str) -> Result:
+    """The row with its outcome by a range."""
+    outcome, cause, words = outcome_of(row, *limits)
+    low, high = (limit if math.isfinite(limit) else math.nan for limit in limits)
     return replace(
-        row,
-        outcome=outcome,
-        cause=cause,
-        role=Role.GATE if gate.gate else Role.INFORM,
-        limit_low=low if math.isfinite(low) else math.nan,
-        limit_high=high if math.isfinite(high) else math.nan,
-        detectable=detectable_departure(row, low, high),
-        reason=_joined(words, row.reason, gate.reason),
-    )
+        row, outcome=outcome, cause=cause, limit_low=low, limit_high=high,
+        detectable=detectable_departure(row, *limits), reason=_joined(words, row.reason, *reasons),
+    )  # fmt: skip
 
 
 def _by_usual_range(row: Result) -> Result:
@@ -210,17 +209,7 @@ def _by_usual_range(row: Result) -> Result:
         return replace(row, outcome=Outcome.NONE, reason=f"not compared: {row.reason}")
     if usual is None or math.isnan(row.value):
         return row
-    low, high = usual
-    outcome, cause, words = outcome_of(row, low, high)
-    return replace(
-        row,
-        outcome=outcome,
-        cause=cause,
-        limit_low=low,
-        limit_high=high if math.isfinite(high) else math.nan,
-        detectable=detectable_departure(row, low, high),
-        reason=_joined(words, row.reason),
-    )
+    return _concluded(row, usual)
 
 
 def _unmet(rows: Sequence[Result], gate: Gate) -> list[Result]:
@@ -233,12 +222,7 @@ def _unmet(rows: Sequence[Result], gate: Gate) -> list[Result]:
             if gate.method != "*":
                 reason += f" and method {gate.method!r}"
             reason += _nearest(rows, alone)
-            out.append(
-                Result(
-                    "", gate.product, pattern, gate.method, gate.metric, outcome=Outcome.ERROR,
-                    role=Role.GATE if gate.gate else Role.INFORM, cause=Cause.ABSENT, reason=reason,
-                )
-            )  # fmt: skip
+            out.append(gate.unmade(pattern, Outcome.ERROR, Cause.ABSENT, reason))
     return out
 
 
@@ -298,18 +282,9 @@ def _pooled(rows: Sequence[Result], gate: Gate) -> list[Result]:
         "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction", good / n,
         lower=lower, upper=upper, n=n, evidence=metric_of(gate.metric).evidence, reason=what,
     )  # fmt: skip
-    outcome, cause, words = outcome_of(row, gate.fraction_at_least, math.inf)
-    return [
-        replace(
-            row,
-            outcome=outcome,
-            cause=cause,
-            role=Role.GATE if gate.gate else Role.INFORM,
-            limit_low=gate.fraction_at_least,
-            detectable=detectable_share(n, gate.fraction_at_least),
-            reason=_joined(words, row.reason, gate.reason),
-        )
-    ]
+    least = gate.fraction_at_least
+    out = _concluded(replace(row, role=gate.role), (least, math.inf), gate.reason)
+    return [replace(out, detectable=detectable_share(n, least))]
 
 
 def _name(row: Result) -> str:
