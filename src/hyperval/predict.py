@@ -15,6 +15,7 @@ from hyperval.atmosphere import AtmosphericTerms
 from hyperval.prediction.batch import Batch
 from hyperval.prediction.budget import given_with, inputs_of, spectrum_inputs
 from hyperval.prediction.cases import Case, Engine, Origins, batch_of, case_of
+from hyperval.prediction.certain_objects import object_scores_of_truths
 from hyperval.prediction.departure import Departure, moved_on
 from hyperval.prediction.detection import Detection, RocKey, detect
 from hyperval.prediction.expected_scores import expected_scores
@@ -119,9 +120,13 @@ def predictions(
         for together in _alike(cases):
             batch = batch_of(together, spectrum_errors(together[0].setup))
             detections = detect(batch, object_curves=object_curves, points=range(len(together)))
+            scores = None
+            if objects and detections[0].roc:
+                setups = [case.setup for case in together]
+                scores = object_scores_of_truths(batch, setups, None if objects is True else objects)
             for number, (case, detection) in enumerate(zip(together, detections, strict=True)):
-                if objects:
-                    detection = _with_objects(detection, batch, np.array([number]), objects)
+                if scores:
+                    detection = replace(detection, object_scores=scores[number])
                 yield _joined(case, batch, number, Steps(), detection)
 
 
@@ -175,8 +180,11 @@ def _prediction(
     shifts = (1.0, -1.0) if any(t.name in errors for t in case.setup.scenario.scene.targets) else ()
     batch = batch_of(cases, errors, shifts)
     detection = detect(batch, object_curves=object_curves)[0]
-    if objects:
-        detection = _with_objects(detection, batch, np.arange(1 + 2 * len(leading)), objects)
+    if objects and detection.roc:
+        points, targets = np.arange(1 + 2 * len(leading)), case.setup.scenario.scene.targets
+        draws = None if objects is True else objects
+        scores = predicted_object_scores(batch, points, targets, draws)
+        detection = replace(detection, object_scores=scores, expected_scores=expected_scores(batch, points))
     changes = _changes(detection, len(leading))
     directions = law_directions(batch, case, setups)
     detection = replace(detection, exceedance=with_law_errors(detection.exceedance, directions))
@@ -185,17 +193,6 @@ def _prediction(
         if filter_name in directions:
             changes[key] += detection_changes(curve, directions[filter_name])
     return _joined(case, batch, 0, steps, detection), changes
-
-
-def _with_objects(
-    detection: Detection, batch: Batch, points: npt.NDArray[np.intp], objects: bool | int
-) -> Detection:
-    """The detection with draws of whole objects, where anything is detected."""
-    if not detection.roc:
-        return detection
-    draws = None if objects is True else objects
-    scores = predicted_object_scores(batch, points, batch.scenario.uncertainty, draws)
-    return replace(detection, object_scores=scores, expected_scores=expected_scores(batch, points))
 
 
 def _changes(detection: Detection, pairs: int) -> dict[RocKey, list[Change]]:

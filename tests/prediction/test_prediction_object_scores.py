@@ -7,7 +7,8 @@ import pytest
 
 from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
-from hyperval.predict import Origins, predict
+from hyperval.predict import Origins, predict, predictions
+from hyperval.prediction.departure import Departure
 from hyperval.processing.filters import design_filter
 from hyperval.processing.thresholds import ClassScores, class_threshold, greatest_class_false_alarm
 from hyperval.products import background_of
@@ -43,10 +44,14 @@ processing: {detectors: [cem], elm: none}
 """
 
 
-def run(extra="", place="", there="", text=SCENE):
+def scenario_of(extra="", place="", there="", text=SCENE):
     text = text.replace("PLACE", place).replace("THERE", there) + extra
     data, lines = parse_yaml(text, "small.yaml")
-    return predict(validate(Scenario, data, lines, "small.yaml"), Origins(axis=AXIS), objects=True)
+    return validate(Scenario, data, lines, "small.yaml")
+
+
+def run(extra="", place="", there="", text=SCENE):
+    return predict(scenario_of(extra, place, there, text), Origins(axis=AXIS), objects=True)
 
 
 def filter_of():
@@ -140,6 +145,27 @@ def test_same_seed_same_draws():
     first, again = run(extra), run(extra)
     for key, held in first.object_scores.items():
         assert np.array_equal(held.values, again.object_scores[key].values)
+
+
+def test_each_of_several_truths_has_the_objects_of_its_own_scene():
+    # The first truth of a batch once lent its fills to all others.
+    scenario = scenario_of(place="position_m: [0, 0],", there="position_m: [0, 1.0],")
+    truths = [
+        Departure(),
+        Departure(fill={"square": 0.2}),
+        Departure(settings={"scene.targets.plank.subjects.[square].fill.geometry.psf_fwhm_pixels": 3.0}),
+        Departure(spectra={"other": 0.1}),
+        Departure(spectra={"grass": 0.1}),
+    ]
+    together = list(predictions(scenario, truths, Origins(axis=AXIS), objects=300))
+    for truth, one in zip(truths, together, strict=True):
+        (alone,) = predictions(scenario, [truth], Origins(axis=AXIS), objects=300)
+        for key, scores in alone.object_scores.items():
+            assert one.object_scores[key].values == pytest.approx(scores.values, abs=1e-9)
+    stated, fuller, wider, bright, _ = (p.object_scores["square", "cem"].values.mean() for p in together)
+    assert wider < stated < fuller
+    assert bright != stated  # the neighbour's part
+    assert np.array_equal(*(together[i].object_scores["tenth", "cem"].values for i in (0, 3)))
 
 
 def test_positions_need_a_heading():

@@ -194,6 +194,16 @@ class Settings:
         owner, part = np.array([law.owner for law in laws]), np.array([law.weight for law in laws])
         return np.asarray(self.fractions[:, owner] * part)
 
+    def alike(self, names: Sequence[str] = ()) -> Index:
+        """(U,) the same number for settings of one light, sensor, fractions, classes and surfaces ``names``."""
+        parts = [self.fractions, self.gains, *self.view.arrays(len(self))]
+        each = [
+            (*(id(g.surfaces[n]) for n in (*g.classes, *names)), g.average.tobytes()) for g in self.grounds
+        ]  # surfaces that did not move are the same objects
+        codes: dict[Any, int] = {}
+        keys = [(each[w], *(p[u].tobytes() for p in parts)) for u, w in enumerate(self.which)]
+        return np.array([codes.setdefault(key, len(codes)) for key in keys])
+
     def rows(self, index: Index) -> Settings:
         """The settings that ``index`` names."""
         if index.size == len(self) and np.array_equal(index, np.arange(len(self))):

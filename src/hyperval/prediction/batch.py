@@ -178,9 +178,25 @@ class Batch:
         names = [(t.name, detector) for t in self.targets for detector in linear]
         group = Group(numbers, bands, at, seen, designer, {})
         wanted = [(detector, self.spectrum_as_seen(group, target)) for target, detector in names]
-        filters, problems = designer.design(at, seen, wanted, lambda u: self.filter_populations(group, u))
-        made = {n: (f, *law_scores(at, seen, f)) for n, f in zip(names, filters, strict=True)}
-        return replace(group, filters=made, problems=problems)
+        _, first, which = np.unique(self.alike()[numbers], return_index=True, return_inverse=True)
+        one, of_one = at.rows(first), seen.rows(first)
+        spectra = [(detector, spectrum[first]) for detector, spectrum in wanted]
+        filters, problems = designer.design(
+            one, of_one, spectra, lambda u: self.filter_populations(group, first[u])
+        )
+        made = {}
+        for n, f in zip(names, filters, strict=True):
+            means, sds = law_scores(one, of_one, f)
+            made[n] = f.rows(which), means[which], sds[which]
+        every = {int(u): problems[w] for u, w in enumerate(which) if w in problems}
+        return replace(group, filters=made, problems=every)
+
+    def alike(self, target: str | None = None) -> Index:
+        """(U,) the same number for settings with the same filters, and the same target where one is named."""
+        if self.scenario.processing.filter_statistics == "scene":  # the filters follow from fills and targets too
+            return np.arange(len(self.settings))
+        names = [] if target is None else [target]
+        return self.once(("alike", target), lambda: self.settings.alike(names))
 
     @property
     def has_filters(self) -> bool:
@@ -274,7 +290,8 @@ class Batch:
             _, means[g.numbers], sds[g.numbers] = g.filters[self.targets[number].name, detector]
         points = self.points
         dof = points.dof if points.law_dof is None else points.law_dof
-        first, which = distinct([points.setting, *(dof.T if dof.shape[0] > 1 else ())], len(self))
+        alike = self.alike()[points.setting]
+        first, which = distinct([alike, *(dof.T if dof.shape[0] > 1 else ())], len(self))
         settings = points.setting[first]
         tails = np.broadcast_to(dof, (len(self), dof.shape[1]))[first]
         return ClassScores(self.settings.law_fractions()[settings], means[settings], sds[settings], tails), which
@@ -288,8 +305,8 @@ class Batch:
         """Scores of pixels that hold a target, by filters (V, F) that may look for another one."""
         beam = self.points.of(self.points.beam, target)[points]
         sky = self.points.of(self.points.sky, target)[points]
-        local = np.searchsorted(group.numbers, self.points.setting[points])
-        first, rows = distinct([local, beam, sky], points.size)
+        local, name = np.searchsorted(group.numbers, self.points.setting[points]), self.targets[target].name
+        first, rows = distinct([self.alike(name)[self.points.setting[points]], beam, sky], points.size)
         settings = local[first]
         material = self.material(target, beam[first], sky[first], group.bands)
         at, seen = group.at.rows(settings), group.seen.rows(settings)

@@ -168,10 +168,12 @@ def case_of(scenario: Scenario, origins: Origins, truth: Departure, like: Case |
         state = setup.scenario.atmosphere
         terms = origins.terms(setup, state) if state is not None else None
     else:
-        there, before = with_sensor_blur(true_scenario(scenario, truth), like.setup.used.sensor), like.setup
+        before, there = like.setup, true_scenario(scenario, truth)
+        there = before.scenario if there is scenario else with_sensor_blur(there, before.used.sensor)
         alone = keeps_surfaces(truth) and like.terms is not None
         surfaces = before.surfaces if alone else true_surfaces(there, before.surfaces, truth)
-        setup = replace(before, scenario=there, surfaces=surfaces)
+        room = before.room if there.scene is before.scenario.scene else {}
+        setup = replace(before, scenario=there, surfaces=surfaces, room=room)
         state, terms = there.atmosphere, like.terms
         if state is not None and state != before.scenario.atmosphere:
             terms = origins.terms(setup, state)

@@ -84,23 +84,37 @@ def _add_linear(
     pfa: Array, object_curves: bool,
 ) -> None:  # fmt: skip
     scores = batch.scores(population, name)
-    threshold = scores.thresholds(pfa[None])
-    pd = scores.detection_above(threshold)
+    # Truths that move other things than this target's scores share what follows from them.
+    first, which = scores.distinct() if not object_curves else 2 * (np.arange(len(batch)),)
+    each = scores.rows(first)
+    threshold = each.thresholds(pfa[None])
+    pd = each.detection_above(threshold)
     by_unit = {"pixel": pd}
     if object_curves:
         objects = batch.object_scores(population, name)
         alone = objects.objects is None and objects.means.shape == scores.means.shape
         by_unit["object"] = pd if alone else objects.detection_above(threshold)
+    made: dict[int, Detection] = {}
     for into, point in zip(by_point, points, strict=True):
-        one = scores.rows(np.array([point]))
-        preset = one.preset(threshold[point][None])[0]
-        into.exceedance[target, name] = ExceedanceCurve(threshold[point][::-1], *(pfa[::-1],) * 3)
-        into.scores[population, name] = _distribution(one, target=True)
-        into.scores[background_of(population), name] = _distribution(one, target=False)
-        for unit, curve in by_unit.items():
-            p = curve[point]
-            into.roc[population, name, unit] = RocCurve(pfa, p, p, p, threshold[point], unit, preset_pfa=preset)  # type: ignore[arg-type]
-            into.curves[population, name, unit] = curve  # type: ignore[index]
+        row = int(which[point])
+        if row not in made:
+            one, at = each.rows(np.array([row])), threshold[row]
+            preset = one.preset(at[None])[0]
+            made[row] = Detection(
+                {
+                    (population, name): _distribution(one, target=True),
+                    (background_of(population), name): _distribution(one, target=False),
+                },
+                {
+                    (population, name, unit): RocCurve(pfa, *(curve[row],) * 3, at, unit, preset_pfa=preset)  # type: ignore[arg-type]
+                    for unit, curve in by_unit.items()
+                },
+                {(target, name): ExceedanceCurve(at[::-1], *(pfa[::-1],) * 3)},
+            )
+        into.scores.update(made[row].scores)
+        into.roc.update(made[row].roc)
+        into.exceedance.update(made[row].exceedance)
+        into.curves.update({(population, name, unit): curve[which] for unit, curve in by_unit.items()})  # type: ignore[attr-defined]
 
 
 def _add_numerical(

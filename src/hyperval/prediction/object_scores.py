@@ -9,7 +9,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,10 +48,32 @@ class Response:
     mean: CubicSpline
     variance: CubicSpline
 
+    @staticmethod
+    def through(means: Array, variances: Array) -> Response:
+        """The response that takes values (9,) at FILL_NODES."""
+        from scipy.interpolate import CubicSpline  # a quarter of a second, which spectra alone do not need
+
+        return Response(CubicSpline(FILL_NODES, means), CubicSpline(FILL_NODES, variances))
+
     def at(self, fill: npt.ArrayLike) -> tuple[Array, Array]:
         """Mean and standard deviation of the score at fills (...)."""
         f = np.asarray(fill, dtype=float)
         return np.asarray(self.mean(f)), np.sqrt(np.clip(self.variance(f), 0.0, None))
+
+
+def response_nodes(batch: Batch, points: Index, target: str, detector: str, holds: int) -> tuple[Array, Array]:
+    """(P, 9) means and variances at FILL_NODES of some evaluations (3.26, 3.28).
+
+    By the filter that looks for ``target``, of pixels that hold target number ``holds``.
+    """
+    means, variances = np.empty((2, points.size, FILL_NODES.size))
+    for g in batch.groups:
+        here = np.flatnonzero(np.isin(batch.points.setting[points], g.numbers))
+        if here.size:
+            rows, r = batch.responses_to(g, holds, g.filters[target, detector][0], points[here])
+            means[here] = r.means[rows]
+            variances[here] = r.variances(batch.points.of(batch.points.gain, holds)[points[here]], rows)
+    return means, variances
 
 
 class Evaluations:
@@ -90,27 +112,13 @@ class Evaluations:
 
     def responses(self, target: str, detector: str, holds: str) -> list[Response]:
         """Of all evaluations, by the filter that looks for ``target``, for pixels that hold another or the same."""
-        key = "response", target, detector, holds, int(self.points[0])
-        return self.batch.once(key, lambda: self._responses(target, detector, holds))
 
-    def _responses(self, target: str, detector: str, holds: str) -> list[Response]:
-        batch, number = self.batch, self.number(holds)
-        points = self.points if target == holds else self.points[:1]
-        from scipy.interpolate import CubicSpline  # a quarter of a second, which spectra alone do not need
+        def made() -> list[Response]:
+            points = self.points if target == holds else self.points[:1]
+            nodes = response_nodes(self.batch, points, target, detector, self.number(holds))
+            return [Response.through(*one) for one in zip(*nodes, strict=True)]
 
-        responses: dict[int, Response] = {}
-        for g in batch.groups:
-            here = points[np.isin(batch.points.setting[points], g.numbers)]
-            if not here.size:
-                continue
-            rows, r = batch.responses_to(g, number, g.filters[target, detector][0], here)
-            gain = batch.points.of(batch.points.gain, number)[here]
-            variance = r.variances(gain, rows)
-            for i, point in enumerate(here.tolist()):
-                responses[point] = Response(
-                    CubicSpline(FILL_NODES, r.means[rows[i]]), CubicSpline(FILL_NODES, variance[i])
-                )
-        return [responses[p] for p in points.tolist()]
+        return self.batch.once(("response", target, detector, holds, int(self.points[0])), made)
 
 
 @dataclass(frozen=True)
@@ -170,7 +178,7 @@ def input_draws(batch: Batch, uncertainty: Uncertainty, bands: Index, steps: int
 
 
 def predicted_object_scores(
-    batch: Batch, points: Index, uncertainty: Uncertainty, draws: int | None = None
+    batch: Batch, points: Index, targets: Sequence[Target], draws: int | None = None
 ) -> dict[Key, ObjectScores]:
     """(subject, detector) -> draws of the greatest score over the pixels of an object (3.26, 3.28 for objects).
 
@@ -180,37 +188,34 @@ def predicted_object_scores(
     ----------
     points : of the batch: the scenario as it stands, then evaluations with one scalar input up by its standard
         uncertainty, then as many with it down
+    targets : of the scenario as it stands
     draws : of each object where no input is uncertain; default: as many as there would be with uncertain inputs
     """
-    here = Evaluations(batch, points)
+    here, uncertainty = Evaluations(batch, points), batch.scenario.uncertainty
     drawn = input_draws(batch, uncertainty, here.group.bands, (points.size - 1) // 2)
     thesis, seed = batch.scenario.formulation == "thesis", batch.scenario.processing.seed
     linear = [d for d in batch.scenario.processing.detectors if d in LINEAR_DETECTORS]
     dof = np.broadcast_to(batch.points.dof, (len(batch), len(batch.class_names)))[points[0]]
     out: dict[Key, ObjectScores] = {}
-    for target in batch.targets:
+    for target in targets:
         tail = float(dof[batch.class_names.index(target.host)])
         for population in target.populations:
-            beside = [] if thesis else neighbours_of(target, population, batch.targets)
-            wanted = _Objects(
+            beside = [] if thesis else neighbours_of(target, population, targets)
+            wanted = Objects(
                 population, tuple(s for _, s in beside), uncertainty.psf_fwhm_pixels or 0.0, uncertainty.position_m,
                 COLUMNS if drawn.rows > 1 else draws or ROWS * COLUMNS, thesis, None if np.isinf(tail) else tail,
                 len(linear), seed,
             )  # fmt: skip
-            again = draws is not None and drawn.rows == 1
-            numbers = _certain_numbers(wanted) if again else _numbers(wanted, drawn.blur)
-            fills, others = numbers.fills, numbers.others
+            numbers = drawn_numbers(wanted, drawn.blur)
             for name, more in zip(linear, numbers.more, strict=True):
-                mean, sd = _pixel_scores(here, target.name, [t.name for t, _ in beside], name, drawn, fills, others)
-                host_sd = float(here.responses(target.name, name, target.name)[0].at(0.0)[1])
-                host = (1.0 - fills - others.sum(axis=-1)) * host_sd
-                scores = _with_tails(mean, sd, host, numbers.noise, numbers.tails, more)
-                out[population.name, name] = ObjectScores(scores.max(axis=2))
+                mean, sd = _pixel_scores(here, target.name, [t.name for t, _ in beside], name, drawn, numbers)
+                host_sd = here.responses(target.name, name, target.name)[0].at(0.0)[1]
+                out[population.name, name] = greatest_scores(mean, sd, host_sd, numbers, more)
     return out
 
 
 @dataclass(frozen=True)
-class _Objects:
+class Objects:
     """What the drawn numbers of the objects of one population follow from, besides the widths of the blur."""
 
     population: TargetSubject
@@ -225,7 +230,7 @@ class _Objects:
 
 
 @dataclass(frozen=True)
-class _Numbers:
+class Numbers:
     """What is drawn for the objects of one population, whatever their scores.
 
     ``fills``, ``others``: of :func:`_drawn_fills`; ``noise``, ``tails``: (S, R, n), the tails None where the host
@@ -238,8 +243,19 @@ class _Numbers:
     tails: Array | None
     more: tuple[Array | None, ...]
 
+    @cached_property
+    def rest(self) -> Array:
+        """(S, R, n) parts of the host."""
+        return np.asarray(1.0 - self.fills - self.others.sum(axis=-1))
 
-def _numbers(objects: _Objects, blur: Array) -> _Numbers:
+    @cached_property
+    def squares(self) -> Array:
+        """(S, R, n, J) squares of the neighbours' parts."""
+        return self.others**2
+
+
+def drawn_numbers(objects: Objects, blur: Array) -> Numbers:
+    """The numbers of one population; ``blur`` (S,) departures of its width [standard uncertainties]."""
     rng = np.random.default_rng([objects.seed, 11, zlib.crc32(objects.population.name.encode())])
     fills, others = _drawn_fills(objects, blur, rng)
     noise = rng.standard_normal(fills.shape)
@@ -247,13 +263,7 @@ def _numbers(objects: _Objects, blur: Array) -> _Numbers:
     dof = objects.dof
     tails = None if dof is None else np.asarray(np.sqrt((dof - 2.0) / rng.chisquare(dof, fills.shape)))
     more = [None if tails is None else rng.standard_normal(fills.shape) for _ in range(objects.detectors)]
-    return _Numbers(fills, others, noise, tails, tuple(more))
-
-
-@lru_cache(maxsize=64)  # populations; those of few draws, some 0.1 to 1 MB each
-def _certain_numbers(objects: _Objects) -> _Numbers:
-    """The same numbers each time that a population is asked for with all inputs certain."""
-    return _numbers(objects, np.zeros(1))
+    return Numbers(fills, others, noise, tails, tuple(more))
 
 
 def neighbours_of(
@@ -275,7 +285,7 @@ def neighbours_of(
     return out
 
 
-def _drawn_fills(objects: _Objects, blur: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """(S, R, n) fills of an object's pixels and (S, R, n, J) those by its neighbours."""
     population, beside, thesis = objects.population, objects.beside, objects.thesis
     shape = (blur.size, objects.columns)
@@ -319,9 +329,10 @@ def _half_diagonal(geometry: TargetGeometry) -> float:
 
 
 def _pixel_scores(
-    here: Evaluations, target: str, beside: Sequence[str], name: str, drawn: InputDraws, fills: Array, others: Array
+    here: Evaluations, target: str, beside: Sequence[str], name: str, drawn: InputDraws, numbers: Numbers
 ) -> tuple[Array, Array]:
     """(S, R, n) mean and standard deviation of the score of each pixel (3.26, 3.28)."""
+    fills = numbers.fills
     own, *moved = here.responses(target, name, target)
     mean, sd = own.at(fills)
     steps = len(moved) // 2
@@ -331,16 +342,34 @@ def _pixel_scores(
     mean = mean + fills * _departure(here, weights, target, drawn)[:, None, None]
     if not beside:
         return mean, sd
-    host_mean, host_sd = own.at(0.0)
-    variance = sd**2
-    for j, other in enumerate(beside):
-        full, spread = here.responses(target, name, other)[0].at(1.0)
-        full = full + _departure(here, weights, other, drawn)
-        mean = mean + others[..., j] * (full[:, None, None] - host_mean)
-        variance = variance + others[..., j] ** 2 * spread**2
-    rest, alone = 1.0 - fills - others.sum(axis=-1), 1.0 - fills
-    variance = variance + (rest**2 - alone**2) * host_sd**2
+    full = [here.responses(target, name, other)[0].at(1.0) for other in beside]
+    level = np.stack(
+        [m + _departure(here, weights, other, drawn) for (m, _), other in zip(full, beside, strict=True)], axis=1
+    )
+    return with_neighbours(mean, sd, own.at(0.0), level, np.array([s for _, s in full]), numbers)
+
+
+def with_neighbours(
+    mean: Array, sd: Array, host: tuple[Array, Array], level: Array, spread: Array, numbers: Numbers
+) -> tuple[Array, Array]:
+    """(S, R, n) mean and standard deviation of pixels with parts of neighbours in place of the host (3.26, 3.28).
+
+    ``host`` : of a pixel of the host;  ``level`` (S, J), ``spread`` (J,) : of pixels full of each neighbour
+    """
+    host_mean, host_sd = host
+    others = numbers.others.reshape(len(numbers.others), -1, numbers.others.shape[-1])
+    mean = mean + np.matmul(others, (level - host_mean)[:, :, None]).reshape(mean.shape)
+    variance = sd**2 + numbers.squares @ spread**2 + (numbers.rest**2 - (1.0 - numbers.fills) ** 2) * host_sd**2
     return mean, np.sqrt(np.clip(variance, 0.0, None))
+
+
+def greatest_scores(mean: Array, sd: Array, host_sd: Array, numbers: Numbers, more: Array | None) -> ObjectScores:
+    """Draws (S, R) of the greatest score over the pixels of an object, from their moments (S, R, n)."""
+    if numbers.tails is None or more is None:
+        return ObjectScores((mean + sd * numbers.noise).max(axis=2))
+    part = np.minimum(np.abs(numbers.rest * host_sd), sd)
+    scores = mean + part * numbers.noise * numbers.tails + np.sqrt(sd**2 - part**2) * more
+    return ObjectScores(scores.max(axis=2))
 
 
 def _departure(here: Evaluations, weights: Array, target: str, drawn: InputDraws) -> Array:
@@ -351,15 +380,6 @@ def _departure(here: Evaluations, weights: Array, target: str, drawn: InputDraws
     if target in drawn.collected:
         out = out + drawn.collected[target] @ weights
     return out
-
-
-def _with_tails(
-    mean: Array, sd: Array, host: Array, noise: Array, tails: Array | None, more: Array | None
-) -> Array:
-    if tails is None or more is None:
-        return mean + sd * noise
-    part = np.minimum(np.abs(host), sd)
-    return np.asarray(mean + part * noise * tails + np.sqrt(sd**2 - part**2) * more)
 
 
 def _pairs(rng: np.random.Generator, columns: int) -> Array:

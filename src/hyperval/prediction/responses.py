@@ -51,6 +51,11 @@ class Responses:
     error: Array
     fine: Array
 
+    @staticmethod
+    def weights(fills: Array) -> Array:
+        """(..., 9) weights of the values at FILL_NODES in the value at fills (...)."""
+        return np.asarray(_spline()(fills))
+
     def variances(self, target_gain: Array, rows: Index) -> Array:
         """(n, 9) at FILL_NODES, of n evaluations of given rows (3.28)."""
         f = FILL_NODES
@@ -63,7 +68,7 @@ class Responses:
 
         ``shift`` (n,) : by how many standard deviations of the score the true target departs from its spectrum
         """
-        variance, weights = self.variances(target_gain, rows), _spline()(fills)  # (n, 9), (n or 1, K, 9)
+        variance, weights = self.variances(target_gain, rows), self.weights(fills)  # (n, 9), (n or 1, K, 9)
         means = (weights * self.means[rows][:, None, :]).sum(axis=2)
         means = means + (np.asarray(shift) * self.error[rows])[:, None] * fills
         return means, np.sqrt(np.clip((weights * variance[:, None, :]).sum(axis=2), 0.0, None))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import PurePath
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -165,6 +166,7 @@ class Setup:
     surfaces : name -> statistics of every class, panel, site and target, where the bands truly stand
     signatures : target -> (B,) reflectance that its filter looks for, where the bands are labelled
     surroundings : (B,) their reflectance where the scenario states it; None: the average of the classes
+    room : what follows from the scene alone, shared with setups of the same scene
     """
 
     scenario: Scenario
@@ -172,6 +174,7 @@ class Setup:
     surfaces: Mapping[str, SurfaceStatistics]
     signatures: Mapping[str, Array]
     surroundings: Array | None = None
+    room: dict[Any, Any] = field(default_factory=dict)
 
     def average(self, of_classes: Array) -> Array:
         """(B,) rho_ave of (3.7): the stated surroundings, or the average of the classes (3.8)."""

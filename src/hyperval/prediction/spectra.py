@@ -222,8 +222,10 @@ def _mixed(setup: Setup, view: View, errors: Mapping[str, Array], t: Target, pop
         formulation=scenario.formulation,
     )  # fmt: skip
     if scenario.formulation != "thesis":
-        position = scenario.uncertainty.position_m
-        shares = shares_of(t, population, scene.targets, position, scenario.processing.seed)
+        position, key = scenario.uncertainty.position_m, ("shares", population.name)
+        if key not in setup.room:
+            setup.room[key] = shares_of(t, population, scene.targets, position, scenario.processing.seed)
+        shares = setup.room[key]
         if shares is not None:
             return _placed(population.name, shares, setup, view, errors, t.host, covariance)
     parts = [] if lit.error is None else [fill.mean**2 * lit.error]

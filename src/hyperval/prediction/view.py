@@ -140,6 +140,18 @@ class View:
 
         return self._changed(cut)
 
+    def arrays(self, size: int) -> list[Array]:
+        """Those that have a row for each of ``size`` settings."""
+        each: list[Array] = []
+
+        def note(x: Array) -> Array:
+            if x.ndim == 3 and x.shape[0] == size:
+                each.append(x)
+            return x
+
+        self._changed(note)
+        return each
+
     def rows(self, index: Index) -> View:
         """The settings that ``index`` names."""
         return self._changed(rows_of(index, self.average.shape[0]))

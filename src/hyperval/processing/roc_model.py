@@ -98,6 +98,14 @@ class RocScores:
         away = self.means - self.mean[:, None]
         return np.asarray(np.sqrt((self.weights * (self.sds**2 + away**2)).sum(axis=1)))
 
+    def distinct(self) -> tuple[Index, Index]:
+        """First of all evaluations whose pixels score the same, and which (n,) of these each evaluation is."""
+        parts = [self.which[:, None], self.means, self.sds, self.weights]
+        keys = [b"".join(np.ascontiguousarray(p[i]).tobytes() for p in parts) for i in range(self.which.size)]
+        order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+        which = np.array([order[key] for key in keys])
+        return np.unique(which, return_index=True)[1], which
+
     def rows(self, index: Index) -> RocScores:
         """The evaluations that ``index`` names."""
         objects = None if self.objects is None else (self.objects[0][index], self.objects[1][index])

@@ -220,12 +220,12 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     s_y, s_x = _sigmas(geometry.psf_fwhm_pixels)
     least = min(s_y, s_x)  # decides how finely the integrand is cut
     half = int(np.ceil(0.5 * np.hypot(length, width) + 0.5 + 5.0 * max(s_y, s_x))) + 1
-    pixels = np.arange(-half, half + 1, dtype=float)
+    borders = np.arange(-half - 0.5, half + 1.0)  # each pixel ends where the next begins
     c, d = np.cos(angle), np.sin(angle)
     # Corners of the target along y fix where the chord length has kinks.
     corner = np.stack([0.5 * (i * length * c + j * width * d) for i in (-1, 1) for j in (-1, 1)], axis=1)
     low, high = corner.min(axis=1), corner.max(axis=1)
-    edges = np.arange(-half - 0.5, half + 1.5)[None, :] - at[:, 1:2]
+    edges = borders[None, :] - at[:, 1:2]
     breaks = np.sort(np.concatenate([corner, np.clip(edges, low[:, None], high[:, None])], axis=1), axis=1)
     parts = max(2, int(np.ceil(1.0 / max(least, 0.1)))) if least > 0 else 8
     steps = np.arange(parts) / parts
@@ -236,10 +236,8 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     dy = (0.5 * size[:, :, None] * _NODE_WEIGHTS).reshape(len(at), -1)
     left, right = _chord(y, c[:, None], d[:, None], length, width)
     x0 = at[:, 0][:, None, None]
-    reach_right, reach_left = right[:, :, None] + x0 - pixels, left[:, :, None] + x0 - pixels
-    across = _step_response(reach_right, s_x) - _step_response(reach_left, s_x)
-    z = (y + at[:, 1:2])[:, :, None] - pixels
-    along = _aperture(z, s_y) * dy[:, :, None]
+    across = _between(_ramp(right[:, :, None] + x0 - borders, s_x) - _ramp(left[:, :, None] + x0 - borders, s_x))
+    along = _between(_step((y + at[:, 1:2])[:, :, None] - borders, s_y)) * dy[:, :, None]
     return np.asarray(np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0))  # rounding alone leaves 0-1
 
 
@@ -252,9 +250,9 @@ def aperture_weights(edges: npt.ArrayLike, first: int, count: int, psf_fwhm_pixe
     first, count : pixels; pixel i reaches from i to i + 1
     psf_fwhm_pixels : FWHM of the Gaussian besides the aperture [pixels]
     """
-    centre = first + np.arange(count)[:, None] + 0.5
-    at = _step_response(np.asarray(edges, dtype=float)[None, :] - centre, psf_fwhm_pixels * SIGMA_PER_FWHM)
-    return np.diff(at, axis=1)
+    borders = first + np.arange(count + 1)
+    at = _ramp(np.asarray(edges, dtype=float)[:, None] - borders, psf_fwhm_pixels * SIGMA_PER_FWHM)
+    return np.diff(_between(at), axis=0).T
 
 
 def _sigmas(blur: Blur) -> tuple[float, float]:
@@ -274,22 +272,23 @@ def _chord(y: Array, c: Array, d: Array, length: float, width: float) -> tuple[A
     return left, np.maximum(left, right)
 
 
-def _aperture(x: Array, s: float) -> Array:
-    """Response of the pixel in one direction: unit box convolved with a Gaussian of sigma ``s`` [pixels]."""
-    if s == 0:
-        return np.asarray((np.abs(x) <= 0.5).astype(float))
-    return np.asarray(ndtr((x + 0.5) / s) - ndtr((x - 0.5) / s))
+def _between(at_borders: Array) -> Array:
+    """(..., P) difference between the near and the far border of each pixel, from values at borders (..., P + 1).
+
+    The response of a pixel is a unit box convolved with a Gaussian: that of one border less that of the other.
+    """
+    return at_borders[..., :-1] - at_borders[..., 1:]
 
 
-def _step_response(x: Array, s: float) -> Array:
-    """Integral of :func:`_aperture` from minus infinity to ``x``."""
-    return _ramp(x + 0.5, s) - _ramp(x - 0.5, s)
+def _step(z: Array, s: float) -> Array:
+    """A step convolved with a Gaussian of sigma ``s`` [pixels]."""
+    return np.asarray(ndtr(z / s) if s else (z >= 0.0).astype(float))
 
 
 def _ramp(z: Array, s: float) -> Array:
+    """Integral of :func:`_step` from minus infinity to ``z``: z Phi(z/s) + s phi(z/s)."""
     if s == 0:
         return np.asarray(np.maximum(z, 0.0))
-    # Integral of the normal distribution function: z Phi(z/s) + s phi(z/s).
     return np.asarray(z * ndtr(z / s) + s * np.exp(-0.5 * (z / s) ** 2) / np.sqrt(2.0 * np.pi))
 
 
