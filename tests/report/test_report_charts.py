@@ -86,6 +86,14 @@ def test_spectra_hold_both_sides_and_their_difference(run):
     np.testing.assert_allclose(other, run.observation.radiance["lawn"].mean, rtol=1e-6)
 
 
+def test_identical_sides_have_no_empty_difference(run):
+    chart = spectra_chart((run.prediction, run.prediction), "radiance")
+    assert "which are identical" in chart.title
+    for one in json.loads(chart.content)["subjects"]:
+        assert (list(one["bands"]), list(one["ranges"])) == (["predicted", "collected"], ["level"])
+    assert "identical" not in spectra_chart((run.prediction, run.observation), "radiance").title
+
+
 def test_subjects_have_their_columns_once(run):
     """Value and half-width alone: limits follow, and a page of many subjects keeps room for its pictures."""
     (content,) = (c.content for c in draw_charts((run.prediction, None), []) if c.section == "radiance")

@@ -70,7 +70,12 @@ def test_a_run_against_itself_has_no_difference(folders):
     rows = list(read_results(folders / "same" / "results.json"))
     assert rows
     assert all(r.value == 0 or r.value != r.value for r in rows)
-    assert "Outcomes that changed</h2>\n<p>None." in (folders / "same" / "report.html").read_text("utf-8")
+    page = (folders / "same" / "report.html").read_text("utf-8")
+    assert f"Identical: all {len(rows)} comparisons have the same value" in page
+    assert "Outcomes that changed" not in page
+    assert "<img" not in page
+    figures = len(list((folders / "a" / "figures").iterdir()))
+    assert f"{figures} of {figures} are the same in both:" in page
 
 
 def test_differences_count_in_half_intervals():

@@ -9,6 +9,7 @@ import pytest
 
 from hyperval import cli
 from hyperval.metrics import Evidence, explained, metric_of, plain_words
+from hyperval.report.matrix import same_background_once
 from hyperval.report.verdict import (
     disagrees_without_gating,
     gate_fails,
@@ -190,3 +191,17 @@ def test_the_sentence_of_a_page_says_what_the_table_says(small, tmp_path):
             in_words = {"roc": "probability of detection"}.get(product, product)
             assert in_words in told[2] or product in told[2], (outcome, product)
     assert sentence.startswith("Does not agree.") == ("disagrees" in seen)
+
+
+def test_the_same_background_of_several_sizes_is_one_row():
+    def row(subject, value=1.0, metric="score_sd_ratio"):
+        return Result("c", "scores", subject, "cem", metric, value, outcome=Outcome.AGREES)
+
+    rows = [row(f"felt {side} m background") for side in (3, 2, 1)]
+    rows += [row("felt 3 m"), row("felt 2 m"), row("other background", 1.1), row("felt 1 m background", math.nan)]
+    rows += [row("felt 2 m background", math.nan)]
+    names = [(r.subject, r.value) for r in same_background_once(rows)]
+    assert names[:4] == [
+        ("felt 3 m background and 2 alike", 1.0), ("felt 3 m", 1.0), ("felt 2 m", 1.0), ("other background", 1.1),
+    ]  # fmt: skip
+    assert [name for name, _ in names[4:]] == ["felt 1 m background and 1 alike"]

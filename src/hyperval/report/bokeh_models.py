@@ -222,14 +222,14 @@ def _objects_of(tab: int) -> LayoutDOM:
         "sample", "line", source=source, size=9, line_color=GREY,
         fill_color={"field": "difference", "transform": mapper}, **chosen,
     )  # fmt: skip
-    bar = ColorBar(color_mapper=mapper, title="measured - predicted", background_fill_alpha=0.0)
+    bar = ColorBar(color_mapper=mapper, title="measured - predicted [1]", background_fill_alpha=0.0)
     bar.title_text_color = bar.major_label_text_color = GREY
     place.add_layout(bar, "right")
-    tips = [("", "@name"), ("measured", "@measured"), ("predicted median", "@predicted")]
+    tips = [("", "@name"), ("measured [1]", "@measured"), ("predicted median [1]", "@predicted")]
     place.add_tools(HoverTool(tooltips=tips, renderers=[dots]), BoxSelectTool())
     bins: dict[str, Any] = dict.fromkeys(("left", "right", "measured", "predicted"), np.empty(0, np.float32))
     counts = ColumnDataSource(bins, name=f"bins-{tab}")
-    scores = _empty_plot(240, Range1d(name=f"score-{tab}"), "objects")
+    scores = _empty_plot(240, Range1d(name=f"score-{tab}"), "number of objects [1]")
     scores.y_range = Range1d(name=f"count-{tab}")
     scores.xaxis.axis_label = "greatest score over the object's pixels [1]"
     edges: dict[str, Any] = {"left": "left", "right": "right", "bottom": 0, "source": counts}
@@ -244,7 +244,7 @@ def _objects_of(tab: int) -> LayoutDOM:
         ),
     ]  # fmt: skip
     scores.scatter("measured", 0, source=source, size=7, color=COLLECTED.colour, **chosen)
-    tips = [("score", "@left to @right"), ("measured", "@measured"), ("predicted", "@predicted{0.0}")]
+    tips = [("score [1]", "@left to @right"), ("measured", "@measured"), ("predicted", "@predicted{0.0}")]
     scores.add_tools(HoverTool(tooltips=tips, renderers=bars[:1]), BoxSelectTool(dimensions="width"))
     _legend(scores)
     return column(place, scores, sizing_mode="stretch_width")

@@ -56,6 +56,12 @@ class Spectra:
     bands: dict[str, tuple[Column, Column]]
     ranges: dict[str, tuple[float, float]]
 
+    def without_difference(self) -> Spectra:
+        """Both sides alone."""
+        bands = {name: band for name, band in self.bands.items() if name != "difference"}
+        ranges = {name: ends for name, ends in self.ranges.items() if name != "gap"}
+        return Spectra(self.nm, self.numbered, bands, ranges)
+
     def packed(self, before: npt.NDArray[Any] | None = None) -> dict[str, Any]:
         """As the script reads it; wavelengths that are those of ``before`` are not repeated."""
         same = before is not None and np.array_equal(self.nm, before)
@@ -91,15 +97,20 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
         return None
     spectra = [subject_spectra(sides, predicted.get(name), collected.get(name), ratio=ratio) for name in shown]
     words = " and ".join(labels) if pairs else labels[0] if sides[0] is not None else labels[1]
+    identical = bool(pairs) and not any(np.nan_to_num(own.bands["difference"][0]).any() for own in spectra)
+    if identical:  # nothing to draw
+        words += ", which are identical"
+        spectra = [own.without_difference() for own in spectra]
     name, first = f"chart-{product}", spectra[0]
     over, grey = ("number of the band", "") if first.numbered else ("wavelength", " (grey: absorption)")
+    below = ", the difference below" if "difference" in first.bands else ""
     nm = float(first.nm[0]), float(max(first.nm[-1], first.nm[0] + 1.0))
     return Chart(
         name,
         product,
         f"{title}: {words} {grey}{style.left_out([shown], pairs or every)}",
         f"{title} against {over}, a subject at a time: {labels[0]} (dashed) and {labels[1]} (solid) with 95 % "
-        f"intervals{', the difference below' if pairs else ''}. Subjects: {', '.join(shown)}.",
+        f"intervals{below}. Subjects: {', '.join(shown)}.",
         chart_content(
             chart_models("spectra", name, tuple(first.bands), first.numbered, label, ratio, labels),
             Fill(ranges={"nm": nm}),

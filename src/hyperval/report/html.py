@@ -19,7 +19,7 @@ from hyperval.report import verdict as v
 from hyperval.report.charts import draw_charts, eigenvalue_chart
 from hyperval.report.charts_base import Chart
 from hyperval.report.charts_objects import objects_chart
-from hyperval.report.matrix import LETTERS, anchor, matrix_of
+from hyperval.report.matrix import LETTERS, anchor, matrix_of, same_background_once
 from hyperval.report.run import WARNING, RunReport
 from hyperval.report.scripts import packed_library, page_script, page_script_hash, script_hashes, starter
 from hyperval.report.style import Drawing
@@ -86,9 +86,10 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     )  # else a figure has the band of chance to judge by
     charts += [chart for chart in (objects_chart(run.score_maps, sides), spread) if chart is not None]
     embedded = _embedded(drawings, charts)
-    sections = _sections(run, drawings, embedded, rows)
+    shown = same_background_once(rows)
+    sections = _sections(run, drawings, embedded, shown)
     tone, words = v.verdict(rows)
-    compared = [row for row in rows if row.product not in _REASONS]
+    compared = [row for row in shown if row.product not in _REASONS]
     matrices = []
     for title, kinds in _NUMBERS if run.sentence else _MATRICES:
         own = [row for row in compared if row.evidence in kinds]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from hyperval.products import background_of
 from hyperval.report.verdict import outcome_words, worst
 from hyperval.results import Outcome, Result
 
@@ -108,3 +109,24 @@ def _cell(rows: Sequence[Result], link: str) -> Cell:
         letter += f" {LETTERS[Outcome.DISAGREES].lower()}"  # what decides does not, something else does
     parts += [f"do not decide: {outcome_words(informing)}"] if informing else []
     return Cell(outcome, letter, "; ".join(parts), link)
+
+
+def same_background_once(rows: Sequence[Result]) -> list[Result]:
+    """Rows about the background seen by one filter, which every size of a target has, as one row for all of them.
+
+    They are the same but for the subject; the first stands for all, and says how many are alike.
+    """
+    kinds: dict[str, list[Result]] = {}
+    order: list[list[Result]] = []
+    for row in rows:
+        if not row.subject.endswith(background_of("")):
+            order.append([row])
+            continue
+        alike = repr(replace(row, subject=""))
+        if alike not in kinds:
+            order.append(kinds.setdefault(alike, []))
+        kinds[alike].append(row)
+    return [
+        one[0] if len(one) == 1 else replace(one[0], subject=f"{one[0].subject} and {len(one) - 1} alike")
+        for one in order
+    ]

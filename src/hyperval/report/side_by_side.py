@@ -141,8 +141,10 @@ def side_by_side_page(a: StoredRun, b: StoredRun, pairs: Sequence[Pair]) -> str:
         bands=len(moved) - len(whole),
         single=[p for p in pairs if not (p.a and p.b) and not p.gates and not math.isfinite(p.either.band_nm)],
         same=sum(bool(p.a and p.b) and p.size == 0 and not p.verdict_changed for p in pairs),
+        identical=not moved and all(p.a and p.b and not p.verdict_changed for p in pairs),
         inputs=provenance_differences(a, b),
         figures=_figures(a, b),
+        alike=_alike(a, b),
         number=v.number_text,
         **common_words(),
     )  # fmt: skip
@@ -173,10 +175,18 @@ def _flat(prefix: str, value: Any) -> dict[str, str]:
     return {prefix: str(value)}
 
 
+def _alike(a: StoredRun, b: StoredRun) -> list[str]:
+    """File names of the figures that are the same in both runs."""
+    both = [name for name in a.figures if name in b.figures]
+    return [name for name in both if a.figures[name].read_bytes() == b.figures[name].read_bytes()]
+
+
 def _figures(a: StoredRun, b: StoredRun) -> list[dict[str, Any]]:
-    """Figures that either run has, as data; beyond the size of the page they are named only."""
-    room, out = _FIGURE_BYTES, []
+    """Figures that are not the same in both runs, as data; beyond the size of the page they are named only."""
+    room, out, alike = _FIGURE_BYTES, [], _alike(a, b)
     for name in dict.fromkeys([*a.figures, *b.figures]):
+        if name in alike:
+            continue
         sources = []
         for run in (a, b):
             path = run.figures.get(name)
