@@ -15,8 +15,8 @@ from hyperval.campaign.observing import observed_report
 from hyperval.campaign.schema import load_campaign
 from hyperval.collection import Collection, Detection
 from hyperval.errors import HypervalError, InputError, UsageError
-from hyperval.observe.finer import FinerGrid, fills_of, object_of_fills, registration_shifts, window_fills
 from hyperval.observe.place import open_place
+from hyperval.observe.truth_images import FinerGrid, fills_of, object_of_fills, registration_shifts, window_fills
 from hyperval.prediction.fills import fill_distribution, fills_of_objects, pixels_of_object
 from hyperval.scenario import Fill, Scenario
 from hyperval.scene.fill import TargetGeometry, pixel_fills

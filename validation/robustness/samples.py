@@ -50,7 +50,7 @@ from hyperval.imagery.lookup_table import open_lookup_table
 from hyperval.imagery.regions import read_regions
 from hyperval.imagery.truth import read_targets
 from hyperval.observe.site_spectra import read_band_table
-from hyperval.observe.truth_bands import abundance_targets, material_regions
+from hyperval.observe.truth_images import abundance_targets, material_regions
 from hyperval.report.netcdf_read import read_products
 from hyperval.report.stored import read_results
 from hyperval.report.tables import results_json

@@ -9,9 +9,9 @@ import numpy as np
 from hyperval.collection import Detection
 from hyperval.errors import UsageError
 from hyperval.imagery.truth import TargetObject
-from hyperval.observe.finer import fills_of
 from hyperval.observe.objects import target_groups
 from hyperval.observe.place import Place
+from hyperval.observe.truth_images import fills_of
 from hyperval.scenario import BackgroundClass, Fill, Scenario, Target
 
 

@@ -19,6 +19,7 @@ from hyperval.hdf5 import check_hdf5
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.description import Description
 from hyperval.imagery.georeference import crs_of_wkt, gdal_transform
+from hyperval.imagery.layouts import stated_number
 from hyperval.imagery.stores import MemoryStore, OpenedFile, Selection, Store
 from hyperval.units import radiance_to_internal, wavelength_to_nm
 
@@ -181,7 +182,7 @@ def _raster(chosen: Candidate, store: Store, path: Path) -> ArrayRaster:
         offset=float(attrs.get("add_offset", 0.0)),
         quantity=quantity,
         unit=unit if quantity == "radiance" else "1" if quantity == "reflectance" else None,
-        ignore_value=_ignore(attrs),
+        ignore_value=stated_number(attrs, ("_FillValue", "missing_value")),
         sensor=str(data.attrs.get("instrument", data.attrs.get("sensor", ""))),
         entries={str(k): str(v) for k, v in data.attrs.items() if isinstance(v, str | int | float)},
         notes=notes,
@@ -215,11 +216,6 @@ def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Arra
     fits = [v for v in data.variables if data[v].dims == wave.dims and name.search(str(v))]
     fits = [v for v in fits if data[v].dtype.kind in "iufb"]
     return np.asarray(data[fits[0]].values, float) if len(fits) == 1 else None
-
-
-def _ignore(attrs: dict[Any, Any]) -> float | None:
-    value = attrs.get("_FillValue", attrs.get("missing_value"))
-    return None if value is None or np.size(value) != 1 else float(np.asarray(value).ravel()[0])
 
 
 def _position(data: xr.Dataset, array: xr.DataArray, along: dict[str, str]) -> tuple[Affine | None, CRS | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -205,6 +205,15 @@ def member(file: h5py.File, name: str) -> Any:
             return None
         at = at[part]
     return at
+
+
+def stated_number(attributes: Mapping[str, Any], names: Sequence[str]) -> float | None:
+    """The number in the first of some attributes that holds a single one; None without any."""
+    for name in names:
+        value = attributes.get(name)
+        if value is not None and np.size(value) == 1:
+            return float(np.asarray(value).ravel()[0])
+    return None
 
 
 def level_of(texts: Sequence[str | None]) -> str | None:

@@ -17,7 +17,7 @@ from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.description import Description
 from hyperval.imagery.georeference import crs_of, crs_of_wkt, gdal_transform, transform_of
-from hyperval.imagery.layouts import ImageArray, Tree, Values, member, tree_of
+from hyperval.imagery.layouts import ImageArray, Tree, Values, member, stated_number, tree_of
 from hyperval.imagery.stores import Hdf5Store
 from hyperval.units import RADIANCE_UNIT, radiance_to_internal
 
@@ -207,11 +207,7 @@ def _ignore(tree: Tree, values: Values, datasets: list[h5py.Dataset]) -> float |
 
 def _fill(dataset: h5py.Dataset) -> float | None:
     """The value that an array states for no data."""
-    for name in _FILL_NAMES:
-        value = dataset.attrs.get(name)
-        if value is not None and np.size(value) == 1:
-            return float(np.asarray(value).ravel()[0])
-    return None
+    return stated_number(dataset.attrs, _FILL_NAMES)
 
 
 def _position(

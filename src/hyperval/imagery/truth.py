@@ -318,9 +318,7 @@ def _number(text: str | None, key: str, where: str) -> float:
 
 
 def intersected_objects(
-    materials: Mapping[str, Mask],
-    size_class: npt.ArrayLike,
-    side_m: Mapping[int, float],
+    materials: Mapping[str, Mask], size_class: npt.ArrayLike, side_m: Mapping[int, float]
 ) -> list[TargetObject]:
     """Objects as the intersection of material masks with a raster of size classes.
 

@@ -13,12 +13,7 @@ from hyperval.collection import Detection
 from hyperval.errors import InputError, UsageError
 from hyperval.executors import single_blas_thread
 from hyperval.observe.place import Place
-from hyperval.processing.detectors import (
-    ANOMALY_DETECTORS,
-    WITHOUT_COVARIANCE,
-    pixel_detector,
-    whitener_of,
-)
+from hyperval.processing.detectors import ANOMALY_DETECTORS, WITHOUT_COVARIANCE, pixel_detector, whitener_of
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.filters import PositiveDefinite
 from hyperval.processing.pixel_scores import PixelDetector, Whitener

@@ -157,12 +157,7 @@ def target_areas(place: Place, detection: Detection, maps: Mapping[str, Array]) 
 
 
 def _add_areas(
-    place: Place,
-    detection: Detection,
-    check: AreaCheck,
-    maps: Mapping[str, Array],
-    areas: Areas,
-    nominal: Nominal,
+    place: Place, detection: Detection, check: AreaCheck, maps: Mapping[str, Array], areas: Areas, nominal: Nominal
 ) -> None:
     """Sum of scores over each object times the pixel area, and the area that the truth states.
 

@@ -123,11 +123,14 @@ def observe(
     radiance: dict[str, SpectralEstimate] = {}
     reflectance: dict[str, SpectralEstimate] = {}
     if cube.quantity == "radiance":
-        radiance = {n: _radiance(s, sampling[n], collection, cube.axis, resolve) for n, s in subjects.items()}
+        radiance = {
+            n: _sampled(s, sampling[n], _calibration(s.mean, collection, cube.axis, resolve))
+            for n, s in subjects.items()
+        }
         if line is not None:
             reflectance = {n: _reflectance(n, s, sampling[n], line) for n, s in subjects.items()}
     else:
-        reflectance = {n: _sampled(s, sampling[n]) for n, s in subjects.items()}
+        reflectance = {n: _sampled(s, sampling[n], {}) for n, s in subjects.items()}
     give_back_freed()
     snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
     give_back_freed()
@@ -235,13 +238,10 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> Itera
                 yield subject, union
 
 
-def _radiance(
-    sample: SampleStatistics, sampling: EstimatedPart, collection: Collection, axis: SpectralAxis, resolve: Resolve
-) -> SpectralEstimate:
-    parts, estimated = _sampling_part(sample, sampling)
-    if collection.calibration is not None:
-        parts["calibration"] = calibration_covariance(sample.mean, axis, collection.calibration, resolve)
-    return spectral_estimate(sample.mean, parts, pixel_covariance=_spread(sample), n=sample.n, estimated=estimated)
+def _calibration(mean: Array, collection: Collection, axis: SpectralAxis, resolve: Resolve) -> dict[str, Array]:
+    """The error of the calibration by its name, where the collection states one."""
+    stated = collection.calibration
+    return {} if stated is None else {"calibration": calibration_covariance(mean, axis, stated, resolve)}
 
 
 def _sampling_part(
@@ -249,10 +249,6 @@ def _sampling_part(
 ) -> tuple[dict[str, Array], tuple[EstimatedPart, ...]]:
     """The error of the mean by name, and what it is known by; none where there is a single pixel."""
     return ({"sampling": sampling.covariance}, (sampling,)) if sample.n > 1 else ({}, ())
-
-
-def _spread(sample: SampleStatistics) -> Array | None:
-    return sample.covariance if sample.n > 1 else None
 
 
 def _reflectance(
@@ -277,9 +273,13 @@ def _reflectance(
     return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, estimated=estimated)
 
 
-def _sampled(sample: SampleStatistics, sampling: EstimatedPart) -> SpectralEstimate:
+def _sampled(sample: SampleStatistics, sampling: EstimatedPart, others: Mapping[str, Array]) -> SpectralEstimate:
+    """A mean in the cube's own values, with the error of its sampling and those that are stated besides."""
     parts, estimated = _sampling_part(sample, sampling)
-    return spectral_estimate(sample.mean, parts, pixel_covariance=_spread(sample), n=sample.n, estimated=estimated)
+    spread = sample.covariance if sample.n > 1 else None
+    return spectral_estimate(
+        sample.mean, {**parts, **others}, pixel_covariance=spread, n=sample.n, estimated=estimated
+    )
 
 
 def _some_pixels(place: Place, name: str) -> Array:

@@ -12,11 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import Collection
-from hyperval.collection_files import (
-    BandTable,
-    CubeSource,
-    TargetTruth,
-)
+from hyperval.collection_files import BandTable, CubeSource, TargetTruth
 from hyperval.errors import UsageError
 from hyperval.imagery.acquisition import acquisition_notes
 from hyperval.imagery.companions import table_of
@@ -26,10 +22,9 @@ from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
 from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.regions import guard, read_regions
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
-from hyperval.observe.finer import finer_targets
 from hyperval.observe.regions import collection_regions, region_notes, regions_of_file, target_overlaps
 from hyperval.observe.site_spectra import read_band_table
-from hyperval.observe.truth_bands import abundance_targets
+from hyperval.observe.truth_images import abundance_targets, finer_targets
 from hyperval.processing.mask_bits import PackedMasks
 from hyperval.units import RADIANCE_UNIT
 
@@ -121,7 +116,7 @@ def open_place(collection: Collection, resolve: Resolve, *, show_progress: bool 
     table, source_of = _lookup_table(cube, collection.cube, resolve)
     area_m2 = _pixel_area_m2(cube, table, collection.targets)
     regions = collection_regions(cube, table, collection.regions, resolve, area_m2, show_progress)
-    targets, remarks = _targets(cube, table, collection.targets, resolve) if collection.targets else ([], [])
+    targets, remarks = _targets(cube, table, collection.targets, area_m2, resolve)
     near = all_pixels(targets, cube.shape)
     if targets and collection.targets and collection.targets.guard_pixels:
         near = guard(near, collection.targets.guard_pixels)
@@ -213,13 +208,14 @@ def open_source(source: CubeSource, resolve: Resolve, bands: BandTable | None = 
 
 
 def _targets(
-    cube: Cube, table: LookupTable | None, truth: TargetTruth, resolve: Resolve
+    cube: Cube, table: LookupTable | None, truth: TargetTruth | None, area: float | None, resolve: Resolve
 ) -> tuple[list[TargetObject], list[str]]:
     """The target objects, and what is to be said of how they were drawn."""
+    if truth is None:
+        return [], []
     if truth.pixel_size_m is not None and (cube.pixel_area_m2 is not None or table is not None):
         raise UsageError("the cube has a map position, and 'targets.pixel_size_m' is stated", mend="take it out")
     if truth.csv is not None:
-        area = _pixel_area_m2(cube, table, truth)
         if area is None and table is None and cube.crs is not None and cube.crs.is_geographic:
             raise UsageError(
                 "pixels in degrees have no ground size", where=truth.csv, mend="state targets.pixel_size_m"
@@ -232,11 +228,11 @@ def _targets(
         )
         return listed, []
     if truth.finer is not None:
-        return finer_targets(truth.finer, cube, _pixel_area_m2(cube, table, truth), resolve)
+        return finer_targets(truth.finer, cube, area, resolve)
     if truth.abundances is not None:
-        return abundance_targets(truth.abundances, cube, _pixel_area_m2(cube, table, truth), resolve)
+        return abundance_targets(truth.abundances, cube, area, resolve)
     if truth.regions:
-        return _drawn_targets(cube, table, truth, resolve)
+        return _drawn_targets(cube, table, truth, area, resolve)
     rasters = truth.rasters
     assert rasters is not None  # noqa: S101 - one of them is given
     masks = {}
@@ -248,18 +244,16 @@ def _targets(
     sizes = np.zeros(cube.shape, np.int64)
     path = resolve(rasters.size_classes)
     wanted: dict[str | int, str] = {value: str(value) for value in rasters.side_m}
-    for name, region in read_regions(
-        path, cube.shape, transform=cube.transform, crs=cube.crs, names=wanted
-    ).items():
+    coded = read_regions(path, cube.shape, transform=cube.transform, crs=cube.crs, names=wanted)
+    for name, region in coded.items():
         sizes[region.mask] = int(name)
     return intersected_objects(masks, sizes, rasters.side_m), []
 
 
 def _drawn_targets(
-    cube: Cube, table: LookupTable | None, truth: TargetTruth, resolve: Resolve
+    cube: Cube, table: LookupTable | None, truth: TargetTruth, area: float | None, resolve: Resolve
 ) -> tuple[list[TargetObject], list[str]]:
     """Objects drawn as regions: every pixel that a polygon touches, as targets may be smaller than a pixel."""
-    area = _pixel_area_m2(cube, table, truth)
     out: list[TargetObject] = []
     remarks: list[str] = []
     for source in truth.regions:

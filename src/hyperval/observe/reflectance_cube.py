@@ -45,13 +45,7 @@ class _Writer(Protocol):
 
 
 def write_reflectance(
-    folder: Path,
-    name: str,
-    cube: Cube,
-    elm: EmpiricalLine | None,
-    form: Form,
-    *,
-    show_progress: bool | None = None,
+    folder: Path, name: str, cube: Cube, elm: EmpiricalLine | None, form: Form, *, show_progress: bool | None = None
 ) -> tuple[Path, str]:
     """Write (L - b)/k of every pixel as 16-bit integers of 1e-4; line by line, whole or not at all.
 

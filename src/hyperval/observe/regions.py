@@ -25,7 +25,7 @@ from hyperval.imagery.regions import (
     ring_region,
 )
 from hyperval.imagery.truth import TargetObject
-from hyperval.observe.truth_bands import material_regions
+from hyperval.observe.truth_images import material_regions
 from hyperval.progress import track
 
 Mask = npt.NDArray[np.bool_]

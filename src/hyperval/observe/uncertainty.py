@@ -20,10 +20,7 @@ Array = npt.NDArray[np.float64]
 
 
 def calibration_covariance(
-    radiance: npt.ArrayLike,
-    axis: SpectralAxis,
-    calibration: CalibrationUncertainty,
-    resolve: Callable[[str], Path],
+    radiance: npt.ArrayLike, axis: SpectralAxis, calibration: CalibrationUncertainty, resolve: Callable[[str], Path]
 ) -> Array:
     """Error covariance (B, B) of a radiance (B,) whose calibration is known to a relative uncertainty."""
     level = np.asarray(radiance, dtype=float)

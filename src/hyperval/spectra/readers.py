@@ -128,11 +128,7 @@ def read_records(
         listed = readers_library.records_at_hand(path)
     return [
         finished(
-            record,
-            quantity=quantity,
-            wavelength_unit=wavelength_unit,
-            reflectance_unit=reflectance_unit,
-            unit=unit,
+            record, quantity=quantity, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit, unit=unit
         )
         for record in _wanted(listed, records, listed[0].where if listed else "library")
     ]
@@ -237,15 +233,9 @@ def _refused(file: _File) -> list[Record]:
 
 # The first that knows a file reads it: marks before tables, and text that anything can be at the end.
 FORMATS = (
+    Format("SPECPR", lambda f: readers_library.is_specpr(f.mark), lambda f: readers_library.specpr_records(f.path)),
     Format(
-        "SPECPR",
-        lambda f: readers_library.is_specpr(f.mark),
-        lambda f: readers_library.specpr_records(f.path),
-    ),
-    Format(
-        "ASD",
-        lambda f: readers_asd.is_asd(f.raw),
-        lambda f: [readers_asd.asd_record(f.raw, f.path, f.quantity)],
+        "ASD", lambda f: readers_asd.is_asd(f.raw), lambda f: [readers_asd.asd_record(f.raw, f.path, f.quantity)]
     ),
     Format(
         "ENVI ASCII plot",
@@ -268,15 +258,9 @@ FORMATS = (
         lambda f: [readers_instruments.ger_record(f.text, f.path, f.quantity)],
     ),
     Format("", lambda f: f.not_read is not None, _refused),
+    Format("HYPERNETS", lambda f: hypernets.is_hypernets(f.raw), lambda f: hypernets.hypernets_records(f.path)),
     Format(
-        "HYPERNETS",
-        lambda f: hypernets.is_hypernets(f.raw),
-        lambda f: hypernets.hypernets_records(f.path),
-    ),
-    Format(
-        "RadCalNet",
-        lambda f: radcalnet.is_radcalnet(f.head),
-        lambda f: radcalnet.radcalnet_records(f.text, f.path),
+        "RadCalNet", lambda f: radcalnet.is_radcalnet(f.head), lambda f: radcalnet.radcalnet_records(f.text, f.path)
     ),
     Format(
         "Spectral Evolution .sed",
@@ -294,9 +278,7 @@ FORMATS = (
         lambda f: readers_rows.row_records(f.text, f.path),
     ),
     Format(
-        "text, a spectrum a column",
-        lambda f: True,
-        lambda f: readers_text.text_records(f.text, f.path, f.columns),
+        "text, a spectrum a column", lambda f: True, lambda f: readers_text.text_records(f.text, f.path, f.columns)
     ),
 )
 

@@ -93,15 +93,15 @@ def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> Record:
         if kind == 0:
             raise InputError("raw counts without a white reference", where=where)
     else:
-        at = HEADER_BYTES + channels * dtype.itemsize
-        if len(raw) < at + 20:
+        end = _end_of_reference(raw, channels, dtype)
+        flag = HEADER_BYTES + spectrum.size * dtype.itemsize
+        if len(raw) < flag + 20:
             raise InputError("the ASD file is cut short", where=where)
-        flag, length = struct.unpack_from("<H", raw, at)[0], struct.unpack_from("<H", raw, at + 18)[0]
-        if not flag:
+        if not struct.unpack_from("<H", raw, flag)[0]:
             raise InputError(
                 "the file holds no white reference", where=where, mend="export the reflectance as text"
             )
-        reference = _array(raw, at + 20 + length, channels, dtype, where)
+        reference = _array(raw, end - channels * dtype.itemsize, channels, dtype, where)
         with np.errstate(divide="ignore", invalid="ignore"):
             spectrum = np.where(reference != 0, spectrum / reference, np.nan)
         note = ("reflectance is the stored spectrum over the stored white reference",)

@@ -1,4 +1,4 @@
-"""Targets with the fill of each of their pixels, from an image finer than the cube or from bands of abundances.
+"""Truth images: finer than the cube, or of its size with bands of material numbers and of abundances.
 
 A finer map of classes says which part of the ground is target.  The fill of a pixel is the integral of its
 response, the square aperture convolved with the Gaussian of the sensor, over that part (f of 3.10).  The response
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
 
@@ -19,11 +20,11 @@ import numpy.typing as npt
 from affine import Affine
 from scipy.special import ndtri
 
-from hyperval.collection_files import BandRange, FinerTruth
+from hyperval.collection_files import AbundanceTruth, BandRange, FinerTruth, RegionSource
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.rasters import Raster, open_raster
-from hyperval.imagery.regions import patches
+from hyperval.imagery.regions import Region, patches
 from hyperval.imagery.truth import TargetObject, cut_out
 from hyperval.scene.fill import aperture_weights
 from hyperval.spectra.response import SIGMA_PER_FWHM
@@ -140,9 +141,7 @@ def finer_targets(
             area = np.nan
             if pixel_area_m2 is not None:
                 area = float(inside.sum()) * grid.line_step * grid.sample_step * pixel_area_m2
-            out.append(
-                _object(name, material, inside, there, cube.shape, both, shifts, area, truth.least_fill, path)
-            )
+            out.append(_object(name, material, inside, there, cube, both, shifts, area, truth, str(path)))
     fills = np.concatenate([o.fills.mean(axis=0)[o.part] for o in out if o.fills is not None])
     spread = np.concatenate([o.fills.std(axis=0)[o.part] for o in out if o.fills is not None])
     note = (
@@ -208,35 +207,26 @@ def _class_masks(truth: FinerTruth, raster: Raster, where: str) -> Iterator[tupl
 
 
 def _object(
-    name: str,
-    material: str,
-    inside: Mask,
-    grid: FinerGrid,
-    shape: tuple[int, int],
-    blur: tuple[float, float],
-    shifts: Array,
-    area_m2: float,
-    least: float,
-    path: Path,
-) -> TargetObject:
-    ends = (
-        (grid.line, grid.line + grid.line_step * inside.shape[0]),
-        (grid.sample, grid.sample + grid.sample_step * inside.shape[1]),
-    )
-    if ends[0][0] < 0 or ends[1][0] < 0 or ends[0][1] > shape[0] or ends[1][1] > shape[1]:
+    name: str, material: str, inside: Mask, grid: FinerGrid, cube: Cube, blur: tuple[float, float], shifts: Array,
+    area_m2: float, truth: FinerTruth, where: str,
+) -> TargetObject:  # fmt: skip
+    shape = cube.shape
+    starts = np.array([grid.line, grid.sample])
+    ends = starts + np.array([grid.line_step, grid.sample_step]) * inside.shape
+    if np.any(starts < 0) or np.any(ends > shape):
         raise InputError(
-            f"the target {name!r} leaves the cube: it takes lines {ends[0][0]:.1f} to {ends[0][1]:.1f}, samples "
-            f"{ends[1][0]:.1f} to {ends[1][1]:.1f}",
-            where=str(path),
+            f"the target {name!r} leaves the cube: it takes lines {starts[0]:.1f} to {ends[0]:.1f}, samples "
+            f"{starts[1]:.1f} to {ends[1]:.1f}",
+            where=where,
             expected=f"lines 0 to {shape[0]}, samples 0 to {shape[1]}",
             mend="check where the finer image lies; a target that the cube cuts is taken out of it",
         )
-    away = [math.ceil(_REACH_SD * b * SIGMA_PER_FWHM + np.abs(shifts[:, k]).max()) for k, b in enumerate(blur)]
-    low = [max(math.floor(ends[k][0]) - away[k], 0) for k in (0, 1)]
-    high = [min(math.ceil(ends[k][1]) + away[k], shape[k]) for k in (0, 1)]
-    size = high[0] - low[0], high[1] - low[1]
-    fills = window_fills(inside, grid, (low[0], low[1]), size, blur, shifts)
-    return object_of_fills(name, material, fills, (low[0], low[1]), shape, area_m2, least, str(path))
+    away = np.ceil(_REACH_SD * np.array(blur) * SIGMA_PER_FWHM + np.abs(shifts).max(axis=0))
+    low = np.maximum(np.floor(starts) - away, 0).astype(int)
+    high = np.minimum(np.ceil(ends) + away, shape).astype(int)
+    corner, size = (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1]))
+    fills = window_fills(inside, grid, corner, size, blur, shifts)
+    return object_of_fills(name, material, fills, corner, shape, area_m2, truth.least_fill, where)
 
 
 def object_of_fills(
@@ -284,4 +274,112 @@ def fills_of(targets: Mapping[str, list[TargetObject]], rows: int = 64) -> dict[
             for fills, part in known
             for k in np.linspace(0, len(fills) - 1, count).astype(int)
         ]
+    return out
+
+
+def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, Region]:
+    """Regions by the numbers of materials in a band of a truth image.
+
+    Raises
+    ------
+    InputError : another size than the cube's, no such band, or a number that no pixel has.
+    """
+    raster = _of_cube(path, cube)
+    band = _band(raster, source.band if source.band is not None else 1, path)
+    values = _values(raster, band)
+    regions = {}
+    for name, number in source.classes.items():
+        mask = values == number
+        if not mask.any():
+            present = ", ".join(f"{v:g}" for v in np.unique(values[np.isfinite(values)])[:20])
+            raise InputError(
+                f"no pixel of material {number} ({name!r})", where=str(path), expected=f"one of {present}"
+            )
+        regions[name] = Region(name, mask, str(path))
+    return regions
+
+
+def abundance_targets(
+    truth: AbundanceTruth, cube: Cube, pixel_area_m2: float | None, resolve: Callable[[str], Path]
+) -> tuple[list[TargetObject], list[str]]:
+    """Targets with the fills of their pixels by bands of abundances, and what is to be said of them.
+
+    DIRSIG writes such bands as ENVI files of 64-bit numbers in the size of the radiance image, each with its name.
+
+    Raises
+    ------
+    InputError : another size than the cube's, no such band, or values that are no parts of a pixel.
+    """
+    path = resolve(truth.image)
+    raster = _of_cube(path, cube)
+    out: list[TargetObject] = []
+    for material, wanted in truth.materials.items():
+        band = _band(raster, wanted, path)
+        fill = _values(raster, band)
+        if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
+            raise InputError(
+                f"band {band + 1} holds {np.nanmin(fill):g} to {np.nanmax(fill):g}",
+                where=str(path),
+                expected="the part of each pixel that the material fills, 0 to 1",
+                mend="name a band of abundances; a band of material numbers makes regions (band, classes)",
+            )
+        fill = np.clip(fill, 0.0, 1.0)
+        mask = fill >= truth.least_fill
+        if not mask.any():
+            raise InputError(
+                f"no pixel is filled by {material!r}", where=str(path), expected=f"{truth.least_fill:g}"
+            )
+        for name, window, inside in patches(mask, material, whole=truth.objects == "bands"):
+            part = np.where(inside, fill[window], 0.0)
+            area = math.nan if pixel_area_m2 is None else float(part.sum()) * pixel_area_m2
+            corner = int(window[0].start), int(window[1].start)
+            out.append(
+                object_of_fills(name, material, part[None], corner, cube.shape, area, truth.least_fill, str(path))
+            )
+    pixels = sum(int(o.part.sum()) for o in out)
+    remarks = [f"{len(out)} targets of {pixels} pixels by the abundances in {path.name}"]
+    if all(np.isin(o.fills[o.fills > 0], 1.0).all() for o in out if o.fills is not None):
+        remarks.append(
+            f"warning: no pixel in {path.name} is filled in part: was each pixel sampled by one ray? Their number "
+            "in the simulation is what fills are counted by"
+        )
+    return out, remarks
+
+
+def _of_cube(path: Path, cube: Cube) -> Raster:
+    raster = open_raster(path)
+    if (raster.lines, raster.samples) != cube.shape:
+        raise InputError(
+            f"{raster.lines} lines and {raster.samples} samples",
+            where=str(path),
+            expected=f"{cube.lines} lines and {cube.samples} samples, as the cube",
+        )
+    return raster
+
+
+def _band(raster: Raster, wanted: int | str, path: Path) -> int:
+    """Number from 0 of a band that is named or numbered (from 1)."""
+    names = (raster.header.strings("band names") if raster.header is not None else None) or ()
+    if isinstance(wanted, int):
+        if not 1 <= wanted <= raster.bands:
+            raise InputError(f"no band {wanted}", where=str(path), expected=f"1 to {raster.bands}")
+        return wanted - 1
+    fits = [i for i, name in enumerate(names) if name == wanted]
+    fits = fits or [i for i, name in enumerate(names) if fnmatchcase(name.lower(), wanted.lower())]
+    if len(fits) != 1:
+        raise InputError(
+            f"{len(fits)} bands are called {wanted!r}",
+            where=str(path),
+            expected="one of " + ", ".join(names) if names else f"a number, 1 to {raster.bands}",
+        )
+    return fits[0]
+
+
+def _values(raster: Raster, band: int) -> Array:
+    """(lines, samples) of one band, read by blocks of lines."""
+    out = np.empty((raster.lines, raster.samples))
+    with raster.kept_open():
+        for first in range(0, raster.lines, 64):
+            count = min(64, raster.lines - first)
+            out[first : first + count] = raster.read_bands(first, count)[band]
     return out
