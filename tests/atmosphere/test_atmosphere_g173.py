@@ -18,6 +18,7 @@ STATE = AtmosphericState(
     model="us-standard-1962",
     water_vapour_g_cm2=1.416,
     ozone_atm_cm=0.3438,
+    solar_spectrum="astm-g173",
     aerosol="rural",
     aot550=0.084 * (550 / 500) ** -1.14,
     sensor_altitude_km=100,
