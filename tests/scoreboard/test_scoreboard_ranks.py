@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import sparse
 
+from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.scoreboard.ranks import MEASURES, BlockCounts, counts_by_block, fewest_objects, rank_sets, ranked
 
 
@@ -15,7 +17,8 @@ def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 200
     pairs = []
     for s in shift:
         t = s + common_t + 0.5 * rng.normal(size=objects)
-        pairs.append(counts_by_block(t, common_b + 0.5 * rng.normal(size=pixels), block, 20))
+        background = AlarmBlocks(common_b + 0.5 * rng.normal(size=pixels), block, sparse.eye_array(20))
+        pairs.append(counts_by_block(t, background))
     over, tie = (np.stack([p[i] for p in pairs], axis=1) for i in (0, 1))
     names = tuple(f"d{i}" for i in range(len(shift)))
     return BlockCounts(names, over, tie, np.bincount(block), np.arange(objects), {})

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import sparse
 
+from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.alarms import alarms_at_detection
 from hyperval.processing.rank_counts import counts_of
 from hyperval.processing.roc import pd_at_pfa
@@ -13,7 +15,6 @@ from hyperval.scoreboard.ranks import (
     LOG_AREA,
     MEASURES,
     BlockCounts,
-    blocks_of,
     counts_by_block,
     goodness,
     measured,
@@ -21,7 +22,7 @@ from hyperval.scoreboard.ranks import (
 
 
 def one_detector(targets: np.ndarray, background: np.ndarray, block: np.ndarray) -> BlockCounts:
-    over, tie = counts_by_block(targets, background, block, int(block.max()) + 1)
+    over, tie = counts_by_block(targets, AlarmBlocks(background, block, sparse.eye_array(int(block.max()) + 1)))
     return BlockCounts(
         ("a",),
         over[:, None],
@@ -42,7 +43,7 @@ def scores():
 
 def test_counts_are_those_of_every_pair(scores):
     targets, background, block = scores
-    over, tie = counts_by_block(targets, background, block, 7)
+    over, tie = counts_by_block(targets, AlarmBlocks(background, block, sparse.eye_array(7)))
     for k in range(7):
         own = background[block == k]
         assert np.array_equal(over[:, k], (own[None] > targets[:, None]).sum(axis=1))
@@ -90,7 +91,7 @@ def test_a_small_background_says_nothing_of_rare_alarms():
 def test_blocks_are_squares_of_the_image():
     counted = np.ones((64, 64), bool)
     counted[:, 40:] = False
-    block = blocks_of(counted).reshape(64, 40)
+    block = AlarmBlocks.of_map(np.zeros((64, 64)), counted).block.reshape(64, 40)
     assert len(np.unique(block)) == pytest.approx(64, rel=0.3)
     side = int((block[0] == block[0, 0]).sum())
     assert np.all(block[:side, :side] == block[0, 0])

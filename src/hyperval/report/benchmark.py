@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -82,7 +81,7 @@ def benchmark_page(report: BenchmarkReport, drawings: Sequence[Drawing]) -> str:
                 "measures": [t for m, t in report.measures.items() if _has(rows, m)],
                 "detectors": [_detector(rows, names, report.measures) for names in groups],
                 "variants": _variants(rows),
-                "figures": [{"drawing": d, "source": _embedded(d)} for d in drawings if d.section == item.name],
+                "figures": [{"drawing": d, "source": d.source} for d in drawings if d.section == item.name],
             }
         )
     return environment().get_template("benchmark.html.j2").render(
@@ -174,7 +173,3 @@ def _span(row: Result | None, factor: float = 1.0) -> str:
         return ""
     spread = factor * (row.upper - row.lower) / 2  # two digits of it are all that value and ends are worth
     return f"{number_text(factor * row.lower, spread)} to {number_text(factor * row.upper, spread)}"
-
-
-def _embedded(drawing: Drawing) -> str:
-    return "data:image/svg+xml;base64," + base64.b64encode(drawing.content).decode("ascii")

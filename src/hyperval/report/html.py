@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import datetime
 import os
 import re
@@ -61,7 +60,6 @@ _GROUPS = (
 )
 _REASONS = ("attribution", "what-if", "sensitivity")
 _COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
-_MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
 
 
 @dataclass(frozen=True)
@@ -318,7 +316,7 @@ def _embedded(drawings: Sequence[Drawing], charts: Sequence[Chart]) -> dict[str,
     sources: dict[str, str] = {}
     room = _FIGURE_BYTES - sum(len(chart.content) for chart in charts) - (len(packed_library()) if charts else 0)
     for drawing in sorted(drawings, key=_rank):
-        source = f"data:{_MEDIA[drawing.kind]};base64,{base64.b64encode(drawing.content).decode('ascii')}"
+        source = drawing.source
         if len(source) <= room:
             room -= len(source)
             sources[drawing.name] = source

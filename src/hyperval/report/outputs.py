@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import gc
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from hyperval.apart import give_back_freed
 from hyperval.files import write_text
@@ -34,10 +35,6 @@ def write_outputs(run: RunReport, folder: Path) -> None:
 
     folder = Path(folder)
     write_tables(run.table, folder)
-    write_text(
-        folder / "provenance.json",
-        json.dumps(json_value({**run.provenance, "warnings": run.warnings}), indent=1, ensure_ascii=False) + "\n",
-    )
     sides = {"predicted": run.prediction, "observed": run.observation}
     write_products(folder / "products.nc", sides, title=run.title, simulated=run.simulated)
     stems = file_stems(run.score_maps)
@@ -47,10 +44,17 @@ def write_outputs(run: RunReport, folder: Path) -> None:
     drawings = _drawings(run)
     gc.collect()  # figures refer to themselves: 12 MB that the page need not stand beside
     give_back_freed()
+    write_page(folder, {**run.provenance, "warnings": run.warnings}, drawings, report_page(run, drawings))
+
+
+def write_page(folder: Path, record: Mapping[str, Any], drawings: Sequence[Drawing], page: str) -> None:
+    """Write provenance.json, figures/ and report.html."""
+    text = json.dumps(json_value(dict(record)), indent=1, ensure_ascii=False)
+    write_text(folder / "provenance.json", text + "\n")
     (folder / "figures").mkdir(exist_ok=True)
     for drawing in drawings:
         (folder / "figures" / drawing.file_name).write_bytes(drawing.content)
-    write_text(folder / "report.html", report_page(run, drawings))
+    write_text(folder / "report.html", page)
 
 
 def _drawings(run: RunReport) -> list[Drawing]:

@@ -6,6 +6,7 @@ deficiencies), in line style and in marker, so that a grey print still tells the
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 import warnings
@@ -113,6 +114,12 @@ class Drawing:
     def file_name(self) -> str:
         """Name of the file in ``figures/``."""
         return f"{self.name}.{self.kind}"
+
+    @property
+    def source(self) -> str:
+        """The figure as a data URI, for a page that holds it."""
+        kind = "svg+xml" if self.kind == "svg" else self.kind
+        return f"data:image/{kind};base64,{base64.b64encode(self.content).decode('ascii')}"
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,11 @@ _LEAST = 1e-12  # of a term at which a ratio is formed [its unit]
 _FINE_NM = 0.5
 
 
-class OutOfReach(Exception):
+class NotApplicable(Exception):
+    """An engine that cannot serve a scenario; the message says why, and becomes the reason of a SKIPPED row."""
+
+
+class OutOfReach(NotApplicable):
     """A state that the table does not serve; the message says which input."""
 
 
@@ -176,10 +180,6 @@ def _under_sun(
 Resolve = Callable[[str], Path]
 
 
-class NotApplicable(Exception):
-    """An engine that cannot serve a scenario; the message says why, and becomes the reason of a SKIPPED row."""
-
-
 @dataclass(frozen=True)
 class Served:
     """A scenario as an engine serves it.
@@ -262,10 +262,7 @@ def table_engine(name: str, title: str, files: tuple[str, ...], template: str) -
             table = read_table(paths[0].parent, resolve(template))
         except MissingDataError as error:
             raise NotApplicable(str(error)) from error
-        try:
-            near, moves = nearest_state(table, state)
-        except OutOfReach as error:
-            raise NotApplicable(str(error)) from error
+        near, moves = nearest_state(table, state)
         note = "solar spectrum of the scenario; between and beside the nodes 6S times the ratio of the table to it"
         if moves:
             note += f", from the table's {', '.join(moves)}"

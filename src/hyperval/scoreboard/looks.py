@@ -15,6 +15,7 @@ from hyperval.compare.one_side import product_rows
 from hyperval.compare.rows import RowMaker
 from hyperval.observe import Observed
 from hyperval.observe.objects import scored_pixels, target_groups
+from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.detectors import ANOMALY_DETECTORS, detector_names
 from hyperval.processing.local_scores import LOCAL_DETECTORS
 from hyperval.processing.objects import object_scores
@@ -26,7 +27,6 @@ from hyperval.scoreboard.ranks import (
     BlockCounts,
     Measure,
     Ranked,
-    blocks_of,
     counts_by_block,
     fewest_objects,
     ranked,
@@ -120,7 +120,6 @@ def block_counts(observed: Observed, detection: Detection) -> BlockCounts:
     keys = {(t.name, d): d if d in ANOMALY_DETECTORS else f"{t.name}-{d}" for t in detection.targets for d in names}
     for key in set(keys.values()):
         counted = counted & np.isfinite(measured.score_maps[key])
-    block = blocks_of(counted)
     over, tie = [], []
     item: list[int] = []
     group: dict[str, list[int]] = {}
@@ -133,10 +132,10 @@ def block_counts(observed: Observed, detection: Detection) -> BlockCounts:
         valid = np.isfinite(scores).all(axis=0)
         kept = [name for name, ok in zip(objects, valid, strict=True) if ok]
         at = {name: len(item) + i for i, name in enumerate(kept)}
-        pairs = [
-            counts_by_block(own[valid], m[counted], block, int(block.max()) + 1)
-            for own, m in zip(scores, maps, strict=True)
-        ]
+        pairs = []
+        for own, m in zip(scores, maps, strict=True):
+            background = AlarmBlocks.of_map(m, counted)
+            pairs.append(counts_by_block(own[valid], background))
         over.append(np.stack([p[0] for p in pairs], axis=1))
         tie.append(np.stack([p[1] for p in pairs], axis=1))
         item += [number.setdefault(name, len(number)) for name in kept]
@@ -147,7 +146,7 @@ def block_counts(observed: Observed, detection: Detection) -> BlockCounts:
     group[EVERY_OBJECT] = list(range(len(item)))
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
     return BlockCounts(
-        names, np.concatenate(over), np.concatenate(tie), np.bincount(block),
+        names, np.concatenate(over), np.concatenate(tie), background.pixels,
         np.array(item, dtype=np.intp), group, density,
     )  # fmt: skip
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
@@ -18,13 +17,12 @@ from hyperval.campaign.schema import Campaign
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.files import sha256_of, write_text
+from hyperval.files import sha256_of
 from hyperval.folders import whole_folder
 from hyperval.observe.place import open_place
 from hyperval.progress import step, track
 from hyperval.report.benchmark import BenchmarkReport, CampaignWords, benchmark_page, draw_benchmark
-from hyperval.report.outputs import write_tables
-from hyperval.report.tables import json_value
+from hyperval.report.outputs import write_page, write_tables
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 from hyperval.scenario import Scenario
 from hyperval.scoreboard.engines import ENGINES
@@ -209,9 +207,5 @@ def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, f
         "extensions": {Path(p).name: sha256_of(Path(p)) for p in extensions},
         "campaigns": {d.name: d.provenance for d in done},
     }
-    write_text(folder / "provenance.json", json.dumps(json_value(record), indent=1, ensure_ascii=False) + "\n")
     drawings = draw_benchmark(report)
-    (folder / "figures").mkdir()
-    for drawing in drawings:
-        (folder / "figures" / drawing.file_name).write_bytes(drawing.content)
-    write_text(folder / "report.html", benchmark_page(report, drawings))
+    write_page(folder, record, drawings, benchmark_page(report, drawings))

@@ -25,20 +25,12 @@ MOST_VALUES = 50_000_000  # of the image in the bands of the filters: SPy works 
 PEER = "spy"
 
 
-def _matched_filter(image: Array, target: Array, background: Any) -> Array:
-    return np.asarray(spectral.matched_filter(image, target, background=background), dtype=np.float64)
-
-
-def _ace(image: Array, target: Array, background: Any) -> Array:
-    return np.asarray(spectral.ace(image, target, background=background), dtype=np.float64)
-
-
-def _rx(image: Array, target: Array, background: Any) -> Array:
-    return np.asarray(spectral.rx(image, background=background), dtype=np.float64)
-
-
 # By the name of our own detector.
-PEERS: dict[str, Callable[[Array, Array, Any], Array]] = {"matched-filter": _matched_filter, "ace": _ace, "rx": _rx}
+PEERS: dict[str, Callable[[Array, Array, Any], Any]] = {
+    "matched-filter": spectral.matched_filter,
+    "ace": spectral.ace,
+    "rx": lambda image, _, background: spectral.rx(image, background=background),
+}
 
 
 def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable[[str], Path]) -> list[Result]:
@@ -67,7 +59,7 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
         spectrum = sources.spectrum(target.spectrum, target.name).mean[bands]
         groups = target_groups(place.targets, target, detection.group)
         for name, peer in PEERS.items():
-            scores = peer(image, spectrum, background)
+            scores = np.asarray(peer(image, spectrum, background), dtype=np.float64)
             scores[~valid] = np.nan
             for subject, members in groups.items():
                 pixels = np.concatenate([values_on(scores, scored_pixels(o, place)) for o in members])

@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-from hyperval.processing.alarm_blocks import block_side
+from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.intervals import zero_count_upper_limit
 from hyperval.processing.roc_areas import AREAS, LEAST_EXPECTED_ALARMS, interval_of_mean
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -79,34 +78,11 @@ class BlockCounts:
         )
 
 
-def blocks_of(counted: Mask) -> npt.NDArray[np.intp]:
-    """(n,) number of the square block, of about 64, that holds each counted pixel, in the order of the image."""
-    lines, samples = np.nonzero(counted)
-    side = block_side(lines.size)
-    cell = lines // side * (counted.shape[1] // side + 1) + samples // side
-    return np.asarray(np.unique(cell, return_inverse=True)[1], dtype=np.intp)
-
-
-def counts_by_block(
-    scores: Array, background: Array, block: npt.NDArray[np.intp], blocks: int
-) -> tuple[Counts, Counts]:
-    """(P, K) background scores above, and equal to, each of the scores (P,), in each block.
-
-    Parameters
-    ----------
-    background, block : (n,) scores and the number of the block of each
-    """
-    value, place = np.unique(scores, return_inverse=True)
-    # A background score b lies above value[k] for k < left, on value[left] where it is equal.
-    left = np.searchsorted(value, background, side="left")
-    equal = (left < value.size) & (value[np.minimum(left, value.size - 1)] == background)
-    size = value.size + 1
-    cells = np.bincount(block[~equal] * size + left[~equal], minlength=blocks * size).reshape(blocks, size)
-    ties = np.bincount(block[equal] * size + left[equal], minlength=blocks * size).reshape(blocks, size)[:, :-1]
-    # Above value[k]: what is not tied and has left > k, and ties on the values after k.
-    above = cells[:, ::-1].cumsum(axis=1)[:, ::-1][:, 1:]
-    above[:, :-1] += ties[:, ::-1].cumsum(axis=1)[:, ::-1][:, 1:]
-    return above.T[place], ties.T[place]
+def counts_by_block(scores: Array, background: AlarmBlocks) -> tuple[Counts, Counts]:
+    """(P, K) background scores above, and equal to, each of the scores (P,), in each block."""
+    falling, place = np.unique(-scores, return_inverse=True)
+    above, reached = (background.counts(x) for x in (-falling, np.nextafter(-falling, -np.inf)))
+    return above[place], (reached - above)[place]
 
 
 LOG_AREA = "log_auc@1e-3..1e-1"

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -149,14 +149,7 @@ def median_chi2(
     >>> median_chi2(spectra, draws=100, rng=np.random.default_rng(0))[0]
     1.4
     """
-    values = np.array([s.chi2_reduced for s in spectra.values() if math.isfinite(s.chi2_reduced)])
-    if values.size == 0:
-        return math.nan, _NAN, 0
-    middle = float(np.median(values))
-    if values.size == 1:
-        return middle, _NAN, 1
-    drawn = np.median(values[rng.integers(values.size, size=(draws, values.size))], axis=1)
-    return middle, interval(drawn, middle), int(values.size)
+    return _bootstrap([s.chi2_reduced for s in spectra.values()], np.median, draws, rng)
 
 
 def inside_share(inside: Sequence[float]) -> tuple[float, Span, int]:
@@ -176,14 +169,22 @@ def mean_gap(gaps: Sequence[float], *, draws: int, rng: np.random.Generator) -> 
     >>> mean_gap([0.1, 0.3], draws=100, rng=np.random.default_rng(0))[0]
     0.2
     """
-    values = np.asarray(gaps, dtype=float)
+    return _bootstrap(gaps, np.mean, draws, rng)
+
+
+def _bootstrap(
+    given: Sequence[float], middle: Callable[..., Any], draws: int, rng: np.random.Generator
+) -> tuple[float, Span, int]:
+    """A mean or median of the finite values, the percentiles of draws of them, and how many there are."""
+    values = np.asarray(given, dtype=float)
+    values = values[np.isfinite(values)]
     if values.size == 0:
         return math.nan, _NAN, 0
-    mean = float(values.mean())
+    value = float(middle(values))
     if values.size == 1:
-        return mean, _NAN, 1
-    drawn = values[rng.integers(values.size, size=(draws, values.size))].mean(axis=1)
-    return mean, interval(drawn, mean), int(values.size)
+        return value, _NAN, 1
+    drawn = middle(values[rng.integers(values.size, size=(draws, values.size))], axis=1)
+    return value, interval(drawn, value), int(values.size)
 
 
 FORMULATIONS: tuple[str, ...] = get_args(Scenario.model_fields["formulation"].annotation)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.sensor.published import KnownDiscrepancy
@@ -96,16 +97,5 @@ class Ledger:
         return any(row.gates and row.outcome in (Outcome.DISAGREES, Outcome.ERROR) for row in self.table)
 
     def _without_value(self, product: str, metric: str, outcome: Outcome, cause: Cause, reason: str) -> None:
-        self.table.add(
-            Result(
-                self._campaign,
-                product,
-                "",
-                METHOD,
-                metric,
-                role=Role.GATE,
-                outcome=outcome,
-                cause=cause,
-                reason=reason,
-            )
-        )
+        row = Result(self._campaign, product, "", METHOD, metric, role=Role.GATE)
+        self.table.add(replace(row, outcome=outcome, cause=cause, reason=reason))

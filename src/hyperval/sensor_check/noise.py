@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
+from hyperval.scene.radiance import mean_radiance
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.operation import SensorChanges, changed_noise
 from hyperval.sensor.published import PublishedSnr, ReferenceScene
@@ -39,24 +40,11 @@ def sunlit_radiance(axis: SpectralAxis, reflectance: float) -> Array:
 
 
 def scene_radiance(axis: SpectralAxis, scene: ReferenceScene, engine: Engine | None = None) -> Array:
-    """Radiance (B,) [uW cm-2 sr-1 nm-1] of a uniform ground: L_a + (A + B) rho / (1 - S rho) (3.7)."""
-    state = AtmosphericState.model_validate(
-        {
-            "model": scene.model,
-            "aerosol": "rural",
-            "meteorological_range_km": scene.meteorological_range_km,
-            "ground_altitude_km": scene.ground_altitude_km,
-            "sensor_altitude_km": scene.sensor_altitude_km,
-            "solar_zenith_deg": scene.solar_zenith_deg,
-            "solar_azimuth_deg": 180.0,
-            "earth_sun_distance_au": 1.0,
-        }
-    )
-    terms = (engine or atmospheric_terms)(state).at_bands(axis)
-    rho = scene.reflectance
-    return np.asarray(
-        terms.path_radiance + (terms.direct + terms.adjacency) * rho / (1.0 - terms.spherical_albedo * rho)
-    )
+    """Radiance (B,) [uW cm-2 sr-1 nm-1] of a uniform ground: the average reflectance of (3.7) is its own."""
+    fixed = {"aerosol": "rural", "solar_azimuth_deg": 180.0, "earth_sun_distance_au": 1.0}
+    stated = scene.model_dump(include=set(AtmosphericState.model_fields))
+    terms = (engine or atmospheric_terms)(AtmosphericState.model_validate(stated | fixed)).at_bands(axis)
+    return mean_radiance(terms, scene.reflectance, scene.reflectance)
 
 
 def published_radiance(axis: SpectralAxis, item: PublishedSnr, engine: Engine | None = None) -> Array:
@@ -135,17 +123,8 @@ def _row(point: SnrPoint, ledger: Ledger) -> None:
         return
     passes = ratio >= 1.0 if bound else abs(ratio - 1.0) <= TOLERANCE
     low, high = (1.0, np.nan) if bound else (1.0 - TOLERANCE, 1.0 + TOLERANCE)
-    ledger.gate(
-        "published_snr",
-        metric,
-        ratio,
-        passes,
-        at_least=low,
-        at_most=high,
-        subject=subject,
-        reason=words,
-        remark=words,
-    )
+    ledger.gate("published_snr", metric, ratio, passes, at_least=low, at_most=high, subject=subject,
+                reason=words, remark=words)  # fmt: skip
 
 
 PRODUCT = "noise"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import json
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -12,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from hyperval.campaign.provenance import command_without_output, provenance
-from hyperval.files import sha256_of, write_text
+from hyperval.files import sha256_of
 from hyperval.folders import whole_folder
 from hyperval.report import verdict as v
 from hyperval.report.html import common_words, environment
 from hyperval.report.netcdf import write_products
-from hyperval.report.outputs import write_tables
+from hyperval.report.outputs import write_page, write_tables
 from hyperval.report.style import Drawing
-from hyperval.report.tables import json_value
 from hyperval.results import Outcome, Result
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
 from hyperval.sensor_check.figures import draw_datasheet
@@ -134,11 +131,7 @@ def _sections(rows: Sequence[Result], drawings: Sequence[Drawing]) -> list[dict[
     sections = []
     for name, title in SECTIONS.items():
         own = [r for r in rows if r.product == name]
-        figures = [
-            {"drawing": d, "source": f"data:image/svg+xml;base64,{base64.b64encode(d.content).decode('ascii')}"}
-            for d in drawings
-            if d.section == name
-        ]
+        figures = [{"drawing": d, "source": d.source} for d in drawings if d.section == name]
         if own or figures:
             sections.append({"title": title, "rows": own, "figures": figures})
     return sections
@@ -166,14 +159,10 @@ def write_check(check: SensorCheck, folder: Path, name_or_file: str) -> None:
     folder = Path(folder)
     record = _provenance(check, name_or_file)
     write_tables(check.table, folder)
-    write_text(folder / "provenance.json", json.dumps(json_value(record), indent=1, ensure_ascii=False) + "\n")
     title = f"sensor {check.sensor.name}"
     write_products(folder / "products.nc", dict(check.predictions), title=title, simulated=False)
     drawings = draw_datasheet(check)
-    (folder / "figures").mkdir(exist_ok=True)
-    for drawing in drawings:
-        (folder / "figures" / drawing.file_name).write_bytes(drawing.content)
-    write_text(folder / "report.html", datasheet_page(check, drawings, record))
+    write_page(folder, record, drawings, datasheet_page(check, drawings, record))
 
 
 def _provenance(check: SensorCheck, name_or_file: str) -> dict[str, Any]:

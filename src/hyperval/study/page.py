@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -44,7 +43,7 @@ def study_page(
             title=study.title or study.name,
             summary=f"{len(table.values):,} points were evaluated; nothing here passes or fails. "
             f"Tables: {', '.join(names)}.",
-            figures=[{"drawing": d, "source": _embedded(d)} for d in drawings],
+            figures=[{"drawing": d, "source": d.source} for d in drawings],
             from_words=f"From {names[0]}; study {study.name}, scenario {plan.scenario.name}",
             answers=[_answer(table, f.name, questions[f.name]) for f in table.outputs if f.name in questions],
             knees=[_knee(k) for k in knees[:_MOST_KNEES]],
@@ -57,10 +56,6 @@ def study_page(
             record=record,
         )
     )
-
-
-def _embedded(drawing: Drawing) -> str:
-    return "data:image/svg+xml;base64," + base64.b64encode(drawing.content).decode("ascii")
 
 
 def _answer(table: StudyTable, name: str, question: Any) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.prediction.input_paths import PFA, batch_column
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.scene.radiance import mean_radiance
 from hyperval.settings import with_settings
 from hyperval.study.design import Column, Points, column_of, listed, moved, plain
 from hyperval.study.evaluate import Evaluator, Sky, engine_on, few_states, make_ready
@@ -164,26 +165,12 @@ def _words(item: Input) -> bool:
 def _listed_states(
     values: Mapping[str, list[Any] | None], moving: list[tuple[Input | Required, Move, str]], alone: bool
 ) -> Sky:
-    names = list(values)
     combinations = [
         c for c in product(*(v or [] for v in values.values())) if not alone or sum(x is not None for x in c) <= 1
     ]
-    states: dict[str, list[Any]] = {key: [] for _, _, key in moving}
-    for combination in combinations:
-        at = dict(zip(names, combination, strict=True))
-        for item, _, key in moving:
-            value = at[item.name]
-            states[key].append(None if value is None else _one_state(item, key, moving, value))
-    return Sky(states={k: column_of(v) for k, v in states.items()})
-
-
-def _one_state(
-    item: Input | Required, key: str, moving: list[tuple[Input | Required, Move, str]], value: Any
-) -> Any:
-    as_input = _as_input(item)
-    columns = moved({item.name: as_input}, {item.name: column_of([value])})
-    path = next(m.path for i, m, k in moving if i is item and k == key)
-    return plain(columns[path][0])
+    columns = {name: column_of(of) for name, of in zip(values, zip(*combinations, strict=True), strict=True)}
+    states = moved({item.name: _as_input(item) for item, _, _ in moving}, columns)
+    return Sky(states={key: states[move.path] for _, move, key in moving})
 
 
 def _notes(plan: Plan) -> list[str]:
@@ -233,12 +220,9 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     exact = few_states(base.scenario.atmosphere, engine, states)
     ours, theirs = base.terms(states, count), exact(states, count)
 
-    def radiance(terms: Any) -> Array:
-        ground = (terms.direct + terms.adjacency) * _GROUND / (1.0 - terms.spherical_albedo * _GROUND)
-        return np.asarray(terms.path_radiance + ground)
-
     seen = theirs.gas_transmittance > _LEAST_GAS
-    error = radiance(ours)[seen] / radiance(theirs)[seen] - 1.0
+    radiance, expected = (mean_radiance(terms, _GROUND, _GROUND)[seen] for terms in (ours, theirs))
+    error = radiance / expected - 1.0
     errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
     columns = plan.columns(0, min(count, len(plan.points)))
     short = len(next(iter(columns.values())))

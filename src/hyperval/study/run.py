@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,14 +13,13 @@ import numpy.typing as npt
 import hyperval
 from hyperval.campaign.provenance import command_without_output, package_versions, provenance
 from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
-from hyperval.files import write_text
 from hyperval.folders import partial_folder, whole_folder
 from hyperval.predict import Origins
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.progress import track
 from hyperval.report.netcdf import write_products
+from hyperval.report.outputs import write_page
 from hyperval.report.outputs import write_tables as write_results
-from hyperval.report.tables import json_value
 from hyperval.study.page import study_page
 from hyperval.study.plan import Plan, plan_study
 from hyperval.study.plots import draw
@@ -173,15 +170,7 @@ def _write(plan: Plan, table: StudyTable, folder: Path, show_progress: bool | No
         },
         engines={"0": dict(prediction.provenance)},
     )
-    write_text(folder / "provenance.json", _json(record))
     write_products(folder / "products.nc", {"predicted": prediction, "observed": None},
                    title=study.title or study.name, simulated=False)  # fmt: skip
     drawings = draw(study, table, knees)
-    (folder / "figures").mkdir()
-    for drawing in drawings:
-        (folder / "figures" / drawing.file_name).write_bytes(drawing.content)
-    write_text(folder / "report.html", study_page(plan, table, drawings, record, names, knees))
-
-
-def _json(record: Mapping[str, Any]) -> str:
-    return json.dumps(json_value(dict(record)), indent=1, ensure_ascii=False) + "\n"
+    write_page(folder, record, drawings, study_page(plan, table, drawings, record, names, knees))
