@@ -61,7 +61,7 @@ def full(piece: tuple[Parcel, Columns]) -> tuple[float, float]:
     evaluator, columns = piece[0].open(), piece[1]
     size = len(next(iter(columns.values())))
     batch = evaluator.batch(evaluator.base, columns, size)
-    names = evaluator.base.stage.setup.classes
+    names = evaluator.base.setup.classes
     total = sum(float(batch.radiance(s).sum()) for s in (*names, "plank"))
     total += sum(float(batch.snr(s, calibration).sum()) for s in names for calibration in (True, False))
     total += float(batch.scores("plank", "cem").detection(false_alarm_grid()[None, :]).sum())

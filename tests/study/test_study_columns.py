@@ -31,7 +31,7 @@ def difference_from_predict(scenario, changes) -> float:
     anew = {p: v for p, v in changes.items() if evaluator.column(p).kind == "anew"}
     ready = evaluator.variant(anew)
     moved = {p: v for p, v in changes.items() if p not in anew}
-    stated = {p: setting(ready.scenario, p) if has(ready.scenario, p) else None for p in moved}
+    stated = {p: setting(ready.setup.scenario, p) if has(ready.setup.scenario, p) else None for p in moved}
     columns = {}
     for path, value in moved.items():
         columns[path] = np.empty(3, dtype=object)
@@ -41,7 +41,7 @@ def difference_from_predict(scenario, changes) -> float:
     worst = 0.0
     for point in (0, 2):
         there = {p: DEFAULTS.get(p.rsplit(".", 1)[-1], stated[p]) if point == 0 else v for p, v in moved.items()}
-        prediction = predict(with_settings(ready.scenario, there))
+        prediction = predict(with_settings(ready.setup.scenario, there))
         setting_number = batch.points.setting[point]
         pairs = [
             (batch.radiance(s)[setting_number], e.mean) for s, e in prediction.radiance.items() if s != "plank"

@@ -14,14 +14,13 @@ from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.prediction.background import Ground, Settings, ground_of, with_class_levels
 from hyperval.prediction.batch import Batch, Points, distinct
-from hyperval.prediction.cases import Case, Origins, points_of
-from hyperval.prediction.departure import Departure
+from hyperval.prediction.cases import Case, points_of
 from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills, stacked_fills
 from hyperval.prediction.filters import Designer
 from hyperval.prediction.input_paths import BatchColumn
 from hyperval.prediction.setup import Setup
 from hyperval.prediction.view import View, on_arrays, stacked_noise
-from hyperval.scenario import Adjacency, Fill, Scenario, TargetSubject
+from hyperval.scenario import Adjacency, Fill, TargetSubject
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.operation import SensorChanges, SensorOperation, binned_noise, changed_noise
 from hyperval.study.design import plain
@@ -37,9 +36,15 @@ _OF_TARGETS = ("target_gain", "beam", "sky", "fill")
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A scenario with everything read that the columns of a study leave alone, kept from batch to batch."""
+    """A scenario with everything read that the columns of a study leave alone, kept from batch to batch.
+
+    Attributes
+    ----------
+    terms : the atmosphere, run; None in the reflectance domain
+    """
 
     setup: Setup
+    terms: TermsAt | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """What goes to other processes: no memory of earlier batches, and no covariance that nothing asks for."""
@@ -48,7 +53,7 @@ class Stage:
         surfaces = {
             n: s if n in needed else replace(s, covariance=np.empty((0, 0))) for n, s in self.setup.surfaces.items()
         }
-        return {"setup": replace(self.setup, surfaces=surfaces)}
+        return {"setup": replace(self.setup, surfaces=surfaces), "terms": self.terms}
 
     @cached_property
     def designers(self) -> dict[bytes, Designer]:
@@ -102,23 +107,12 @@ class Stage:
         return binned_noise(model, run.spectral_binning) if run and run.spectral_binning > 1 else model
 
 
-def stage_of(scenario: Scenario) -> Stage:
-    """Read and check everything that a scenario names.
-
-    Raises
-    ------
-    UsageError, InputError : as :func:`hyperval.predict.predict`.
-    """
-    return Stage(Origins().setup(scenario, Departure()))
-
-
-def batch_of_columns(stage: Stage, columns: Columns, n: int, terms_at: TermsAt | None) -> Batch:
+def batch_of_columns(stage: Stage, columns: Columns, n: int) -> Batch:
     """n points of a study as evaluations of the model.
 
     Parameters
     ----------
     columns : what moves -> (n,) values
-    terms_at : the atmosphere; not called in the reflectance domain
     """
     setup = stage.setup
     whole = setup.scenario.processing.filter_statistics == "scene"
@@ -126,12 +120,12 @@ def batch_of_columns(stage: Stage, columns: Columns, n: int, terms_at: TermsAt |
         column for column in columns if column.kind in _OF_A_SETTING or (whole and column.kind in _OF_TARGETS)
     ]
     first, setting = distinct([columns[column] for column in shared], n)
-    settings = _settings(stage, {column: columns[column][first] for column in shared}, first.size, terms_at)
+    settings = _settings(stage, {column: columns[column][first] for column in shared}, first.size)
     points = _points(setup, columns, setting)
     return Batch(setup.scenario, setup.used.axis, setup.signatures, settings, points, designers=stage.designers)
 
 
-def _settings(stage: Stage, columns: Columns, count: int, terms_at: TermsAt | None) -> Settings:
+def _settings(stage: Stage, columns: Columns, count: int) -> Settings:
     scenario = stage.setup.scenario
     scene = scenario.scene
     fractions = np.tile([c.fraction for c in scene.classes], (count, 1))
@@ -149,8 +143,8 @@ def _settings(stage: Stage, columns: Columns, count: int, terms_at: TermsAt | No
             of[column.kind][column.key] = values
     terms, noise = None, None
     if scenario.atmosphere is not None:
-        assert terms_at is not None  # noqa: S101 - given with every atmosphere
-        terms, noise = terms_at(of["atmosphere"], count), _noise(stage, of["changes"], of["operation"], count)
+        assert stage.terms is not None  # noqa: S101 - run with every atmosphere
+        terms, noise = stage.terms(of["atmosphere"], count), _noise(stage, of["changes"], of["operation"], count)
     different, which = np.unique(fractions, axis=0, return_inverse=True)
     grounds = tuple(stage.ground(f) for f in different)
     which = which.reshape(-1)

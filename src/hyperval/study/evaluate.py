@@ -20,12 +20,13 @@ from hyperval.atmosphere.interpolation import InterpolatedTerms, interpolated_te
 from hyperval.errors import UsageError
 from hyperval.prediction.batch import Batch
 from hyperval.prediction.cases import Origins
+from hyperval.prediction.departure import Departure
 from hyperval.prediction.input_paths import PFA, BatchColumn, batch_column
 from hyperval.prediction.setup import Setup
 from hyperval.progress import track
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.study.columns import Stage, batch_of_columns, stage_of
+from hyperval.study.columns import Stage, batch_of_columns
 from hyperval.study.design import column_of, plain
 from hyperval.study.metrics import of_batch
 from hyperval.study.schema import Output
@@ -85,15 +86,8 @@ def few_states(
     if not names:
         return FewStates((), (), {}, _stacked([terms_of(base)]))
     rows = sorted(set(zip(*(columns[n].tolist() for n in names), strict=True)), key=repr)
-    if len(rows) > MOST_RUNS:
-        raise UsageError(
-            f"{len(rows)} states of the atmosphere", expected=f"at most {MOST_RUNS} runs of its engine"
-        )
     values = tuple(tuple(sorted({r[i] for r in rows}, key=repr)) for i in range(len(names)))
-    states = [
-        terms_of(with_settings(base, {k: v for k, v in zip(names, row, strict=True) if v is not None}))
-        for row in track(rows, "atmosphere", len(rows), show=show_progress)
-    ]
+    states = _runs(base, terms_of, names, rows, "states", show_progress)
     keys = [tuple(v.index(x) for x, v in zip(row, values, strict=True)) for row in rows]
     return FewStates(names, values, {key: i for i, key in enumerate(keys)}, _stacked(states))
 
@@ -117,13 +111,22 @@ def table(
         if values.size < 2 or np.any(np.diff(values) <= 0):
             raise UsageError(f"nodes of atmosphere.{name}: {values.tolist()}", expected="two or more, rising")
     rows = list(product(*(values.tolist() for values in grid)))
-    if len(rows) > MOST_RUNS:
-        raise UsageError(f"{len(rows)} nodes of the atmosphere", expected=f"at most {MOST_RUNS} runs of its engine")
-    states = [
-        terms_of(with_settings(base, dict(zip(names, row, strict=True))))
-        for row in track(rows, "atmosphere table", len(rows), show=show_progress)
-    ]
+    states = _runs(base, terms_of, names, rows, "nodes", show_progress)
     return Table(interpolated_terms(dict(zip(names, grid, strict=True)), states))
+
+
+def _runs(
+    base: AtmosphericState, terms_of: TermsOf, names: Sequence[str], rows: Sequence[tuple[Any, ...]], what: str,
+    show_progress: bool | None,
+) -> list[AtmosphericTerms]:  # fmt: skip
+    """The engine at every row of values of the inputs ``names``; None leaves one as it is."""
+    if len(rows) > MOST_RUNS:
+        raise UsageError(
+            f"{len(rows)} {what} of the atmosphere", expected=f"at most {MOST_RUNS} runs of its engine"
+        )
+    states = ({k: v for k, v in zip(names, row, strict=True) if v is not None} for row in rows)
+    runs = track(states, f"atmosphere, {what}", len(rows), show=show_progress)
+    return [terms_of(with_settings(base, state)) for state in runs]
 
 
 def _stacked(runs: Sequence[AtmosphericTerms]) -> AtmosphericTerms:
@@ -172,19 +175,15 @@ def engine_on(setup: Setup) -> TermsOf:
     return partial(Origins(show_progress=False).terms, setup)
 
 
-@dataclass(frozen=True)
-class Ready:
-    """A scenario ready for evaluation: everything read, and its atmosphere run."""
+def make_ready(scenario: Scenario, sky: Sky, *, show_progress: bool | None = False) -> Stage:
+    """Read and check what a scenario names, and run its atmosphere.
 
-    scenario: Scenario
-    stage: Stage
-    terms: FewStates | Table | None
-
-
-def make_ready(scenario: Scenario, sky: Sky, *, show_progress: bool | None = False) -> Ready:
-    """Read what a scenario names and run its atmosphere."""
-    stage = stage_of(scenario)
-    return Ready(scenario, stage, sky.build(stage.setup, show_progress=show_progress))
+    Raises
+    ------
+    UsageError, InputError : as :func:`hyperval.predict.predict`.
+    """
+    setup = Origins().setup(scenario, Departure())
+    return Stage(setup, sky.build(setup, show_progress=show_progress))
 
 
 @dataclass(frozen=True)
@@ -198,12 +197,12 @@ class Evaluator:
     anew : entries after whose change everything is read anew, besides those that :func:`batch_column` knows
     """
 
-    base: Ready
+    base: Stage
     sky: Sky
     anew: frozenset[str] = frozenset()
 
     @cached_property
-    def _variants(self) -> dict[str, Ready]:
+    def _variants(self) -> dict[str, Stage]:
         return {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -211,7 +210,7 @@ class Evaluator:
 
     def column(self, path: str) -> BatchColumn:
         """What a path moves in this scenario."""
-        return BatchColumn("anew", key=path) if path in self.anew else batch_column(self.base.scenario, path)
+        return BatchColumn("anew", key=path) if path in self.anew else batch_column(self.base.setup.scenario, path)
 
     def values(self, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
         """Outputs (n, O) at n points, NaN where there is none, and why, by the number of the point.
@@ -225,7 +224,7 @@ class Evaluator:
             self._fill(values, problems, rows, changes, {p: _tidy(columns[p][rows]) for p in moved}, outputs)
         return values, problems
 
-    def variant(self, changes: Mapping[str, Any]) -> Ready:
+    def variant(self, changes: Mapping[str, Any]) -> Stage:
         """The scenario with some entries changed, read anew; the latest 16 are kept."""
         if not changes:
             return self.base
@@ -233,7 +232,7 @@ class Evaluator:
         if key not in self._variants:
             if len(self._variants) >= _KEPT:
                 self._variants.pop(next(iter(self._variants)))
-            self._variants[key] = make_ready(with_settings(self.base.scenario, changes), self.sky)
+            self._variants[key] = make_ready(with_settings(self.base.setup.scenario, changes), self.sky)
         return self._variants[key]
 
     def _groups(self, columns: Columns, n: int) -> list[tuple[Column, dict[str, Any], list[str]]]:
@@ -254,8 +253,7 @@ class Evaluator:
     ) -> None:  # fmt: skip
         """Evaluate some points; where they can not be evaluated together, those that can not at all are found."""
         try:
-            ready = self.variant(changes)
-            values[rows], lacking = self._together(ready, columns, rows.size, outputs)
+            values[rows], lacking = self._together(self.variant(changes), columns, rows.size, outputs)
             problems |= {int(rows[i]): why for i, why in lacking.items()}
         except UsageError as error:
             if rows.size == 1:
@@ -266,9 +264,9 @@ class Evaluator:
                 self._fill(values, problems, rows[half], changes, part, outputs)
 
     def _together(
-        self, ready: Ready, columns: Columns, n: int, outputs: Sequence[Output]
+        self, stage: Stage, columns: Columns, n: int, outputs: Sequence[Output]
     ) -> tuple[Array, dict[int, str]]:
-        batch = self.batch(ready, columns, n)
+        batch = self.batch(stage, columns, n)
         values = np.stack([of_batch(batch, o, columns.get(PFA)) for o in outputs], axis=1)
         problems = (
             {u: " ".join(str(error).split()) for u, error in batch.problems.items()} if batch.has_filters else {}
@@ -276,9 +274,9 @@ class Evaluator:
         setting = batch.points.setting.tolist()
         return values, {i: problems[u] for i, u in enumerate(setting) if u in problems}
 
-    def batch(self, ready: Ready, columns: Columns, n: int) -> Batch:
+    def batch(self, stage: Stage, columns: Columns, n: int) -> Batch:
         """The points as a batch of the model."""
-        return batch_of_columns(ready.stage, {self.column(p): c for p, c in columns.items()}, n, ready.terms)
+        return batch_of_columns(stage, {self.column(p): c for p, c in columns.items()}, n)
 
 
 def _tidy(column: Column) -> Column:

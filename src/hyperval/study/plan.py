@@ -68,7 +68,7 @@ def plan_study(study: Study, *, show_progress: bool | None = None) -> Plan:
     try_values(study, scenario)
     sky, anew = _sky(study, scenario)
     base = make_ready(scenario, sky, show_progress=show_progress)
-    check_outputs(study.outputs, scenario, base.stage.setup.used.axis)
+    check_outputs(study.outputs, scenario, base.setup.used.axis)
     for reference in _references(scenario):
         log.resolve(reference)
     evaluator = Evaluator(base, sky, anew)
@@ -214,10 +214,10 @@ def _sky_error(plan: Plan) -> dict[str, float]:
     count = study.atmosphere.checked
     rng = np.random.default_rng([study.design.seed, 6])
     states = {k: _between(np.array(n), rng.random(count)) for k, n in nodes.items()}
-    assert base.scenario.atmosphere is not None  # noqa: S101 - there is a table
+    assert plan.scenario.atmosphere is not None  # noqa: S101 - there is a table
     assert base.terms is not None  # noqa: S101
-    engine = engine_on(base.stage.setup)
-    exact = few_states(base.scenario.atmosphere, engine, states)
+    engine = engine_on(base.setup)
+    exact = few_states(plan.scenario.atmosphere, engine, states)
     ours, theirs = base.terms(states, count), exact(states, count)
 
     seen = theirs.gas_transmittance > _LEAST_GAS
