@@ -18,6 +18,7 @@ from web_server import serve
 from hyperval import api
 from hyperval.cli import app as command
 from hyperval.report.netcdf_read import read_products
+from hyperval.report.style import Drawing
 from hyperval.web.views import view_name
 from small_campaign import SmallCampaign, scene_data, write_yaml
 
@@ -41,11 +42,18 @@ def own(tmp_path_factory, small_collection, atmosphere):
     yield from serve(folder / "web", folder / "campaigns", small_collection)
 
 
+SVG = b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"/>'
+DRAWINGS = [
+    Drawing(name, "scores", name, name, SVG, kind)
+    for name, kind in (("scene", "png"), ("scores", "svg"), ("score-map-1", "png"), ("exceedance", "svg"))
+]
+
+
 @pytest.fixture(scope="module")
 def run(own):
     client = own.session()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+        patch.setattr("hyperval.report.figures.draw_figures", lambda run: DRAWINGS)
         patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
         told = client.post(f"{own.address}/api/v1/validations", json={"campaign": "small"}).json()
         told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
@@ -62,6 +70,10 @@ def test_campaign_runs_to_the_verdict_of_the_command(own, run, tmp_path):
     page = client.get(f"{own.address}/validate").text
     assert told["summary"]["verdict"] in page
     assert client.get(f"{own.address}/runs/{told['id']}/files/report.html").status_code == 200
+    shown, folded = client.get(f"{own.address}/runs/{told['id']}").text.split("2 more figures</summary>")
+    figures = [re.findall(r'<div class="card (\w+)"><img src="[^"]*/(.+?)"', part) for part in (shown, folded)]
+    assert figures[0] == [("png", "scene.png"), ("png", "score-map-1.png")]
+    assert sorted(figures[1]) == [("svg", "exceedance.svg"), ("svg", "scores.svg")]
 
 
 def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):

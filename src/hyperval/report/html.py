@@ -27,9 +27,9 @@ from hyperval.results import Outcome, Result
 
 MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
-_PICTURES = ("scene", "score-map-1", "score-map-1-expected")  # beside each other, before everything else
+PICTURES = ("scene", "score-map-1", "score-map-1-expected")  # of a run, beside each other, before everything else
 _BUDGET = "radiance-budget"
-_FIRST_FIGURES = (*_PICTURES, _BUDGET)  # that are embedded whatever else there is no room for
+_FIRST_FIGURES = (*PICTURES, _BUDGET)  # that are embedded whatever else there is no room for
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
 _MOST_ROWS = 60  # rows of one section that nothing was planned for
@@ -110,7 +110,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         matrices=matrices,
         per_band=sum(row.per_band for row in rows),
         charts=charts,
-        pictures=_figures(run, [d for d in drawings if d.name in _PICTURES], embedded),
+        pictures=_figures(run, [d for d in drawings if d.name in PICTURES], embedded),
         budget=_figures(run, [d for d in drawings if d.name == _BUDGET], embedded),
         sections=[section for section in sections if section.name not in _REASONS],
         reasons=[section for section in sections if section.name in _REASONS],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from fastapi import APIRouter, Request
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 
 from hyperval.config import load_yaml
+from hyperval.report.html import PICTURES
 from hyperval.report.scripts import script_hashes
 from hyperval.web.inputs import link_text
 from hyperval.web.pages import page, session_of
@@ -64,11 +66,20 @@ def run_page(request: Request, run_id: str, beside: str | None = None) -> Respon
             link += f"&beside={_link(store.place(other.id) / 'scenario.yaml')}"
     rows = _beside(run, other) if run.kind == "prediction" and run.state == "finished" else []
     maps = (store.place(run.id) / "results" / "scores").is_dir()
+    files = files_of(store.place(run.id), run)
+    pictures, figures = figures_of(files)
     return page(
         request, "run.html.j2", run=run, maps=maps, progress=desk.progress(run), others=others[:50], other=other,
         link=link, rows=rows, ended=run.state in ENDED, source=_source(run),
-        files=files_of(store.place(run.id), run),
+        files=files, pictures=pictures, figures=figures,
     )  # fmt: skip
+
+
+def figures_of(files: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Pictures of the scene with the first score maps, which stand beside each other, and all other figures."""
+    figures = [name for name in files if name.startswith("figures/") and name.endswith((".svg", ".png"))]
+    pictures = [name for name in (f"figures/{p}.png" for p in PICTURES) if name in figures]
+    return pictures, [name for name in figures if name not in pictures]
 
 
 @lru_cache(maxsize=1024)
