@@ -1,4 +1,4 @@
-"""Command that compares with accepted numbers."""
+"""Commands about accepted numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hyperval.cli.shared import app, note, print_table, settings
+from hyperval.cli.shared import AnyOutput, app, note, print_table, settings
 from hyperval.errors import UsageError
 
 if TYPE_CHECKING:
@@ -34,9 +34,7 @@ def check(
     campaigns: Campaigns = None,
     sensors: Sensors = None,
     junit: Annotated[Path | None, typer.Option(help="File for the verdicts as JUnit XML.")] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")
-    ] = None,
+    output: AnyOutput = None,
     baselines: Baselines = None,
     source: Finished = None,
     everything: Annotated[bool, typer.Option("--all", help="Print the numbers that are as accepted, too.")] = False,
@@ -116,3 +114,56 @@ def _likely_causes(item: Checked) -> str:
         "; ".join(changed)
         or "the code, the campaign's files or its data: the versions of all packages are as accepted"
     )
+
+
+baseline_app = typer.Typer(help="Accepted numbers of campaigns and sensors.", no_args_is_help=True)
+app.add_typer(baseline_app, name="baseline")
+
+
+@baseline_app.callback()
+def baseline() -> None:
+    """Accepted numbers of campaigns and sensors."""
+
+
+@baseline_app.command("accept")
+def baseline_accept(
+    reason: Annotated[str, typer.Option(help="Why the new numbers are right.")],
+    campaigns: Campaigns = None,
+    sensors: Sensors = None,
+    baselines: Baselines = None,
+    source: Finished = None,
+) -> int:
+    """Take the numbers of a run as those that later runs must give; prints what changes."""
+    from hyperval.baseline import accept
+    from hyperval.baseline.store import DEFAULT_FOLDER
+
+    done = accept(
+        campaigns or [],
+        sensors or [],
+        reason=reason,
+        baselines=baselines or DEFAULT_FOLDER,
+        source=source,
+        show_progress=settings.show_progress,
+    )
+    header = ("where", "metric", "accepted before", "accepted now")
+    print_table(header, [(c.owner, c.key, _in_words(c.old), _in_words(c.new)) for c in done.changes])
+    for name in done.unchanged:
+        note(f"{name}: nothing changed")
+    for name, why in done.skipped.items():
+        note(f"{name}: skipped: {why}")
+    for name, path in done.written.items():
+        note(f"{name}: written to {path}")
+    if done.written:
+        note('add to the changelog, under "Science changes":')
+        note(f"- {done.date}: {' '.join(reason.split())} (baselines: {', '.join(done.written)})")
+    return done.exit_code
+
+
+def _in_words(item: object) -> str:
+    from hyperval.baseline.schema import Accepted
+
+    if not isinstance(item, Accepted):
+        return "-"
+    value = "no value" if item.accepted is None else f"{item.accepted:.6g}"
+    loose = f", loosened: {item.why}" if item.why else ""
+    return f"{value} ({item.outcome}, tolerance {item.tolerance:g} of {item.of}{loose})"

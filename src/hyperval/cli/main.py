@@ -16,20 +16,14 @@ from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__
 from hyperval.cli import (  # noqa: F401  (each adds its commands to the application)
-    baseline,
     check,
-    compare,
     data,
-    drift,
-    figures,
+    finished_runs,
     init,
-    metrics,
-    power,
+    many_runs,
     runs,
-    scoreboard,
     sensor,
     serve,
-    study,
 )
 from hyperval.cli.shared import app, settings
 from hyperval.errors import HypervalError, UsageError, internal_error

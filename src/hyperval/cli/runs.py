@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from hyperval.cli.shared import (
+    AnyOutput,
     Output,
     Scheduler,
     app,
@@ -52,9 +53,7 @@ def observe(
 @app.command()
 def validate(
     campaigns: Annotated[list[Path], typer.Argument(help="Campaign files.")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")
-    ] = None,
+    output: AnyOutput = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Run nothing: list files, values to fill in, comparisons.")
     ] = False,

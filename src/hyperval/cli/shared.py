@@ -39,7 +39,9 @@ class Settings:
 settings = Settings()
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
-
+AnyOutput = Annotated[
+    Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")
+]
 
 Scheduler = Annotated[
     str | None,

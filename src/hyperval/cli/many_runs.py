@@ -1,4 +1,4 @@
-"""Command that plants errors in the model, and says which campaigns see them."""
+"""Commands that run the model or the pipeline many times: studies, benchmarks, planted errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,45 @@ from typing import Annotated
 
 import typer
 
-from hyperval.cli.shared import app, note, print_table, settings
+from hyperval.cli.shared import Output, Scheduler, app, finished, note, print_table, settings
+
+
+@app.command()
+def study(
+    study_file: Annotated[Path, typer.Argument(metavar="STUDY", help="A study file.")],
+    output: Output,
+    scheduler: Scheduler = None,
+) -> int:
+    """Evaluate a trade-off study; an interrupted run goes on where it stopped."""
+    from hyperval.study.run import study_to_folder
+
+    code = study_to_folder(study_file, output, scheduler=scheduler, show_progress=settings.show_progress)
+    return finished(code, output)
+
+
+@app.command()
+def benchmark(
+    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
+    output: Output,
+    extend: Annotated[
+        list[Path] | None,
+        typer.Option("--extend", help="A Python file that registers detectors or engines; it is run."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the resampling.")] = 0,
+    scheduler: Scheduler = None,
+) -> int:
+    """Rank all detectors, and score all engines and formulations, on every campaign."""
+    from hyperval.scoreboard.one import benchmark as run
+
+    code = run(
+        campaigns,
+        output,
+        extensions=extend or [],
+        seed=seed,
+        scheduler=scheduler,
+        show_progress=settings.show_progress,
+    )
+    return finished(code, output)
 
 
 @app.command()
