@@ -152,7 +152,7 @@ def test_targets_of_a_finer_map_have_area_pixels_and_fills(folder: Path):
     ("finer", "words"),
     [
         ({"classes": {"plank": 7}}, "no cell of 'plank'"),
-        ({"corner": [-4, 0], "times_finer": 10}, "'plank' leaves the cube(?s:.*)check where the finer image lies"),
+        ({"corner": [-4, 0], "times_finer": 10}, "'plank' leaves the image(?s:.*)check where the finer image lies"),
         ({"classes": {"plank": {"band": 3, "above": 1}}}, "no band 3"),
         ({"least_fill": 0.99, "registration_pixels": 2.0}, "no pixel of 'plank' is filled by 0.99"),
     ],

@@ -19,7 +19,7 @@ from hyperval.imagery.array_raster import ArrayRaster
 from hyperval.imagery.band_table import Bands, BandTable
 from hyperval.imagery.description import Scaling
 from hyperval.imagery.georeference import pixel_area_m2
-from hyperval.imagery.rasters import Raster, file_scaling, open_raster
+from hyperval.imagery.rasters import Raster, file_scaling, open_raster, stated_ignore_value
 from hyperval.imagery.tiff_raster import TiffRaster
 from hyperval.imagery.validity import check_values_of, equals, usable_pixels
 from hyperval.spectra.axis import SpectralAxis
@@ -325,11 +325,6 @@ def open_cube(
     notes += table.notes + scaling.notes
     if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
-    ignore = raster.header.number("data ignore value") if raster.header is not None else None
-    if ignore is None and about is not None:
-        ignore = about.ignore_value
-    if ignore is None and isinstance(raster, TiffRaster):
-        ignore = raster.nodata
     cube = Cube(
         raster=raster,
         axis=table.axis,
@@ -337,7 +332,7 @@ def open_cube(
         unit=scaling.unit,
         scaling=scaling,
         stored_band=table.stored_band,
-        ignore_value=ignore,
+        ignore_value=stated_ignore_value(raster),
         description=" ".join(entries.get("description", "").split()),
         extras={key: text for key, text in entries.items() if key not in _TAKEN},
         notes=notes,

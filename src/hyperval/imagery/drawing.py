@@ -29,6 +29,7 @@ MAX_VERTICES = 1_000_000
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
 FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
 WARNING = "warning: "
+_CHECK = "check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube"
 _SMALL = 0.01  # a part outside that is said without a warning
 
 
@@ -235,14 +236,16 @@ def inside_image(xy: Array, shape: tuple[int, int]) -> bool:
     return bool(low.min() >= -_EDGE and high[0] <= samples + _EDGE and high[1] <= lines + _EDGE)
 
 
-def outside_error(xy: Array, shape: tuple[int, int], where: str) -> InputError:
+def outside_error(
+    xy: Array, shape: tuple[int, int], where: str, what: str = "the region", mend: str = _CHECK
+) -> InputError:
     """The error for points (n, 2) that the image does not hold."""
     low, high = xy.min(axis=0), xy.max(axis=0)
     return InputError(
-        f"the region leaves the image: samples {low[0]:.2f} to {high[0]:.2f}, lines {low[1]:.2f} to {high[1]:.2f}",
+        f"{what} leaves the image: samples {low[0]:.2f} to {high[0]:.2f}, lines {low[1]:.2f} to {high[1]:.2f}",
         where=where,
         expected=f"samples 0 to {shape[1]}, lines 0 to {shape[0]} (continuous pixel coordinates)",
-        mend="check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube",
+        mend=mend,
     )
 
 

@@ -133,6 +133,26 @@ def _data_beside(header: Path) -> Path:
     return candidates[0]
 
 
+def raster_of_size(path: Path, shape: tuple[int, int], root: Path | None = None) -> Raster:
+    """Open a raster of a cube's size (lines, samples); InputError for one of another."""
+    raster = open_raster(path, root=root)
+    if (raster.lines, raster.samples) != shape:
+        raise InputError(
+            f"the raster has {raster.lines} lines and {raster.samples} samples",
+            where=str(path),
+            expected=f"{shape[0]} lines and {shape[1]} samples, as the cube",
+        )
+    return raster
+
+
+def stated_ignore_value(raster: Raster) -> float | None:
+    """The stored value that means no data, by the header, the product's own description or a GeoTIFF."""
+    stated = raster.header.number("data ignore value") if raster.header is not None else None
+    if stated is None and raster.description is not None:
+        stated = raster.description.ignore_value
+    return raster.nodata if stated is None and isinstance(raster, TiffRaster) else stated
+
+
 def file_scaling(raster: Raster, *, quantity: str, unit: str | None, scale: float | None) -> Scaling:
     """Gain and offset of every band of a file that is no product with a description of its own.
 

@@ -16,9 +16,8 @@ from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.drawing import Drawing, Grid, named_crs
-from hyperval.imagery.rasters import open_raster
+from hyperval.imagery.rasters import raster_of_size, stated_ignore_value
 from hyperval.imagery.text_files import head_of, read_table, read_text
-from hyperval.imagery.tiff_raster import TiffRaster
 from hyperval.imagery.validity import equals
 from hyperval.paths import checked_file
 
@@ -130,18 +129,10 @@ def raster_masks(
     header, else under the file's name (a single class) or ``name-value``; under the number itself with
     ``by_value``.  Several bands: a mask of what is not 0, nor NaN, nor the ignore value, under the band name.
     """
-    raster = open_raster(path, root=root)
-    if (raster.lines, raster.samples) != shape:
-        raise InputError(
-            f"the raster has {raster.lines} lines and {raster.samples} samples",
-            where=str(path),
-            expected=f"{shape[0]} lines and {shape[1]} samples, as the cube",
-        )
+    raster = raster_of_size(path, shape, root=root)
     stored = raster.read_lines(0, raster.lines)
     header = raster.header
-    ignore = header.number("data ignore value") if header else None
-    if ignore is None and isinstance(raster, TiffRaster):
-        ignore = raster.nodata
+    ignore = stated_ignore_value(raster)
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
     if raster.bands > 1:
         names = (header.strings("band names") if header else None) or ()

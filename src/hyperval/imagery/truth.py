@@ -13,7 +13,7 @@ import numpy.typing as npt
 from affine import Affine
 
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, point_mask, polygon_mask
+from hyperval.imagery.drawing import Position, inside_image, map_to_pixel, outside_error, point_mask, polygon_mask
 from hyperval.imagery.lookup_table import LookupTable
 from hyperval.imagery.regions import Region, guard, patches
 from hyperval.imagery.text_files import read_table
@@ -191,14 +191,8 @@ def _target(row: Mapping[str, str], place: tuple[str, str], image: _Image, line:
         area = width * length * (math.pi / 4 if figure is _DISC else 1.0)
     centre, corners = _position(number, place, image, figure * (length, width), where)
     if not inside_image(corners, image.shape):
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        raise InputError(
-            f"the target {name!r} leaves the image: it takes lines {low[1]:.1f} to {high[1]:.1f}, "
-            f"samples {low[0]:.1f} to {high[0]:.1f}",
-            where=where,
-            expected=f"lines 0 to {image.shape[0]}, samples 0 to {image.shape[1]} (continuous pixel coordinates)",
-            mend="check what kind its coordinates are; a target that the image cuts is taken out of the list",
-        )
+        mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
+        raise outside_error(corners, image.shape, where, f"the target {name!r}", mend)
     if width > 0:
         placed = cut_out(polygon_mask(corners, image.shape, where=where, touched=True))
     else:

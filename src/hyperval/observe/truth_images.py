@@ -23,7 +23,8 @@ from scipy.special import ndtri
 from hyperval.collection_files import AbundanceTruth, BandRange, FinerTruth, RegionSource
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.cube import Cube
-from hyperval.imagery.rasters import Raster, open_raster
+from hyperval.imagery.drawing import outside_error
+from hyperval.imagery.rasters import Raster, open_raster, raster_of_size
 from hyperval.imagery.regions import Region, patches
 from hyperval.imagery.truth import TargetObject, cut_out
 from hyperval.scene.fill import aperture_weights
@@ -214,13 +215,8 @@ def _object(
     starts = np.array([grid.line, grid.sample])
     ends = starts + np.array([grid.line_step, grid.sample_step]) * inside.shape
     if np.any(starts < 0) or np.any(ends > shape):
-        raise InputError(
-            f"the target {name!r} leaves the cube: it takes lines {starts[0]:.1f} to {ends[0]:.1f}, samples "
-            f"{starts[1]:.1f} to {ends[1]:.1f}",
-            where=where,
-            expected=f"lines 0 to {shape[0]}, samples 0 to {shape[1]}",
-            mend="check where the finer image lies; a target that the cube cuts is taken out of it",
-        )
+        mend = "check where the finer image lies; a target that the cube cuts is taken out of it"
+        raise outside_error(np.array([starts, ends])[:, ::-1], shape, where, f"the target {name!r}", mend)
     away = np.ceil(_REACH_SD * np.array(blur) * SIGMA_PER_FWHM + np.abs(shifts).max(axis=0))
     low = np.maximum(np.floor(starts) - away, 0).astype(int)
     high = np.minimum(np.ceil(ends) + away, shape).astype(int)
@@ -284,7 +280,7 @@ def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, 
     ------
     InputError : another size than the cube's, no such band, or a number that no pixel has.
     """
-    raster = _of_cube(path, cube)
+    raster = raster_of_size(path, cube.shape)
     band = _band(raster, source.band if source.band is not None else 1, path)
     values = _values(raster, band)
     regions = {}
@@ -311,7 +307,7 @@ def abundance_targets(
     InputError : another size than the cube's, no such band, or values that are no parts of a pixel.
     """
     path = resolve(truth.image)
-    raster = _of_cube(path, cube)
+    raster = raster_of_size(path, cube.shape)
     out: list[TargetObject] = []
     for material, wanted in truth.materials.items():
         band = _band(raster, wanted, path)
@@ -344,17 +340,6 @@ def abundance_targets(
             "in the simulation is what fills are counted by"
         )
     return out, remarks
-
-
-def _of_cube(path: Path, cube: Cube) -> Raster:
-    raster = open_raster(path)
-    if (raster.lines, raster.samples) != cube.shape:
-        raise InputError(
-            f"{raster.lines} lines and {raster.samples} samples",
-            where=str(path),
-            expected=f"{cube.lines} lines and {cube.samples} samples, as the cube",
-        )
-    return raster
 
 
 def _band(raster: Raster, wanted: int | str, path: Path) -> int:
