@@ -13,8 +13,7 @@ from hyperval.errors import HypervalError
 from hyperval.imagery.array_raster import ArrayRaster, Piece, Term
 from hyperval.imagery.envi_raster import EnviRaster
 from hyperval.imagery.layouts import Values, layouts, member, tree_of
-from hyperval.imagery.location import location_table
-from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
+from hyperval.imagery.lookup_table import LookupTable, location_table, open_lookup_table
 from hyperval.imagery.rasters import Raster, open_raster
 from hyperval.imagery.stores import Hdf5Store, check_own_values
 from hyperval.imagery.tiff_raster import TiffRaster

@@ -17,8 +17,7 @@ from hyperval.errors import UsageError
 from hyperval.imagery.acquisition import acquisition_notes
 from hyperval.imagery.companions import table_of
 from hyperval.imagery.cube import Cube, open_cube
-from hyperval.imagery.location import location_table
-from hyperval.imagery.lookup_table import LookupTable, open_lookup_table
+from hyperval.imagery.lookup_table import LookupTable, location_table, open_lookup_table
 from hyperval.imagery.rasters import open_raster
 from hyperval.imagery.regions import guard, read_regions
 from hyperval.imagery.truth import TargetObject, all_pixels, intersected_objects, read_targets, region_objects
