@@ -11,7 +11,6 @@ from hyperval.uncertainty.attribution.ranking import (
     Candidate,
     budget_covariance,
     common_and_own,
-    groups_of,
     ranking,
 )
 from hyperval.uncertainty.attribution.schema import AttributionOptions, WhatIf
@@ -109,11 +108,6 @@ def test_the_two_parts_hold_all_of_the_residuals_and_do_not_correlate():
     parts = common_and_own(r, covariance, common, columns)
     whole = r @ np.linalg.solve(covariance, r)
     assert sum(x @ np.linalg.solve(c, x) for x, c, _ in parts.values()) == pytest.approx(whole, rel=1e-9)
-
-
-def test_patterns_name_groups():
-    assert groups_of(["lawn", "lot", "lawn"], ["l*"]) == ["lawn", "lot"]
-    assert groups_of(["lawn", "lot"], []) == []
 
 
 def test_a_what_if_changes_the_scenarios_that_it_fits():

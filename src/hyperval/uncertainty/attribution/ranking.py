@@ -11,9 +11,11 @@ import numpy.typing as npt
 from scipy import linalg, optimize, stats
 
 from hyperval.errors import UsageError
+from hyperval.uncertainty.attribution.residuals import Stack
 
 Array = npt.NDArray[np.float64]
 
+ALL = "all"
 ENOUGH = 0.05  # p-value from which residuals count as explained
 MOST_STEPS = 3
 COMMON, DIFFERENT = "what all subjects share", "what differs between subjects"
@@ -112,6 +114,23 @@ def in_words(item: Ranked) -> str:
     return f"{item.needed:.2g} times its {what}{end}"
 
 
+def rankings(
+    stack: Stack, residual: Array, covariance: Array, columns: Mapping[Candidate, Array], each: Sequence[str]
+) -> list[Ranking]:
+    """The candidates ranked by all residuals, by what spectra share or differ in, and by subjects of ``each``."""
+
+    def part(of: npt.NDArray[np.intp]) -> tuple[Array, Array, dict[Candidate, Array]]:
+        return residual[of], covariance[np.ix_(of, of)], {c: g[of] for c, g in columns.items() if np.any(g[of])}
+
+    out = [ranking(ALL, residual, covariance, columns)]
+    spectra, common = stack.common_bands()
+    if common.size and len(spectra) > common.shape[1]:
+        r, c, moved = part(spectra)
+        out += [ranking(group, *parts) for group, parts in common_and_own(r, c, common, moved).items()]
+    subjects = [s for s in dict.fromkeys(b.subject for b in stack.blocks) if any(fnmatchcase(s, p) for p in each)]
+    return out + [ranking(subject, *part(stack.indices_of(subject))) for subject in subjects]
+
+
 def ranking(
     group: str,
     residual: Array,
@@ -195,12 +214,6 @@ def budget_covariance(columns: Mapping[Candidate, Array], size: int) -> Array:
         if candidate.budgeted:
             total += g @ g.T
     return total
-
-
-def groups_of(subjects: Sequence[str], patterns: Sequence[str]) -> list[str]:
-    """The subjects that patterns name, in the order of the subjects."""
-
-    return [s for s in dict.fromkeys(subjects) if any(fnmatchcase(s, p) for p in patterns)]
 
 
 _GRID = np.geomspace(1e-4, 1e8, 97)

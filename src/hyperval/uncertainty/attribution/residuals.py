@@ -178,6 +178,11 @@ class Stack:
         ends = np.cumsum([b.observed.size for b in self.blocks])
         return [slice(int(e) - b.observed.size, int(e)) for b, e in zip(self.blocks, ends, strict=True)]
 
+    def indices_of(self, subject: str) -> npt.NDArray[np.intp]:
+        """Entries of one subject, with those of the background seen through its filter."""
+        names, places = {subject, background_of(subject)}, zip(self.blocks, self.slices(), strict=True)
+        return np.concatenate([np.arange(s.start, s.stop) for b, s in places if b.subject in names])
+
 
 def stacked(predicted: Products, observed: Products) -> Stack:
     """Everything both sides hold, as far as both have values there."""

@@ -12,16 +12,9 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure, combined
 from hyperval.prediction.input import Input
-from hyperval.products import Products, background_of
+from hyperval.products import Products
 from hyperval.progress import track
-from hyperval.uncertainty.attribution.ranking import (
-    Candidate,
-    Ranking,
-    budget_covariance,
-    common_and_own,
-    groups_of,
-    ranking,
-)
+from hyperval.uncertainty.attribution.ranking import Candidate, Ranking, budget_covariance, rankings
 from hyperval.uncertainty.attribution.residuals import Quantity, Stack, quantities, stacked
 from hyperval.uncertainty.attribution.schema import AttributionOptions
 from hyperval.uncertainty.attribution.sensitivity import Indices, quadratic_design, sensitivity_indices
@@ -29,7 +22,6 @@ from hyperval.uncertainty.attribution.what_ifs import Model, Outcome, Truth, run
 
 Array = npt.NDArray[np.float64]
 
-ALL = "all"
 ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
 _CHECKS = 4
 MOST_TOGETHER = 6
@@ -134,20 +126,10 @@ def attribute(
     indices, counted = None, [r for r in reasons if r.candidate.budgeted]
     if options.totals and counted and numbers:
         indices = _indices(counted, evaluate, values, single, show_progress)
-    rankings = [ranking(ALL, residual, covariance, columns)]
-    spectra, common = stack.common_bands()
-    if common.size and len(spectra) > common.shape[1]:
-        part = {c: g[spectra] for c, g in columns.items() if np.any(g[spectra])}
-        apart = common_and_own(residual[spectra], covariance[np.ix_(spectra, spectra)], common, part)
-        rankings += [ranking(group, *parts) for group, parts in apart.items()]
-    for group in groups_of([b.subject for b in stack.blocks], options.each):
-        here = _indices_of(stack, group)
-        part = {c: g[here] for c, g in columns.items() if np.any(g[here])}
-        rankings.append(ranking(group, residual[here], covariance[np.ix_(here, here)], part))
     outcomes = run_what_ifs(model, stack, numbers, covariance, observed, options.what_ifs, base, show_progress)
     return Attribution(
         tuple(r.candidate for r in reasons),
-        tuple(rankings),
+        tuple(rankings(stack, residual, covariance, columns, options.each)),
         tuple(numbers),
         values,
         changes,
@@ -232,12 +214,3 @@ def _together(reasons: Sequence[_Reason], units: Sequence[float] | Array) -> lis
         return [combined(*parts) for parts in zip(*moved, strict=True)]
     except UsageError:
         return None
-
-
-def _indices_of(stack: Stack, group: str) -> npt.NDArray[np.intp]:
-    """Residuals of one subject, with those of the background seen through its filter."""
-    names = {group, background_of(group)}
-    parts = [
-        np.arange(s.start, s.stop) for b, s in zip(stack.blocks, stack.slices(), strict=True) if b.subject in names
-    ]
-    return np.concatenate(parts)
