@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperval.compare.abundance import compare_abundance
-from hyperval.compare.consistency import _detectable, bias_and_shape, detectable_tilts
+from hyperval.compare.consistency import _detectable, chi_square_shape, detectable_tilts
 from hyperval.compare.roc_areas import predicted_area
 from hyperval.compare.spectral import _mean_ratio
 from hyperval.processing.roc_areas import AREAS
@@ -18,9 +18,8 @@ from hyperval.results import Cause, Outcome
 
 def test_nothing_is_said_of_one_wavelength_or_of_a_spectrum_that_is_zero():
     assert all(math.isnan(t) for t in detectable_tilts([1.0, 1.0], [500.0, 500.0], np.eye(2)))
-    dark = bias_and_shape([0.1, -0.2], [0.0, 0.0], np.eye(2))
-    assert math.isnan(dark.bias)
-    assert dark.shape.value == pytest.approx(0.05)
+    dark = chi_square_shape([0.1, -0.2], [0.0, 0.0], np.eye(2))
+    assert (dark.value, dark.dof) == (pytest.approx(0.05), 2)
     ratio = np.array([1.0, np.nan])
     assert np.isnan(_mean_ratio(ratio, np.eye(2), np.array([False, True]))).all()
 

@@ -8,9 +8,9 @@ from scipy import stats
 
 from hyperval.compare import Gate, consistency, judged
 from hyperval.compare.consistency import (
-    bias_and_shape,
     chi_square_diagonal,
     chi_square_full,
+    chi_square_shape,
     detectable_tilts,
     share_inside,
     spectral_angle_degrees,
@@ -155,19 +155,16 @@ def test_singular_covariance_keeps_only_real_directions():
     assert doubled.value == pytest.approx(chi_square_full(r, cov).value, rel=1e-6)
 
 
-def test_bias_and_shape_add_up_and_separate():
+def test_shape_is_what_the_full_test_has_beyond_a_common_factor():
     rng = np.random.default_rng(7)
     a = rng.normal(size=(12, 12))
     covariance, reference, r = a @ a.T, rng.uniform(1, 2, 12), rng.normal(size=12)
-    parts = bias_and_shape(r, reference, covariance)
-    full = chi_square_full(r, covariance)
-    assert (parts.bias / parts.bias_sd) ** 2 + parts.shape.value == pytest.approx(full.value, rel=1e-7)
-    assert parts.shape.dof == 11
+    shape = chi_square_shape(r, reference, covariance)
     inverse = np.linalg.inv(covariance)
-    assert parts.bias == pytest.approx(reference @ inverse @ r / (reference @ inverse @ reference), rel=1e-6)
-    pure = bias_and_shape(0.07 * reference, reference, covariance)
-    assert pure.bias == pytest.approx(0.07)
-    assert pure.shape.value == pytest.approx(0.0, abs=1e-9)
+    of_factor = (reference @ inverse @ r) ** 2 / (reference @ inverse @ reference)
+    assert of_factor + shape.value == pytest.approx(chi_square_full(r, covariance).value, rel=1e-6)
+    assert shape.dof == 11
+    assert chi_square_shape(0.07 * reference, reference, covariance).value == pytest.approx(0.0, abs=1e-9)
 
 
 def test_z_and_angle():
@@ -299,7 +296,7 @@ def test_the_detectable_tilt_is_found_in_four_cases_of_five():
     root = np.linalg.cholesky(c)
     for size, p_of in (
         (full, lambda r: chi_square_full(r, c).p_value),
-        (shape, lambda r: bias_and_shape(r, mean, c).shape.p_value),
+        (shape, lambda r: chi_square_shape(r, mean, c).p_value),
     ):
         tilted = size * mean * np.linspace(-1.0, 1.0, 20)
         p = np.array([p_of(tilted + root @ rng.standard_normal(20)) for _ in range(1000)])

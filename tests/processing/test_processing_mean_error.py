@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.compare.consistency import bias_and_shape, chi_square_full, covariance_dof
+from hyperval.compare.consistency import chi_square_full, chi_square_shape, covariance_dof
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import PanelErrors, line_error
 from hyperval.processing.mean_error import (
@@ -196,5 +196,6 @@ def test_directions_are_left_out_until_the_covariance_is_known_well_enough():
     some = chi_square_full(r, c, [EstimatedPart(c, 12.0)])
     assert (some.dof, some.covariance_dof) == (4, pytest.approx(12.0))
     assert 0.0 < some.p_value < 1.0
-    split = bias_and_shape(r, np.ones(10), c, [EstimatedPart(c, 12.0)])
-    assert (split.bias / split.bias_sd) ** 2 + split.shape.value == pytest.approx(some.value)
+    shape = chi_square_shape(r, np.ones(10), c, [EstimatedPart(c, 12.0)])
+    assert (shape.dof, shape.covariance_dof) == (3, pytest.approx(12.0))
+    assert 0.0 < shape.value < some.value

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hyperval.baseline.runs import Run, all_runs
+from hyperval.baseline.runs import all_runs
 from hyperval.baseline.schema import Accepted
 from hyperval.baseline.store import (
     accepted_of,
@@ -88,10 +88,14 @@ def accept(
                 expected="a run without errors",
                 mend="mend the code or the campaign",
             )
-    plans = [(run, *_plan(run, baselines)) for run in runs if run.skipped is None]
+    plans = []
+    for run in (run for run in runs if run.skipped is None):
+        before = stored(baselines, run.kind, run.name)
+        old = before.metrics if before else {}
+        plans.append((run, old, accepted_of(run.metrics, old)))
     written, unchanged, changes = {}, [], []
-    for run, path, old, new in plans:
-        different = _changes(run.owner, old, new)
+    for run, old, new in plans:
+        path, different = baseline_path(baselines, run.kind, run.name), _changes(run.owner, old, new)
         if not different:
             unchanged.append(run.owner)
             continue
@@ -101,12 +105,6 @@ def accept(
         changes += different
     skipped = {run.owner: run.skipped for run in runs if run.skipped is not None}
     return Acceptance(written, unchanged, skipped, changes, today())
-
-
-def _plan(run: Run, folder: Path) -> tuple[Path, Mapping[str, Accepted], dict[str, Accepted]]:
-    before = stored(folder, run.kind, run.name)
-    old = before.metrics if before else {}
-    return baseline_path(folder, run.kind, run.name), old, accepted_of(run.metrics, old)
 
 
 def _changes(owner: str, old: Mapping[str, Accepted], new: Mapping[str, Accepted]) -> list[Change]:

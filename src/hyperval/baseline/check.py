@@ -131,7 +131,7 @@ def _write(outcome: Checks, folder: Path) -> None:
             description="Each number of this run beside the one that was accepted; it fails beyond its tolerance.",
             simulated=item.run.simulated,
             kind="Accepted numbers of",
-            sentence=_sentence(item),
+            sentence=accepted_words(item.rows) if item.differences else next(row.reason for row in item.rows),
             table=item.rows,
             provenance={
                 "command": command_without_output(),
@@ -147,13 +147,6 @@ def _write(outcome: Checks, folder: Path) -> None:
         inner.mkdir(exist_ok=True)
         write_outputs(report, inner)
     write_index(reports, folder, "Accepted numbers")
-
-
-def _sentence(item: Checked) -> str:
-    """How many numbers are as accepted, and how many are not."""
-    if not item.differences:
-        return next((row.reason for row in item.rows), "no number")
-    return accepted_words(item.rows)
 
 
 def _inputs(path: Path) -> list[dict[str, str | None]]:

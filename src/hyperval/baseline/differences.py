@@ -66,12 +66,12 @@ def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Meas
     It disagrees: beyond the tolerance, no longer there, not accepted yet, a value where there was none or none
     where there was one, another outcome.  A number that was not accepted fails: until it is, nothing guards it.
     """
-    return [_judged(owner, key, accepted.get(key), now.get(key)) for key in sorted({*accepted, *now})]
-
-
-def _judged(owner: str, key: str, old: Accepted | None, new: Measured | None) -> Difference:
-    words = _objection(key, old, new)
-    return Difference(owner, key, old, new, Outcome.DISAGREES if words else Outcome.AGREES, words)
+    out = []
+    for key in sorted({*accepted, *now}):
+        words = _objection(key, accepted.get(key), now.get(key))
+        outcome = Outcome.DISAGREES if words else Outcome.AGREES
+        out.append(Difference(owner, key, accepted.get(key), now.get(key), outcome, words))
+    return out
 
 
 def _objection(key: str, old: Accepted | None, new: Measured | None) -> str:

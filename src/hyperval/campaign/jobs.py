@@ -92,7 +92,7 @@ def _run_into(job: AnyJob, finished: Finished, show_progress: bool | None) -> Do
         write_outputs(run, folder)
     if isinstance(job, Job):
         finished.keep(job, run)
-    return _without_arrays(run), None
+    return replace(run, prediction=None, observation=None, score_maps={}, quicklook=None), None
 
 
 def _stopped(job: AnyJob, folder: Path, error: Exception) -> Done:
@@ -102,7 +102,3 @@ def _stopped(job: AnyJob, folder: Path, error: Exception) -> Done:
     folder.mkdir(exist_ok=True)
     write_outputs(run, folder)
     return run, error.exit_code if isinstance(error, HypervalError) else INTERNAL_ERROR
-
-
-def _without_arrays(run: RunReport) -> RunReport:
-    return replace(run, prediction=None, observation=None, score_maps={}, quicklook=None)

@@ -41,7 +41,6 @@ class Spectrum:
     path: Path
     record: str | None
     unit: str | None
-    guessed: bool
     flat: bool = False
 
     def source(self, draft: Draft) -> dict[str, Any]:
@@ -106,7 +105,6 @@ def _records(path: Path) -> list[Spectrum]:
                     path,
                     r.name if several else None,
                     unit,
-                    unit is not None,
                     _is_flat(r.values[in_window(r.wavelength_nm)]),
                 )
                 for r in records

@@ -168,36 +168,21 @@ def _smooth(x: Array, known: Array, samples: Sequence[tuple[Array, float]]) -> t
         kept = max(min(kept - 1, int((nu + ROUNDING) / DOF_PER_DIRECTION)), 1)
 
 
-@dataclass(frozen=True)
-class BiasAndShape:
-    """A residual split in a common factor and what that leaves.
-
-    ``bias`` and ``bias_sd`` are the factor and its standard uncertainty [1]; ``shape`` is the chi-square
-    of the rest, whose sum with (bias/bias_sd)^2 is the full chi-square.
-    """
-
-    bias: float
-    bias_sd: float
-    shape: ChiSquare
-
-
-def bias_and_shape(
+def chi_square_shape(
     difference: npt.ArrayLike, reference: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated = ()
-) -> BiasAndShape:
-    """Split r into a multiple of the reference spectrum and a shape residual (generalised least squares).
+) -> ChiSquare:
+    """What is left of the full chi-square when a multiple s of the reference spectrum may go (least squares).
 
-    s = c^T C^-1 r/(c^T C^-1 c), sd(s) = (c^T C^-1 c)^-1/2, shape = r^T C^-1 r - (s/sd)^2, in the directions of
+    r^T C^-1 r - (s/sd)^2 with s = c^T C^-1 r/(c^T C^-1 c) and sd = (c^T C^-1 c)^-1/2, in the directions of
     :func:`chi_square_full`.
     """
     r, nu = _tested(difference, covariance, estimated)
     c, _ = _tested(reference, covariance, estimated)
-    kept = r.size
     weight = float(c @ c)
     if weight <= 0.0:
-        return BiasAndShape(float("nan"), float("nan"), ChiSquare(float(r @ r), int(kept), nu))
-    s = float(c @ r) / weight
-    rest = r - s * c
-    return BiasAndShape(s, weight**-0.5, ChiSquare(float(rest @ rest), int(kept) - 1, nu))
+        return ChiSquare(float(r @ r), int(r.size), nu)
+    rest = r - float(c @ r) / weight * c
+    return ChiSquare(float(rest @ rest), int(r.size) - 1, nu)
 
 
 def detectable_tilts(

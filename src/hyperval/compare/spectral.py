@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.compare.consistency import (
-    bias_and_shape,
     chi_square_diagonal,
     chi_square_full,
+    chi_square_shape,
     detectable_tilts,
     share_inside,
     spectral_angle_degrees,
@@ -170,7 +170,7 @@ def _consistency(
         out = [make.skipped(cause, reason, name) for name in names[:-1]]
     else:
         diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, cov, parts_here)
-        parts = bias_and_shape(r, o, cov, parts_here)
+        shape = chi_square_shape(r, o, cov, parts_here)
         tilts = detectable_tilts(o, centre_nm[window], cov, parts_here)
         inside, limits = share_inside(r, cov)
         bias, bias_sd = _mean_ratio(*relative, window)
@@ -185,8 +185,8 @@ def _consistency(
             make.row(names[2], full.reduced, n=full.dof, reason=kept),
             make.row(names[3], full.p_value, n=full.dof, detectable=tilts[0], reason=kept),
             make.row(names[4], bias, half=Z95 * bias_sd, n=full.dof),
-            make.row(names[5], parts.shape.reduced, n=parts.shape.dof),
-            make.row(names[6], parts.shape.p_value, n=parts.shape.dof, detectable=tilts[1]),
+            make.row(names[5], shape.reduced, n=shape.dof),
+            make.row(names[6], shape.p_value, n=shape.dof, detectable=tilts[1]),
             make.row(names[7], inside, interval=limits, n=int(window.sum())),
         ]
     angle = spectral_angle_degrees(p, o)
