@@ -116,6 +116,8 @@ def test_where_neither_engine_has_light_there_is_none():
 def test_a_registered_table_refuses_a_flight_under_another_sun(data_dir):
     data_dir("modtran/modtran6_airborne_lut")
     flight = load_scenario(ROOT / "campaigns" / "pasadena-2017" / "line-184227.yaml")
+    on_the_table = flight.atmosphere.model_copy(update={"ground_altitude_km": 0.35})
+    flight = flight.model_copy(update={"atmosphere": on_the_table})
     with pytest.raises(NotApplicable, match=r"solar_zenith_deg is 52\.51"):
         ENGINES["modtran6-airborne"].serve(flight, lambda reference: datasets.resolve(reference, flight.folder))
 

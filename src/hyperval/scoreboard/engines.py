@@ -40,7 +40,7 @@ REACH: dict[str, tuple[float, str]] = {
     "aot550": (0.05, "at 550 nm"),
     "water_vapour_g_cm2": (0.5, "g cm-2"),
     "ozone_atm_cm": (0.05, "atm cm"),
-    "ground_altitude_km": (0.1, "km"),
+    "ground_altitude_km": (0.15, "km"),  # 2 % of the air
     "sensor_altitude_km": (0.1, "km"),
     "solar_zenith_deg": (1.0, "deg"),
     "view_zenith_deg": (0.5, "deg"),
