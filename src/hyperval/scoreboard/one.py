@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -153,7 +151,6 @@ def benchmark(
     *,
     extensions: Sequence[Path] = (),
     seed: int = 0,
-    executor: Executor | None = None,
     scheduler: str | None = None,
     show_progress: bool | None = None,
 ) -> int:
@@ -163,7 +160,7 @@ def benchmark(
     ----------
     extensions : Python files that register detectors or engines
     seed : of the resampling
-    executor, scheduler : what runs the campaigns; default: one process for each processor (HYPERVAL_WORKERS)
+    scheduler : address of what runs the campaigns; default: one process for each processor (HYPERVAL_WORKERS)
 
     Returns
     -------
@@ -176,19 +173,16 @@ def benchmark(
     load_extensions(extensions)
     entries = [Entry(job, seed, tuple(Path(p).resolve() for p in extensions)) for job in jobs_of(*paths)]
     with whole_folder(output) as folder:
-        done = _done(entries, executor, scheduler, show_progress)
+        done = _done(entries, scheduler, show_progress)
         _write(done, extensions, seed, folder)
     return next((d.exit_code for d in done if d.exit_code is not None), 0)
 
 
-def _done(
-    entries: Sequence[Entry], executor: Executor | None, scheduler: str | None, show_progress: bool | None
-) -> list[Benchmarked]:
+def _done(entries: Sequence[Entry], scheduler: str | None, show_progress: bool | None) -> list[Benchmarked]:
     count = worker_count(len(entries))
-    if executor is None and scheduler is None and count == 1:
+    if scheduler is None and count == 1:
         return [benchmark_campaign(entry, show_progress=show_progress) for entry in entries]
-    with ExitStack() as stack:
-        where = executor or stack.enter_context(workers(count, scheduler))
+    with workers(count, scheduler) as where:
         results = in_order(where, partial(benchmark_campaign, show_progress=False), entries, ahead=len(entries))
         return list(track(results, "campaigns", len(entries), show=show_progress))
 

@@ -118,7 +118,7 @@ def _check_widths(sensor: Sensor, axis: SpectralAxis, ledger: Ledger) -> None:
     at = int(np.argmax(unseen))
     ledger.gate(
         PRODUCT, "widest_gap_fwhm", float(unseen[at]), unseen[at] <= WIDEST_GAP, at_most=WIDEST_GAP,
-        unit="FWHM", band_nm=np.nan,
+        unit="FWHM",
         reason=f"between {axis.centre_nm[at]:g} and {axis.centre_nm[at + 1]:g} nm: a band lacks, or the gap is "
         "to be stated in bands: gaps",
     )  # fmt: skip

@@ -32,7 +32,6 @@ class Ledger:
         at_most: float = math.nan,
         unit: str = "1",
         subject: str = "",
-        band_nm: float = math.nan,
         n: int | None = None,
         reason: str = "",
         remark: str = "",
@@ -51,7 +50,7 @@ class Ledger:
             role, text = Role.INFORM, f"as known: {self._known[known]} ({reason})"
         self.table.add(
             Result(
-                self._campaign, product, subject, METHOD, metric, float(value), unit, float(band_nm), n=n,
+                self._campaign, product, subject, METHOD, metric, float(value), unit, n=n,
                 limit_low=float(at_least), limit_high=float(at_most), role=role, outcome=outcome, reason=text,
             )
         )  # fmt: skip
@@ -65,15 +64,10 @@ class Ledger:
         *,
         unit: str = "1",
         subject: str = "",
-        band_nm: float = math.nan,
         reason: str = "",
     ) -> None:
         """A figure that decides nothing."""
-        self.table.add(
-            Result(
-                self._campaign, product, subject, METHOD, metric, float(value), unit, float(band_nm), reason=reason
-            )
-        )
+        self.table.add(Result(self._campaign, product, subject, METHOD, metric, float(value), unit, reason=reason))
 
     def skipped(self, product: str, metric: str, reason: str) -> None:
         """A check that could not be made because another failed."""

@@ -20,7 +20,6 @@ from hyperval.report.style import Drawing
 from hyperval.results import Outcome, Result
 from hyperval.sensor.specification import Sensor, library_names, load_sensor
 from hyperval.sensor_check.figures import draw_datasheet
-from hyperval.sensor_check.noise import Engine
 from hyperval.sensor_check.numbers import numbers
 from hyperval.sensor_check.suite import SensorCheck, check_sensor
 
@@ -138,18 +137,13 @@ def _sections(rows: Sequence[Result], drawings: Sequence[Drawing]) -> list[dict[
 
 
 def check_to_folder(
-    name_or_file: str,
-    output: Path | None,
-    *,
-    vary: float = 0.2,
-    engine: Engine | None = None,
-    show_progress: bool | None = None,
+    name_or_file: str, output: Path | None, *, vary: float = 0.2, show_progress: bool | None = None
 ) -> SensorCheck:
     """Run the acceptance suite and, where ``output`` is given, write its datasheet into that folder."""
     if output is None:
-        return check_sensor(name_or_file, vary=vary, engine=engine, show_progress=show_progress)
+        return check_sensor(name_or_file, vary=vary, show_progress=show_progress)
     with whole_folder(output) as folder:
-        check = check_sensor(name_or_file, vary=vary, engine=engine, show_progress=show_progress)
+        check = check_sensor(name_or_file, vary=vary, show_progress=show_progress)
         write_check(check, folder, name_or_file)
     return check
 

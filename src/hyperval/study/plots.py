@@ -53,9 +53,9 @@ def _label(study: Study, name: str) -> str:
     return next(x.label or x.name for x in outputs if x.name == name)
 
 
-def _folded(text: str, width: int = 22) -> str:
+def _folded(text: str) -> str:
     """Text in short lines, for the title of a legend."""
-    return "\n".join(style.plain(line) for line in textwrap.wrap(text, width))
+    return "\n".join(style.plain(line) for line in textwrap.wrap(text, 22))
 
 
 def _kept(study: Study, table: StudyTable, drawn: list[str]) -> tuple[npt.NDArray[np.bool_], dict[str, Any]]:

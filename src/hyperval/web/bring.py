@@ -6,7 +6,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,7 +22,7 @@ from hyperval.sensor.specification import library_names
 from hyperval.web.desk import Order
 from hyperval.web.limits import Settings
 from hyperval.web.pages import page, session_of
-from hyperval.web.refusal import Mistake, Refused
+from hyperval.web.refusal import Mistake, Refused, to_show
 from hyperval.web.store import Run
 from hyperval.web.uploads import SPECTRA, checked_name, files_of, folder_of
 
@@ -93,37 +93,29 @@ def bring(request: Request) -> Response:
 @router.post("/uploads")
 async def uploads(request: Request) -> Response:
     """Take files and run the empirical pipeline on them."""
-    form = await form_of(request)
-    try:
-        run = await run_in_threadpool(order_pipeline, request, form)
-    except Refused as refusal:
-        if refusal.status != 422:
-            raise
-        return _page(request, list(refusal.mistakes), 422)
-    return RedirectResponse(f"/runs/{run.id}", status_code=303)
+    return await _taken(request, "/runs/{0.id}", order_pipeline)
 
 
 @router.post("/uploads/spectra")
 async def upload_spectra(request: Request) -> Response:
     """Keep field spectra, which scenarios may then name."""
-    return await _kept(request, "spectra")
+    return await _taken(request, "/bring", keep_files, "spectra")
 
 
 @router.post("/uploads/sensors")
 async def upload_sensors(request: Request) -> Response:
     """Keep sensor files, which scenarios may then name."""
-    return await _kept(request, "sensors")
+    return await _taken(request, "/bring", keep_files, "sensors")
 
 
-async def _kept(request: Request, kind: str) -> Response:
+async def _taken(request: Request, leads_to: str, take: Callable[..., Any], *more: str) -> Response:
+    """What comes of a form of files: the page that it leads to, or the form again with its mistakes."""
     form = await form_of(request)
     try:
-        await run_in_threadpool(keep_files, request, form, kind)
+        done = await run_in_threadpool(take, request, form, *more)
     except Refused as refusal:
-        if refusal.status != 422:
-            raise
-        return _page(request, list(refusal.mistakes), 422)
-    return RedirectResponse("/bring", status_code=303)
+        return _page(request, to_show(refusal), 422)
+    return RedirectResponse(leads_to.format(done), status_code=303)
 
 
 async def form_of(request: Request) -> FormData:

@@ -29,7 +29,7 @@ from hyperval.web.inputs import (
 )
 from hyperval.web.pages import form_parts, page, session_of
 from hyperval.web.predefined import needs, predefined
-from hyperval.web.refusal import Mistake, Refused
+from hyperval.web.refusal import Mistake, Refused, to_show
 from hyperval.web.store import Run
 from hyperval.web.uploads import copies_of, files_of
 
@@ -153,9 +153,7 @@ def _run(request: Request, given: dict[str, list[str]]) -> Response:
         data.setdefault("schema", 1)
         run = order_prediction(request, data)
     except Refused as refusal:
-        if refusal.status != 422:
-            raise
-        return _form(request, _content_of(given, data), refusal.mistakes, 422)
+        return _form(request, _content_of(given, data), to_show(refusal), 422)
     request.app.state.desk.wait(run.id, _WAIT_S)
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 

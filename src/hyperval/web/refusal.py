@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from hyperval.errors import HypervalError
 
 _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
+_MOST = 40  # mistakes of one request
 _WORDS = {
     "finite_number": "is no finite number",
     "missing": "is missing",
@@ -41,6 +42,13 @@ class Refused(Exception):
         self.status, self.wait = status, wait
         self.mistakes = (Mistake("", mistakes),) if isinstance(mistakes, str) else tuple(mistakes)
         super().__init__("; ".join(f"{m.field}: {m.message}" if m.field else m.message for m in self.mistakes))
+
+
+def to_show(refusal: Refused) -> list[Mistake]:
+    """The mistakes that a form is shown again with; a refusal for another reason is raised on."""
+    if refusal.status != 422:
+        raise refusal
+    return list(refusal.mistakes)
 
 
 def without_paths(text: str) -> str:
@@ -81,12 +89,12 @@ def sentence(kind: str, message: str, location: Sequence[str | int]) -> str:
     return _WORDS.get(kind, message.removeprefix("Value error, "))
 
 
-def mistakes_of(error: ValidationError, data: Any, most: int = 40) -> list[Mistake]:
+def mistakes_of(error: ValidationError, data: Any) -> list[Mistake]:
     """Every mistake of ``data`` with its field, each once."""
     listed: dict[Mistake, None] = {}
     for item in error.errors(include_url=False, include_context=False):
         words = sentence(item["type"], item["msg"], item["loc"])
         listed[Mistake(field_name(item["loc"], data)[:200], without_paths(words)[:500])] = None
-        if len(listed) >= most:
+        if len(listed) >= _MOST:
             break
     return list(listed)

@@ -23,7 +23,7 @@ from hyperval.web.limits import Limits
 from hyperval.web.pages import form_parts, page, session_of
 from hyperval.web.pages_predict import scenario_of, texts_of, walk, with_action
 from hyperval.web.predefined import predefined
-from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
+from hyperval.web.refusal import Mistake, Refused, mistakes_of, said, to_show
 from hyperval.web.store import Run
 from hyperval.web.uploads import copies_of, files_of
 
@@ -78,9 +78,7 @@ def _run(request: Request, given: dict[str, list[str]]) -> Response:
         data = form_data(study_form(), given)
         run = order_study(request, {"schema": 1, **data})
     except Refused as refusal:
-        if refusal.status != 422:
-            raise
-        return _page(request, data, list(refusal.mistakes), 422)
+        return _page(request, data, to_show(refusal), 422)
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
 
