@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -16,6 +15,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import UsageError
+from hyperval.executors import in_order, single_blas_thread
 from hyperval.files import write_text
 from hyperval.folders import COLLECTION, whole_folder
 from hyperval.imagery.envi_write import envi_writer, write_cube
@@ -254,18 +254,8 @@ def _check_size(scene: SceneFile, bands: int) -> None:
 
 def _in_order(work: Callable[[int], T], items: Iterable[int]) -> Iterator[T]:
     """Results of ``work`` in the order of ``items``, a few ahead at a time so that memory stays bounded."""
-    pending: deque[Future[T]] = deque()
-    with ThreadPoolExecutor(WORKERS) as pool:
-        try:
-            for item in items:
-                pending.append(pool.submit(work, item))
-                if len(pending) > 4 * WORKERS:
-                    yield pending.popleft().result()
-            while pending:
-                yield pending.popleft().result()
-        finally:
-            for future in pending:
-                future.cancel()
+    with single_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:  # the limit belongs to the process
+        yield from in_order(pool, work, items, ahead=4 * WORKERS)
 
 
 def _blocks(items: Iterable[T], size: int) -> Iterator[list[T]]:
