@@ -133,12 +133,20 @@ class Gate(Model):
 
     def covers(self, row: Result) -> bool:
         """True for the rows this gate is about, and for skipped comparisons that would have held them."""
+        return row.product == self.product and self.covers_band(row) and self.names(row)
+
+    def covers_band(self, row: Result) -> bool:
+        """Whether the band of a row, if it has one, is among those that the gate is about."""
+        if self.bands_nm is None or row.metric == COMPARISON:
+            return True
+        return self.bands_nm[0] <= row.band_nm <= self.bands_nm[1]
+
+    def names(self, row: Result) -> bool:
+        """Whether product, subject, method and metric of a row are those that the gate names."""
         if row.product != self.product or not fnmatchcase(row.method, self.method):
             return False
         if not any(fnmatchcase(row.subject, pattern) for pattern in self.subjects):
             return False
-        if row.metric == COMPARISON:
-            return True
-        if self.bands_nm is not None and not self.bands_nm[0] <= row.band_nm <= self.bands_nm[1]:
-            return False
-        return any(fnmatchcase(name, self.metric) for name in (row.metric, row.metric.partition("@")[0]))
+        return row.metric == COMPARISON or any(
+            fnmatchcase(name, self.metric) for name in (row.metric, row.metric.partition("@")[0])
+        )

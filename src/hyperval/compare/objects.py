@@ -42,7 +42,9 @@ def probability_integral_transform(score: npt.ArrayLike, draws: npt.ArrayLike) -
     """
     ordered = np.sort(np.asarray(draws, dtype=float), axis=None)
     at = np.asarray(score, dtype=float)
-    below = 0.5 * (np.searchsorted(ordered, at, "left") + np.searchsorted(ordered, at, "right"))
+    below = np.searchsorted(ordered, at, "left").astype(float)
+    equal = ordered[np.minimum(below.astype(int), ordered.size - 1)] == at
+    below[equal] = 0.5 * (below[equal] + np.searchsorted(ordered, at[equal], "right"))
     return np.asarray((below + 0.5) / (ordered.size + 1.0))
 
 

@@ -32,13 +32,17 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     planned goes missing.  A pooled gate adds a row METRIC_fraction with the share and its Clopper-Pearson interval.
     """
     rows = list(rows)
-    single = [g for g in gates if g.fraction_at_least is None]
     out: list[Result] = []
+    concerned: dict[tuple[str, ...], list[Gate]] = {}  # bands of one spectrum have many rows under one name
     for row in rows:
-        covering = [g for g in single if g.covers(row)]
+        key = row.product, row.subject, row.method, row.metric
+        if key not in concerned:
+            concerned[key] = [g for g in gates if g.names(row)]
+        pooled_or_not = [g for g in concerned[key] if g.covers_band(row)]
+        covering = [g for g in pooled_or_not if g.fraction_at_least is None]
         if covering:
             out += [_by_gate(row, g) for g in covering]
-        elif any(g.covers(row) for g in gates):
+        elif pooled_or_not:
             out.append(row)
         else:
             out.append(_by_usual_range(row))
