@@ -18,6 +18,7 @@ MAX_BYTES = 500_000_000
 _READABLE = (2, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
 _WORDS = {"inf": math.inf, "-inf": -math.inf}
 _NUMBERS = ("value", "band_nm", "lower", "upper", "limit_low", "limit_high", "detectable")
+_KNOWN = {f.name for f in fields(Result)}
 _TYPES = {"role": Role, "evidence": Evidence, "outcome": Outcome, "cause": Cause}
 
 
@@ -82,9 +83,8 @@ def read_results(path: Path) -> ResultTable:
 def _row(item: Any, columns: list[Any], where: str) -> Result:
     if isinstance(item, list) and len(item) == len(columns):
         item = dict(zip(map(str, columns), item, strict=True))
-    known = {f.name for f in fields(Result)}
-    if not isinstance(item, dict) or set(item) != known:
-        raise InputError("not a row of results", where=where, expected="the columns " + ", ".join(sorted(known)))
+    if not isinstance(item, dict) or item.keys() != _KNOWN:
+        raise InputError("not a row of results", where=where, expected="the columns " + ", ".join(sorted(_KNOWN)))
     values = dict(item)
     try:
         for name in _NUMBERS:
