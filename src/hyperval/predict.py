@@ -23,7 +23,7 @@ from hyperval.prediction.forms import spectrum_error_covariance
 from hyperval.prediction.input import Input
 from hyperval.prediction.input_paths import Given
 from hyperval.prediction.inputs import class_tail
-from hyperval.prediction.law_sampling import detection_changes, law_directions, setups_without, with_law_errors
+from hyperval.prediction.law_sampling import law_directions, setups_without, with_law_errors, with_law_limits
 from hyperval.prediction.object_scores import predicted_object_scores
 from hyperval.prediction.setup import Setup, engine_notes, saturation_notes, sensor_notes, unstated_notes
 from hyperval.prediction.spectra import spectral_products, without_calibration_error
@@ -93,7 +93,9 @@ def predict(
 
     setups = setups_without(scenario, origins, truth)
     products, changes = _prediction(case, steps, objects, object_curves, setups)
-    products = _with_moves(products, changes, moved_predictions(inputs, again), _of_classes(products, given, again))
+    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
+    of_classes = _of_classes(products, given, again)
+    products = _with_moves(products, changes, moved_predictions(inputs, again), of_classes, filters)
     if scenario.uncertainty.method == "linear" or departure is not None:
         return products
     return _propagated(case, products, inputs_of(given), again, origins)
@@ -171,8 +173,12 @@ def _prediction(
 ) -> tuple[Prediction, dict[RocKey, list[Change]]]:
     """A case with the errors of its spectra by light and sensor.
 
-    The second part are the changes of probit P_D by one standard uncertainty of each input of light and sensor, by
-    the field spectra of the targets, and by the laws of the background (``setups`` without parts of its pixels).
+    The second part are the changes of probit P_D by one standard uncertainty of each input of light and sensor, and
+    by the field spectra of the targets.
+
+    Parameters
+    ----------
+    setups : of the case without parts of the pixels that the laws of its background were fitted to
     """
     errors = spectrum_errors(case.setup)
     leading = steps.leading
@@ -185,14 +191,10 @@ def _prediction(
         draws = None if objects is True else objects
         scores = predicted_object_scores(batch, points, targets, draws)
         detection = replace(detection, object_scores=scores, expected_scores=expected_scores(batch, points))
-    changes = _changes(detection, len(leading))
-    directions = law_directions(batch, case, setups)
-    detection = replace(detection, exceedance=with_law_errors(detection.exceedance, directions))
-    for key, curve in detection.roc.items() if directions else ():
-        filter_name = batch.targets[batch.population(key[0])[0]].name, key[1]
-        if filter_name in directions:
-            changes[key] += detection_changes(curve, directions[filter_name])
-    return _joined(case, batch, 0, steps, detection), changes
+    detection = replace(
+        detection, exceedance=with_law_errors(detection.exceedance, law_directions(batch, case, setups))
+    )
+    return _joined(case, batch, 0, steps, detection), _changes(detection, len(leading))
 
 
 def _changes(detection: Detection, pairs: int) -> dict[RocKey, list[Change]]:
@@ -257,8 +259,12 @@ def _with_moves(
     changes: Mapping[RocKey, list[Change]],
     moves: Sequence[Moved],
     of_classes: Sequence[Moved],
+    filters: Mapping[str, str],
 ) -> Prediction:
-    """The prediction with the errors by inputs that change surfaces, fills or bands, and limits of its curves."""
+    """The prediction with the errors by inputs that change surfaces, fills or bands, and limits of its curves.
+
+    ``filters`` : population -> the target that its filter looks for
+    """
     spectra: dict[str, Any] = {p: dict(getattr(prediction, p)) for p in SPECTRA}
     for product, estimates in spectra.items():
         with_moves(estimates, product, moves)
@@ -268,7 +274,12 @@ def _with_moves(
         z = probit(curve.pd)
         moved = [(probit(m.plus.roc[key].pd) - z, probit(m.minus.roc[key].pd) - z) for m in pairs]
         whole[key] = [*changes[key], *moved]
-    return replace(prediction, **spectra, roc=with_bands(prediction.roc, whole))
+    roc = with_bands(prediction.roc, whole)
+    for (population, detector, unit), curve in roc.items():
+        alarms = prediction.exceedance.get((filters[population], detector))
+        if alarms is not None and np.any(alarms.upper > alarms.probability):
+            roc[population, detector, unit] = with_law_limits(curve, alarms)
+    return replace(prediction, **spectra, roc=roc)
 
 
 def _propagated(

@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
 from hyperval.predict import Origins, predict
+from hyperval.prediction.law_sampling import with_law_limits
 from hyperval.processing.law_jackknife import moments_without_each
+from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import Scenario
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
@@ -65,16 +68,37 @@ def test_detection_at_a_false_alarm_rate_has_it_too(origins):
     """P_D at a P_FA moves by the change of ln P_FA at the threshold, times the slope of the curve over ln P_FA."""
     prediction = predict(scenario(), origins)
     curve, alarms = prediction.roc[("panel", "cem", "pixel")], prediction.exceedance[KEY]
-    at = int(np.argmin(np.abs(curve.pd - 0.5)))
+    at = int(np.argmin(np.abs(curve.pd - 0.9)))
     assert alarms.probability[::-1] == pytest.approx(curve.pfa)
     error = np.log(alarms.upper / alarms.probability)[::-1][at]
     slope = np.gradient(curve.pd, np.log(curve.pfa))[at]
-    assert 0.5 * (curve.pd_upper - curve.pd_lower)[at] == pytest.approx(error * slope, rel=0.1)
+    assert 0.5 * (curve.pd_upper - curve.pd_lower)[at] == pytest.approx(error * slope, rel=0.15)
     stated = predict(scenario(), replace(origins, left_out=None))
     plain = stated.roc[("panel", "cem", "pixel")]
     np.testing.assert_array_equal(plain.pd, curve.pd)  # values stay
     np.testing.assert_array_equal(plain.pd_lower, plain.pd)
     np.testing.assert_array_equal(stated.exceedance[KEY].upper, stated.exceedance[KEY].probability)
+
+
+def test_what_a_law_does_not_say_far_out_stays_there():
+    """Where P_FA of 1e-6 is known to a factor of a million, P_D at 1e-2 has the limits of P_FA at 1e-2."""
+    pfa = np.logspace(-6, -0.01, 60)
+    pd = ndtr(2.0 + ndtri(pfa))
+    curve = RocCurve(pfa, pd, pd, pd, -ndtri(pfa))
+    half = np.log(1.1) * np.maximum(np.log(pfa) / np.log(1e-2), 0.1) ** 6
+    alarms = ExceedanceCurve(-ndtri(pfa)[::-1], pfa[::-1], *((pfa * np.exp(s * half))[::-1] for s in (-1, 1)))
+    limits = with_law_limits(curve, alarms)
+    assert np.all(np.diff(limits.pd_lower) >= 0)
+    assert np.all(np.diff(limits.pd_upper) >= 0)
+    at = int(np.argmin(np.abs(pfa - 1e-2)))
+    for limit, factor in ((limits.pd_lower, 1.0 / 1.1), (limits.pd_upper, 1.1)):
+        expected = ndtr(2.0 + ndtri(pfa[at] * factor ** ((np.log(pfa[at]) / np.log(1e-2)) ** 6)))
+        assert limit[at] == pytest.approx(expected, rel=0.02)
+    own = replace(curve, pd_lower=ndtr(ndtri(pd) - 0.3), pd_upper=ndtr(ndtri(pd) + 0.4))
+    both = with_law_limits(own, alarms)
+    z = ndtri(pd[at])
+    assert ndtri(both.pd_upper[at]) - z == pytest.approx(np.hypot(0.4, ndtri(limits.pd_upper[at]) - z), rel=1e-6)
+    assert z - ndtri(both.pd_lower[at]) == pytest.approx(np.hypot(0.3, z - ndtri(limits.pd_lower[at])), rel=1e-6)
 
 
 def test_two_regions_are_independent(origins):

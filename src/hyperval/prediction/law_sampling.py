@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr
 
 from hyperval.prediction.background import seen_classes
 from hyperval.prediction.batch import Batch
@@ -91,14 +92,27 @@ def with_law_errors(
     return curves
 
 
-def detection_changes(curve: RocCurve, directions: Array) -> list[tuple[Array, Array]]:
-    """Changes of probit P_D at the curve's P_FA, up and down, by changes (D, K) of ln P_FA at its thresholds.
+def with_law_limits(curve: RocCurve, alarms: ExceedanceCurve) -> RocCurve:
+    """The curve with the limits of P_FA at its thresholds taken into those of P_D.
 
-    Where the background has more alarms than the law says, the threshold of a P_FA lies higher: to first order
-    P_D changes by -d(ln P_FA) times the slope of the curve over ln P_FA.
+    Where the background has more alarms than the law says, the threshold of a P_FA lies higher and P_D lower: the
+    limits are the curve drawn against those of P_FA, in quadrature with the curve's own, in probit.
     """
-    slope = np.gradient(probit(curve.pd), np.log(curve.pfa))
-    return [(-d * slope, d * slope) for d in directions]
+    z, low, high = (probit(pd) for pd in (curve.pd, curve.pd_lower, curve.pd_upper))
+    # Limits of P_FA rise with it; far out, where the law says little, they need not.
+    less = np.maximum.accumulate(np.log(alarms.lower[::-1]))
+    more = np.minimum.accumulate(np.log(alarms.upper))[::-1]
+    at = np.log(curve.pfa)
+    up = z + np.hypot(high - z, np.maximum(_read(at, less, z) - z, 0.0))
+    down = z - np.hypot(z - low, np.maximum(z - _read(at, more, z), 0.0))
+    return replace(curve, pd_lower=ndtr(np.maximum.accumulate(down)), pd_upper=ndtr(np.maximum.accumulate(up)))
+
+
+def _read(at: Array, x: Array, z: Array) -> Array:
+    """A curve z over x, both rising, at places ``at``; beyond its ends with the slope over ``at`` there."""
+    below, above = (z[1] - z[0]) / (at[1] - at[0]), (z[-1] - z[-2]) / (at[-1] - at[-2])
+    inside = np.interp(at, x, z)
+    return np.asarray(inside + below * np.minimum(at - x[0], 0.0) + above * np.maximum(at - x[-1], 0.0))
 
 
 def _linear(scenario: Scenario) -> list[str]:
