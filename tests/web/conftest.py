@@ -14,7 +14,15 @@ pytest.importorskip("fastapi", reason="needs the extra web")
 from web_browser import BROWSER
 from web_server import Server, serve
 
+from hyperval.atmosphere.state import AtmosphericState
+from hyperval.atmosphere.terms import AtmosphericTerms
 from small_campaign import stand_in_atmosphere
+
+
+def hazy(state: AtmosphericState, **options: Any) -> AtmosphericTerms:
+    """The stand-in with a haze that follows the meteorological range, so that two ranges differ: 0.2 at 23 km."""
+    depth = state.aot550 or 0.2 * 23.0 / (state.meteorological_range_km or 23.0)
+    return stand_in_atmosphere(state.model_copy(update={"aot550": depth}), **options)
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +30,8 @@ def atmosphere() -> Iterator[None]:
     """A stand-in for the engine, for one file: tests of other files in this process have the engine itself."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HYPERVAL_WORKERS", "1")
-        patch.setattr("hyperval.prediction.cases.atmospheric_terms", stand_in_atmosphere)
-        patch.setattr("hyperval.atmosphere.atmospheric_terms", stand_in_atmosphere)
+        patch.setattr("hyperval.prediction.cases.atmospheric_terms", hazy)
+        patch.setattr("hyperval.atmosphere.atmospheric_terms", hazy)
         yield
 
 

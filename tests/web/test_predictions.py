@@ -281,7 +281,9 @@ def test_charts_of_two_runs_have_differences(client, server):
     kept = server.app.state.store.place(runs[1])
     assert {view_name("charts"), "charts-others.json"} <= {path.name for path in kept.iterdir()}
     both = client.get(f"{server.address}/runs/{runs[1]}/charts", params={"beside": runs[0]}).json()
-    assert '"difference"' in next(c for c in both if c["name"] == "chart-radiance")["content"]
+    radiance = next(c for c in both if c["name"] == "chart-radiance")
+    assert '"difference"' in radiance["content"]
+    assert "identical" not in radiance["title"]
     page = client.get(f"{server.address}/runs/{runs[1]}", params={"beside": runs[0]}).text
     assert "Difference" in page
 

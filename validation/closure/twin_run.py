@@ -11,7 +11,7 @@ from hyperval.campaign.schema import Campaign, load_campaign
 from hyperval.compare import compare_products
 from hyperval.observe import observe
 from hyperval.predict import Origins, predict
-from hyperval.results import ResultTable
+from hyperval.results import ResultTable, of_campaign
 from hyperval.scenario import load_scenario
 from hyperval.simulate import SceneFile, load_scene, simulate
 from hyperval.simulate.inputs import SimulationInputs, load_inputs
@@ -75,7 +75,7 @@ def run_twin(campaign_file: str, seed: int, folder: Path, *, covariances: bool =
             for spectra in (observation.radiance, observation.reflectance)
         )
         observation = replace(observation, radiance=radiance, reflectance=reflectance)
-    return ResultTable(compare_products(prediction, observation, campaign=campaign.name))
+    return ResultTable(of_campaign(compare_products(prediction, observation), campaign.name))
 
 
 def levels(table: ResultTable, pfa: str) -> list[Level]:
