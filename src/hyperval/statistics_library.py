@@ -51,7 +51,7 @@ def statistics_of_samples(
 ) -> ClassStatistics:
     """Mean and sample covariance of spectra (N, B) on ``axis`` (rho_m, Sigma_m of 3.8-3.12).
 
-    ``components`` : clusters of the samples, as ``hyperval.processing.component_moments.class_components`` gives.
+    ``components`` : clusters of the samples, those of ``hyperval.processing.component_moments.class_mixture``.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from scipy import stats
 from sklearn.mixture import GaussianMixture
 
 from hyperval.errors import UsageError
-from hyperval.processing.component_moments import class_components, shrunk_covariances
+from hyperval.processing.component_moments import class_mixture, shrunk_covariances
 from hyperval.processing.mixture_fit import MixtureFit, chosen_count, chosen_dof, fit_mixture
 
 
@@ -100,7 +100,9 @@ def test_components_in_all_bands_have_the_moments_of_their_clusters(tails):
     rng = np.random.default_rng(8)
     into = rng.normal(size=(2, 12))
     pixels = 0.3 + 0.05 * values @ into + rng.normal(scale=0.002, size=(3000, 12))
-    parts = class_components(pixels, np.arange(3000) // 100, "auto", tails=tails)
+    mixture = class_mixture(pixels, np.arange(3000) // 100, "auto", tails=tails)
+    assert mixture is not None
+    parts = mixture.components(pixels)
     assert parts is not None
     assert len(parts) == 3
     for k, own in zip(np.argsort(-parts.weights), range(3), strict=True):
@@ -115,9 +117,9 @@ def test_components_in_all_bands_have_the_moments_of_their_clusters(tails):
 def test_one_law_has_no_components():
     pixels = np.random.default_rng(9).standard_normal((600, 5))
     block = np.arange(600) // 30
-    assert class_components(pixels, block, "auto", tails=False) is None
-    assert class_components(pixels, block, 1, tails=False) is None
-    assert class_components(pixels[:100], block[:100], "auto", tails=False) is None  # too few to tell
+    assert class_mixture(pixels, block, "auto", tails=False) is None
+    assert class_mixture(pixels, block, 1, tails=False) is None
+    assert class_mixture(pixels[:100], block[:100], "auto", tails=False) is None  # too few to tell
 
 
 def test_few_pixels_are_shrunk_and_many_keep_what_is_theirs():

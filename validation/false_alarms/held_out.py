@@ -27,7 +27,7 @@ from scipy import ndimage, stats
 from hyperval.campaign.collected import Inputs
 from hyperval.campaign.job import jobs_of
 from hyperval.observe import observe
-from hyperval.processing.component_moments import class_components
+from hyperval.processing.component_moments import class_mixture
 from hyperval.processing.mixture_fit import fit_mixture
 from hyperval.processing.thresholds import ClassScores, log_false_alarm
 
@@ -86,7 +86,8 @@ def laws(image: Image, rows: Pixels, count: object, tails: bool) -> list[ClassSc
     for kind in np.unique(image.kind):
         own = rows[image.kind[rows] == kind]
         x = image.spectra[own]
-        mixture = class_components(x, image.block[own], count, tails=tails)
+        fit = class_mixture(x, image.block[own], count, tails=tails)
+        mixture = None if fit is None else fit.components(x)
         share = own.size / rows.size
         if mixture is None:
             parts += [share]

@@ -74,22 +74,6 @@ class ClassMixture:
         return Components(size / size.sum(), offsets, 0.5 * (shrunk + shrunk.transpose(0, 2, 1)), fit.dof)
 
 
-def class_components(
-    pixels: npt.ArrayLike,
-    block: npt.ArrayLike,
-    count: int | Literal["auto"],
-    *,
-    tails: bool,
-    lead: npt.NDArray[np.intp] | None = None,
-    seed: int = 0,
-    counts: Sequence[int] = COUNTS,
-) -> Components | None:
-    """The components of :func:`class_mixture`; None where one law is all that the pixels show."""
-    x = np.asarray(pixels, dtype=float)
-    mixture = class_mixture(x, block, count, tails=tails, lead=lead, seed=seed, counts=counts)
-    return None if mixture is None else mixture.components(x)
-
-
 def class_mixture(
     pixels: npt.ArrayLike,
     block: npt.ArrayLike,
