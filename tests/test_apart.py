@@ -65,6 +65,20 @@ def test_an_interrupt_ends_both(tmp_path: Path):
         os.kill(child, 0)
 
 
+def test_an_interrupt_before_the_wait_ends_both(tmp_path: Path):
+    """One that came while the copy was being made was raised where nobody ended the copy."""
+    early = (
+        "import os, signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\nfork = os.fork\n"
+        "def interrupted_fork():\n    child = fork()\n    if child:\n        print(child, flush=True)\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n    return child\nos.fork = interrupted_fork\n"
+    )
+    text = early + PROGRAM.format(work="import time; time.sleep(60)")
+    done = subprocess.run([sys.executable, "-c", text, str(tmp_path)], capture_output=True, text=True, timeout=30)
+    assert done.returncode != 0
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(done.stdout.split()[0]), 0)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux ends a process with its parent")
 def test_a_killed_process_takes_the_other_along(tmp_path: Path):
     """The copy went on to the end of an observation that nobody waited for."""

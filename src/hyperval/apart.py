@@ -12,7 +12,7 @@ import subprocess
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from functools import cache
 from pathlib import Path
 from typing import NoReturn, TypeVar
@@ -50,16 +50,22 @@ def call_apart(function: Callable[[], R], scratch: Path) -> R:
         warnings.simplefilter("ignore", DeprecationWarning)
         sys.stdout.flush()
         sys.stderr.flush()
-        parent = os.getpid()
-        child = os.fork()
-    if child == 0:
-        _return(function, path, parent)
-    try:
-        _, status = os.waitpid(child, 0)
-    except BaseException:
-        os.kill(child, signal.SIGTERM)
-        os.waitpid(child, 0)
-        raise
+        parent, child = os.getpid(), -1
+        interrupts = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+        try:
+            # One that comes between the copy's start and the wait for it would leave the copy behind.
+            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+            child = os.fork()
+            if child == 0:
+                _return(function, path, parent, interrupts)
+            signal.pthread_sigmask(signal.SIG_SETMASK, interrupts)
+            _, status = os.waitpid(child, 0)
+        except BaseException:
+            signal.pthread_sigmask(signal.SIG_SETMASK, interrupts)
+            if child > 0:
+                os.kill(child, signal.SIGTERM)
+                os.waitpid(child, 0)
+            raise
     if status or not path.is_file():
         raise ProcessLostError(
             f"the process that did the work was ended ({os.waitstatus_to_exitcode(status)})",
@@ -128,11 +134,14 @@ def give_back_freed() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def _return(function: Callable[[], object], path: Path, parent: int) -> NoReturn:
-    """Call, and leave what is returned or raised in a file; the process ends here."""
+def _return(
+    function: Callable[[], object], path: Path, parent: int, interrupts: Set[signal.Signals | int]
+) -> NoReturn:
+    """Call with ``interrupts`` blocked, and leave what is returned or raised in a file; the process ends here."""
     code = 1
     _end_with(parent)
     try:
+        signal.pthread_sigmask(signal.SIG_SETMASK, interrupts)
         try:
             out: tuple[bool, object] = (True, function())
         except Exception as error:
