@@ -135,6 +135,7 @@ def test_missing_file_names_the_command_that_fetches_it():
     with pytest.raises(MissingDataError, match="hyperval data fetch hysu") as caught:
         datasets.resolve("data:" + HEADER)
     assert caught.value.exit_code == 3
+    assert str(datasets.cache_dir()) in str(caught.value)  # where it should have stood
 
 
 def test_a_name_that_nobody_knows_is_a_usage_error_that_says_where_it_looked(places):

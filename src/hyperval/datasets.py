@@ -374,7 +374,8 @@ def _resolve_data(path: str) -> Path:
         mend = f"the collection is not public, it is held by {holder.holder}: {how_to_get(holder)}"
     else:
         raise _unknown(path, looked)
-    raise MissingDataError(f"not on this machine (looked in {looked})", where=PREFIX + path, mend=mend)
+    # Reports say what is missing, and not which folders a machine has: that is for whoever runs it.
+    raise MissingDataError("not on this machine", where=PREFIX + path, expected=f"it below {looked}", mend=mend)
 
 
 def _owner(path: str) -> str | None:
