@@ -49,7 +49,7 @@ def test_three_clusters_as_another_package_finds_them():
     assert ours.weights[mine] == pytest.approx(peer.weights_[theirs], abs=1e-3)
     assert ours.means[mine] == pytest.approx(peer.means_[theirs], abs=1e-3)
     assert ours.scales[mine] == pytest.approx(peer.covariances_[theirs], abs=1e-3)
-    assert ours.shares(x)[0][:, mine] == pytest.approx(peer.predict_proba(x)[:, theirs], abs=1e-2)
+    assert ours.shares(x)[0].T[:, mine] == pytest.approx(peer.predict_proba(x)[:, theirs], abs=1e-2)
 
 
 def test_density_of_a_t_law_is_the_published_one():

@@ -56,20 +56,20 @@ class ClassMixture:
     def _moments(self, pixels: Array, values: Array, fit: MixtureFit) -> Components | None:
         centred = pixels - pixels.mean(axis=0)
         probability, weight = fit.shares(values)
-        size = probability.sum(axis=0)
+        size = probability.sum(axis=1)
         kept = size > 1.0  # a law of less than one pixel has no covariance, and no alarms
         if np.count_nonzero(kept) < 2:
             return None
-        probability, weight, size = probability[:, kept], weight[:, kept], size[kept]
+        probability, weight, size = probability[kept], weight[kept], size[kept]
         both = probability * weight
-        offsets = (both.T @ centred) / both.sum(axis=0)[:, None]
+        offsets = (both @ centred) / both.sum(axis=1)[:, None]
         # The scale of a t law is the weighted scatter over the unweighted number; n/(n - 1) as for the class.
         n = pixels.shape[0]
         inflation = (1.0 if np.isinf(fit.dof) else fit.dof / (fit.dof - 2.0)) * n / max(n - 1, 1)
         covariances = np.empty((size.size, pixels.shape[1], pixels.shape[1]))
         for k in range(size.size):
             away = centred - offsets[k]
-            covariances[k] = inflation * (away * both[:, k, None]).T @ away / size[k]
+            covariances[k] = inflation * (away * both[k, :, None]).T @ away / size[k]
         shrunk = shrunk_covariances(covariances, size)
         return Components(size / size.sum(), offsets, 0.5 * (shrunk + shrunk.transpose(0, 2, 1)), fit.dof)
 

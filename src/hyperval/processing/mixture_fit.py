@@ -6,8 +6,10 @@ values, of mean 0 and covariance 1 in all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -46,34 +48,43 @@ class MixtureFit:
     dof: float
     history: tuple[float, ...] = ()
 
+    @cached_property
+    def inverse_roots(self) -> Array:
+        """(K, P, P) inverses of the Cholesky factors of the scales."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.scales)))
+
     def log_densities(self, x: Array) -> tuple[Array, Array]:
-        """log of weight times density, and the squared distance over the scale, (n, K) each, of values (n, P)."""
-        p = x.shape[1]
-        inverse = np.linalg.inv(np.linalg.cholesky(self.scales))  # (K, P, P)
-        z = x @ inverse.reshape(-1, p).T - np.einsum("kij,kj->ki", inverse, self.means).ravel()
-        squares = np.add.reduceat(z * z, np.arange(0, z.shape[1], p), axis=1)
+        """log of weight times density, and the squared distance over the scale, (K, n) each, of values (n, P)."""
+        return self._log_densities(_monomials(x))
+
+    def _log_densities(self, monomials: Array) -> tuple[Array, Array]:
+        inverse, p = self.inverse_roots, self.means.shape[1]
+        precision = inverse.transpose(0, 2, 1) @ inverse
+        towards = np.einsum("kij,kj->ki", precision, self.means)
+        at_zero = np.einsum("ki,ki->k", towards, self.means)
+        upper, lower = np.triu_indices(p)
+        products = precision[:, upper, lower] * np.where(upper == lower, 1.0, 2.0)
+        squares = np.concatenate([at_zero[:, None], -2.0 * towards, products], axis=1) @ monomials
+        np.maximum(squares, 0.0, out=squares)  # rounding alone leaves it
         constant = np.log(self.weights) + np.log(np.einsum("kii->ki", inverse)).sum(axis=1)
         if np.isinf(self.dof):
-            return constant - 0.5 * p * np.log(2.0 * np.pi) - 0.5 * squares, squares
+            return (constant - 0.5 * p * np.log(2.0 * np.pi))[:, None] - 0.5 * squares, squares
         nu = self.dof
         constant += gammaln(0.5 * (nu + p)) - gammaln(0.5 * nu) - 0.5 * p * np.log(nu * np.pi)
-        return constant - 0.5 * (nu + p) * np.log1p(squares / nu), squares
+        return constant[:, None] - 0.5 * (nu + p) * np.log1p(squares / nu), squares
 
     def log_density(self, x: Array) -> Array:
         """(n,) log density of values (n, P)."""
         return _total(self.log_densities(x)[0])[0]
 
     def shares(self, x: Array) -> tuple[Array, Array]:
-        """(n, K) probability that a value belongs to a law, and the weight it has in the moments of that law.
+        """(K, n) probability that a value belongs to a law, and the weight it has in the moments of that law.
 
         The weight is (dof + P)/(dof + d^2) of a t law (Peel & McLachlan, Stat. Comput. 10, 339-348, 2000), 1 of a
         normal one.
         """
         log_parts, squares = self.log_densities(x)
-        probability = _total(log_parts)[1]
-        if np.isinf(self.dof):
-            return probability, np.ones_like(squares)
-        return probability, (self.dof + x.shape[1]) / (self.dof + squares)
+        return _total(log_parts)[1], _weight(squares, self.dof, x.shape[1])
 
 
 def fit_mixture(
@@ -123,56 +134,69 @@ def fit_again(values: Array, fit: MixtureFit) -> MixtureFit:
 
 
 def _from_start(x: Array, probability: Array, dof: float | None, prior: float) -> MixtureFit:
+    """Expectation and maximisation from probabilities (K, n)."""
     n, p = x.shape
-    count = probability.shape[1]
-    ball = count ** (-2.0 / p) * np.eye(p)
+    count = probability.shape[0]
+    ball = count ** (-2.0 / p)
     nu = _FIRST_DOF if dof is None else dof
     weight = np.ones_like(probability)
-    products = np.einsum("ni,nj->nij", x, x).reshape(n, p * p)
+    monomials = _monomials(x)
+    upper, lower = np.triu_indices(p)
     history: list[float] = []
     fit = None
     for _ in range(STEPS):
-        size = probability.sum(axis=0)
+        size = probability.sum(axis=1)
         alive = size > 1e-8 * n  # a component that no pixel belongs to has no law
         if not alive.all():
-            probability, weight, size = probability[:, alive], weight[:, alive], size[alive]
+            probability, weight, size = probability[alive], weight[alive], size[alive]
             ball *= (count / size.size) ** (2.0 / p)
             count = size.size
             history.clear()  # another mixture, with another likelihood
         both = probability * weight
-        total = both.sum(axis=0)
-        means = (both.T @ x) / total[:, None]
-        scatter = (both.T @ products).reshape(count, p, p) - total[:, None, None] * np.einsum(
-            "ki,kj->kij", means, means
-        )
-        scales = (scatter + prior * ball) / (size + prior)[:, None, None]
-        scales = 0.5 * (scales + scales.transpose(0, 2, 1))
+        moments = both @ monomials.T
+        total = moments[:, 0]
+        means = moments[:, 1 : p + 1] / total[:, None]
+        scales = np.empty((count, p, p))
+        scatter = moments[:, p + 1 :] - total[:, None] * means[:, upper] * means[:, lower]
+        scales[:, upper, lower] = scales[:, lower, upper] = scatter
+        scales = (scales + prior * ball * np.eye(p)) / (size + prior)[:, None, None]
         if dof is None and history:
             nu = _better_dof(nu, p, probability, weight)
         fit = MixtureFit(size / size.sum(), means, scales, nu)
-        log_parts, squares = fit.log_densities(x)
+        log_parts, squares = fit._log_densities(monomials)
         log_density, probability = _total(log_parts)
-        history.append(float(log_density.mean()) - _penalty(scales, ball, prior) / n)
-        weight = np.ones_like(squares) if np.isinf(nu) else (nu + p) / (nu + squares)
+        history.append(float(log_density.mean()) - _penalty(fit.inverse_roots, ball, prior) / n)
+        weight = _weight(squares, nu, p)
         if len(history) > 1 and history[-1] - history[-2] < _TOLERANCE:
             break
     assert fit is not None  # noqa: S101 - STEPS is positive
-    return MixtureFit(fit.weights, fit.means, fit.scales, fit.dof, tuple(history))
+    return replace(fit, history=tuple(history))
+
+
+def _monomials(x: Array) -> Array:
+    """(1 + P + P (P + 1)/2, n) the powers of values (n, P) up to the second: a square form is linear in them."""
+    upper, lower = np.triu_indices(x.shape[1])
+    columns = x.T
+    return np.concatenate([np.ones((1, x.shape[0])), columns, columns[upper] * columns[lower]])
+
+
+def _weight(squares: Array, dof: float, dimensions: int) -> Array:
+    return np.ones_like(squares) if np.isinf(dof) else (dof + dimensions) / (dof + squares)
 
 
 def _total(log_parts: Array) -> tuple[Array, Array]:
-    """log of the sum (n,) of parts (n, K), and the share of each in it; scipy's logsumexp is thrice as slow."""
-    top = log_parts.max(axis=1, keepdims=True)
+    """log of the sum (n,) of parts (K, n), and the share of each in it; scipy's logsumexp is thrice as slow."""
+    top = log_parts.max(axis=0)
     parts = np.exp(log_parts - top)
-    total = parts.sum(axis=1, keepdims=True)
-    return (top + np.log(total))[:, 0], parts / total
+    total = parts.sum(axis=0)
+    parts /= total
+    return top + np.log(total), parts
 
 
-def _penalty(scales: Array, ball: Array, prior: float) -> float:
-    """Minus the log density of the prior of all scales, up to a constant."""
-    _, log_det = np.linalg.slogdet(scales)
-    traces = np.einsum("kij,ji->k", np.linalg.inv(scales), ball)
-    return float(0.5 * prior * np.sum(log_det + traces))
+def _penalty(inverse_roots: Array, ball: float, prior: float) -> float:
+    """Minus the log density of the prior of all scales about ``ball`` times the unit matrix, up to a constant."""
+    log_det = -2.0 * np.log(np.einsum("kii->ki", inverse_roots)).sum()
+    return float(0.5 * prior * (log_det + ball * np.sum(inverse_roots**2)))
 
 
 def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
@@ -181,7 +205,7 @@ def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
     known += float(digamma(0.5 * (nu + p)) - np.log(0.5 * (nu + p)))
 
     def slope(v: float) -> float:
-        return float(np.log(0.5 * v) - digamma(0.5 * v)) + 1.0 + known
+        return math.log(0.5 * v) - float(digamma(0.5 * v)) + 1.0 + known
 
     if slope(LEAST_DOF) <= 0.0:
         return LEAST_DOF
@@ -189,7 +213,7 @@ def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
 
 
 def _nearest_of_centres(x: Array, count: int, rng: np.random.Generator) -> Array:
-    """(n, K) 1 for the nearest of K centres, by the iterations of Lloyd from spread-out pixels (k-means++)."""
+    """(K, n) 1 for the nearest of K centres, by the iterations of Lloyd from spread-out pixels (k-means++)."""
     centres = x[rng.integers(x.shape[0])][None]
     away = np.sum((x - centres[0]) ** 2, axis=1)
     for _ in range(count - 1):
@@ -197,12 +221,12 @@ def _nearest_of_centres(x: Array, count: int, rng: np.random.Generator) -> Array
         at = rng.choice(x.shape[0], p=away / total) if total > 0.0 else rng.integers(x.shape[0])
         centres = np.vstack([centres, x[at]])
         away = np.minimum(away, np.sum((x - x[at]) ** 2, axis=1))
-    nearest = np.zeros((x.shape[0], count))
+    nearest = np.zeros((count, x.shape[0]))
     for _ in range(_LLOYD):
-        which = np.argmin(np.sum(centres**2, axis=1) - 2.0 * x @ centres.T, axis=1)
-        nearest = np.eye(count)[which]
-        size = nearest.sum(axis=0)
-        centres = np.where(size[:, None] > 0, (nearest.T @ x) / np.maximum(size, 1.0)[:, None], centres)
+        which = np.argmin(np.sum(centres**2, axis=1)[:, None] - 2.0 * centres @ x.T, axis=0)
+        nearest = (np.arange(count)[:, None] == which).astype(float)
+        size = nearest.sum(axis=1)
+        centres = np.where(size[:, None] > 0, (nearest @ x) / np.maximum(size, 1.0)[:, None], centres)
     return nearest
 
 
