@@ -7,6 +7,7 @@ import pytest
 
 from hyperval.collection import Collection, Detection
 from hyperval.errors import UsageError
+from hyperval.observe import pipeline
 from hyperval.observe.place import open_place
 from hyperval.prediction.inputs import Sources
 from hyperval.scenario import CovarianceSource, SpectrumSource, Surface
@@ -70,3 +71,34 @@ def test_a_single_pixel_gives_a_mean_and_no_spread(world):
     )
     found = sources.surface(stated)
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(0.1 * found.mean)
+
+
+def test_another_detection_in_the_same_collection_measures_only_pixels_that_it_changes(make_radiance, monkeypatch):
+    world = make_radiance(relative_noise=0.01).world
+    collection = Collection.model_validate(world.collection)
+    first = world.observe()
+    material, spectrum = {"material": "paint"}, world.source("library.csv", "paint")
+    world.detection |= {
+        "background": ["corner"], "false_alarms": ["corner"], "group": "all",
+        "targets": [{"name": "paint", "spectrum": spectrum} | material],
+    }  # fmt: skip
+    again, detection = world.observe().observation, Detection.model_validate(world.detection)
+    measured = []
+    whole = pipeline.mean_error
+    monkeypatch.setattr(pipeline, "mean_error", lambda *args: measured.append(args[2].n) or whole(*args))
+    monkeypatch.setattr(pipeline, "pixel_distances", None)  # of regions, which are the same
+    short = pipeline.observe(
+        collection, detection, world.resolve, before=first.surfaces, show_progress=False
+    ).observation
+    assert measured == [5]  # of the one group in place of two: all pixels with paint
+    assert short.distribution == again.distribution != {}
+    for product in ("radiance", "reflectance"):
+        assert list(getattr(short, product)) == list(getattr(again, product))
+        for name, estimate in getattr(again, product).items():
+            assert np.array_equal(getattr(short, product)[name].mean, estimate.mean, equal_nan=True)
+            assert np.array_equal(
+                getattr(short, product)[name].error_covariance, estimate.error_covariance, equal_nan=True
+            )
+    assert short.scores == again.scores
+    assert {k: c.pd.tolist() for k, c in short.roc.items()} == {k: c.pd.tolist() for k, c in again.roc.items()}
+    assert short.notes == again.notes

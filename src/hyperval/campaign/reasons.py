@@ -65,9 +65,12 @@ def reasons(side: Collected, prediction: Prediction, *, show_progress: bool | No
             yield joined(side, scenarios, parts)
 
     def measured_again(changes: Mapping[str, Any]) -> Products:
-        changed = with_settings(side.campaign, changes)
+        changed, detection = with_settings(side.campaign, changes), None
+        if changed.detection is not None:  # no residual is an area
+            detection = changed.detection.model_copy(update={"unmixing": None})
+        before = side.observed.surfaces if changed.collection == side.campaign.collection else None
         return observe_collection(
-            changed.collection, changed.detection, side.inputs.resolve, show_progress=show_progress
+            changed.collection, detection, side.inputs.resolve, before=before, show_progress=show_progress
         ).observation
 
     given = [given_of(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]

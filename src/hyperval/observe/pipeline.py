@@ -35,7 +35,7 @@ from hyperval.processing.sample import SCENE, SampleStatistics
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.processing.spatial_correlation import nth_pixels
 from hyperval.processing.tails import LEAST_DOF
-from hyperval.products import EstimatedPart, Observation, SpectralEstimate
+from hyperval.products import EstimatedPart, Observation, PixelDistribution, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
@@ -51,6 +51,24 @@ MAX_SNR_NUMBERS = 2_000_000  # pixels times bands
 
 
 @dataclass(frozen=True, eq=False)
+class Surfaces:
+    """What a collection says of its surfaces: it follows from their pixels, whatever is detected among them.
+
+    Attributes
+    ----------
+    place : the opened collection, None where there is no cube
+    line : the empirical line with the errors of its panels, None without panels
+    masks, sampling, distribution : subject -> its pixels, the error of their mean in the cube's values, their tails
+    """
+
+    place: Place | None = None
+    line: LineError | None = None
+    masks: PackedMasks = attribute(default_factory=PackedMasks)
+    sampling: Mapping[str, EstimatedPart] = attribute(default_factory=dict)
+    distribution: Mapping[str, PixelDistribution] = attribute(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
 class Observed:
     """An observation with what only the imagery can give.
 
@@ -59,18 +77,26 @@ class Observed:
     observation : the products
     statistics : region -> mean and covariance in reflectance (after the empirical line), for scenarios that
         take measured statistics
-    place : the opened collection, None where there is no cube
+    surfaces : what does not follow from the detection
     detected : filters and score maps, None without detection
-    elm : the empirical line, None without panels
     unmixed : areas by unmixing with what a prediction of them needs, None where they are not asked for
     """
 
     observation: Observation
     statistics: Mapping[str, ClassStatistics] = attribute(default_factory=dict)
-    place: Place | None = None
+    surfaces: Surfaces = attribute(default_factory=Surfaces)
     detected: Detected | None = None
-    elm: EmpiricalLine | None = None
     unmixed: Unmixed | None = None
+
+    @property
+    def place(self) -> Place | None:
+        """The opened collection, None where there is no cube."""
+        return self.surfaces.place
+
+    @property
+    def elm(self) -> EmpiricalLine | None:
+        """The empirical line, None without panels."""
+        return None if self.surfaces.line is None else self.surfaces.line.line
 
 
 def observe(
@@ -79,6 +105,7 @@ def observe(
     resolve: Resolve,
     *,
     classification: Classification | None = None,
+    before: Surfaces | None = None,
     show_progress: bool | None = None,
 ) -> Observed:
     """Measure what a collection holds.
@@ -88,6 +115,7 @@ def observe(
     collection, detection, classification : as in a campaign file; a simulated collection must have been
         written first and stands here as its cube
     resolve : turns a file reference into a path
+    before : of the same collection, observed for another detection
 
     Raises
     ------
@@ -98,7 +126,8 @@ def observe(
         return Observed(observe_radcalnet(collection.radcalnet, resolve))
     if collection.spectra:
         return Observed(observe_spectra(collection, resolve))
-    place = open_place(collection, resolve, show_progress=show_progress)
+    before = before or Surfaces()
+    place = before.place or open_place(collection, resolve, show_progress=show_progress)
     cube = place.cube
     masks = PackedMasks(_counted_pixels(place))
     populations: Mapping[str, Mask] = {}
@@ -107,6 +136,7 @@ def observe(
         populations = PackedMasks(_target_pixels(place, detection, taken=set(masks)))
         for item in populations.items():
             masks.add(*item)
+    known = before.masks.same(masks)
     refuse_saturated(collection.empirical_line, masks, cube)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
     measured = region_statistics(cube, masks, place.left_out, precision=collection.precision, watch=watch)
@@ -114,10 +144,12 @@ def observe(
     regions = {name: measured[name] for name in place.regions}
     subjects = regions | {name: measured[name] for name in populations}
     sampling = {
-        name: _with_rounding(place, s, mean_error(place, masks[name], s))
+        name: before.sampling[name]
+        if name in known
+        else _with_rounding(place, s, mean_error(place, masks[name], s))
         for name, s in track(list(subjects.items()), "sampling", show=show_progress)
     }
-    line = empirical_line(collection.empirical_line, measured, sampling, cube, resolve)
+    line = before.line or empirical_line(collection.empirical_line, measured, sampling, cube, resolve)
     elm = None if line is None else line.line
 
     radiance: dict[str, SpectralEstimate] = {}
@@ -144,9 +176,12 @@ def observe(
     if detection is not None and detection.unmixing is not None and detected is not None:
         unmixed = unmix(place, detection, measured, elm, detected.bands, resolve, show_progress=show_progress)
     distances = {}
-    for name in track([] if place.by_number else list(place.regions), "tails", show=show_progress):
+    left = [] if place.by_number else [name for name in place.regions if name not in known]
+    for name in track(left, "tails", show=show_progress):
         distances[name] = pixel_distances(place, masks[name], measured[name])
         give_back_freed()
+    distribution = {name: d for name, d in before.distribution.items() if name in known}
+    distribution |= {name: d.distribution() for name, d in distances.items() if d is not None}
     reflects = cube.quantity == "reflectance"
     means = [s.mean for s in regions.values()] or [measured[SCENE].mean]
     notes = [*place.notes, *([] if place.by_number else wavelength_notes(means, cube.axis, reflectance=reflects))]
@@ -169,7 +204,7 @@ def observe(
         abundance={**(detected.abundance if detected else {}), **(unmixed.areas if unmixed else {})},
         object_scores=detected.object_scores if detected else {},
         exceedance=detected.exceedance if detected else {},
-        distribution={name: d.distribution() for name, d in distances.items() if d is not None},
+        distribution=distribution,
         classification=classification_errors(place, classification) if classification else {},
         notes=(*notes, *(detected.notes if detected else ())),
         provenance={"quantity": cube.quantity, "description": cube.description, **_rounding(measured)},
@@ -181,7 +216,8 @@ def observe(
     if detection is not None and detected is not None and detected.shrinkage > 0.0:
         shrunk = {n: _shrunk(s, detected.shrinkage) for n, s in regions.items() if n in detection.background}
     classes = _classes(regions | shrunk, cube.axis, elm, cube.quantity, tails)
-    return Observed(observation, classes, place, detected, elm, unmixed)
+    surfaces = Surfaces(place, line, masks, sampling, distribution)
+    return Observed(observation, classes, surfaces, detected, unmixed)
 
 
 def _counted_pixels(place: Place) -> Iterator[tuple[str, Mask]]:

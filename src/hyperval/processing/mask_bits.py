@@ -53,6 +53,18 @@ class PackedMasks(Mapping[str, Mask]):
         """Pack one more mask, or another one of that name."""
         self._bits[name] = MaskBits.of(mask)
 
+    def same(self, others: PackedMasks) -> set[str]:
+        """Names under which both have the same pixels.
+
+        Examples
+        --------
+        >>> mask = np.array([[True, False, True]])
+        >>> PackedMasks([("a", mask), ("b", mask)]).same(PackedMasks([("a", mask), ("b", ~mask), ("c", mask)]))
+        {'a'}
+        """
+        both = self._bits.keys() & others._bits.keys()
+        return {name for name in both if np.array_equal(self._bits[name].bits, others._bits[name].bits)}
+
     def __getitem__(self, name: str) -> Mask:
         return self._bits[name][:]
 
