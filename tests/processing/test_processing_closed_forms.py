@@ -9,7 +9,7 @@ from scipy import integrate, ndimage, optimize, stats
 from hyperval.compare.consistency import chi_square_full
 from hyperval.errors import UsageError
 from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.covariance_sampling import SamplingBand, drawn_covariance
+from hyperval.processing.covariance_sampling import SamplingBand, drawn_factor
 from hyperval.processing.elm import PanelMeasurement, fit_elm
 from hyperval.processing.elm_error import PanelErrors, line_error
 from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
@@ -304,7 +304,7 @@ def test_limits_of_draws_are_the_third_from_each_end_of_119():
 def test_variance_of_a_single_direction_has_the_scatter_of_its_tails(kappa):
     # (2 + 3 kappa)/n (Waternaux 1976); 6,000 draws know a variance to 2 %, 4.5 of which are allowed.
     rng = np.random.default_rng(6)
-    drawn = np.array([drawn_covariance(1, 3000, rng, kappa)[0, 0] for _ in range(6000)])
+    drawn = np.array([drawn_factor(1, 3000, rng, kappa)[0, 0] ** 2 for _ in range(6000)])
     assert drawn.var() == pytest.approx((2 + 3 * kappa) / 3000, rel=0.09)
 
 

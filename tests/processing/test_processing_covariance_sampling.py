@@ -11,12 +11,13 @@ from hyperval.processing.covariance_sampling import (
     Directions,
     SamplingBand,
     covariance_distance,
-    drawn_covariance,
+    drawn_factor,
     full_rank,
     kurtosis_parameter,
     principal_angle_deg,
     sampling_band,
     statistics_of_covariance,
+    statistics_of_factor,
 )
 
 P = 8
@@ -74,7 +75,7 @@ def test_fewer_independent_pixels_along_one_direction_widen_it_alone():
     n = np.full(P, 10_000.0)
     n[0] = 400.0
     rng = np.random.default_rng(5)
-    draws = np.array([np.diag(drawn_covariance(P, n, rng)) for _ in range(800)])
+    draws = np.array([np.sum(drawn_factor(P, n, rng) ** 2, axis=1) for _ in range(800)])
     # Relative sd sqrt(2/n); a standard deviation of 800 draws is known to 2.5 %: four of these.
     assert draws.std(axis=0) == pytest.approx(np.sqrt(2.0 / n), rel=0.1)
     assert draws.mean(axis=0) == pytest.approx(np.ones(P), abs=0.02)
@@ -131,6 +132,21 @@ def test_statistics_of_a_turned_covariance():
     assert found.eigenvalues == pytest.approx(VALUES[:3])
     assert found.total == pytest.approx(VALUES.sum())
     assert found.distance > 0.0
+
+
+@pytest.mark.parametrize("n", [5.0, 40.0])
+def test_statistics_of_a_factor_are_those_of_its_covariance(n):
+    directions = Directions.of(sigma())
+    factor = drawn_factor(P, n, np.random.default_rng(12))
+    found = statistics_of_factor(directions, factor, 4, (1, 2, 3), full_rank=n > P)
+    covariance = np.diag(np.sqrt(VALUES)) @ factor @ factor.T @ np.diag(np.sqrt(VALUES))
+    values, vectors = np.linalg.eigh(covariance)
+    angles = [principal_angle_deg(vectors[:k, ::-1][:, :k]) for k in (1, 2, 3)]
+    assert found.eigenvalues == pytest.approx(values[::-1][:4], rel=1e-10)
+    assert found.total == pytest.approx(np.trace(covariance), rel=1e-12)
+    assert found.angles_deg == pytest.approx(angles, rel=1e-8)
+    wanted = bhattacharyya_distance(np.zeros(P), np.diag(VALUES), np.zeros(P), covariance) if n > P else np.nan
+    assert found.distance == pytest.approx(wanted, rel=1e-9, nan_ok=True)
 
 
 def test_directions_leave_out_what_is_rounding():

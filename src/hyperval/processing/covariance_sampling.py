@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import linalg
 
 from hyperval.errors import UsageError
 from hyperval.executors import single_blas_thread
@@ -74,14 +73,33 @@ def statistics_of_covariance(
     directions: Directions, whitened: Array, count: int, spaces: tuple[int, ...], *, full_rank: bool = True
 ) -> Statistics:
     """The statistics of S, given as W = D^-1/2 V^T S V D^-1/2 (P, P) in the predicted ``directions``."""
-    root, size = np.sqrt(directions.values), directions.values.size
-    covariance, leading = whitened * root[:, None] * root, min(max(count, *spaces, 1), size)
-    # The leading ones alone: all of them take five times as long.
-    values, vectors = linalg.eigh(covariance, subset_by_index=(size - leading, size - 1))
-    values, vectors = values[::-1], vectors[:, ::-1]
+    root = np.sqrt(directions.values)
+    covariance = whitened * root[:, None] * root
+    values, vectors = (x[..., ::-1] for x in np.linalg.eigh(covariance))
     distance = covariance_distance(whitened) if full_rank else float("nan")
-    angles = [principal_angle_deg(vectors[:k, :k]) for k in spaces]
-    return Statistics(values[:count], float(np.trace(covariance)), distance, np.array(angles))
+    return Statistics(values[:count], float(np.trace(covariance)), distance, _angles_deg(vectors, spaces))
+
+
+def statistics_of_factor(
+    directions: Directions, factor: Array, count: int, spaces: tuple[int, ...], *, full_rank: bool = True
+) -> Statistics:
+    """:func:`statistics_of_covariance` of W = F F^T with F (P, m).
+
+    Of fewer pixels m than directions P, the m eigenvalues are those of the Gram matrix (m, m) of the scaled factor.
+    """
+    size, pixels = factor.shape
+    if not max(count, *spaces, 1) <= pixels < size:
+        return statistics_of_covariance(directions, factor @ factor.T, count, spaces, full_rank=full_rank)
+    scaled = np.sqrt(directions.values)[:, None] * factor
+    values, turned = (x[..., ::-1] for x in np.linalg.eigh(scaled.T @ scaled))
+    most = max(spaces, default=0)
+    vectors = scaled[:most] @ turned[:, :most] / np.sqrt(values[:most])
+    distance = float("inf" if full_rank else "nan")
+    return Statistics(values[:count], float(np.vdot(scaled, scaled)), distance, _angles_deg(vectors, spaces))
+
+
+def _angles_deg(vectors: Array, spaces: tuple[int, ...]) -> Array:
+    return np.array([principal_angle_deg(vectors[:k, :k]) for k in spaces])
 
 
 def covariance_distance(whitened: npt.ArrayLike) -> float:
@@ -117,10 +135,10 @@ def kurtosis_parameter(tail_dof: float) -> float:
     return 2.0 / (tail_dof - 4.0) if tail_dof > 4.0 else float("inf")
 
 
-def drawn_covariance(
-    size: int, independent: npt.ArrayLike, rng: np.random.Generator, kurtosis: float = 0.0
-) -> Array:
-    """W (P, P) of one sample whose true covariance is the identity (Bartlett's decomposition of Wishart's law).
+def drawn_factor(size: int, independent: npt.ArrayLike, rng: np.random.Generator, kurtosis: float = 0.0) -> Array:
+    """F (P, m) of a sample covariance F F^T whose true covariance is the identity, m <= P.
+
+    Of more pixels than directions it is Bartlett's decomposition of Wishart's law, else the pixels themselves.
 
     Parameters
     ----------
@@ -137,15 +155,15 @@ def drawn_covariance(
         common = float(np.exp(rng.normal(0.0, np.sqrt(kurtosis / (least * (1.0 + kurtosis))))))
     if least <= size:
         pixels = rng.standard_normal((max(round(least), 1), size))
-        return np.asarray(common * (pixels.T @ pixels) / pixels.shape[0])
+        return np.asarray(np.sqrt(common / pixels.shape[0]) * pixels.T)
     # Fewest first: what two directions share is limited by the one with fewer independent pixels.
     order = np.argsort(n, kind="stable")
     lower = np.tril(rng.standard_normal((size, size)), -1)
     lower[np.diag_indices(size)] = np.sqrt(rng.chisquare(n[order] - np.arange(size)))
     lower /= np.sqrt(n[order])[:, None]
     drawn = np.empty((size, size))
-    drawn[np.ix_(order, order)] = lower @ lower.T
-    return common * drawn
+    drawn[order] = lower
+    return np.asarray(np.sqrt(common) * drawn)
 
 
 @dataclass(frozen=True)
@@ -186,8 +204,8 @@ def sampling_band(
     full = full_rank(independent, size)
     with single_blas_thread():
         sampled = [
-            statistics_of_covariance(
-                directions, drawn_covariance(size, independent, rng, kurtosis), count, spaces, full_rank=full
+            statistics_of_factor(
+                directions, drawn_factor(size, independent, rng, kurtosis), count, spaces, full_rank=full
             )
             for _ in range(draws)
         ]
