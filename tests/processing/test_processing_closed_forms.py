@@ -228,7 +228,7 @@ def test_density_is_the_slope_of_the_false_alarms(dof):
     one = ClassScores(*np.array([[[0.3, 0.7]], [[0.2, -0.1]], [[0.4, 0.2]], [[dof, np.inf]]]))
     low, high = 0.05, 0.9
     between = np.exp(log_false_alarm(np.array([low, high]), one.rows(np.zeros(2, int)))[0])
-    area = integrate.quad(lambda x: float(score_density(np.array([x]), one)[0]), low, high, epsabs=1e-12)[0]
+    area = integrate.quad(lambda x: float(score_density(np.array([[x]]), one)[0, 0]), low, high, epsabs=1e-12)[0]
     assert area == pytest.approx(between[0] - between[1], rel=1e-9)
     t_scale = 0.4 * np.sqrt((dof - 2) / dof) if np.isfinite(dof) else 0.4
     first = stats.t.sf(0.5, dof, 0.2, t_scale) if np.isfinite(dof) else stats.norm.sf(0.5, 0.2, 0.4)

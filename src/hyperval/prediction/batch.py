@@ -275,7 +275,7 @@ class Batch:
             rows, response = self.responses(g, number, detector, here)
             own = fills.values if fills.values.shape[0] == 1 else fills.values[here]
             means[here], sds[here] = response.at(own, points.of(points.gain, number)[here], rows, shift[here])
-        classes, which = self._classes(number, detector)
+        classes, which = self.once(("classes", number, detector), lambda: self._classes(number, detector))
         if fills.shape is None:
             return RocScores(classes, which, means, sds, np.broadcast_to(fills.weights, means.shape))
         each = (means.reshape(len(self), *fills.shape), sds.reshape(len(self), *fills.shape))

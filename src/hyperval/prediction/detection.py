@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -84,37 +84,55 @@ def _add_linear(
     pfa: Array, object_curves: bool,
 ) -> None:  # fmt: skip
     scores = batch.scores(population, name)
+    behind = batch.once(("background", target, name), lambda: _Background.of_scores(scores, pfa, points))
     # Truths that move other things than this target's scores share what follows from them.
     first, which = scores.distinct() if not object_curves else 2 * (np.arange(len(batch)),)
-    each = scores.rows(first)
-    threshold = each.thresholds(pfa[None])
-    pd = each.detection_above(threshold)
+    threshold = behind.threshold[first]
+    pd = scores.rows(first).detection_above(threshold)
     by_unit = {"pixel": pd}
     if object_curves:
         objects = batch.object_scores(population, name)
         alone = objects.objects is None and objects.means.shape == scores.means.shape
         by_unit["object"] = pd if alone else objects.detection_above(threshold)
-    made: dict[int, Detection] = {}
-    for into, point in zip(by_point, points, strict=True):
-        row = int(which[point])
-        if row not in made:
-            one, at = each.rows(np.array([row])), threshold[row]
-            preset = one.preset(at[None])[0]
-            made[row] = Detection(
-                {
-                    (population, name): _distribution(one, target=True),
-                    (background_of(population), name): _distribution(one, target=False),
-                },
-                {
-                    (population, name, unit): RocCurve(pfa, *(curve[row],) * 3, at, unit, preset_pfa=preset)  # type: ignore[arg-type]
-                    for unit, curve in by_unit.items()
-                },
-                {(target, name): ExceedanceCurve(at[::-1], *(pfa[::-1],) * 3)},
-            )
-        into.scores.update(made[row].scores)
-        into.roc.update(made[row].roc)
-        into.exceedance.update(made[row].exceedance)
+    wanted, row_of = np.unique(which[list(points)], return_inverse=True)
+    some = scores.rows(first[wanted])
+    distributions = _distributions(some.mean, some.sd, some.target_density)
+    for into, point, row in zip(by_point, points, row_of.tolist(), strict=True):
+        background, preset = behind.of[int(scores.which[point])]
+        at, mine = behind.threshold[point], int(which[point])
+        into.scores[population, name] = distributions[row]
+        into.scores[background_of(population), name] = background
+        for unit, curve in by_unit.items():
+            into.roc[population, name, unit] = RocCurve(pfa, *(curve[mine],) * 3, at, unit, preset_pfa=preset)  # type: ignore[arg-type]
+        into.exceedance[target, name] = ExceedanceCurve(at[::-1], *(pfa[::-1],) * 3)
         into.curves.update({(population, name, unit): curve[which] for unit, curve in by_unit.items()})  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class _Background:
+    """What the background scores by one filter, which all populations of its target share.
+
+    Attributes
+    ----------
+    threshold : (n, K) of all evaluations
+    of : number of its laws -> distribution of their score and preset P_FA (K,), for the points that were asked for
+    """
+
+    threshold: Array
+    of: Mapping[int, tuple[ScoreDistribution, Array]]
+
+    @staticmethod
+    def of_scores(scores: RocScores, pfa: Array, points: Sequence[int]) -> _Background:
+        threshold, at = scores.thresholds(pfa[None]), np.array(points)
+        rows, first = np.unique(scores.which[at], return_index=True)
+        some, c = scores.rows(at[first]), scores.classes.rows(rows)
+        mean = (c.fraction * c.mean).sum(axis=1)
+        sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
+        distributions = _distributions(mean, sd, some.background_density)
+        presets = some.preset(threshold[at[first]])
+        return _Background(
+            threshold, dict(zip(rows.tolist(), zip(distributions, presets, strict=True), strict=True))
+        )
 
 
 def _add_numerical(
@@ -134,15 +152,8 @@ def _add_numerical(
             into.curves[population, name, unit] = curve  # type: ignore[index]
 
 
-def _distribution(one: RocScores, *, target: bool) -> ScoreDistribution:
-    """Moments and density of the score of target pixels, or of the background, of one evaluation."""
-    if target:
-        mean, sd = float(one.mean[0]), float(one.sd[0])
-        density = one.target_density
-    else:
-        c = one.classes.rows(one.which)
-        mean = float(c.fraction[0] @ c.mean[0])
-        sd = float(np.sqrt(c.fraction[0] @ (c.sd[0] ** 2 + (c.mean[0] - mean) ** 2)))
-        density = one.background_density
-    grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID)
-    return ScoreDistribution(mean, sd, None, grid, density(grid[None])[0])
+def _distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:
+    """Moments and density of a score in n evaluations."""
+    grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID, axis=-1)
+    rows = zip(mean.tolist(), sd.tolist(), grid, density(grid), strict=True)
+    return [ScoreDistribution(m, s, None, g, d) for m, s, g, d in rows]

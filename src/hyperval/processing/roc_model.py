@@ -138,16 +138,13 @@ class RocScores:
 
     def background_density(self, score: Array) -> Array:
         """Density of the background's score at ``score`` (n, K) (3.33) [per unit of score]."""
-        rows = np.repeat(self.which, score.shape[1])
-        return score_density(score.ravel(), self.classes.rows(rows)).reshape(score.shape)
+        return score_density(score, self.classes.rows(self.which))
 
     def target_density(self, score: Array) -> Array:
         """Density of the target pixels' score at ``score`` (n, K), the derivative of (3.31) [per unit of score]."""
-        size = score.shape[1]
-        dof = np.full(self.means.shape, np.inf)
-        parts = ClassScores(self.weights, self.means, self.sds, dof)
-        rows = np.repeat(np.arange(score.shape[0]), size)
-        return score_density(score.ravel(), parts.rows(rows)).reshape(score.shape)
+        return score_density(
+            score, ClassScores(self.weights, self.means, self.sds, np.full(self.means.shape, np.inf))
+        )
 
     def log10_false_alarm(self, pd: Array) -> Array:
         """log10 P_FA (n,) at which P_D is ``pd`` (n,), pixels (3.31 solved for the threshold)."""

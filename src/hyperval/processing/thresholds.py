@@ -93,16 +93,26 @@ class _Laws:
     def log_tails(self, threshold: Array) -> tuple[Array, Array, Array]:
         """log P(score > x), log of the density, and the slope of that, (M, n) each, at x (n,)."""
         z = (self.mean - threshold) / self.scale
+        density = self._log_density(z)
         if self.dof is None:
-            return log_ndtr(z), self.log_peak - 0.5 * z**2, z / self.scale
+            return log_ndtr(z), density, z / self.scale
         gaussian, nu = np.isnan(self.dof), self.dof
         tail = np.empty_like(z)
         tail[gaussian] = log_ndtr(z[gaussian])
         with np.errstate(divide="ignore"):
             tail[~gaussian] = np.log(stdtr(nu[~gaussian], z[~gaussian]))
-        density = np.where(gaussian, -0.5 * z**2, -0.5 * (nu + 1) * np.log1p(z**2 / nu))
         slope = np.where(gaussian, z, (nu + 1) * z / (nu + z**2))
-        return tail, self.log_peak + density, slope / self.scale
+        return tail, density, slope / self.scale
+
+    def log_density(self, score: Array) -> Array:
+        """(M, n) at x (n,)."""
+        return self._log_density((self.mean - score) / self.scale)
+
+    def _log_density(self, z: Array) -> Array:
+        if self.dof is None:
+            return self.log_peak - 0.5 * z**2
+        nu, gaussian = self.dof, np.isnan(self.dof)
+        return self.log_peak + np.where(gaussian, -0.5 * z**2, -0.5 * (nu + 1) * np.log1p(z**2 / nu))
 
     def log_false_alarm(self, threshold: Array) -> tuple[Array, Array, Array]:
         """log P_FA(x) = log sum f_m P(score of class m > x) (3.33) and its two first derivatives (n,) at x (n,)."""
@@ -140,12 +150,13 @@ def greatest_class_false_alarm(threshold: Array, scores: ClassScores) -> Array:
 
 
 def score_density(score: Array, scores: ClassScores) -> Array:
-    """Density of the background's score at one score (R,) for each row, sum f_m p_m(x) [per unit of score].
+    """Density of the background's score at scores (R, K), sum f_m p_m(x) [per unit of score].
 
     The derivative of (3.33).
     """
-    _, density, _ = _Laws.of(scores).log_tails(score)
-    return np.asarray((scores.fraction.T * np.exp(density)).sum(axis=0))
+    laws = _Laws.of(scores).rows(np.repeat(np.arange(score.shape[0]), score.shape[1]))
+    density = np.exp(laws.log_density(score.ravel()) + laws.log_fraction)
+    return np.asarray(density.sum(axis=0)).reshape(score.shape)
 
 
 def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
