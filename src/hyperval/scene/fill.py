@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from hyperval.errors import UsageError
 from hyperval.spectra.response import SIGMA_PER_FWHM
 
 Array = npt.NDArray[np.float64]
+Kind = TypeVar("Kind", bound=np.generic)
 
 # Positions sampled: a Fibonacci lattice, whose 377 points integrate fills a hundred times better than a
 # square grid of as many.
@@ -157,32 +158,23 @@ def lattice_positions(count: int) -> Array:
 
 @lru_cache(maxsize=256)
 def _ranked_fills(geometry: TargetGeometry) -> Array:
-    """(K, P) the same in falling order."""
-    result = np.sort(_sampled_fills(geometry), axis=1)[:, ::-1]
+    """(K, P) fills of all pixels that the target reaches in falling order, one row per sampled position."""
+    fills = _around(geometry)[0]
+    result = np.sort(fills.reshape(len(fills), -1), axis=1)[:, ::-1]
     result.setflags(write=False)
     return result
-
-
-def _sampled_fills(geometry: TargetGeometry) -> Array:
-    """(K, P) fills of all pixels that the target reaches, one row per sampled position."""
-    fills = _around(geometry)[0]
-    return fills.reshape(fills.shape[0], -1)
 
 
 @lru_cache(maxsize=256)
 def _around(geometry: TargetGeometry) -> tuple[Array, npt.NDArray[np.bool_]]:
     """(K, P, P) fills of the pixels around the target at each sampled position, and which its outline meets."""
     random = geometry.phase == "random"
-    count = PHASES if random or geometry.heading_deg is None else 1
-    i = np.arange(count)
+    i = np.arange(count := PHASES if random or geometry.heading_deg is None else 1)
     offset = lattice_positions(count) if random else np.zeros((count, 2))
     any_way = 180.0 * ((0.5 + i * np.sqrt(2.0)) % 1.0)
     heading = any_way if geometry.heading_deg is None else np.full(count, geometry.heading_deg)
     fills = pixel_fills(geometry, offset, heading)
-    touched = _met(geometry, offset, heading, fills.shape[1])
-    for part in (fills, touched):
-        part.setflags(write=False)
-    return fills, touched
+    return _fixed(fills, _met(geometry, offset, heading, fills.shape[1]))
 
 
 def _met(geometry: TargetGeometry, offset: Array, heading_deg: Array, size: int) -> npt.NDArray[np.bool_]:
@@ -226,7 +218,9 @@ def pixel_fills(geometry: TargetGeometry, offset: npt.ArrayLike, heading_deg: np
     corner = np.stack([0.5 * (i * length * c + j * width * d) for i in (-1, 1) for j in (-1, 1)], axis=1)
     low, high = corner.min(axis=1), corner.max(axis=1)
     edges = borders[None, :] - at[:, 1:2]
-    breaks = np.sort(np.concatenate([corner, np.clip(edges, low[:, None], high[:, None])], axis=1), axis=1)
+    beyond = (edges <= low[:, None]) | (edges >= high[:, None])  # they cut nothing: behind all that do
+    breaks = np.sort(np.concatenate([corner, np.where(beyond, high[:, None], edges)], axis=1), axis=1)
+    breaks = breaks[:, : 1 + int(np.max(np.sum(breaks < high[:, None], axis=1), initial=1))]
     parts = max(2, int(np.ceil(1.0 / max(least, 0.1)))) if least > 0 else 8
     steps = np.arange(parts) / parts
     span = np.diff(breaks, axis=1)
@@ -268,8 +262,8 @@ def _chord(y: Array, c: Array, d: Array, length: float, width: float) -> tuple[A
         slope = np.where(np.abs(slope) < 1e-12, 1e-12, slope)
         a, b = (-0.5 * side - shift) / slope, (0.5 * side - shift) / slope
         ends.append((np.minimum(a, b), np.maximum(a, b)))
-    left, right = np.maximum(ends[0][0], ends[1][0]), np.minimum(ends[0][1], ends[1][1])
-    return left, np.maximum(left, right)
+    left = np.maximum(ends[0][0], ends[1][0])
+    return left, np.maximum(left, np.minimum(ends[0][1], ends[1][1]))
 
 
 def _between(at_borders: Array) -> Array:
@@ -289,7 +283,8 @@ def _ramp(z: Array, s: float) -> Array:
     """Integral of :func:`_step` from minus infinity to ``z``: z Phi(z/s) + s phi(z/s)."""
     if s == 0:
         return np.asarray(np.maximum(z, 0.0))
-    return np.asarray(z * ndtr(z / s) + s * np.exp(-0.5 * (z / s) ** 2) / np.sqrt(2.0 * np.pi))
+    u = z / s
+    return np.asarray(s * (u * ndtr(u) + np.exp(-0.5 * u**2) / np.sqrt(2.0 * np.pi)))
 
 
 # Steps of the table of fills in a pixel. Cubic interpolation between them is good to 5e-5 with a blur of half a
@@ -338,16 +333,25 @@ def shared_pixel_fills(
 
 @lru_cache(maxsize=128)
 def _kept(own: TargetGeometry, n: int, neighbours: tuple[Neighbour, ...]) -> tuple[Array, Array]:
-    """For one arrangement, however often it is asked for; not to be written to."""
-    fill = _shared_pixel_fills(own, n, neighbours, None)
-    for part in fill:
-        part.setflags(write=False)
-    return fill
+    """For one arrangement, however often it is asked for."""
+    return _fixed(*_shared_pixel_fills(own, n, neighbours, None))
 
 
 def _shared_pixel_fills(
     own: TargetGeometry, n: int, neighbours: Sequence[Neighbour], shifts: Array | None
 ) -> tuple[Array, Array]:
+    fills, chosen = _fullest(own, n)
+    others = np.zeros((*fills.shape, len(neighbours)))
+    for j, x in enumerate(neighbours):
+        away = np.asarray(x.offset) + (0.0 if shifts is None else shifts[:, j, None, :])
+        others[..., j] = _looked_up(_fill_table(replace(x.geometry, phase="random")), chosen - away)
+    over = np.maximum(fills + others.sum(axis=2), 1.0)
+    return fills / over, others / over[..., None]
+
+
+@lru_cache(maxsize=64)
+def _fullest(own: TargetGeometry, n: int) -> tuple[Array, Array]:
+    """(K, n) fills of the fullest pixels of a target, and where they are (K, n, 2) from its centre."""
     centred = own.phase == "centred"
     place = np.zeros((1, 2)) if centred else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
     table = _fill_table(replace(own, phase="random"))
@@ -359,19 +363,21 @@ def _shared_pixel_fills(
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
         at_pixels = np.pad(at_pixels, ((0, 0), (0, n - at_pixels.shape[1]), (0, 0)), constant_values=1e6)
     order = np.argsort(-fills, axis=1, kind="stable")[:, :n]
-    fills = np.take_along_axis(fills, order, axis=1)
-    chosen = np.take_along_axis(at_pixels, order[..., None], axis=1)
-    others = np.zeros((*fills.shape, len(neighbours)))
-    for j, x in enumerate(neighbours):
-        away = np.asarray(x.offset) + (0.0 if shifts is None else shifts[:, j, None, :])
-        others[..., j] = _looked_up(_fill_table(replace(x.geometry, phase="random")), chosen - away)
-    over = np.maximum(fills + others.sum(axis=2), 1.0)
-    return fills / over, others / over[..., None]
+    return _fixed(np.take_along_axis(fills, order, 1), np.take_along_axis(at_pixels, order[..., None], 1))
+
+
+def _fixed(one: Array, other: npt.NDArray[Kind]) -> tuple[Array, npt.NDArray[Kind]]:
+    """Arrays that are kept: not to be written to."""
+    one.setflags(write=False)
+    other.setflags(write=False)
+    return one, other
 
 
 @lru_cache(maxsize=64)
 def _fill_table(geometry: TargetGeometry) -> Array:
-    """(M, M) fill of a pixel by the target, against the pixel's centre from the target's (lines, samples)."""
+    """(M, M) cubic spline of a pixel's fill against its centre from the target's (lines, samples)."""
+    from scipy.ndimage import spline_filter  # a tenth of a second with what it loads
+
     step = (np.arange(_STEPS) + 0.5) / _STEPS - 0.5
     x, y = np.meshgrid(step, step)
     offset = np.stack([x.ravel(), y.ravel()], axis=1)
@@ -379,15 +385,16 @@ def _fill_table(geometry: TargetGeometry) -> Array:
     across = fills.shape[1]
     # A centre at step i puts pixel p at p - step_i: rising with p, falling with i.
     fills = fills.reshape(_STEPS, _STEPS, across, across)[::-1, ::-1]
-    table = fills.transpose(2, 0, 3, 1).reshape(across * _STEPS, across * _STEPS)
+    values = fills.transpose(2, 0, 3, 1).reshape(across * _STEPS, across * _STEPS)
+    table = np.asarray(spline_filter(values, order=3, mode="constant"))
     table.setflags(write=False)
     return table
 
 
 def _looked_up(table: Array, away: Array) -> Array:
     """Fills at distances ``away`` (..., 2) from the target's centre (lines, samples) [pixels]; 0 beyond it."""
-    from scipy.ndimage import map_coordinates  # a tenth of a second with what it loads
+    from scipy.ndimage import map_coordinates
 
     index = away * _STEPS + 0.5 * (table.shape[0] - 1)
-    fill = map_coordinates(table, np.moveaxis(index, -1, 0), order=3, mode="constant", cval=0.0)
+    fill = map_coordinates(table, np.moveaxis(index, -1, 0), order=3, mode="constant", prefilter=False)
     return np.asarray(np.clip(fill, 0.0, 1.0))
