@@ -48,7 +48,6 @@ PIXELS_PER_BAND = 10  # fewer, and distances are taken in fewer components
 COMPONENTS = 6  # leading ones whose correlation on the ground is measured
 TOGETHER = 2048  # pixels that are held at once
 WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
-LINES_TOGETHER = 32  # of a window that are read at once
 QUANTILES = 160
 _SEED = 31
 FEWEST_FOR_CORRELATION = 50  # below it a correlation on the ground is not told from chance
@@ -164,16 +163,15 @@ def _independence(
     count = min(COMPONENTS, directions.values.size)
 
     def quantities() -> Iterator[tuple[Array, Mask]]:
-        for values, inside in pixels_of_windows(place, region, bands, rng):
-            values[~inside] = mean
-            values -= mean  # in place, as one window of all bands is a good part of what memory is to hold
-            scores = values @ directions.vectors
-            del values
+        for pixels, inside in pixels_of_windows(place, region, bands, rng):
+            pixels -= mean  # in place, as one window of all bands is a good part of what memory is to hold
+            scores = pixels @ directions.vectors
+            del pixels
             scores /= np.sqrt(directions.values)
             # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
-            far = [np.log(_sums_of_squares(scores[..., :p]) + 1e-12) for p in (scores.shape[-1], leading)]
-            far = [f - f[inside].mean() if inside.any() else f for f in far]
-            yield np.stack([*np.moveaxis(scores[..., :count], -1, 0), *far]), inside
+            far = np.log([np.einsum("nk,nk->n", s, s) + 1e-12 for s in (scores, scores[:, :leading])])
+            far -= far.mean(axis=1, keepdims=True) if inside.any() else 0.0
+            yield _on_window(np.concatenate([scores[:, :count].T, far]), inside), inside
 
     correlation = lag_correlation(quantities(), REACH).significant()
     shares = neighbour_shares(region, REACH, rng)
@@ -182,31 +180,34 @@ def _independence(
     return independent, (parts[0], parts[1])
 
 
-def _sums_of_squares(scores: Array) -> Array:
-    """(lines, samples) sums over the last axis, line by line."""
-    return np.stack([np.sum(line**2, axis=-1) for line in scores])
+def _on_window(quantities: Array, inside: Mask) -> Array:
+    """(K, lines, samples) of quantities (K, n) at the n pixels of a mask, 0 at the others."""
+    out = np.zeros((len(quantities), *inside.shape))
+    out[:, inside] = quantities
+    return out
 
 
 def pixels_of_windows(
     place: Place, region: Mask, bands: npt.NDArray[Any], rng: np.random.Generator
 ) -> Iterator[tuple[Array, Mask]]:
-    """Values (lines, samples, b) of some bands in each window of a region, and which pixels are in it and valid."""
+    """Values (n, b) of some bands at a region's valid pixels in each window, and which of its pixels they are."""
     for corner in correlation_windows(region, rng):
         yield _window(place, region, bands, corner)  # not kept here: one window at a time is in memory
 
 
 def _window(place: Place, region: Mask, bands: npt.NDArray[Any], corner: tuple[int, int]) -> tuple[Array, Mask]:
     rows, columns = (slice(a, a + WINDOW) for a in corner)
-    inside = region[rows, columns]
-    lines, samples = np.indices(inside.shape) + np.array(corner)[:, None, None]
-    values, valid = np.empty((*inside.shape, bands.size)), np.empty(inside.shape, bool)
-    for some in range(0, len(inside), LINES_TOGETHER):
-        part = slice(some, some + LINES_TOGETHER)
-        pixels, usable = place.cube.marked_pixels((lines[part].ravel(), samples[part].ravel()))
-        np.take(pixels, bands, axis=1, out=values[part].reshape(-1, bands.size), mode="clip")  # no copy between
-        valid[part] = usable.reshape(inside[part].shape)
+    inside = region[rows, columns].copy()
+    lines, samples = np.nonzero(inside)
+    values, valid = np.empty((lines.size, bands.size)), np.empty(lines.size, bool)
+    for some in range(0, lines.size, TOGETHER):
+        part = slice(some, some + TOGETHER)
+        pixels, valid[part] = place.cube.marked_pixels((lines[part] + corner[0], samples[part] + corner[1]))
+        np.take(pixels, bands, axis=1, out=values[part], mode="clip")  # no copy between
         del pixels
-    return values, inside & valid & np.isfinite(values).all(axis=-1)
+    valid &= np.isfinite(values).all(axis=1)
+    inside[inside] = valid
+    return values if valid.all() else values[valid], inside
 
 
 def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
@@ -255,9 +256,8 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
 
     def windows() -> Iterator[tuple[Array, Mask]]:
         for pixels, inside in pixels_of_windows(place, region, known, rng):
-            pixels[~inside] = mean
             pixels -= mean  # in place: a window of all bands is 9 MB
-            scores = along.scores(pixels)
+            scores = _on_window(along.scores(pixels), inside)
             del pixels  # before the next window is read
             yield scores, inside
 

@@ -37,8 +37,7 @@ class Components:
 
     def scores(self, centred: Array) -> Array:
         """(K + M, ...) quantities of variance 1 of pixels (..., B) with their mean removed."""
-        leading = centred @ (self.vectors / np.sqrt(self.values))
-        return np.concatenate([np.moveaxis(leading, -1, 0), np.moveaxis(centred @ self.rest, -1, 0)])
+        return np.moveaxis(centred @ np.hstack([self.vectors / np.sqrt(self.values), self.rest]), -1, 0)
 
 
 def components(covariance: Array, rng: np.random.Generator, count: int = COMPONENTS) -> Components:

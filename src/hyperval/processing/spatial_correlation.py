@@ -45,26 +45,21 @@ def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> LagCor
     windows : values (K, lines, samples), of mean 0 over the region, with the mask of the pixels that count
     reach : greatest lag R [pixels]
     """
-    total: Array | float = 0.0
-    counted: Array | float = 0.0
+    power: dict[tuple[int, ...], Array | float] = {}
     for values, mask in windows:
-        inside = mask.astype(float)
-        masked = np.where(mask, values, 0.0)
-        total = total + np.stack([_lagged(z, reach) for z in masked])
-        counted = counted + np.round(_lagged(inside, reach))
-    total, counted = np.asarray(total), np.asarray(counted)
+        # The mask is correlated with the rest: it counts the pairs.
+        quantities = np.concatenate([np.where(mask, values, 0.0), mask[None].astype(float)])
+        # So many zeros behind the window that no lag meets its other end.
+        size = tuple(fft.next_fast_len(n + reach, real=True) for n in mask.shape)
+        spectrum = fft.fft(fft.rfft(quantities, size[1]), size[0], axis=-2)
+        power[size] = power.get(size, 0.0) + (spectrum.real**2 + spectrum.imag**2)
+    lags = np.ix_(*2 * [np.arange(-reach, reach + 1)])
+    summed = sum(fft.irfft2(p, size)[:, lags[0], lags[1]] for size, p in power.items())
+    total, counted = np.asarray(summed)[:-1], np.round(np.asarray(summed)[-1])
     with np.errstate(divide="ignore", invalid="ignore"):
         covariance = np.where(counted > 0, total / counted, 0.0)
         value = covariance / covariance[:, reach, reach][:, None, None]
     return LagCorrelation(np.nan_to_num(value), counted)
-
-
-def _lagged(z: Array, reach: int) -> Array:
-    """sum_x z(x) z(x + h) for lags h up to ``reach``."""
-    size = [fft.next_fast_len(n + 2 * reach, real=True) for n in z.shape]
-    spectrum = fft.rfft2(z, size)
-    lags = np.arange(-reach, reach + 1)
-    return np.asarray(fft.irfft2(np.abs(spectrum) ** 2, size)[np.ix_(lags, lags)])
 
 
 def neighbour_shares(mask: Mask, reach: int, rng: np.random.Generator, most: int = 2000) -> Array:
