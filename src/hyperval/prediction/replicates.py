@@ -17,7 +17,7 @@ from hyperval.processing.sample import statistics_of
 from hyperval.scenario_sources import Replicates
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.readers import FieldSpectrum, read_records
-from hyperval.spectra.response import band_average
+from hyperval.spectra.response import band_average, band_weights
 
 Array = npt.NDArray[np.float64]
 Resolve = Callable[[str], Path]
@@ -164,8 +164,11 @@ def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralA
     """(B, B) error covariance of band averages from that of samples (n, n); 0 in bands they do not cover."""
     if _are_centres(wavelength_nm, axis):
         return covariance
-    weights = np.nan_to_num(band_average(wavelength_nm, np.eye(wavelength_nm.size), axis, outside="nan"))
-    return np.asarray(weights.T @ covariance @ weights)
+    from scipy import sparse  # a band has a part in few of the samples
+
+    weights, short = band_weights(wavelength_nm, axis)
+    few = sparse.csr_array(np.where(short[:, None], 0.0, weights))
+    return np.asarray((few @ (few @ covariance).T).T)
 
 
 def band_error_covariance(
@@ -177,8 +180,12 @@ def band_error_covariance(
     which the band average of their standard deviation alone does not know.
     """
     u = np.nan_to_num(standard_deviation)
-    together = np.exp(-0.5 * ((wavelength_nm[:, None] - wavelength_nm[None, :]) / correlation_nm) ** 2)
-    return covariance_in_bands(wavelength_nm, np.outer(u, u) * together, axis)
+    covariance = (wavelength_nm[:, None] - wavelength_nm) / correlation_nm
+    covariance *= -0.5 * covariance  # in place, as a spectrometer's samples are thousands
+    np.exp(covariance, out=covariance)
+    covariance *= u
+    covariance *= u[:, None]
+    return covariance_in_bands(wavelength_nm, covariance, axis)
 
 
 def _some_centres(wavelength_nm: Array, axis: SpectralAxis) -> npt.NDArray[np.intp] | None:

@@ -45,8 +45,7 @@ def band_average(
         raise UsageError(f"{y.shape[-1]} values for {grid.size} wavelengths")
     if np.any(np.diff(grid) <= 0):
         raise UsageError("sample wavelengths must increase")
-    sigma = axis.fwhm_nm * SIGMA_PER_FWHM
-    short = (axis.centre_nm - 0.5 * axis.fwhm_nm < grid[0]) | (axis.centre_nm + 0.5 * axis.fwhm_nm > grid[-1])
+    matrix, short = band_weights(grid, axis)
     if np.any(short) and outside == "raise":
         bad = axis.centre_nm[short]
         raise UsageError(
@@ -55,6 +54,18 @@ def band_average(
             expected="samples over the whole band set",
             mend="give a longer spectrum or select fewer bands",
         )
+    result = y @ matrix.T
+    if np.any(short):
+        result[..., short] = np.nan
+    return result
+
+
+def band_weights(
+    grid: npt.NDArray[np.float64], axis: SpectralAxis
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """(B, n) weights of samples at ``grid`` (n,) [nm] in :func:`band_average`, and (B,) bands that reach beyond."""
+    sigma = axis.fwhm_nm * SIGMA_PER_FWHM
+    short = (axis.centre_nm - 0.5 * axis.fwhm_nm < grid[0]) | (axis.centre_nm + 0.5 * axis.fwhm_nm > grid[-1])
     # One common set of normalised offsets serves all bands.
     offsets = np.linspace(-CUT_SIGMA, CUT_SIGMA, int(2 * CUT_SIGMA * SIGMA_PER_FWHM * _STEPS_PER_FWHM * 2) + 1)
     weight = np.exp(-0.5 * offsets**2)
@@ -71,7 +82,4 @@ def band_average(
     rows = np.broadcast_to(np.arange(len(axis))[:, None], index.shape)
     np.add.at(matrix, (rows, index), w * (1.0 - frac))
     np.add.at(matrix, (rows, index + 1), w * frac)
-    result = y @ matrix.T
-    if np.any(short):
-        result[..., short] = np.nan
-    return result
+    return matrix, short
