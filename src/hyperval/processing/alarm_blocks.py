@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.processing.intervals import jeffreys_limits
+from hyperval.processing.intervals import beyond_jeffreys_limits, jeffreys_limits
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -74,9 +73,14 @@ class AlarmBlocks:
         return np.bincount(self.block, minlength=self.neighbours.shape[0])
 
     @cached_property
+    def order(self) -> Counts:
+        """(n,) places of the scores from the least to the greatest."""
+        return np.argsort(self.scores)
+
+    @cached_property
     def ascending(self) -> Array:
         """(n,) the scores in order."""
-        return np.sort(self.scores)
+        return self.scores[self.order]
 
     def counts(self, threshold: Array) -> Counts:
         """(T, M) scores above each of the thresholds (T,), which fall."""
@@ -172,19 +176,20 @@ class AlarmBlocks:
         """
         n = self.scores.size
 
-        def first(side: int, beyond: Callable[[Array], npt.NDArray[np.bool_]]) -> Counts:
-            """Least number of alarms whose limit lies beyond; n + 1 where none does."""
+        def first(limit: int) -> Counts:
+            """Least number of alarms whose lower (0) or upper (1) limit lies beyond; n + 1 where none does."""
             low, high = np.zeros(pfa.size, np.int64), np.full(pfa.size, n + 1)
             while np.any(low < high):
                 middle = (low + high) // 2
                 effect = np.interp(np.log1p(middle), *self._effects)
-                there = beyond(jeffreys_limits(np.minimum(middle, n) / effect, n / effect)[side])
+                below, above = beyond_jeffreys_limits(middle / effect, n / effect, pfa)
+                there = ~above if limit else below
                 open_ = low < high
                 high = np.where(open_ & there, middle, high)
                 low = np.where(open_ & ~there, middle + 1, low)
             return low
 
-        return first(1, lambda upper: upper >= pfa), first(0, lambda lower: lower > pfa)
+        return first(1), first(0)
 
 
 def _bartlett(key: Counts, width: int) -> sparse.csr_array:

@@ -12,6 +12,7 @@ from scipy import special
 from hyperval.errors import UsageError
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 Z95 = 1.959963984540054  # normal quantile of a two-sided 95 % interval
 Sides = Literal["two", "lower", "upper"]
 _HALVINGS = 50
@@ -80,6 +81,20 @@ def jeffreys_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     return lower, upper
 
 
+def beyond_jeffreys_limits(
+    count: npt.ArrayLike, total: npt.ArrayLike, proportion: npt.ArrayLike, level: float = 0.95
+) -> tuple[Mask, Mask]:
+    """Whether a proportion lies below, and whether above, the :func:`jeffreys_limits`.
+
+    By the beta law's part below the proportion, which is told much faster than its quantiles.
+    """
+    k, n, p = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (count, total, proportion)))
+    tail = (1.0 - level) / 2.0
+    rest = np.maximum(n - k, 0.0)
+    part = special.betainc(k + 0.5, rest + 0.5, p)
+    return (k > 0.0) & (part < tail), (rest > 0.0) & (part > 1.0 - tail)
+
+
 def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
     """Limits of a proportion whose tails count the observed number itself by half.
 
@@ -96,8 +111,11 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95
     >>> print(f"{low:.3f} {high:.3f}")
     0.530 0.902
     """
-    k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    _check(k, n, level)
+    given = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
+    _check(*given, level)
+    # A curve has few different counts.
+    different, at = np.unique(np.stack([x.ravel() for x in given]), axis=1, return_inverse=True)
+    k, n = different
     tail = (1.0 - level) / 2.0
     # P(X >= k) and P(X > k) are incomplete beta functions, 1 and 0 at the end counts.
     some, not_all = np.maximum(k, 1.0), np.maximum(n - k, 1.0)
@@ -112,7 +130,9 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95
             low, high = np.where(below, p, low), np.where(below, high, p)
         return np.asarray(0.5 * (low + high))
 
-    return np.where(k > 0, quantile(tail), 0.0), np.where(k < n, quantile(1.0 - tail), 1.0)
+    limits = np.where(k > 0, quantile(tail), 0.0), np.where(k < n, quantile(1.0 - tail), 1.0)
+    lower, upper = (limit[at].reshape(given[0].shape) for limit in limits)
+    return lower, upper
 
 
 def zero_count_upper_limit(total: int, level: float = 0.95) -> float:

@@ -132,11 +132,14 @@ def clustered_variance(counts: RankCounts, area: RocArea, blocks: AlarmBlocks) -
     Biometrics 53, 567-578, 1997 (clustered ROC data).
     """
     between, on = _background_parts(counts, area)
-    left = np.searchsorted(counts.value, blocks.scores, side="left")
-    tied = counts.value[np.minimum(left, counts.value.size - 1)] == blocks.scores
-    w = np.where(tied, on[np.minimum(left, on.size - 1)], between[left])
+    # Between, on, between, on, ..., between: in the order of the scores.
+    w = np.repeat(
+        np.insert(between, np.arange(1, between.size), on),
+        np.insert(counts.between, np.arange(1, between.size), counts.ties),
+    )
     n = w.size
-    sums = np.asarray(np.bincount(blocks.block, w - w.mean(), minlength=blocks.pixels.size), dtype=float)
+    block = blocks.block[blocks.order]
+    sums = np.asarray(np.bincount(block, w - w.mean(), minlength=blocks.pixels.size), dtype=float)
     return float(blocks.variance_of_sum(sums[None, :])[0]) / n**2
 
 
