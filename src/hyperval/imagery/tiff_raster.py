@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ Index = npt.NDArray[np.intp]
 MAX_BANDS = 20_000
 MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
 MAX_TILE_BYTES = 1 << 30
-MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
+MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once, and of an image that is held
 TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
 _ROUNDED_UM = 0.00051  # half of the last digit that GDAL writes into its own domain
 _OPENING = threading.Lock()
@@ -73,6 +74,16 @@ class TiffRaster:
         """The files that were read."""
         return (self.path, *self.other_files) if self.header is None else (self.path, self.header.path)
 
+    @cached_property
+    def _pixels(self) -> npt.NDArray[Any]:
+        """(lines, samples, bands) all stored numbers, of a small image."""
+        with _opened(self.path) as dataset:
+            return np.ascontiguousarray(dataset.read().transpose(1, 2, 0))
+
+    @property
+    def _small(self) -> bool:
+        return self.lines * self.samples * self.bands * self.dtype.itemsize <= MAX_READ_BYTES
+
     def kept_open(self) -> AbstractContextManager[object]:
         """Nothing: each read opens the file, since a data set of GDAL serves one thread only."""
         return nullcontext()
@@ -85,11 +96,15 @@ class TiffRaster:
         """(bands, count, samples) stored numbers of consecutive lines; ``buffer`` is not used."""
         if first < 0 or count < 1 or first + count > self.lines:
             raise UsageError(f"lines {first}-{first + count - 1} of a cube of {self.lines} lines")
+        if self._small:
+            return np.array(self._pixels[first : first + count].transpose(2, 0, 1), order="C")
         with _opened(self.path) as dataset:
             return np.asarray(dataset.read(window=Window(0, first, self.samples, count)))
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
         """(n, bands) stored numbers of single pixels."""
+        if self._small:  # decoded once: every call costs some time for every band
+            return np.asarray(self._pixels[rows, cols])
         out = np.empty((rows.size, self.bands), self.dtype)
         if not rows.size:
             return out
