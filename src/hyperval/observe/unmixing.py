@@ -21,7 +21,7 @@ from hyperval.prediction.unmixing import UnmixedSubject, labelled
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.processing.filters import PositiveDefinite
 from hyperval.processing.sample import SampleStatistics
-from hyperval.processing.unmixing import fully_constrained
+from hyperval.processing.unmixing import fully_constrained, whitened
 from hyperval.products import Abundance
 from hyperval.progress import track
 
@@ -50,12 +50,20 @@ class Unmixed:
 
 @dataclass(frozen=True, eq=False)
 class _Surroundings:
-    """Reflectance (n, F) of an object's pixels and mean (F,) of the background around; the same elsewhere."""
+    """An object, and the places of the background at which its footprint was laid too.
+
+    Attributes
+    ----------
+    pixels : (N, F) reflectance of the pixels of all footprints, the object's first
+    place : (N,) footprint that each belongs to
+    background : (P, F) mean reflectance around each footprint
+    ring : pixels around the object
+    """
 
     pixels: Array
+    place: npt.NDArray[np.intp]
     background: Array
     ring: int
-    elsewhere: list[tuple[Array, Array]]
 
 
 def unmix(
@@ -131,16 +139,14 @@ def _area(
 ) -> Abundance:
     total, variance, n = 0.0, 0.0, 0
     for s in around:
-        total += _sum(s.pixels, spectrum, s.background, noise)
-        n += s.pixels.shape[0]
-        sums = [_sum(pixels, spectrum, mean, noise) for pixels, mean in s.elsewhere]
-        variance += float(np.var(sums, ddof=1)) if len(sums) > 1 else float("nan")
+        between = np.stack([np.broadcast_to(spectrum, s.background.shape), s.background], axis=1)
+        parts = fully_constrained(whitened(s.pixels, noise), whitened(between, noise)[s.place])[:, 0]
+        own, *elsewhere = np.bincount(s.place, parts, minlength=len(s.background)).tolist()
+        total += own
+        n += int(np.count_nonzero(s.place == 0))
+        variance += float(np.var(elsewhere, ddof=1)) if len(elsewhere) > 1 else float("nan")
     count = len(around)
     return Abundance(total / count * pixel_area, float(np.sqrt(variance)) / count * pixel_area, n, nominal)
-
-
-def _sum(pixels: Array, spectrum: Array, background: Array, noise: PositiveDefinite | None) -> float:
-    return float(fully_constrained(pixels, np.stack([spectrum, background]), noise)[:, 0].sum())
 
 
 def _named(detection: Detection, name: str) -> DetectionTarget:
@@ -181,14 +187,16 @@ def _surroundings(
         parts += [own, _ring(own, region, task.ring_pixels)]
     read = _reflectance(place, parts, elm, bands)
     blocks = list(zip(read[::2], read[1::2], strict=True))
-    pixels, ring = blocks[0]
-    if not ring.shape[0]:
+    ring = len(blocks[0][1])
+    if not ring:
         raise InputError(
             f"target {target.name!r} has no pixel of {task.background!r} within {task.ring_pixels} pixels",
             expected="background around every target",
         )
-    elsewhere = [(x, r.mean(axis=0)) for x, r in blocks[1:] if r.shape[0] and x.shape[0] == lines.size]
-    return _Surroundings(pixels, ring.mean(axis=0), ring.shape[0], elsewhere)
+    whole = [blocks[0], *((x, r) for x, r in blocks[1:] if len(r) and len(x) == lines.size)]
+    pixels = np.concatenate([x for x, _ in whole])
+    place_of = np.repeat(np.arange(len(whole)), [len(x) for x, _ in whole])
+    return _Surroundings(pixels, place_of, np.array([r.mean(axis=0) for _, r in whole]), ring)
 
 
 def _ring(own: Pixels, region: Mask, reach: int) -> Pixels:
