@@ -14,6 +14,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy.io import savemat
 
 from hyperval.errors import InputError
+from hyperval.imagery import tiff_raster
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.envi_write import write_cube
 from hyperval.imagery.rasters import open_raster
@@ -125,13 +126,29 @@ def test_a_mask_in_the_file_is_not_passed_over(tmp_path: Path, values):
         open_cube(path, quantity="reflectance")
 
 
-def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path: Path, values):
+def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path: Path, values, monkeypatch):
+    monkeypatch.setattr(tiff_raster, "MAX_READ_BYTES", 0)  # as of a large image: each opens the file
     raster = open_raster(tagged(tmp_path / "c.tif", np.tile(values, (40, 8, 1)), []))
     with warnings.catch_warnings(record=True) as seen, ThreadPoolExecutor(8) as pool:
         warnings.simplefilter("always")
         blocks = list(pool.map(lambda line: raster.read_lines(line, 1), range(raster.lines)))
     assert not seen
     assert np.array_equal(np.concatenate(blocks), raster.read_lines(0, raster.lines))
+
+
+def test_a_small_image_that_is_held_reads_as_a_large_one(tmp_path: Path, monkeypatch):
+    rng = np.random.default_rng(5)
+    stored = rng.random((9, 7, 4)).astype(np.float32)
+    path = tagged(tmp_path / "c.tif", stored, [])
+    rows, cols = rng.integers(9, size=30), rng.integers(7, size=30)
+    for most in (tiff_raster.MAX_READ_BYTES, 0):
+        monkeypatch.setattr(tiff_raster, "MAX_READ_BYTES", most)
+        raster = open_raster(path)
+        for _ in range(2):  # what a caller does with the numbers stays with the caller
+            pixels, lines = raster.read_pixels(rows, cols), raster.read_bands(2, 4)
+            assert np.array_equal(pixels, stored[rows, cols])
+            assert np.array_equal(lines, stored[2:6].transpose(2, 0, 1))
+            pixels[:], lines[:] = 0.0, 0.0
 
 
 def test_percent_is_named_with_the_scale_that_mends_it(tmp_path: Path, axis, values):

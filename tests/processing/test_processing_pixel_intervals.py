@@ -8,6 +8,7 @@ from scipy import stats
 
 from hyperval.errors import UsageError
 from hyperval.processing.intervals import (
+    beyond_jeffreys_limits,
     clopper_pearson,
     jeffreys_limits,
     joint_region,
@@ -101,6 +102,9 @@ def test_jeffreys_limits_hold_at_their_level_on_average_and_clopper_pearson_s_ab
     assert share["exact"] > 0.958
     assert jeffreys_limits(0, n)[0] == 0.0
     assert jeffreys_limits(n, n)[1] == 1.0
+    counts, p = np.array([0.0, 0.4, 2.5, 40.0, 79.6, 80.0])[:, None], np.linspace(0.0, 1.0, 99)
+    lower, upper = jeffreys_limits(counts, 80.0)
+    assert np.array_equal(beyond_jeffreys_limits(counts, 80.0, p), [p < lower, p > upper])
     assert jeffreys_limits(2.5, 80.0) == pytest.approx(tuple(stats.beta.ppf([0.025, 0.975], 3.0, 78.0)))
 
 

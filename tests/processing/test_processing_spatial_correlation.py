@@ -62,6 +62,24 @@ def test_pixels_outside_the_mask_do_not_count():
     assert one.pairs[REACH, REACH + 3] == 17 * SIZE
 
 
+def test_lags_are_the_products_of_all_pairs_of_pixels():
+    rng = np.random.default_rng(4)
+    windows = [(rng.standard_normal((2, *shape)), rng.random(shape) < 0.7) for shape in ((9, 14), (9, 14), (3, 20))]
+    reach = 4
+    found = lag_correlation(windows, reach)
+    total, pairs = np.zeros((2, 2 * reach + 1, 2 * reach + 1)), np.zeros((2 * reach + 1, 2 * reach + 1))
+    for values, mask in windows:
+        at = np.argwhere(mask)
+        for one in at:
+            for other in at[np.abs(at - one).max(axis=1) <= reach]:
+                lag = tuple(other - one + reach)
+                pairs[lag] += 1
+                total[:, *lag] += values[:, *one] * values[:, *other]
+    assert np.array_equal(found.pairs, pairs)
+    mean = total / np.maximum(pairs, 1)
+    assert found.value == pytest.approx(mean / mean[:, reach, reach][:, None, None], abs=1e-12)
+
+
 def test_neighbours_of_a_strip():
     mask = np.zeros((40, 40), bool)
     mask[:, 10:15] = True

@@ -111,11 +111,10 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95
     >>> print(f"{low:.3f} {high:.3f}")
     0.530 0.902
     """
-    given = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    _check(*given, level)
+    counts, totals = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
+    _check(counts, totals, level)
     # A curve has few different counts.
-    different, at = np.unique(np.stack([x.ravel() for x in given]), axis=1, return_inverse=True)
-    k, n = different
+    (k, n), at = np.unique([counts.ravel(), totals.ravel()], axis=1, return_inverse=True)
     tail = (1.0 - level) / 2.0
     # P(X >= k) and P(X > k) are incomplete beta functions, 1 and 0 at the end counts.
     some, not_all = np.maximum(k, 1.0), np.maximum(n - k, 1.0)
@@ -131,7 +130,7 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95
         return np.asarray(0.5 * (low + high))
 
     limits = np.where(k > 0, quantile(tail), 0.0), np.where(k < n, quantile(1.0 - tail), 1.0)
-    lower, upper = (limit[at].reshape(given[0].shape) for limit in limits)
+    lower, upper = (limit[at].reshape(counts.shape) for limit in limits)
     return lower, upper
 
 
