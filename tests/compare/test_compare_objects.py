@@ -10,6 +10,7 @@ from hyperval.compare.objects import (
     distance_from_uniform,
     judged_together,
     probability_integral_transform,
+    transforms_of_draws,
 )
 from hyperval.compare.scores import compare_exceedance
 from hyperval.errors import UsageError
@@ -40,6 +41,16 @@ def rows_of(predicted, truth):
 
 def of(rows, metric, subject="all objects"):
     return next(r for r in rows if (r.metric, r.subject) == (metric, subject))
+
+
+def test_transforms_of_draws_are_those_of_every_draw_alone():
+    draws = np.random.default_rng(2).normal(size=(6, 9)).round(1)  # with equal ones
+    own, *spread = transforms_of_draws(draws)
+    assert own.tolist() == probability_integral_transform(draws, draws).tolist()
+    assert own == pytest.approx(stats.rankdata(draws).reshape(draws.shape) / (draws.size + 1))
+    for factor, values in zip(objects.WIDTHS, spread, strict=True):
+        moved = np.median(draws) + factor * (draws - np.median(draws))
+        assert values.tolist() == probability_integral_transform(moved, draws).tolist()
 
 
 def test_transform_is_the_predicted_distribution_function():

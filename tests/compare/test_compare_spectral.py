@@ -14,6 +14,7 @@ from hyperval.compare.consistency import (
     detectable_tilts,
     share_inside,
     spectral_angle_degrees,
+    whitening,
     z_scores,
 )
 from hyperval.compare.difference import (
@@ -175,6 +176,13 @@ def test_z_and_angle():
     small = 1e-9  # arccos of a dot product gives 0 or 1e-8 here
     assert spectral_angle_degrees([1, 0], [1, small]) == pytest.approx(np.degrees(small), rel=1e-6)
     assert np.isnan(spectral_angle_degrees([0, 0], [1, 1]))
+
+
+def test_a_band_without_a_variance_is_in_no_tested_direction():
+    tested = whitening(np.diag([0.01, 0.0, 0.04]))
+    assert tested.transform == pytest.approx(np.diag([10.0, 0.0, 5.0])[[0, 2]])
+    assert np.isinf(tested.covariance_dof)
+    assert chi_square_full([0.1, 7.0, 0.2], tested).value == pytest.approx(2.0)
 
 
 def test_nan_never_reaches_a_test_statistic():

@@ -96,7 +96,31 @@ def chi_square_diagonal(difference: npt.ArrayLike, covariance: npt.ArrayLike) ->
     return ChiSquare(float(np.sum(z**2)), int(z.size))
 
 
-def chi_square_full(difference: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated = ()) -> ChiSquare:
+@dataclass(frozen=True)
+class Whitening:
+    """The directions in which a covariance of B bands is tested; :func:`chi_square_full` says which.
+
+    Attributes
+    ----------
+    transform : (K, B), to a vector in units of its standard deviation in each direction
+    covariance_dof : degrees of freedom behind the covariance in them
+    """
+
+    transform: Array
+    covariance_dof: float
+
+    def of(self, vector: npt.ArrayLike) -> Array:
+        """(K, ...) of a vector (B,) or of vectors in columns; UsageError where a value is not finite."""
+        x = np.asarray(vector, dtype=float)
+        if not np.all(np.isfinite(x)):
+            raise UsageError("a consistency test got NaN or infinity", mend="leave bands without a value out")
+        return np.asarray(self.transform @ x)
+
+
+Covariance = npt.ArrayLike | Whitening
+
+
+def chi_square_full(difference: npt.ArrayLike, covariance: Covariance, estimated: Estimated = ()) -> ChiSquare:
     """r^T C^-1 r with the whole covariance of both sides.
 
     C is scaled to unit diagonal and eigen-decomposed; directions with less than ``EIGENVALUE_CUT`` of the
@@ -108,10 +132,12 @@ def chi_square_full(difference: npt.ArrayLike, covariance: npt.ArrayLike, estima
 
     Parameters
     ----------
+    covariance : C (B, B), or what :func:`whitening` makes of it, once for several tests
     estimated : parts of the covariance that were estimated
     """
-    r, nu = _tested(difference, covariance, estimated)
-    return ChiSquare(float(r @ r), int(r.size), nu)
+    tested = _whitening_of(covariance, estimated)
+    r = tested.of(difference)
+    return ChiSquare(float(r @ r), int(r.size), tested.covariance_dof)
 
 
 def covariance_dof(parts: Sequence[tuple[Array, float]]) -> float:
@@ -128,28 +154,32 @@ def covariance_dof(parts: Sequence[tuple[Array, float]]) -> float:
     return float(p * (1.0 + p) / total) if total > 0.0 else math.inf
 
 
-def _tested(difference: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated) -> tuple[Array, float]:
-    """A vector, or vectors in columns, in the tested directions in units of their sd, and what C is known by."""
-    x, stated = np.asarray(difference, dtype=float), np.asarray(covariance, dtype=float)
-    if not np.all(np.isfinite(x)):
-        raise UsageError("a consistency test got NaN or infinity", mend="leave bands without a value out")
+def _whitening_of(covariance: Covariance, estimated: Estimated) -> Whitening:
+    return covariance if isinstance(covariance, Whitening) else whitening(covariance, estimated)
+
+
+def whitening(covariance: npt.ArrayLike, estimated: Estimated = ()) -> Whitening:
+    """Directions of :func:`chi_square_full` for a covariance (B, B) and the parts of it that were estimated."""
+    stated = np.asarray(covariance, dtype=float)
     models = [(p.covariance if p.model is None else p.model, p.dof) for p in estimated]
     widened = sum((p.covariance for p in estimated), np.zeros_like(stated))
     known = stated - widened
-    some, whiten = _whitening(known + sum((m for m, _ in models), np.zeros_like(stated)))
-    nu = covariance_dof([(whiten.T @ m[np.ix_(some, some)] @ whiten, v) for m, v in models])
-    if nu >= DOF_PER_DIRECTION * whiten.shape[1]:
-        return whiten.T @ x[some], nu
-    samples = [
-        (m, v) if p.sample is None else (p.sample, p.sample_dof)
-        for p, (m, v) in zip(estimated, models, strict=True)
-    ]
+    some, whiten = _unit_directions(known + sum((m for m, _ in models), np.zeros_like(stated)))
     bands = np.ix_(some, some)
-    return _smooth(x[some], known[bands], [(s[bands], v) for s, v in samples])
+    nu = covariance_dof([(whiten.T @ m[bands] @ whiten, v) for m, v in models])
+    if nu < DOF_PER_DIRECTION * whiten.shape[1]:
+        samples = [
+            (m, v) if p.sample is None else (p.sample, p.sample_dof)
+            for p, (m, v) in zip(estimated, models, strict=True)
+        ]
+        whiten, nu = _smooth(known[bands], [(s[bands], v) for s, v in samples])
+    transform = np.zeros((whiten.shape[1], some.size))
+    transform[:, some] = whiten.T
+    return Whitening(transform, nu)
 
 
-def _smooth(x: Array, known: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
-    """The same in cosines over the bands, half a wave more in each, with three degrees of freedom for each."""
+def _smooth(known: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
+    """Cosines over the bands, half a wave more in each, with three degrees of freedom for each."""
     total = known + sum((s for s, _ in samples), np.zeros_like(known))
     scale = np.sqrt(np.diag(total))
     size = scale.size
@@ -158,26 +188,26 @@ def _smooth(x: Array, known: Array, samples: Sequence[tuple[Array, float]]) -> t
     parts = [(waves.T @ s @ waves, v) for s, v in samples]
     kept = size
     while True:
-        _, whiten = _whitening(within[:kept, :kept])
+        _, whiten = _unit_directions(within[:kept, :kept])
         here = [(whiten.T @ s[:kept, :kept] @ whiten, v) for s, v in parts]
         nu = covariance_dof(here)
         # Directions that no sample reaches have the known part alone: too little where samples count.
         nu = min([nu, *(v for s, v in here if v < kept and np.linalg.eigvalsh(s)[-1] > UNSEEN_PART)])
         if kept == 1 or (whiten.shape[1] == kept and nu >= DOF_PER_DIRECTION * kept - ROUNDING):
-            return whiten.T @ (waves[:, :kept].T @ x), nu
+            return waves[:, :kept] @ whiten, nu
         kept = max(min(kept - 1, int((nu + ROUNDING) / DOF_PER_DIRECTION)), 1)
 
 
 def chi_square_shape(
-    difference: npt.ArrayLike, reference: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated = ()
+    difference: npt.ArrayLike, reference: npt.ArrayLike, covariance: Covariance, estimated: Estimated = ()
 ) -> ChiSquare:
     """What is left of the full chi-square when a multiple s of the reference spectrum may go (least squares).
 
     r^T C^-1 r - (s/sd)^2 with s = c^T C^-1 r/(c^T C^-1 c) and sd = (c^T C^-1 c)^-1/2, in the directions of
     :func:`chi_square_full`.
     """
-    r, nu = _tested(difference, covariance, estimated)
-    c, _ = _tested(reference, covariance, estimated)
+    tested = _whitening_of(covariance, estimated)
+    r, c, nu = tested.of(difference), tested.of(reference), tested.covariance_dof
     weight = float(c @ c)
     if weight <= 0.0:
         return ChiSquare(float(r @ r), int(r.size), nu)
@@ -186,7 +216,7 @@ def chi_square_shape(
 
 
 def detectable_tilts(
-    reference: npt.ArrayLike, wavelength_nm: npt.ArrayLike, covariance: npt.ArrayLike, estimated: Estimated = ()
+    reference: npt.ArrayLike, wavelength_nm: npt.ArrayLike, covariance: Covariance, estimated: Estimated = ()
 ) -> tuple[float, float]:
     """Tilts that the full test and the test of shape would reject with 80 % probability.
 
@@ -206,10 +236,10 @@ def detectable_tilts(
     if span == 0.0:
         return math.nan, math.nan
     tilt = c * (2.0 * (w - w.min()) / span - 1.0)
-    x, nu = _tested(np.stack([c, tilt], axis=1), covariance, estimated)
-    whole, level = x[:, 1], x[:, 0]
+    tested = _whitening_of(covariance, estimated)
+    whole, level, nu = tested.of(tilt), tested.of(c), tested.covariance_dof
     rest = whole - level * float(level @ whole) / max(float(level @ level), 1e-300)
-    kept = int(x.shape[0])
+    kept = whole.size
     return _detectable(float(whole @ whole), kept, nu), _detectable(float(rest @ rest), kept - 1, nu)
 
 
@@ -254,7 +284,7 @@ def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
     return float(np.degrees(2.0 * np.arctan2(np.linalg.norm(u - v), np.linalg.norm(u + v))))
 
 
-def _whitening(covariance: npt.ArrayLike) -> tuple[npt.NDArray[np.bool_], Array]:
+def _unit_directions(covariance: npt.ArrayLike) -> tuple[npt.NDArray[np.bool_], Array]:
     """Bands with a variance, and (bands, K) directions of unit variance and no covariance, the least first."""
     cov = np.asarray(covariance, dtype=float)
     sd = np.sqrt(np.diag(cov))

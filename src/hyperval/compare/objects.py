@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import special, stats
 
 from hyperval.compare.rows import RowMaker
 from hyperval.errors import UsageError
@@ -40,12 +40,29 @@ def probability_integral_transform(score: npt.ArrayLike, draws: npt.ArrayLike) -
     right, so objects of different kinds are judged together.  Source: Rosenblatt, Ann. Math. Stat. 23, 470, 1952.
     The share is (below + 1/2) / (N + 1), so that no score is impossible to a finite number of draws.
     """
-    ordered = np.sort(np.asarray(draws, dtype=float), axis=None)
-    at = np.asarray(score, dtype=float)
+    return _transform(np.asarray(score, dtype=float), np.sort(np.asarray(draws, dtype=float), axis=None))
+
+
+def _transform(at: Array, ordered: Array) -> Array:
     below = np.searchsorted(ordered, at, "left").astype(float)
     equal = ordered[np.minimum(below.astype(int), ordered.size - 1)] == at
     below[equal] = 0.5 * (below[equal] + np.searchsorted(ordered, at[equal], "right"))
     return np.asarray((below + 0.5) / (ordered.size + 1.0))
+
+
+def transforms_of_draws(draws: npt.ArrayLike) -> Array:
+    """(1 + F, ...) transform values of the draws (...), and of each F = ``WIDTHS`` times as far from the median.
+
+    The values of a set of objects drawn from the prediction are among these.
+    """
+    values = np.asarray(draws, dtype=float)
+    order = np.argsort(values, axis=None)
+    ordered = values.ravel()[order]
+    middle = np.median(ordered)
+    spread = [ordered, *(middle + f * (ordered - middle) for f in WIDTHS)]
+    out = np.empty((len(spread), ordered.size))
+    out[:, order] = [_transform(x, ordered) for x in spread]
+    return out.reshape(-1, *values.shape)
 
 
 def distance_from_uniform(values: npt.ArrayLike) -> Array:
@@ -133,13 +150,11 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
     for subject, scores in measured.items():
         draws = predicted[subject].values
         values.append(probability_integral_transform(scores, draws))
-        rank = stats.rankdata(draws, method="average").reshape(draws.shape) / (draws.size + 1.0)
+        own, *spread = transforms_of_draws(draws)
         column = rng.integers(draws.shape[1], size=(REPLICATES, scores.size))
-        drawn.append(rank[row[:, None], column])
-        middle = float(np.median(draws))
-        some = draws[row[:POWER_DRAWS, None], column[:POWER_DRAWS]] - middle
-        wider.append(np.stack([probability_integral_transform(middle + f * some, draws) for f in WIDTHS]))
-        strength += [middle] * scores.size
+        drawn.append(own[row[:, None], column])
+        wider.append(np.stack([x[row[:POWER_DRAWS, None], column[:POWER_DRAWS]] for x in spread]))
+        strength += [float(np.median(draws))] * scores.size
     u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
     count, n = int(np.sum(central(u))), u.size
     expected = central(reference).sum(axis=1)
@@ -147,7 +162,7 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
     span = np.quantile(expected, [0.025, 0.975], method="nearest") / n
     outside = _test(-count, -expected, -central(wide).sum(axis=2))
     distance = distance_from_uniform(reference)
-    z, x = np.asarray(stats.norm.ppf(u)), np.asarray(stats.norm.ppf(reference))
+    z, x = special.ndtri(u), special.ndtri(reference)
     trend, interval, drift = _trend(z, x, np.array(strength))
     return Together(
         count / n,
@@ -186,7 +201,7 @@ def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
     """
     if z.size > MOST_JOINED:
         return None
-    w = np.asarray(stats.norm.ppf(wide))
+    w = special.ndtri(wide)
     half = x.shape[0] // 2
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 

@@ -14,6 +14,7 @@ from hyperval.compare.consistency import (
     detectable_tilts,
     share_inside,
     spectral_angle_degrees,
+    whitening,
     z_scores,
 )
 from hyperval.compare.difference import (
@@ -169,9 +170,10 @@ def _consistency(
     if cause is not Cause.NONE:
         out = [make.skipped(cause, reason, name) for name in names[:-1]]
     else:
-        diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, cov, parts_here)
-        shape = chi_square_shape(r, o, cov, parts_here)
-        tilts = detectable_tilts(o, centre_nm[window], cov, parts_here)
+        tested = whitening(cov, parts_here)
+        diagonal, full = chi_square_diagonal(r, cov), chi_square_full(r, tested)
+        shape = chi_square_shape(r, o, tested)
+        tilts = detectable_tilts(o, centre_nm[window], tested)
         inside, limits = share_inside(r, cov)
         bias, bias_sd = _mean_ratio(*relative, window)
         kept = f"{full.dof} of {int(window.sum())} directions kept" if full.dof < window.sum() else ""
