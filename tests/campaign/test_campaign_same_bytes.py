@@ -61,7 +61,7 @@ def test_results_pages_figures_and_products_do_not_depend_on_who_computes_them(s
         paths.append(campaign.write())
     first = run(tmp_path, "first", paths, CORES="1")
     assert {"results.csv", "report.html", "one/products.nc", "two/report.html", "one/results.csv"} <= set(first)
-    assert sum(name.endswith((".svg", ".png")) for name in first) > 10
+    assert sum(name.endswith(".png") for name in first) >= 4
     threads = {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
     other = run(tmp_path, "other", paths, HYPERVAL_WORKERS="2", LINES="5", **threads)
     assert sorted(other) == sorted(first)

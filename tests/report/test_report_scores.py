@@ -11,12 +11,14 @@ from scipy.stats import norm
 
 from hyperval.products import ExceedanceCurve, ObjectScores, Observation, Prediction, RocCurve
 from hyperval.report import Quicklook, ScoreMap
-from hyperval.report.figures_images import quicklook_figure, score_map_figures
-from hyperval.report.figures_scores import (
-    exceedance_figures,
-    object_score_figures,
-    roc_difference_figures,
-    transform_figures,
+from hyperval.report.charts_plots import chart_of
+from hyperval.report.figures_plots import drawing_of
+from hyperval.report.pictures import quicklook_figure, score_map_figures
+from hyperval.report.plots_scores import (
+    exceedance_plots,
+    object_score_plots,
+    roc_difference_plots,
+    transform_plots,
 )
 from hyperval.report.style import house_style
 from hyperval.spectra.axis import SpectralAxis
@@ -53,47 +55,44 @@ def drawn(function, *arguments):
         return function(*arguments, simulated=True)
 
 
+def printed(function, *arguments):
+    with house_style():
+        return [drawing_of(plots, simulated=True) for plots in function(*arguments)]
+
+
 @pytest.mark.parametrize(
     ("function", "arguments", "name"),
     [
-        (object_score_figures, (), "object-scores"),
-        (transform_figures, (), "object-transforms"),
-        (exceedance_figures, (), "exceedance"),
-        (roc_difference_figures, (0.1,), "roc-difference"),
+        (object_score_plots, (), "object-scores"),
+        (transform_plots, (), "object-transforms"),
+        (exceedance_plots, (), "exceedance"),
+        (roc_difference_plots, (0.1,), "roc-difference"),
     ],
 )
 def test_each_figure_is_drawn_the_same_twice(function, arguments, name):
-    first, again = (drawn(function, sides(), *arguments) for _ in range(2))
+    first, again = (printed(function, sides(), *arguments) for _ in range(2))
     assert [d.name for d in first] == [name]
     assert first[0].content == again[0].content
     ElementTree.fromstring(first[0].content)  # noqa: S314 - our own
     assert len(first[0].alt) > 60
+    (chart,) = map(chart_of, function(sides(), *arguments))
+    assert (chart.alt, chart.name) == (first[0].alt, f"chart-{name}")
 
 
 def test_texts_say_what_is_drawn():
-    (figure,) = drawn(object_score_figures, sides())
+    (figure,) = object_score_plots(sides())
     assert "target 0 & $x$ cem: 0.95, predicted 0." in figure.alt
     assert ", outside" in figure.alt
-    (figure,) = drawn(transform_figures, sides())
+    (figure,) = transform_plots(sides())
     assert "6 objects" in figure.alt
-    (figure,) = drawn(roc_difference_figures, sides(), None)
+    (figure,) = roc_difference_plots(sides(), None)
     assert "+0.05" in figure.alt
 
 
 def test_groups_are_judged_together_alone():
-    assert drawn(object_score_figures, sides(objects=12)) == []
-    (figure,) = drawn(transform_figures, sides(objects=12))
+    assert object_score_plots(sides(objects=12)) == []
+    (figure,) = transform_plots(sides(objects=12))
     assert "72 objects" in figure.alt
-
-
-def test_nothing_to_draw():
-    for function, arguments in (
-        (object_score_figures, ()),
-        (transform_figures, ()),
-        (exceedance_figures, ()),
-        (roc_difference_figures, (None,)),
-    ):
-        assert drawn(function, (None, Observation(AXIS)), *arguments) == []
 
 
 def test_pictures_are_drawn_in_little_memory():

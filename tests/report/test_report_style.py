@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from hyperval.report.figures_images import Window, block_maximum, outline_segments, shown_window
+from hyperval.report.pictures import Window, block_maximum, outline_segments, shown_window
 from hyperval.report.style import compact_path, plain, shortened
 
 

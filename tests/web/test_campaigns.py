@@ -53,8 +53,9 @@ DRAWINGS = [
 def run(own):
     client = own.session()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.report.figures.draw_figures", lambda run: DRAWINGS)
+        patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: DRAWINGS)
         patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+        patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
         told = client.post(f"{own.address}/api/v1/validations", json={"campaign": "small"}).json()
         told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
@@ -111,8 +112,9 @@ _EACH_STEP = """addEventListener("DOMContentLoaded", () => {
 @pytest.mark.slow
 @NEEDS_BROWSER
 def test_campaign_of_the_folder_is_run_from_its_page_with_live_progress(own, run, browser, monkeypatch):
-    monkeypatch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+    monkeypatch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
     monkeypatch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+    monkeypatch.setattr("hyperval.report.html.every_plot", lambda *_: [])
     context = browser.new_context(base_url=own.address)
     context.set_default_timeout(60_000)
     context.add_init_script(_EACH_STEP)
@@ -256,8 +258,9 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
     client = own.session()
     url = f"{own.address}/api/v1/uploads"
     with monkeypatch.context() as patch:
-        patch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+        patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
         patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+        patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
         run = client.post(url, files={k: (None, v) for k, v in BROUGHT.items()}).json()
         told = client.get(f"{own.address}/api/v1/runs/{run['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
@@ -266,8 +269,9 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
         assert all(not name.startswith(("/", "..")) for name in archive.namelist())
         archive.extractall(tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+        patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
         patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+        patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
         words = ["validate", str(tmp_path / "campaign.yaml"), "-o", str(tmp_path / "out")]
         done = CliRunner().invoke(command, words)
     assert done.exit_code in (0, 1), done.output

@@ -30,8 +30,9 @@ EASY = {"name": "yellow-planks-asphalt"}
 
 @pytest.fixture
 def no_figures(monkeypatch):
-    monkeypatch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+    monkeypatch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
     monkeypatch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+    monkeypatch.setattr("hyperval.report.html.every_plot", lambda *_: [])
 
 
 class Fields(HTMLParser):
@@ -244,8 +245,9 @@ def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, se
     files = f"{server.address}/api/v1/runs/{run['id']}/files"
     (tmp_path / "scenario.yaml").write_bytes(client.get(f"{files}/scenario.yaml").content)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.report.figures.draw_figures", lambda run: [])
+        patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
         patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
+        patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
         done = CliRunner().invoke(
             command, ["predict", str(tmp_path / "scenario.yaml"), "-o", str(tmp_path / "out")]
         )
@@ -260,7 +262,7 @@ def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, se
     (tmp_path / "products.nc").write_bytes(client.get(f"{files}/products.nc").content)
     with xr.open_datatree(tmp_path / "products.nc", engine="h5netcdf") as tree:
         assert tree["predicted"]["radiance"].dims == ("radiance_subject", "band")
-    assert client.get(f"{files}/figures/scores.svg").headers["content-type"] == "image/svg+xml"
+    assert client.get(f"{files}/report.html").headers["content-type"].startswith("text/html")
 
 
 @pytest.mark.slow

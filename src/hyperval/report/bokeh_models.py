@@ -16,31 +16,25 @@ from bokeh.embed import json_item
 from bokeh.layouts import column
 from bokeh.models import (
     BoxSelectTool,
-    BoxZoomTool,
     ColumnDataSource,
     DataRange1d,
     HoverTool,
     LayoutDOM,
     LinearColorMapper,
-    PanTool,
     Range1d,
-    ResetTool,
-    SaveTool,
     TabPanel,
     Tabs,
-    WheelZoomTool,
 )
 from bokeh.models.annotations import ColorBar, Span
 from bokeh.palettes import RdBu11
-from bokeh.plotting import figure
 
 from hyperval.report import style
+from hyperval.report.bokeh_base import absorption_bands, clickable_legend, empty_plot
+from hyperval.report.bokeh_plots import plots
 from hyperval.report.charts_base import CURVE_COLOURS, FIRST_CURVES, LABELS, Curves, Labels
+from hyperval.report.plots import GREY
 from hyperval.report.style import COLLECTED, PREDICTED
-from hyperval.spectra.windows import ABSORPTION_BANDS_NM
 
-GREY = "#7a7f87"  # legible on white and on dark paper
-_ABSORPTION = "#9aa0a8"
 _EIGENVALUE = "eigenvalue [(µW cm⁻² sr⁻¹ nm⁻¹)²]"
 _LOOKS = {
     "predicted": (PREDICTED.colour, "dashed"),
@@ -59,8 +53,7 @@ def spectra(bands: tuple[str, ...], numbered: bool, label: str, ratio: bool, lab
     columns = [f"{band}{end}" for band in bands for end in ("", "_low", "_high")]
     empty: dict[str, Any] = dict.fromkeys(("nm", *columns), np.empty(0, np.float32))
     source = ColumnDataSource(empty, name="spectra")
-    starts, ends, _ = zip(*ABSORPTION_BANDS_NM, strict=True)
-    absorption = ColumnDataSource({"start": np.array(starts, np.float32), "end": np.array(ends, np.float32)})
+    absorption = absorption_bands()
     span = Range1d(name="nm")
     plots = []
     shown = {**dict(zip(LABELS, labels, strict=True)), "difference": "difference"}
@@ -72,7 +65,7 @@ def spectra(bands: tuple[str, ...], numbered: bool, label: str, ratio: bool, lab
     ):
         if names[0] not in bands:
             continue
-        plot = _empty_plot(height, span, axis_label, None if numbered else absorption)
+        plot = empty_plot(height, span, axis_label, None if numbered else absorption)
         plot.y_range = Range1d(name=range_name)
         lines = []
         for band in names:
@@ -98,7 +91,7 @@ def spectra(bands: tuple[str, ...], numbered: bool, label: str, ratio: bool, lab
         ]
         plot.add_tools(HoverTool(tooltips=[at, *tips], mode="vline", renderers=lines[:1]))
         if range_name == "level":
-            _legend(plot)
+            clickable_legend(plot)
         else:
             plot.add_layout(Span(location=0.0, dimension="width", line_color=GREY))
         plots.append(plot)
@@ -113,7 +106,7 @@ def curves(tabs: tuple[tuple[str, Curves], ...], labels: Labels) -> LayoutDOM:
 
 
 def _curve_plot(tab: int, own: Curves, labels: Labels) -> Any:
-    plot = _empty_plot(420, Range1d(start=1e-3, end=1.0, name=f"pfa-{tab}"), "P_D [1]", x_axis_type="log")
+    plot = empty_plot(420, Range1d(start=1e-3, end=1.0, name=f"pfa-{tab}"), "P_D [1]", x_axis_type="log")
     plot.y_range = Range1d(start=-0.02, end=1.04)
     lines = []
     plot.xaxis.axis_label = "P_FA per pixel [1]"
@@ -138,7 +131,7 @@ def _curve_plot(tab: int, own: Curves, labels: Labels) -> Any:
     if own.is_counted:
         line = Span(location=1.0, dimension="height", line_color=GREY, line_dash="dotted", name=f"counted-{tab}")
         plot.add_layout(line)
-    _legend(plot)
+    clickable_legend(plot)
     plot.add_layout(plot.legend[0], "right")
     return plot
 
@@ -153,7 +146,7 @@ def densities(tabs: tuple[tuple[str, tuple[tuple[str, int, str], ...]], ...]) ->
 
 
 def _density_plot(tab: int, detector: str, curves: Sequence[tuple[str, int, str]]) -> Any:
-    plot = _empty_plot(360, Range1d(name=f"score-{tab}"), "density [1]", y_axis_type="log")
+    plot = empty_plot(360, Range1d(name=f"score-{tab}"), "density [1]", y_axis_type="log")
     plot.y_range = Range1d(start=1e-3, end=1.0, name=f"density-{tab}")
     plot.xaxis.axis_label = f"score of {detector} [1]"
     subjects = list(dict.fromkeys(subject for _, _, subject in curves))
@@ -172,7 +165,7 @@ def _density_plot(tab: int, detector: str, curves: Sequence[tuple[str, int, str]
     plot.add_tools(
         HoverTool(tooltips=[("", "$name"), ("score", "@score"), ("density", "@density")], renderers=lines)
     )
-    _legend(plot)
+    clickable_legend(plot)
     if curves:
         plot.add_layout(plot.legend[0], "right")
     return plot
@@ -180,7 +173,7 @@ def _density_plot(tab: int, detector: str, curves: Sequence[tuple[str, int, str]
 
 def eigenvalues(subjects: tuple[tuple[str, tuple[int, ...]], ...]) -> Any:
     """Eigenvalues over their number, a name in the legend for each subject; the second side is solid."""
-    plot = _empty_plot(320, Range1d(start=0.0, end=30.0, name="number"), _EIGENVALUE, y_axis_type="log")
+    plot = empty_plot(320, Range1d(start=0.0, end=30.0, name="number"), _EIGENVALUE, y_axis_type="log")
     plot.y_range = Range1d(start=1e-3, end=1.0, name="eigenvalue")
     plot.xaxis.axis_label = "number of the eigenvalue [1]"
     lines = []
@@ -196,7 +189,7 @@ def eigenvalues(subjects: tuple[tuple[str, tuple[int, ...]], ...]) -> Any:
             plot.scatter("number", "value", source=source, size=5, **look)
     tips = [("", "$name"), ("number", "@number{0}"), ("eigenvalue", "@value (@low to @high)")]
     plot.add_tools(HoverTool(tooltips=tips, renderers=lines))
-    _legend(plot)
+    clickable_legend(plot)
     plot.add_layout(plot.legend[0], "right")
     return plot
 
@@ -214,7 +207,7 @@ def _objects_of(tab: int) -> LayoutDOM:
     empty: dict[str, Any] = dict.fromkeys(columns, np.empty(0, np.float32))
     source = ColumnDataSource({**empty, "name": []}, name=f"objects-{tab}")
     mapper = LinearColorMapper(palette=RdBu11, low=-1.0, high=1.0, name=f"difference-{tab}")
-    place = _empty_plot(380, DataRange1d(), "line [pixel]", match_aspect=True)
+    place = empty_plot(380, DataRange1d(), "line [pixel]", match_aspect=True)
     place.y_range = DataRange1d(flipped=True)
     place.xaxis.axis_label = "sample [pixel]"
     chosen: dict[str, Any] = {"nonselection_alpha": 0.12}
@@ -229,7 +222,7 @@ def _objects_of(tab: int) -> LayoutDOM:
     place.add_tools(HoverTool(tooltips=tips, renderers=[dots]), BoxSelectTool())
     bins: dict[str, Any] = dict.fromkeys(("left", "right", "measured", "predicted"), np.empty(0, np.float32))
     counts = ColumnDataSource(bins, name=f"bins-{tab}")
-    scores = _empty_plot(240, Range1d(name=f"score-{tab}"), "number of objects [1]")
+    scores = empty_plot(240, Range1d(name=f"score-{tab}"), "number of objects [1]")
     scores.y_range = Range1d(name=f"count-{tab}")
     scores.xaxis.axis_label = "greatest score over the object's pixels [1]"
     edges: dict[str, Any] = {"left": "left", "right": "right", "bottom": 0, "source": counts}
@@ -246,48 +239,12 @@ def _objects_of(tab: int) -> LayoutDOM:
     scores.scatter("measured", 0, source=source, size=7, color=COLLECTED.colour, **chosen)
     tips = [("score [1]", "@left to @right"), ("measured", "@measured"), ("predicted", "@predicted{0.0}")]
     scores.add_tools(HoverTool(tooltips=tips, renderers=bars[:1]), BoxSelectTool(dimensions="width"))
-    _legend(scores)
+    clickable_legend(scores)
     return column(place, scores, sizing_mode="stretch_width")
 
 
 def _area(look: dict[str, Any]) -> dict[str, Any]:
     return {"fill_color": look["color"], "legend_label": look["legend_label"]}
-
-
-def _empty_plot(height: int, span: Any, label: str, absorption: ColumnDataSource | None = None, **more: Any) -> Any:
-    """An empty plot in the house's look, legible on white and on dark paper."""
-    plot = figure(
-        height=height,
-        sizing_mode="stretch_width",
-        x_range=span,
-        y_axis_label=label,
-        tools=[PanTool(), BoxZoomTool(), WheelZoomTool(), ResetTool(), SaveTool()],
-        toolbar_location="above",
-        background_fill_alpha=0.0,
-        border_fill_alpha=0.0,
-        outline_line_color=None,
-        min_border_left=72,  # so that plots above each other have one wavelength axis
-        **more,
-    )
-    plot.toolbar.logo = None
-    if absorption is not None:
-        plot.add_tools(BoxSelectTool(dimensions="width"))
-        plot.vstrip("start", "end", source=absorption, fill_color=_ABSORPTION, fill_alpha=0.22, line_alpha=0.0)
-    for axis in (*plot.xaxis, *plot.yaxis):
-        axis.axis_label_text_color = axis.major_label_text_color = axis.axis_line_color = GREY
-        axis.major_tick_line_color = axis.minor_tick_line_color = GREY
-        axis.axis_label_text_font_style = "normal"
-    plot.grid.grid_line_color = GREY
-    plot.grid.grid_line_alpha = 0.25
-    return plot
-
-
-def _legend(plot: Any) -> None:
-    """Names that show or hide their line when they are clicked."""
-    plot.legend.click_policy = "hide"
-    plot.legend.background_fill_alpha = 0.0
-    plot.legend.border_line_alpha = 0.0
-    plot.legend.label_text_color = GREY
 
 
 def _numbered(model: LayoutDOM, target: str) -> str:
@@ -322,4 +279,5 @@ _KINDS: dict[str, Callable[..., LayoutDOM]] = {
     "densities": densities,
     "eigenvalues": eigenvalues,
     "objects": objects,
+    "plots": plots,
 }

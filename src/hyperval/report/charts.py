@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.products import Products, RocCurve, SpectralEstimate
+from hyperval.products import RocCurve, SpectralEstimate
 from hyperval.report import style
 from hyperval.report.charts_base import (
     LABELS,
@@ -24,7 +24,15 @@ from hyperval.report.charts_base import (
     chart_content,
     column_text,
 )
-from hyperval.report.sides import MOST_EIGENVALUES, Sides, best_counted, both_first, difference, eigenvalues
+from hyperval.report.sides import (
+    MOST_EIGENVALUES,
+    Sides,
+    best_counted,
+    both_first,
+    difference,
+    eigenvalues,
+    of_side,
+)
 from hyperval.report.text_cache import chart_models
 from hyperval.results import Outcome, Result
 from hyperval.spectra.windows import in_window
@@ -87,7 +95,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
         "toa_reflectance": ("reflectance [1]", "Reflectance at the top of the atmosphere", True),
         "snr": ("signal-to-noise ratio [1]", "Signal-to-noise ratio", True),
     }[product]
-    predicted, collected = (_of_side(side, product) for side in sides)
+    predicted, collected = (of_side(side, product) for side in sides)
     every = both_first(predicted, collected)
     pairs = [subject for subject in every if subject in predicted and subject in collected]
     if not pairs and None not in sides:
@@ -122,7 +130,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
 
 def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
     """P_D against P_FA, a tab for each detector and unit, a name in the legend for each subject."""
-    predicted, measured = (_of_side(side, "roc") for side in sides)
+    predicted, measured = (of_side(side, "roc") for side in sides)
     every = both_first(predicted, measured)
     pairs = [key for key in every if key in predicted and key in measured]
     kinds = list(dict.fromkeys(key[1:] for key in pairs or every))
@@ -152,7 +160,7 @@ def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
 def eigenvalue_chart(sides: Sides) -> Chart | None:
     """Eigenvalues of the pixel covariance of the radiance of both sides; None without any."""
     spectra = [
-        {k: e for k, e in _of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
+        {k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
     ]
     every = both_first(*spectra)
     pairs = [subject for subject in every if all(subject in own for own in spectra)]
@@ -182,10 +190,6 @@ def eigenvalue_chart(sides: Sides) -> Chart | None:
         f"logarithmic scale. Largest: {'; '.join(firsts)}.",
         chart_content(chart_models("eigenvalues", "chart-eigenvalues", tuple(built)), fill),
     )
-
-
-def _of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
-    return {} if side is None else getattr(side, product)
 
 
 def _worst_first(subjects: Sequence[str], product: str, rows: Sequence[Result]) -> list[str]:

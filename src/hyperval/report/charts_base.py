@@ -37,6 +37,11 @@ class Chart:
     content: str
     subjects: tuple[str, ...] = ()
 
+    @property
+    def summary(self) -> str:
+        """The first words of its caption, for the line that unfolds it."""
+        return self.title.partition(". ")[0]
+
 
 def column_text(values: npt.NDArray[Any]) -> str:
     """Little-endian float32 as base64."""
@@ -54,6 +59,7 @@ class Fill:
     spans : place of a line
     colours : ends of a scale of colours
     texts : of a source of columns: column -> its texts
+    names : of the places 0, 1, ... of an axis
     """
 
     sources: dict[str, dict[str, int]] = field(default_factory=dict)
@@ -62,6 +68,7 @@ class Fill:
     arrays: dict[str, int] = field(default_factory=dict)
     colours: dict[str, tuple[float, float]] = field(default_factory=dict)
     texts: dict[str, dict[str, list[str]]] = field(default_factory=dict)
+    names: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def add(self, source: str, columns: Mapping[str, npt.NDArray[Any]]) -> None:
         """Columns of a source."""
@@ -78,6 +85,7 @@ class Fill:
             "arrays": list(self.arrays),
             "colours": self.colours,
             "texts": self.texts,
+            "names": self.names,
         }
 
 

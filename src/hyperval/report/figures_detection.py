@@ -1,8 +1,8 @@
-"""Figures of detection: ROC curves, score distributions, target areas."""
+"""Figures of ROC curves."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,18 +13,14 @@ from hyperval.processing.roc_reading import detection_at
 from hyperval.products import RocCurve
 from hyperval.report import style
 from hyperval.report.panels import (
-    COVERAGE,
     GREY,
     Entries,
-    dot_entries,
     interval_entry,
     line_entries,
-    name_rows,
-    of_side,
     small_multiples,
 )
-from hyperval.report.sides import Sides, best_counted, both_first
-from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
+from hyperval.report.sides import Sides, best_counted, both_first, of_side
+from hyperval.report.style import COLLECTED, PREDICTED, Drawing
 
 _MOST_ROWS = 30
 _LOWEST_PFA = 1e-9
@@ -62,75 +58,6 @@ def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
         title = f"ROC: predicted and measured{style.left_out(pages, every)}"
         drawings.append(style.vector_drawing(figure, name, "roc", title, alt))
     return drawings
-
-
-def score_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
-    """Mean and 95 % range of each population's score."""
-    predicted, measured = of_side(sides[0], "scores"), of_side(sides[1], "scores")
-    every = both_first(predicted, measured)
-    keys = every[:_MOST_ROWS]
-    if not keys:
-        return []
-    figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Detector scores", simulated)
-    axes = figure.add_subplot()
-    _dots_of(axes, keys, predicted, measured, lambda score: (score.mean, COVERAGE * score.sd))
-    axes.axvline(0.0, color="#777777", linewidth=0.8)
-    axes.axvline(1.0, color="#777777", linewidth=0.8, linestyle=":")
-    _row_labels(axes, keys, {k: measured[k].n for k in keys if k in measured})
-    axes.set_xlabel("score [1] (dot: mean; bar: mean ± 1.96 standard deviations)")
-    style.add_legend(figure, dot_entries(predicted, measured))
-    words = _in_words(keys, predicted, measured, lambda score: f"{score.mean:.3g} ± {score.sd:.2g}")
-    title = f"Score distributions: predicted and measured{style.left_out([keys], every)}"
-    alt = f"Mean and standard deviation of the detector scores. {words}."
-    return [style.vector_drawing(figure, "scores", "scores", title, alt)]
-
-
-def abundance_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
-    """Area of each target from its abundance, predicted and measured."""
-    # Areas that both sides estimate against a nominal one have a figure of their own.
-    predicted, measured = (
-        {k: a for k, a in of_side(side, "abundance").items() if a.nominal_m2 is None} for side in sides
-    )
-    every = both_first(predicted, measured)
-    keys = every[:_MOST_ROWS]
-    if not keys:
-        return []
-    figure = style.new_figure(10.0, 1.6 + 0.34 * len(keys), "Target area from abundance", simulated)
-    axes = figure.add_subplot()
-    _dots_of(axes, keys, predicted, measured, lambda area: (area.area_m2, COVERAGE * area.standard_uncertainty))
-    areas = np.array([h[k].area_m2 for h in (predicted, measured) for k in keys if k in h])
-    areas = areas[np.isfinite(areas)]
-    if areas.size and areas.min() > 0 and areas.max() > 30 * areas.min():
-        axes.set_xscale("log")
-        axes.set_xlim(areas.min() / 4, areas.max() * 2.5)
-        style.log_ticks(axes.xaxis)
-    else:
-        axes.axvline(0.0, color="#777777", linewidth=0.8)
-    _row_labels(axes, keys, {})
-    axes.set_xlabel("area [m²] (bar: 95 % interval)")
-    style.add_legend(figure, dot_entries(predicted, measured))
-    words = _in_words(keys, predicted, measured, lambda area: f"{area.area_m2:.3g} m²")
-    title = f"Target area from the sum of abundances: predicted and measured{style.left_out([keys], every)}"
-    return [style.vector_drawing(figure, "abundance", "abundance", title, f"Target areas. {words}.")]
-
-
-def _dots_of(
-    axes: Axes, keys: Sequence[_Key], predicted: _Estimates, measured: _Estimates, dot: Callable[[Any], _Dot]
-) -> None:
-    """A row for each key: the dot with its bar of either side that has one."""
-    for estimates, look, shift in ((predicted, PREDICTED, -0.15), (measured, COLLECTED, 0.15)):
-        _dots(axes, [(at + shift, *dot(estimates[key])) for at, key in enumerate(keys) if key in estimates], look)
-
-
-def _in_words(keys: Sequence[_Key], predicted: _Estimates, measured: _Estimates, text: Callable[[Any], str]) -> str:
-    sides = (("predicted", predicted), ("measured", measured))
-    return "; ".join(
-        f"{subject} {detector}: "
-        + ", ".join(
-            f"{name} {text(side[subject, detector])}" for name, side in sides if (subject, detector) in side
-        )
-        for subject, detector in keys
-    )
 
 
 def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None, low: float) -> None:
@@ -198,21 +125,3 @@ def _roc_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, RocCurve]) 
     if any(curve.n_background for curve in measured.values()):
         entries.append((Line2D([], [], color=GREY, linestyle=":"), "resolution: 1 / background pixels"))
     return entries
-
-
-def _dots(axes: Axes, rows: list[tuple[float, float, float]], look: Look) -> None:
-    if rows:
-        y, x, half = (np.array(column) for column in zip(*rows, strict=True))
-        axes.errorbar(
-            x, y, xerr=np.nan_to_num(half), fmt=look.marker, color=look.colour,
-            markerfacecolor=look.face, markersize=5, linewidth=1.3, capsize=2.5,
-        )  # fmt: skip
-
-
-def _row_labels(axes: Axes, keys: list[tuple[str, str]], counts: Mapping[Any, int | None]) -> None:
-    labels = []
-    for subject, detector in keys:
-        n = counts.get((subject, detector))
-        tail = "" if n is None else f"  (n = {n:,})".replace(",", "\u202f")
-        labels.append(f"{style.shortened(subject)}, {detector}{tail}")
-    name_rows(axes, labels)

@@ -1,9 +1,9 @@
-"""Figures over wavelength: radiance, reflectance, SNR, uncertainty budget, and eigenvalue spectra."""
+"""Figures of spectra: radiance, reflectance and SNR over wavelength, and eigenvalues."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,16 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from hyperval.products import Products, SpectralEstimate
+from hyperval.products import SpectralEstimate
 from hyperval.report import style
-from hyperval.report.panels import COVERAGE, Entries, interval_entry, line_entries, of_side, small_multiples
-from hyperval.report.sides import MOST_EIGENVALUES, Sides, both_first, difference, eigenvalues
+from hyperval.report.panels import COVERAGE, Entries, interval_entry, line_entries, small_multiples
+from hyperval.report.sides import MOST_EIGENVALUES, Sides, both_first, difference, eigenvalues, of_side
 from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
 from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
-
-_MOST_SOURCES = 7
 
 
 def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing]:
@@ -69,48 +67,6 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
         caption = f"{title}: predicted and collected{style.left_out(pages, every)}"
         drawings.append(style.vector_drawing(figure, name, product, caption, alt))
     return drawings
-
-
-def budget_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
-    """Relative uncertainty of the radiance by source, stacked to the total."""
-    panels: list[tuple[str, str, Products, SpectralEstimate]] = []
-    estimates = [of_side(side, "radiance") for side in sides]
-    every = both_first(*estimates)
-    for subject in [s for s in every if all(s in side for side in estimates)] or every:
-        for name, side in (("predicted", sides[0]), ("collected", sides[1])):
-            if side is not None and subject in side.radiance and side.radiance[subject].budget:
-                panels.append((subject, name, side, side.radiance[subject]))
-    if not panels:
-        return []
-    every, panels = panels, panels[: style.MAX_PANELS]
-    sources, colours = _ranked_sources([e for *_, e in panels])
-    labels = (style.band_label(panels[0][2].axis), "standard uncertainty\n[% of radiance]")
-    figure, each = small_multiples(
-        "Uncertainty of the radiance by source", len(panels), labels, simulated, row_in=2.3, more_in=1.1,
-        columns=min(len(panels), 2),  # predicted beside collected where both have a budget
-    )  # fmt: skip
-    for (subject, name, side, estimate), (axes,) in zip(panels, each, strict=True):
-        axes.set_title(style.plain(f"{style.shortened(subject, 32)} ({name})"), loc="left")
-        w = side.axis.centre_nm
-        parts = _variance_parts(estimate, sources)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            total = np.sqrt(parts.sum(axis=0))
-            # Variances add, uncertainties do not: each source takes its share of the variance in the height.
-            heights = 100.0 * total / np.abs(estimate.mean) * parts / parts.sum(axis=0)
-        axes.stackplot(w, np.nan_to_num(heights), colors=colours, linewidth=0)
-        limits = style.robust_limits([heights.sum(axis=0)[_keep(w)]], zero=True)
-        _wavelength_axis(axes, w, limits)
-    entries: Entries = [(Patch(color=c), s) for s, c in zip(sources, colours, strict=True)]
-    entries.append((Patch(color=style.ABSORPTION_COLOUR), "absorption band"))
-    style.add_legend(figure, entries, columns=4)
-    alt = (
-        "Relative standard uncertainty of the radiance against wavelength, stacked by source in proportion to its "
-        f"share of the variance. Sources, largest first: {', '.join(sources)}. "
-        f"Panels: {', '.join(f'{subject} ({name})' for subject, name, *_ in panels)}."
-    )
-    title = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
-    title += style.left_out([panels], every)
-    return [style.vector_drawing(figure, "radiance-budget", "radiance", title, alt)]
 
 
 def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
@@ -222,32 +178,6 @@ def _eigenvalue_line(axes: Axes, values: Array, n: int | None, look: Look) -> No
         number, values, color=look.colour, linestyle=look.line, linewidth=1.0, marker=look.marker,
         markersize=6 if hollow else 3, markerfacecolor="none" if hollow else look.colour, zorder=3 if hollow else 2,
     )  # fmt: skip
-
-
-def _variance_parts(estimate: SpectralEstimate, sources: Sequence[str]) -> Array:
-    """(S, B) variance by source; the last is everything that has no place of its own."""
-    parts = [np.asarray(estimate.budget.get(s, np.zeros(estimate.mean.shape)), dtype=float) ** 2 for s in sources]
-    if sources[-1] == "other sources":
-        named = set(sources[:-1])
-        rest = [np.asarray(u, dtype=float) ** 2 for s, u in estimate.budget.items() if s not in named]
-        parts[-1] = np.sum(rest, axis=0) if rest else parts[-1]
-    return np.stack(parts)
-
-
-def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> tuple[list[str], list[str]]:
-    """Sources by their largest median share of the variance, the small ones taken together."""
-    weight: dict[str, float] = {}
-    for estimate in estimates:
-        squares = {
-            s: float(np.nanmedian(np.square(u) / np.square(estimate.mean))) for s, u in estimate.budget.items()
-        }
-        total = sum(squares.values()) or 1.0
-        for source, square in squares.items():
-            weight[source] = max(weight.get(source, 0.0), square / total)
-    ranked = sorted(weight, key=lambda s: (-weight[s], s))
-    if len(ranked) > _MOST_SOURCES:
-        ranked = [*ranked[: _MOST_SOURCES - 1], "other sources"]
-    return ranked, list(style.SOURCE_COLOURS[: len(ranked)])
 
 
 def _legend(

@@ -18,7 +18,9 @@ from hyperval.report import verdict as v
 from hyperval.report.charts import draw_charts, eigenvalue_chart
 from hyperval.report.charts_base import Chart
 from hyperval.report.charts_objects import objects_chart
+from hyperval.report.charts_plots import chart_of
 from hyperval.report.matrix import LETTERS, anchor, matrix_of, same_background_once
+from hyperval.report.plots_run import equivalence_margin, every_plot
 from hyperval.report.run import WARNING, RunReport
 from hyperval.report.scripts import packed_library, page_script, page_script_hash, script_hashes, starter
 from hyperval.report.style import Drawing
@@ -28,8 +30,8 @@ from hyperval.results import Outcome, Result
 MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
 PICTURES = ("scene", "score-map-1", "score-map-1-expected")  # of a run, beside each other, before everything else
-_BUDGET = "radiance-budget"
-_FIRST_FIGURES = (*PICTURES, _BUDGET)  # that are embedded whatever else there is no room for
+_BUDGET = "chart-radiance-budget"
+_FIRST_FIGURES = PICTURES  # that are embedded whatever else there is no room for
 _MOST_OPEN = 12  # rows of a table before it is folded
 _MOST_LISTED = 400  # planned rows of one section; results.csv has all
 _MOST_ROWS = 60  # rows of one section that nothing was planned for
@@ -69,6 +71,7 @@ class Section:
     name: str
     title: str
     figures: list[dict[str, Any]]
+    charts: list[Chart]
     gates: list[Result]
     informing: list[Result]
     others: list[Result]
@@ -82,10 +85,16 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     spread = (
         None if run.eigenvalues else eigenvalue_chart(sides)
     )  # else a figure has the band of chance to judge by
-    charts += [chart for chart in (objects_chart(run.score_maps, sides), spread) if chart is not None]
-    embedded = _embedded(drawings, charts)
+    many = objects_chart(run.score_maps, sides)
+    charts += [chart for chart in (many, spread) if chart is not None]
+    margin = equivalence_margin(run.provenance)
+    plots = every_plot(sides, run.table, run.eigenvalues, run.tails, margin)
+    # Of many objects that chart is a map and a histogram in place of a list.
+    folded = [chart_of(one) for one in plots if many is None or one.name != "object-scores"]
+    every = [*charts, *folded]
+    embedded = _embedded(drawings, every)
     shown = same_background_once(rows)
-    sections = _sections(run, drawings, embedded, shown)
+    sections = _sections(run, drawings, folded, embedded, shown)
     tone, words = v.verdict(rows)
     compared = [row for row in shown if row.product not in _REASONS]
     matrices = []
@@ -111,12 +120,12 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         per_band=sum(row.per_band for row in rows),
         charts=charts,
         pictures=_figures(run, [d for d in drawings if d.name in PICTURES], embedded),
-        budget=_figures(run, [d for d in drawings if d.name == _BUDGET], embedded),
+        budget=[chart for chart in folded if chart.name == _BUDGET],
         sections=[section for section in sections if section.name not in _REASONS],
         reasons=[section for section in sections if section.name in _REASONS],
-        library=packed_library() if charts else "",
-        starter=starter() if charts else "",
-        script_hashes=script_hashes() if charts else "",
+        library=packed_library() if every else "",
+        starter=starter() if every else "",
+        script_hashes=script_hashes() if every else "",
         undone=_undone(rows),
         notes=_all_notes(run),
         inputs=[_input(item) for item in run.provenance.get("inputs", ())],
@@ -273,7 +282,11 @@ def _worst_first(charts: Sequence[Chart], rows: Sequence[Result]) -> list[Chart]
 
 
 def _sections(
-    run: RunReport, drawings: Sequence[Drawing], embedded: Mapping[str, str], rows: Sequence[Result]
+    run: RunReport,
+    drawings: Sequence[Drawing],
+    charts: Sequence[Chart],
+    embedded: Mapping[str, str],
+    rows: Sequence[Result],
 ) -> list[Section]:
     names = [*_COMPARED, *_REASONS]
     names += [p for p in dict.fromkeys(row.product for row in rows) if p not in names]
@@ -287,11 +300,12 @@ def _sections(
             name,
             SECTIONS.get(name, name),
             _figures(run, own_drawings, embedded),
+            [chart for chart in charts if chart.section == name and chart.name != _BUDGET],
             [row for row in planned if row.gates],
             [row for row in planned if not row.gates],
             [row for row in own if not row.planned and not row.per_band],
         )
-        if own_drawings or planned or section.others:
+        if own_drawings or section.charts or planned or section.others:
             sections.append(section)
     return sections
 

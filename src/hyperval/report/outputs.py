@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +14,6 @@ from hyperval.report.run import RunReport
 from hyperval.report.style import Drawing
 from hyperval.report.tables import json_value, junit_xml, results_csv, results_json
 from hyperval.results import ResultTable
-
-# Fields of a side that no figure shows: charts do, or nothing does.
-_CHARTED = {
-    "axis", "radiance", "snr", "reflectance", "toa_reflectance", "distribution", "noise", "full_scale",
-    "expected_scores", "notes", "provenance",
-}  # fmt: skip
 
 
 def write_outputs(run: RunReport, folder: Path) -> None:
@@ -42,7 +34,6 @@ def write_outputs(run: RunReport, folder: Path) -> None:
         (folder / "scores").mkdir(exist_ok=True)
         write_score_map(folder / "scores" / f"{stems[name]}.tif", name, score_map)
     drawings = _drawings(run)
-    gc.collect()  # figures refer to themselves: 12 MB that the page need not stand beside
     give_back_freed()
     write_page(folder, {**run.provenance, "warnings": run.warnings}, drawings, report_page(run, drawings))
 
@@ -58,17 +49,12 @@ def write_page(folder: Path, record: Mapping[str, Any], drawings: Sequence[Drawi
 
 
 def _drawings(run: RunReport) -> list[Drawing]:
-    """The figures of a run; matplotlib, half a second and 60 MB, is left alone where charts show everything."""
-    sides = [side for side in (run.prediction, run.observation) if side is not None]
-    pictured = run.quicklook is not None or run.score_maps or run.eigenvalues or run.tails
-    if len(sides) == 1 and not pictured:
-        side = sides[0]
-        drawn = any(getattr(side, field.name) for field in fields(side) if field.name not in _CHARTED)
-        if not drawn and not any(estimate.budget for estimate in side.radiance.values()):
-            return []
-    from hyperval.report.figures import draw_figures
+    """The pictures of a run: its scene, and its score maps."""
+    if run.quicklook is None and not run.score_maps:
+        return []
+    from hyperval.report.pictures import draw_pictures
 
-    return draw_figures(run)
+    return draw_pictures(run)
 
 
 def write_index(runs: Sequence[RunReport], folder: Path, title: str = "Validation") -> None:

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hyperval.products import Products
 from hyperval.report import style
 from hyperval.report.style import COLLECTED, PREDICTED, Look
 
 COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
 GREY = "#444444"
 Entries = list[tuple[Any, str]]
-
-
-def of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
-    """A product of a side, empty where the side is absent."""
-    return {} if side is None else getattr(side, product)
 
 
 def small_multiples(
@@ -73,34 +67,10 @@ def name_rows(axes: Axes, names: Sequence[str], low: float = 0.5, high: float = 
     axes.grid(visible=False, axis="y")
 
 
-def line_handle(colour: str, line: Any, marker: str | None = None, *, hollow: bool = False) -> Line2D:
-    """A legend entry."""
-    return Line2D(
-        [], [], color=colour, linestyle=line, marker=marker, markersize=6 if hollow else 4,
-        markerfacecolor="none" if hollow else colour,
-    )  # fmt: skip
-
-
-def mark_entries() -> Entries:
-    """Legend entries of both sides where each has a line with marks, those of the prediction hollow."""
-    return [
-        (line_handle(PREDICTED.colour, PREDICTED.line, PREDICTED.marker, hollow=True), "predicted"),
-        (line_handle(COLLECTED.colour, COLLECTED.line, COLLECTED.marker), "measured"),
-    ]
-
-
 def line_entries(predicted: Any, measured: Any, name: str = "measured") -> Entries:
     """Legend entries of the sides that are there, lines alone."""
     looks = _looks(predicted, measured, name)
     return [(Line2D([], [], color=look.colour, linestyle=look.line), words) for look, words in looks]
-
-
-def dot_entries(predicted: Any, measured: Any) -> Entries:
-    """Legend entries of the sides that are there, dots on a bar."""
-    return [
-        (Line2D([], [], color=look.colour, marker=look.marker, markerfacecolor=look.face), words)
-        for look, words in _looks(predicted, measured, "measured")
-    ]
 
 
 def interval_entry(predicted: Any, measured: Any) -> tuple[Any, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import xarray as xr
@@ -10,7 +11,10 @@ from hyperval.errors import UsageError
 from hyperval.folders import whole_folder
 from hyperval.report.figures import print_figures
 from hyperval.report.netcdf_read import read_products
+from hyperval.report.plots_run import equivalence_margin, every_plot
+from hyperval.report.stored import read_results
 from hyperval.report.style import Drawing, Print
+from hyperval.results import ResultTable
 
 
 def figures_to_folder(run: Path, output: Path, print_as: Print) -> int:
@@ -33,9 +37,12 @@ def figures_to_folder(run: Path, output: Path, print_as: Print) -> int:
 
 
 def drawings_of(run: Path, print_as: Print) -> list[Drawing]:
-    """The figures of the products of a folder."""
-    path = Path(run) / "products.nc"
+    """The figures of the products of a folder, and of the reasons that its table holds."""
+    path, rows, record = (Path(run) / name for name in ("products.nc", "results.json", "provenance.json"))
     sides = read_products(path)
     with xr.open_dataset(path, engine="h5netcdf") as head:
         simulated = head.attrs.get("simulated") == "yes"
-    return print_figures(sides, simulated=simulated, print_as=print_as)
+    table = read_results(rows) if rows.is_file() else ResultTable()
+    margin = equivalence_margin(json.loads(record.read_bytes())) if record.is_file() else None
+    plots = every_plot(sides, table, {}, {}, margin)
+    return print_figures(sides, plots, simulated=simulated, print_as=print_as)

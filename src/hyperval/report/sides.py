@@ -16,6 +16,11 @@ Sides = tuple[Products | None, Products | None]
 MOST_EIGENVALUES = 30
 
 
+def of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
+    """A product of a side, empty where the side is absent."""
+    return {} if side is None else getattr(side, product)
+
+
 def eigenvalues(estimate: SpectralEstimate) -> Array:
     """(K,) leading eigenvalues of the pixel covariance over its finite bands, largest first."""
     covariance = np.asarray(estimate.pixel_covariance, dtype=float)

@@ -46,7 +46,7 @@ def chart_models(kind: str, target: str, *arguments: Any) -> str:
 
     made_of = {
         "kind": kind, "target": target, "arguments": repr(arguments), "bokeh": version("bokeh"),
-        "source": _source_hash("bokeh_models", "charts_base", "style"),
+        "source": _source_hash("bokeh_models", "bokeh_base", "bokeh_plots", "charts_base", "plots", "style"),
     }  # fmt: skip
     return text_of("charts", made_of, build)
 

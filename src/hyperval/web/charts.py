@@ -8,7 +8,9 @@ from typing import Any
 from hyperval.products import Prediction
 from hyperval.report.charts import draw_charts
 from hyperval.report.charts_base import Chart
+from hyperval.report.charts_plots import chart_of
 from hyperval.report.charts_scores import scores_chart
+from hyperval.report.plots_scores import exceedance_plots
 
 
 def charts_of(sides: Mapping[str, Prediction]) -> list[dict[str, Any]]:
@@ -17,7 +19,9 @@ def charts_of(sides: Mapping[str, Prediction]) -> list[dict[str, Any]]:
     both = now, earlier[0] if earlier else None
     labels = ("this run", "earlier run")
     scores = scores_chart([(label, side) for label, side in zip(labels, both, strict=True) if side is not None])
-    return [plain(chart) for chart in (*draw_charts(both, [], labels=labels), scores) if chart is not None]
+    false_alarms = [chart_of(plots) for plots in exceedance_plots((now, None))]
+    charts = (*draw_charts(both, [], labels=labels), scores, *false_alarms)
+    return [plain(chart) for chart in charts if chart is not None]
 
 
 def plain(chart: Chart) -> dict[str, Any]:

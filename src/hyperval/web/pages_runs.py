@@ -117,8 +117,7 @@ def files_of(place: Path, run: Run) -> list[str]:
     if run.state != "finished":
         return []
     if run.kind == "prediction":
-        figures = ("figures/scores.svg", "figures/exceedance.svg") if run.summary.get("detection") else ()
-        return ["results.csv", "products.nc", "results.json", "provenance.json", "report.html", *figures]
+        return ["results.csv", "products.nc", "results.json", "provenance.json", "report.html"]
     results = place / "results"
     own = [PACKED] if run.kind == "pipeline" else []
     paths = [p for p in sorted(results.rglob("*")) if p.is_file() and not p.name.startswith(".")]

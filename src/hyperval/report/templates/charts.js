@@ -21,7 +21,7 @@ function showCurves(root, name) {
 }
 
 // Numbers of a chart go into its models by their names.
-function fillIn(plots, { sources, ranges, spans, arrays, colours = {}, texts = {} }) {
+function fillIn(plots, { sources, ranges, spans, arrays, colours = {}, texts = {}, names = {} }) {
   const values = arrays.map(numbers);
   for (const [name, columns] of Object.entries(sources))
     plots.get_model_by_name(name).data = {
@@ -30,6 +30,11 @@ function fillIn(plots, { sources, ranges, spans, arrays, colours = {}, texts = {
   for (const [name, [low, high]] of Object.entries(colours)) plots.get_model_by_name(name).setv({ low, high });
   setRanges(plots, ranges);
   for (const [name, location] of Object.entries(spans)) plots.get_model_by_name(name).location = location;
+  for (const [name, places] of Object.entries(names)) {
+    const axis = plots.get_model_by_name(name);
+    axis.major_label_overrides = new Map(places.map((place, i) => [i, place]));
+    axis.ticker.ticks = [...places.keys()];
+  }
 }
 
 function setRanges(plots, ranges) {
@@ -50,6 +55,7 @@ async function draw(chart) {
   }
   const show = (number) => {
     const subject = chart.subjects[number];
+    if (subject.sources !== undefined) return fillIn(plots, subject);
     plots.get_model_by_name("spectra").data = columns(chart, subject);
     setRanges(plots, subject.ranges);
   };
@@ -62,7 +68,14 @@ async function drawAll() {
   const library = document.createElement("script");
   library.textContent = await new Response(packed.pipeThrough(new DecompressionStream("gzip"))).text();
   document.head.append(library);
-  for (const content of document.querySelectorAll("script.chart")) await draw(JSON.parse(content.textContent));
+  // One after the other; those that are folded when they are unfolded.
+  let drawn = Promise.resolve();
+  const next = (content) => (drawn = drawn.then(() => draw(JSON.parse(content.textContent))));
+  for (const content of document.querySelectorAll("script.chart")) {
+    const folded = content.closest("details:not([open])");
+    if (folded === null) next(content);
+    else folded.addEventListener("toggle", () => next(content), { once: true });
+  }
 }
 // Another page may bring the library and the charts by itself.
 if (document.getElementById("library") !== null) drawAll();

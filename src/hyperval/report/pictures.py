@@ -14,7 +14,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from hyperval.report import style
-from hyperval.report.run import Quicklook, ScoreMap
+from hyperval.report.run import Quicklook, RunReport, ScoreMap
 from hyperval.report.style import Drawing
 from hyperval.units import PLAUSIBLE_NM
 
@@ -24,6 +24,13 @@ _MOST_MAPS = 6
 _MOST_NUMBERED = 40  # outlines; more are drawn without numbers, and counted
 _LONGEST_STRIP = 2.5  # ratio of the sides beyond which an image is cut to its regions
 _OUTLINE_COLOURS = ("#FFD700", "#00E5FF", "#FF4FD8", "#7CFC00", "#FF8C00", "#FFFFFF")
+
+
+def draw_pictures(run: RunReport) -> list[Drawing]:
+    """The scene, and the first score maps with what the model expects in their place."""
+    with style.house_style():
+        scene = [] if run.quicklook is None else [quicklook_figure(run.quicklook, simulated=run.simulated)]
+        return scene + score_map_figures(run.score_maps, simulated=run.simulated)
 
 
 def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
