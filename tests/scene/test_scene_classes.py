@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.scene.builtin import builtin_class
+from hyperval.scene.builtin import builtin_class, builtin_mean
 from hyperval.scene.fill import (
     FillDistribution,
     TargetGeometry,
@@ -31,6 +31,7 @@ def at(name: str, wavelength_nm: float) -> float:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_surface_is_physical_and_of_full_rank(name):
     found = builtin_class(name, AXIS)
+    assert builtin_mean(name, AXIS).tolist() == found.mean.tolist()
     assert np.all((found.mean > 0) & (found.mean < 1))
     eigenvalues = np.linalg.eigvalsh(found.covariance)
     assert eigenvalues[0] > 0

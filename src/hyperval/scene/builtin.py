@@ -200,18 +200,27 @@ def builtin_class(name: str, axis: SpectralAxis) -> ClassStatistics:
     return _evaluated(name, axis.centre_nm.tobytes(), axis.fwhm_nm.tobytes(), axis.good.tobytes())
 
 
-@lru_cache(maxsize=64)
-def _evaluated(name: str, centre: bytes, fwhm: bytes, good: bytes) -> ClassStatistics:
-    axis = SpectralAxis(np.frombuffer(centre), np.frombuffer(fwhm), np.frombuffer(good, bool))
+def builtin_mean(name: str, axis: SpectralAxis) -> Array:
+    """(B,) mean of :func:`builtin_class`, without the covariance that a fine axis makes large."""
+    return _surface(name, axis).mean(axis.centre_nm)
+
+
+def _surface(name: str, axis: SpectralAxis) -> Surface:
     grey = _GREY.match(name)
     if grey is None and name not in _SURFACES:
         raise UsageError(f"unknown built-in surface {name!r}", expected="one of " + ", ".join(BUILTIN_NAMES))
-    surface = _panel(int(grey.group(1)) / 100.0, 0.04) if grey else _SURFACES[name]
     w = axis.centre_nm
     if w[0] < RANGE_NM[0] or w[-1] > RANGE_NM[1]:
         raise UsageError(
             f"built-in surfaces cover {RANGE_NM[0]:g}-{RANGE_NM[1]:g} nm, the bands {w[0]:g}-{w[-1]:g} nm"
         )
+    return _panel(int(grey.group(1)) / 100.0, 0.04) if grey else _SURFACES[name]
+
+
+@lru_cache(maxsize=64)
+def _evaluated(name: str, centre: bytes, fwhm: bytes, good: bytes) -> ClassStatistics:
+    axis = SpectralAxis(np.frombuffer(centre), np.frombuffer(fwhm), np.frombuffer(good, bool))
+    surface, w = _surface(name, axis), axis.centre_nm
     modes = np.stack([mode(w) for mode in surface.modes.values()])
     covariance = modes.T @ modes + surface.band_spread**2 * np.eye(len(axis))
     return ClassStatistics(

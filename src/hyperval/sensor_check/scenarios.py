@@ -12,7 +12,7 @@ from hyperval.predict import Origins, predict
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
-from hyperval.scene.builtin import builtin_class
+from hyperval.scene.builtin import builtin_mean
 from hyperval.sensor.specification import Sensor
 from hyperval.sensor_check.ledger import Ledger
 from hyperval.sensor_check.noise import Engine
@@ -84,7 +84,7 @@ def _panel_error(scenario: Scenario, products: Prediction, good: npt.NDArray[np.
     worst = 0.0
     for panel in scenario.scene.panels:
         if panel.spectrum.builtin is not None and panel.name in products.reflectance:
-            truth = builtin_class(panel.spectrum.builtin, products.axis).mean
+            truth = builtin_mean(panel.spectrum.builtin, products.axis)
             worst = max(
                 worst, float(np.max(np.abs(products.reflectance[panel.name].mean - truth)[good], initial=0.0))
             )

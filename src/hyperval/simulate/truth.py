@@ -13,7 +13,7 @@ import numpy as np
 from rasterio import features
 
 from hyperval.files import write_text
-from hyperval.scene.builtin import builtin_class
+from hyperval.scene.builtin import builtin_mean
 from hyperval.simulate import streams
 from hyperval.simulate.layout import Ground, Mask, touched
 from hyperval.simulate.schema import SceneFile
@@ -112,7 +112,7 @@ def write_panel_spectra(path: Path, scene: SceneFile) -> None:
     noise, count = scene.field_spectra.relative_noise, scene.field_spectra.readings
     columns, values = ["wavelength_nm"], [axis.centre_nm]
     for number, panel in enumerate(scene.panels):
-        mean = builtin_class(panel.surface, axis).mean
+        mean = builtin_mean(panel.surface, axis)
         rng = streams.generator(scene.seed, streams.FIELD_SPECTRA, number)
         readings = mean * (1.0 + noise * rng.standard_normal((count, mean.size)))
         columns += [panel.name, f"{panel.name}_sd"]

@@ -20,7 +20,7 @@ from hyperval.prediction.departure import Departure, combined
 from hyperval.prediction.input_paths import Given, input_path
 from hyperval.products import Prediction, SpectralEstimate
 from hyperval.scenario import Scenario
-from hyperval.scene.builtin import BUILTIN_NAMES, builtin_class
+from hyperval.scene.builtin import BUILTIN_NAMES, builtin_mean
 from hyperval.settings import with_settings
 
 Array = npt.NDArray[np.float64]
@@ -177,7 +177,7 @@ def _target_spectra_exchanged(given: Given) -> Values:
 def _other_material(given: Given) -> Values:
     """Of the built-in materials the one that is least like the target."""
     moves = {}
-    others = [builtin_class(n, given.axis).mean for n in BUILTIN_NAMES if not n.endswith("NN")]
+    others = [builtin_mean(n, given.axis) for n in BUILTIN_NAMES if not n.endswith("NN")]
     for name, path in _target_means(given).items():
         own = given.surfaces[name].mean
         gaps = [float(np.nanmean((mean - own) ** 2)) for mean in others]
