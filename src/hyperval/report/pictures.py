@@ -1,17 +1,20 @@
-"""Figures that are pictures: the scene with its regions, and score maps with their targets."""
+"""Pictures of pixels: the scene with its regions, and score maps with their targets, as PNG with axes and scale.
+
+A picture is drawn in indices of 256 colours from the start: its own, and the few of outlines and letters.
+"""
 
 from __future__ import annotations
 
+import functools
+import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
+from PIL import Image, ImageDraw, ImageFont
 
 from hyperval.report import style
 from hyperval.report.run import Quicklook, RunReport, ScoreMap
@@ -19,18 +22,25 @@ from hyperval.report.style import Drawing
 from hyperval.units import PLAUSIBLE_NM
 
 _MOST_PIXELS = 800  # along the longer side of a picture
-_DPI = 200.0  # at which all of these are drawn
+_PER_CSS = 200 / 96  # points of the picture to a pixel of the page
 _MOST_MAPS = 6
 _MOST_NUMBERED = 40  # outlines; more are drawn without numbers, and counted
 _LONGEST_STRIP = 2.5  # ratio of the sides beyond which an image is cut to its regions
-_OUTLINE_COLOURS = ("#FFD700", "#00E5FF", "#FF4FD8", "#7CFC00", "#FF8C00", "#FFFFFF")
+_OWN = 240  # colours of the picture itself
+_TONES = 120  # of them for scores: a page has room for 3 MB
+_LINES = ("#FFFFFF", "#000000", "#444444", "#FFD700", "#00E5FF", "#FF4FD8", "#7CFC00", "#FF8C00")
+_WHITE, _BLACK, _GREY = _OWN, _OWN + 1, _OWN + 2
+_OUTLINES = (_OWN + 3, _OWN + 4, _OWN + 5, _OWN + 6, _OWN + 7, _WHITE)
+_LETTER, _SMALL, _TITLE = 25, 21, 28  # heights
+_LEFT, _TOP, _FOOT, _RIGHT, _BAR, _BAR_ROOM = 96, 80, 76, 40, 32, 190  # room about the picture
+Indices = npt.NDArray[np.uint8]
+Segments = list[tuple[int, npt.NDArray[np.float64]]]
 
 
 def draw_pictures(run: RunReport) -> list[Drawing]:
     """The scene, and the first score maps with what the model expects in their place."""
-    with style.house_style():
-        scene = [] if run.quicklook is None else [quicklook_figure(run.quicklook, simulated=run.simulated)]
-        return scene + score_map_figures(run.score_maps, simulated=run.simulated)
+    scene = [] if run.quicklook is None else [quicklook_figure(run.quicklook, simulated=run.simulated)]
+    return scene + score_map_figures(run.score_maps, simulated=run.simulated)
 
 
 def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
@@ -39,75 +49,175 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     view = shown_window(rgb.shape[:2], quicklook.regions)
     step = max(1, math.ceil(max(view.lines, view.samples) / _MOST_PIXELS))
     picture = rgb[view.first_line : view.end_line : step, view.first_sample : view.end_sample : step]
-    figure = style.new_figure(*_figure_size(view), "Scene", simulated)
-    axes = figure.add_subplot()
-    # Opaque from the start: matplotlib would add that as float64, and resample the picture in it.
-    opaque = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
-    axes.imshow(opaque, extent=_extent(view, picture.shape, step), interpolation="nearest")
-    _finish(axes, view, quicklook.regions, quicklook.pixel_size_m)
+    few = Image.fromarray(np.ascontiguousarray(picture)).quantize(
+        _OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
+    )
+    canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
+    canvas.finish(_segments(quicklook.regions), quicklook.pixel_size_m)
     bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
     bands = f"bands {bands}" if min(quicklook.band_nm, default=PLAUSIBLE_NM[0]) < PLAUSIBLE_NM[0] else f"{bands} nm"
     title = "Scene with its regions of interest" + (f" (red, green, blue: {bands})" if quicklook.band_nm else "")
     cut = _cut(rgb.shape, view)
     title += f"; {cut}" if cut else ""
     alt = f"Picture of the scene, {_where(rgb.shape, view)}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
-    return Drawing(
-        "scene", "scene", title, alt, style.png_bytes(figure, dpi=_DPI), "png",
-        width_px=_css_width(figure), legend=_numbered_names(quicklook.regions),
-    )  # fmt: skip
+    return canvas.drawing("scene", "scene", title, alt, _numbered_names(quicklook.regions))
 
 
 def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
     """The first maps, each a figure: scores as colours, targets outlined; and what the model expects, likewise."""
+    from bokeh.palettes import Viridis256  # a twentieth of a second
+
+    tones = [Viridis256[i] for i in np.linspace(0, 255, _TONES).round().astype(int)]
+    colours = [int(tone[at : at + 2], 16) for tone in tones for at in (1, 3, 5)]
     drawings = []
     for number, (name, score_map) in enumerate(list(maps.items())[:_MOST_MAPS], start=1):
-        scores = np.asarray(score_map.values, dtype=float)
+        scores = np.asarray(score_map.values)
         view = shown_window(scores.shape, score_map.outlines)
-        limits = _score_limits(score_map)
+        limits, segments = _score_limits(score_map), _segments(score_map.outlines)
         outlined = f"; outlined: {_words_of(score_map.outlines) or 'nothing'}."
-        values, block = block_maximum(scores[view.part], _MOST_PIXELS)
+        values, block = block_maximum(scores[view.part].astype(float), _MOST_PIXELS)
         cut = _cut(scores.shape, view)
         note = f"; {cut}" if cut else ""
         note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
-        title = f"Score map {name}{', targets outlined' if score_map.outlines else ''}{note}"
         size = f"{scores.shape[0]} lines by {scores.shape[1]} samples"
-        alt = f"Map of the detector score {name}, {size}{note}{outlined}"
-        content = _map_bytes(f"Score map {name}", values, block, view, limits, score_map, simulated)
-        drawings.append(_map_drawing(f"score-map-{number}", title, alt, content, score_map))
+        shown = [(
+            f"score-map-{number}", f"Score map {name}",
+            f"Score map {name}{', targets outlined' if score_map.outlines else ''}{note}",
+            f"Map of the detector score {name}, {size}{note}{outlined}", values,
+        )]  # fmt: skip
         if score_map.expected is not None:
-            values, block = block_maximum(score_map.expected.of(view.part).astype(float), _MOST_PIXELS)
-            title = (
+            expected, _ = block_maximum(score_map.expected.of(view.part).astype(float), _MOST_PIXELS)
+            shown.append((
+                f"score-map-{number}-expected", f"Expected score {name}",
                 f"What the model expects of {name}, in the colours of the measured map: the mean score of each "
-                "class of ground and kind of target; blank where the campaign does not say what lies there"
-            )
-            alt = f"Map of the score {name} that the model expects, of the same pixels{note}{outlined}"
-            content = _map_bytes(f"Expected score {name}", values, block, view, limits, score_map, simulated)
-            drawings.append(_map_drawing(f"score-map-{number}-expected", title, alt, content, score_map))
+                "class of ground and kind of target; blank where the campaign does not say what lies there",
+                f"Map of the score {name} that the model expects, of the same pixels{note}{outlined}", expected,
+            ))  # fmt: skip
+        for file, heading, title, alt, own in shown:
+            canvas = _Canvas(heading, _toned(own, limits), colours, view, block, limits, simulated=simulated)
+            canvas.finish(segments, score_map.pixel_size_m)
+            drawings.append(canvas.drawing(file, "scores", title, alt, _numbered_names(score_map.outlines)))
     return drawings
 
 
-def _map_drawing(name: str, title: str, alt: str, content: tuple[bytes, int], score_map: ScoreMap) -> Drawing:
-    picture, width = content
-    return Drawing(
-        name, "scores", title, alt, picture, "png", width_px=width, legend=_numbered_names(score_map.outlines)
-    )
+def _toned(values: npt.NDArray[np.float64], limits: tuple[float, float]) -> Indices:
+    """Scores as the number of their colour; white where there is none."""
+    low, high = limits
+    finite = np.isfinite(values)
+    part = np.where(finite, (values - low) * (_TONES / (high - low)), 0.0)
+    return np.where(finite, np.clip(part, 0, _TONES - 1), _WHITE).astype(np.uint8)
 
 
-def _map_bytes(
-    title: str, values: npt.NDArray[np.float64], block: int, view: Window, limits: tuple[float, float],
-    score_map: ScoreMap, simulated: bool,
-) -> tuple[bytes, int]:  # fmt: skip
-    """A map as PNG, and its width on the page [CSS pixels]."""
-    width, height = _figure_size(view)
-    figure = style.new_figure(width + 1.2, height, title, simulated)
-    axes = figure.add_subplot()
-    image = axes.imshow(
-        values, cmap="viridis", vmin=limits[0], vmax=limits[1], extent=_extent(view, values.shape, block),
-        interpolation="nearest", interpolation_stage="data",  # one number for a pixel is resampled, not four
-    )  # fmt: skip
-    figure.colorbar(image, ax=axes, shrink=0.8, extend="both", label="score [1]")
-    _finish(axes, view, score_map.outlines, score_map.pixel_size_m)
-    return style.png_bytes(figure, dpi=_DPI), _css_width(figure)
+class _Canvas:
+    """A picture with its axes, title and, where it has limits, scale of colours."""
+
+    def __init__(
+        self, title: str, picture: Indices, colours: Sequence[int], view: Window, block: int,
+        limits: tuple[float, float] | None = None, *, simulated: bool,
+    ) -> None:  # fmt: skip
+        self._view = view
+        lines, samples = picture.shape
+        self._zoom = max(1, round(_PER_CSS * _css_width(view) / samples))
+        width, height = self._zoom * samples, self._zoom * lines
+        self._per_pixel = self._zoom / block
+        self._end = _LEFT + width, _TOP + height
+        right = _BAR_ROOM if limits else _RIGHT
+        self._image = Image.new("P", (self._end[0] + right, max(self._end[1] + _FOOT, 330)), _WHITE)
+        self._image.putpalette(_palette(colours))
+        self._image.paste(Image.fromarray(picture).resize((width, height), Image.Resampling.NEAREST), (_LEFT, _TOP))
+        self._pen = ImageDraw.Draw(self._image)
+        words, room = title + (" (simulated collection)" if simulated else ""), self._image.width - 16
+        while _font(_TITLE).getlength(words) > room and len(words) > 8:
+            words = style.shortened(words, len(words) - 2)
+        self._pen.text((self._image.width // 2, 6), words, _BLACK, _font(_TITLE), anchor="ma")
+        self._axes()
+        if limits:
+            self._scale_of_colours(limits)
+
+    def finish(self, segments: Segments, pixel_size_m: float | None) -> None:
+        """Draw outlines, their numbers, and a scale."""
+        for number, own in segments:
+            ends = [(*self._at(*a), *self._at(*b)) for a, b in own]
+            for colour, width in ((_BLACK, 5), (_OUTLINES[number % len(_OUTLINES)], 3)):
+                for end in ends:
+                    self._pen.line(end, colour, width)
+        for number, own in segments if len(segments) <= _MOST_NUMBERED else ():  # more would hide what they name
+            x, y = self._at(own[..., 0].max(), own[..., 1].min())
+            self._label(x + 4, y - 3, str(number + 1), _OUTLINES[number % len(_OUTLINES)], "lb")
+        if pixel_size_m and math.isfinite(pixel_size_m):
+            length_m = _round_length(0.25 * self._view.samples * pixel_size_m)
+            left, y = _LEFT + 0.04 * (self._end[0] - _LEFT), self._end[1] - 0.04 * (self._end[1] - _TOP)
+            right = left + length_m / pixel_size_m * self._per_pixel
+            for colour, width, more in ((_BLACK, 12, 2), (_WHITE, 7, 0)):
+                self._pen.line((left - more, y, right + more, y), colour, width)
+            self._label((left + right) / 2, y - 12, f"{length_m:g} m", _WHITE, "mb")
+
+    def drawing(self, name: str, section: str, title: str, alt: str, legend: str) -> Drawing:
+        """The finished picture."""
+        out = io.BytesIO()
+        self._image.save(out, format="png")
+        css = round(self._image.width / _PER_CSS)
+        return Drawing(name, section, title, alt, out.getvalue(), "png", width_px=css, legend=legend)
+
+    def _at(self, sample: float, line: float) -> tuple[float, float]:
+        return (
+            _LEFT + (sample - self._view.first_sample) * self._per_pixel,
+            _TOP + (line - self._view.first_line) * self._per_pixel,
+        )
+
+    def _axes(self) -> None:
+        right, bottom = self._end
+        self._pen.rectangle((_LEFT - 2, _TOP - 2, right + 1, bottom + 1), outline=_GREY, width=2)
+        self._pen.text((8, _TOP - 8), "line [pixel]", _BLACK, _font(_LETTER), anchor="lb")
+        self._pen.text(((_LEFT + right) / 2, bottom + 44), "sample [pixel]", _BLACK, _font(_LETTER), anchor="ma")
+        view = self._view
+        for sample in _ticks(view.first_sample, view.end_sample):
+            x, _ = self._at(sample, 0)
+            self._pen.line((x, bottom, x, bottom + 9), _GREY, 2)
+            self._pen.text((x, bottom + 14), f"{sample:g}", _BLACK, _font(_SMALL), anchor="ma")
+        for line in _ticks(view.first_line, view.end_line):
+            _, y = self._at(0, line)
+            self._pen.line((_LEFT - 11, y, _LEFT - 2, y), _GREY, 2)
+            self._pen.text((_LEFT - 16, y), f"{line:g}", _BLACK, _font(_SMALL), anchor="rm")
+
+    def _scale_of_colours(self, limits: tuple[float, float]) -> None:
+        left, height = self._end[0] + 28, max(self._end[1] - _TOP, 200)
+        tones = np.repeat(np.linspace(_TONES - 1, 0, height).round().astype(np.uint8)[:, None], _BAR, axis=1)
+        self._image.paste(Image.fromarray(tones), (left, _TOP))
+        self._pen.text((left, _TOP - 8), "score [1]", _BLACK, _font(_LETTER), anchor="lb")
+        for part in (0.0, 0.25, 0.5, 0.75, 1.0):
+            y = _TOP + (1.0 - part) * height
+            sign = {0.0: "< ", 1.0: "> "}.get(part, "")
+            words = f"{sign}{limits[0] + part * (limits[1] - limits[0]):.3g}"
+            self._pen.line((left + _BAR, y, left + _BAR + 8, y), _GREY, 2)
+            self._pen.text((left + _BAR + 12, y), words, _BLACK, _font(_SMALL), anchor="lm")
+
+    def _label(self, x: float, y: float, words: str, colour: int, anchor: str) -> None:
+        box = self._pen.textbbox((x, y), words, _font(_SMALL), anchor=anchor)
+        self._pen.rectangle((box[0] - 3, box[1] - 3, box[2] + 3, box[3] + 3), fill=colour)
+        self._pen.text((x, y), words, _BLACK, _font(_SMALL), anchor=anchor)
+
+
+@functools.cache
+def _font(height: int) -> Any:
+    return ImageFont.load_default(height)
+
+
+def _palette(colours: Sequence[int]) -> list[int]:
+    """256 colours: those of the picture, then those of lines and letters."""
+    own = [*colours, *[0] * (3 * _OWN - len(colours))][: 3 * _OWN]
+    return own + [int(colour[at : at + 2], 16) for colour in _LINES for at in (1, 3, 5)]
+
+
+def _ticks(first: int, end: int) -> list[float]:
+    """Round places within an axis."""
+    step = max(_round_length((end - first) / 3), 1.0)
+    return [float(at) for at in np.arange(math.ceil(first / step) * step, end + 1e-9, step)]
+
+
+def _segments(regions: Mapping[str, Any]) -> Segments:
+    """Number and edges of every region that has any."""
+    return [(n, own) for n, mask in enumerate(regions.values()) if len(own := outline_segments(mask))]
 
 
 @dataclass(frozen=True)
@@ -198,58 +308,10 @@ def outline_segments(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
     return np.asarray(np.concatenate([upright, level]) + corner, dtype=float)
 
 
-def _outlines(axes: Axes, regions: Mapping[str, Any]) -> None:
-    drawn = [(n, s) for n, mask in enumerate(regions.values()) if len(s := outline_segments(mask))]
-    if not drawn:
-        return
-    colours = [_OUTLINE_COLOURS[n % len(_OUTLINE_COLOURS)] for n, _ in drawn]
-    every = np.concatenate([segments for _, segments in drawn])
-    each = [colour for colour, (_, segments) in zip(colours, drawn, strict=True) for _ in segments]
-    axes.add_collection(LineCollection(list(every), colors="black", linewidths=2.0), autolim=False)
-    axes.add_collection(LineCollection(list(every), colors=each, linewidths=1.1), autolim=False)
-    if len(drawn) > _MOST_NUMBERED:
-        return  # numbers would hide what they stand beside
-    for colour, (number, segments) in zip(colours, drawn, strict=True):
-        right, top = segments[..., 0].max(), segments[..., 1].min()
-        axes.annotate(
-            str(number + 1), (right, top), (2, 1), textcoords="offset points", fontsize=7.5, color="black",
-            bbox={"facecolor": colour, "linewidth": 0, "pad": 0.8, "alpha": 0.9},
-        )  # fmt: skip
-
-
-def _scale_bar(axes: Axes, pixel_size_m: float | None, view: Window) -> None:
-    if not pixel_size_m or not math.isfinite(pixel_size_m):
-        return
-    length_m = _round_length(0.25 * view.samples * pixel_size_m)
-    length = length_m / pixel_size_m
-    x, y = view.first_sample + 0.04 * view.samples, view.first_line + 0.96 * view.lines
-    axes.plot([x, x + length], [y, y], color="black", linewidth=5, solid_capstyle="butt")
-    axes.plot([x, x + length], [y, y], color="white", linewidth=3, solid_capstyle="butt")
-    axes.annotate(
-        f"{length_m:g} m", (x + length / 2, y), (0, 5), textcoords="offset points", ha="center", fontsize=8,
-        bbox={"facecolor": "white", "alpha": 0.85, "linewidth": 0, "pad": 1.0},
-    )  # fmt: skip
-
-
 def _round_length(length: float) -> float:
     """The largest 1, 2 or 5 times a power of ten that is not above ``length``."""
     decade = 10.0 ** math.floor(math.log10(length))
     return next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= length * (1 + 1e-12))
-
-
-def _finish(axes: Axes, view: Window, regions: Mapping[str, Any], pixel_size_m: float | None) -> None:
-    axes.grid(visible=False)
-    axes.set_xlabel("sample [pixel]")
-    axes.set_ylabel("line [pixel]")
-    axes.set(xlim=(view.first_sample, view.end_sample), ylim=(view.end_line, view.first_line))
-    _outlines(axes, regions)
-    _scale_bar(axes, pixel_size_m, view)
-
-
-def _extent(view: Window, shape: tuple[int, ...], block: int) -> tuple[float, float, float, float]:
-    """Left, right, bottom, top of a picture of which each point is ``block`` pixels wide."""
-    right, bottom = view.first_sample + block * shape[1], view.first_line + block * shape[0]
-    return (view.first_sample, right, bottom, view.first_line)
 
 
 def _where(shape: tuple[int, ...], view: Window) -> str:
@@ -276,12 +338,7 @@ def _words_of(regions: Mapping[str, Any]) -> str:
     return f"{len(regions)} objects" if len(regions) > _MOST_NUMBERED else ", ".join(regions)
 
 
-def _figure_size(view: Window) -> tuple[float, float]:
-    """Width and height [in] that suit the shape of the picture; small, as three stand beside each other."""
+def _css_width(view: Window) -> float:
+    """Width [CSS pixels] that suits the shape of the picture; small, as three stand beside each other."""
     aspect = min(max(view.lines / view.samples, 0.15), 4.0)
-    width = min(4.6, 4.2 / aspect) if aspect < 2.0 else max(5.2 / aspect, 2.0)
-    return width + 0.9, width * aspect + 0.9
-
-
-def _css_width(figure: Figure) -> int:
-    return round(96 * float(figure.get_figwidth()))
+    return 96 * (min(4.6, 4.2 / aspect) if aspect < 2.0 else max(5.2 / aspect, 2.0))
