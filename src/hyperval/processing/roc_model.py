@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv, log_ndtr, ndtr, ndtri
+from scipy.special import gammaincinv, ndtr, ndtri
 
 from hyperval.processing.thresholds import (
     SMALLEST_SD,
@@ -49,7 +49,7 @@ def detection_probability(threshold: Array, means: Array, sds: Array, weights: A
 def object_detection_probability(threshold: Array, means: Array, sds: Array) -> Array:
     """Probability that at least one pixel of an object passes the threshold (3.31 for objects).
 
-    1 - prod_j Phi((x - theta_j) / sigma_j), averaged over equally likely places; the pixels are
+    1 - prod_j (1 - Phi((theta_j - x) / sigma_j)), averaged over equally likely places; the pixels are
     independent given their fills.
 
     Parameters
@@ -62,10 +62,13 @@ def object_detection_probability(threshold: Array, means: Array, sds: Array) -> 
     (n, K)
     """
     pd = np.empty(threshold.shape)
-    spread = np.maximum(sds, SMALLEST_SD)
+    inverse = 1.0 / np.maximum(np.ascontiguousarray(np.moveaxis(sds, 2, 0)), SMALLEST_SD)  # (J, n, P)
+    reached = np.moveaxis(means, 2, 0) * inverse
     for k in range(threshold.shape[1]):
-        missed = log_ndtr((threshold[:, k, None, None] - means) / spread).sum(axis=2)
-        pd[:, k] = -np.expm1(missed).mean(axis=1)
+        passed, *others = ndtr(reached - threshold[:, k, None] * inverse)
+        for other in others:
+            passed += other * (1.0 - passed)  # small probabilities keep their digits
+        pd[:, k] = passed.mean(axis=1)
     return pd
 
 
