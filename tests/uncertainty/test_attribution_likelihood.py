@@ -5,7 +5,8 @@ import pytest
 from scipy import optimize, stats
 
 from hyperval.errors import UsageError
-from hyperval.uncertainty.attribution.ranking import Whitened, closing_change, explanation
+from hyperval.uncertainty.attribution.ranking import Candidate, Whitened, closing_change, explanation, rankings
+from hyperval.uncertainty.attribution.residuals import Block, Stack
 
 
 def _world(rng, n=40, k=3):
@@ -100,3 +101,15 @@ def test_refuses_what_has_no_uncertainty():
 
 def test_closing_change_of_an_input_that_moves_nothing_is_infinite():
     assert closing_change(0.1, 0.0) == float("inf")
+
+
+@pytest.mark.parametrize("name", ["a", "z"])
+def test_rounding_neither_orders_what_explains_the_same_nor_counts_as_an_effect(name):
+    blocks = [Block("scores", s, "cem", np.zeros(1), np.eye(1), lambda p: np.zeros(1)) for s in ("near", "far")]
+    columns = {
+        Candidate(name, "", "", False): np.array([[0.3], [0.0]]),
+        Candidate("m", "", "", False): np.array([[0.3 * (1.0 + 4e-16)], [0.0]]),
+        Candidate("far alone", "", "", False): np.array([[1e-17], [1.0]]),
+    }
+    _, near = rankings(Stack(tuple(blocks)), np.array([5.0, 0.0]), np.eye(2), columns, ["near"])
+    assert [r.candidate.name for r in near.ranked] == sorted([name, "m"])

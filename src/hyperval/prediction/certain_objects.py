@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.prediction.batch import Batch
+from hyperval.prediction.input_draws import ROWS
 from hyperval.prediction.object_scores import (
     COLUMNS,
-    ROWS,
     Key,
     Numbers,
     Objects,
@@ -24,9 +24,7 @@ from hyperval.prediction.object_scores import (
     neighbours_of,
     predicted_object_scores,
     response_nodes,
-    with_neighbours,
 )
-from hyperval.prediction.responses import FILL_NODES, Responses
 from hyperval.prediction.setup import Setup
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.products import ObjectScores
@@ -80,18 +78,17 @@ def _scores(
     means: Array, variances: Array, beside: Sequence[tuple[Array, Array]], numbers: Numbers, more: Array | None
 ) -> Iterator[ObjectScores]:
     """Draws of an object in P truths, by (P, 9) moments of pixels with parts of itself, and of each neighbour."""
-    rows, nodes = Responses.weights(numbers.fills).reshape(-1, FILL_NODES.size), np.concatenate([means, variances])
+    rows, nodes = numbers.weights.reshape(-1, means.shape[1]), np.concatenate([means, variances])
     moments = (nodes @ rows.T).reshape(2, len(means), *numbers.fills.shape)
     made: dict[bytes, ObjectScores] = {}
     for p, (mean, variance) in enumerate(moments.swapaxes(0, 1)):
         full = np.array([(level[p, -1], spread[p, -1]) for level, spread in beside]).reshape(-1, 2)
         key = nodes[[p, len(means) + p]].tobytes() + full.tobytes()
         if key not in made:
-            sd, full_sd = (np.sqrt(np.clip(v, 0.0, None)) for v in (variance, full[:, 1]))
-            host = means[p, 0], np.sqrt(np.clip(variances[p, 0], 0.0, None))
-            if len(full):
-                mean, sd = with_neighbours(mean, sd, host, full[None, :, 0], full_sd, numbers)
-            made[key] = greatest_scores(mean, sd, host[1], numbers, more)
+            full_sd, host_sd = (np.sqrt(np.clip(v, 0.0, None)) for v in (full[:, 1], variances[p, 0]))
+            mean = mean + numbers.others @ (full[:, 0] - means[p, 0])
+            sd = numbers.shared_sd(np.clip(variance, 0.0, None), host_sd, full_sd)
+            made[key] = greatest_scores(mean[numbers.places], sd, host_sd, numbers, more)
         yield made[key]
 
 

@@ -6,25 +6,24 @@ place on the pixel grid; and what all objects have in common, from draws of the 
 
 from __future__ import annotations
 
+import math
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri
 
 from hyperval.prediction.batch import Batch, Group
 from hyperval.prediction.fills import fill_distribution, fills_of_objects, geometry_of, moments, pixels_of_object
-from hyperval.prediction.inputs import correlation, cut
-from hyperval.prediction.responses import FILL_NODES
+from hyperval.prediction.input_draws import ROWS, InputDraws, input_draws
+from hyperval.prediction.responses import FILL_NODES, Responses
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.products import ObjectScores
-from hyperval.scenario import Target, TargetSubject
-from hyperval.scenario_uncertainty import Uncertainty
-from hyperval.scene.fill import PHASES, Neighbour, TargetGeometry, shared_pixel_fills
+from hyperval.scenario import Geometry, Target, TargetSubject
+from hyperval.scene.fill import PHASES, Neighbour, shared_pixel_fills
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -33,10 +32,8 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Key = tuple[str, str]
 
-# Draws of the inputs, and of objects at each of them.
-ROWS, COLUMNS = 1600, 24
-# The blur's distribution stands on this many equally likely widths.
-_WIDTHS = 5
+COLUMNS = 24  # draws of objects at each of those of the inputs
+_TOGETHER = 32  # draws of the inputs at once: what a cache holds
 # Other targets count up to this far beyond the corners of both [pixels]: four sigma of a blur of 1.5 pixels.
 _REACH = 3.0
 
@@ -121,62 +118,6 @@ class Evaluations:
         return self.batch.once(("response", target, detector, holds, int(self.points[0])), made)
 
 
-@dataclass(frozen=True)
-class InputDraws:
-    """Draws of the uncertain inputs that all objects share.
-
-    Attributes
-    ----------
-    spectra : target -> (S, F) departure of its reflectance from the field spectrum
-    collected : target -> (S, F) departure of its reflectance as the collection holds it
-    steps : (S, K) scalar inputs of the view, in standard uncertainties
-    blur : (S,) width, in standard uncertainties, one of few values
-    """
-
-    spectra: Mapping[str, Array]
-    collected: Mapping[str, Array]
-    steps: Array
-    blur: Array
-
-    @property
-    def rows(self) -> int:
-        """S."""
-        return int(self.blur.size)
-
-
-def input_draws(batch: Batch, uncertainty: Uncertainty, bands: Index, steps: int) -> InputDraws:
-    """Draws of what the scenario calls uncertain; one row of zeros when nothing is.
-
-    Rows come in pairs of opposite sign, so that means carry no sampling error to first order.
-
-    Parameters
-    ----------
-    bands : of the detector
-    steps : scalar inputs of light and sensor
-    """
-    error = uncertainty.collected_reflectance
-    spectrum_error = {t.name: cut(batch.errors[t.name], bands) for t in batch.targets if t.name in batch.errors}
-    uncertain = steps or spectrum_error or error or uncertainty.psf_fwhm_pixels or uncertainty.position_m
-    if not uncertain:
-        return InputDraws({}, {}, np.zeros((1, 0)), np.zeros(1))
-    rng = np.random.default_rng([batch.scenario.processing.seed, 7])
-    spectra = {name: _normal(rng, covariance) for name, covariance in spectrum_error.items()}
-    collected = {}
-    if error is not None:
-        shape = correlation(batch.axis.select(bands), error.correlation_nm)
-        scaled, shifted = _normal(rng, shape), _normal(rng, shape)
-        surfaces = batch.settings.grounds[0].surfaces
-        collected = {
-            t.name: error.relative * scaled * surfaces[t.name].mean[bands] + error.absolute * shifted
-            for t in batch.targets
-        }
-    widths = ndtri((np.arange(_WIDTHS) + 0.5) / _WIDTHS)
-    blur = rng.permutation(np.resize(widths / widths.std(), ROWS))
-    if uncertainty.psf_fwhm_pixels is None:
-        blur = np.zeros(ROWS)
-    return InputDraws(spectra, collected, _pairs(rng, steps), blur)
-
-
 def predicted_object_scores(
     batch: Batch, points: Index, targets: Sequence[Target], draws: int | None = None
 ) -> dict[Key, ObjectScores]:
@@ -233,37 +174,49 @@ class Objects:
 class Numbers:
     """What is drawn for the objects of one population, whatever their scores.
 
-    ``fills``, ``others``: of :func:`_drawn_fills`; ``noise``, ``tails``: (S, R, n), the tails None where the host
-    is normal; ``more``: for each detector the normal numbers of what is not of the host, None without tails.
+    Attributes
+    ----------
+    fills, others : (L, n) fills of an object's pixels at each of L places, and (L, n, J) those by its neighbours
+    places : (S, R) which of them a draw has
+    host : (S, R, n) departures of the host in a pixel, of variance 1
+    more : for each detector the normal numbers of what is not of the host, None where all of it is normal
     """
 
     fills: Array
     others: Array
-    noise: Array
-    tails: Array | None
+    places: Index
+    host: Array
     more: tuple[Array | None, ...]
 
     @cached_property
-    def rest(self) -> Array:
-        """(S, R, n) parts of the host."""
-        return np.asarray(1.0 - self.fills - self.others.sum(axis=-1))
+    def weights(self) -> Array:
+        """(L, n, 9) of the values at FILL_NODES."""
+        return Responses.weights(self.fills)
 
     @cached_property
-    def squares(self) -> Array:
-        """(S, R, n, J) squares of the neighbours' parts."""
-        return self.others**2
+    def rest(self) -> Array:
+        """(L, n) parts of the host."""
+        return np.asarray(1.0 - self.fills - self.others.sum(axis=-1))
+
+    def shared_sd(self, variance: Array, host_sd: Array, spread: Array) -> Array:
+        """(L, n) standard deviation of pixels with parts of neighbours in place of the host (3.28).
+
+        ``variance`` (L, n) without them;  ``spread`` (J,) : of pixels full of each neighbour
+        """
+        host = (self.rest**2 - (1.0 - self.fills) ** 2) * host_sd**2
+        return np.asarray(np.sqrt(np.clip(variance + self.others**2 @ spread**2 + host, 0.0, None)))
 
 
 def drawn_numbers(objects: Objects, blur: Array) -> Numbers:
     """The numbers of one population; ``blur`` (S,) departures of its width [standard uncertainties]."""
     rng = np.random.default_rng([objects.seed, 11, zlib.crc32(objects.population.name.encode())])
-    fills, others = _drawn_fills(objects, blur, rng)
-    noise = rng.standard_normal(fills.shape)
-    # What turns normal departures of the host into those of a t of the same variance.
-    dof = objects.dof
-    tails = None if dof is None else np.asarray(np.sqrt((dof - 2.0) / rng.chisquare(dof, fills.shape)))
-    more = [None if tails is None else rng.standard_normal(fills.shape) for _ in range(objects.detectors)]
-    return Numbers(fills, others, noise, tails, tuple(more))
+    fills, others, places = _drawn_fills(objects, blur, rng)
+    shape = (*places.shape, fills.shape[1])
+    host, dof = rng.standard_normal(shape), objects.dof
+    if dof is not None:  # normal departures of the host become those of a t of the same variance
+        host *= np.sqrt((dof - 2.0) / rng.chisquare(dof, shape))
+    more = [None if dof is None else rng.standard_normal(shape) for _ in range(objects.detectors)]
+    return Numbers(fills, others, places, host, tuple(more))
 
 
 def neighbours_of(
@@ -273,45 +226,46 @@ def neighbours_of(
     geometry, here = population.fill.geometry, population.position_m
     if geometry is None or here is None:
         return []
-    own = geometry_of(population.fill)
-    out = []
+    reach, out = _half_diagonal(geometry) + _REACH, []
     for other in targets:
         for subject in other.populations:
             if subject.name == population.name or subject.fill.geometry is None or subject.position_m is None:
                 continue
-            away = np.hypot(subject.position_m[0] - here[0], subject.position_m[1] - here[1]) / geometry.gsd_m
-            if away < _half_diagonal(own) + _half_diagonal(geometry_of(subject.fill)) + _REACH:
+            away = math.dist(subject.position_m, here) / geometry.gsd_m
+            if away < reach + _half_diagonal(subject.fill.geometry):
                 out.append((other, subject))
     return out
 
 
-def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """(S, R, n) fills of an object's pixels and (S, R, n, J) those by its neighbours."""
+def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tuple[Array, Array, Index]:
+    """``fills``, ``others`` and ``places`` of :class:`Numbers`."""
     population, beside, thesis = objects.population, objects.beside, objects.thesis
     shape = (blur.size, objects.columns)
     geometry = population.fill.geometry
     if thesis or (geometry is None and population.fill.listed is None):
         fill = moments(population, thesis) if thesis else fill_distribution(population.fill)
-        own = rng.choice(fill.values, shape, p=fill.weights)[..., None]
-        return own, np.zeros((*own.shape, 0))
+        alone = fill.values[:, None]
+        return alone, np.zeros((*alone.shape, 0)), rng.choice(fill.values.size, shape, p=fill.weights)
     n = pixels_of_object(population.fill)
-    own, others = np.empty((*shape, n)), np.zeros((*shape, n, len(beside)))
+    own, others, places, count = [], [], np.empty(shape, int), 0
     for width in np.unique(blur):
         rows = np.flatnonzero(blur == width)
         change = width * objects.psf_fwhm_pixels
         if population.position_m is None or geometry is None:
             fills = fills_of_objects(population.fill, change)
-            beside_fills = np.zeros((*fills.shape, 0))
+            beside_fills = np.zeros((*fills.shape, len(beside)))
         else:
             placed = [placed_beside(population, subject, change) for subject in beside]
             shifts = None
             if objects.position_m is not None:
-                count = PHASES if geometry.phase == "random" else 1
-                shifts = rng.normal(0.0, objects.position_m / geometry.gsd_m, (count, len(placed), 2))
+                phases = PHASES if geometry.phase == "random" else 1
+                shifts = rng.normal(0.0, objects.position_m / geometry.gsd_m, (phases, len(placed), 2))
             fills, beside_fills = shared_pixel_fills(geometry_of(population.fill, change), n, placed, shifts)
-        chosen = rng.integers(len(fills), size=(rows.size, objects.columns))
-        own[rows], others[rows] = fills[chosen], beside_fills[chosen]
-    return own, others
+        places[rows] = count + rng.integers(len(fills), size=(rows.size, objects.columns))
+        own.append(fills)
+        others.append(beside_fills)
+        count += len(fills)
+    return np.concatenate(own), np.concatenate(others), places
 
 
 def placed_beside(population: TargetSubject, subject: TargetSubject, change: float = 0.0) -> Neighbour:
@@ -323,53 +277,56 @@ def placed_beside(population: TargetSubject, subject: TargetSubject, change: flo
     return Neighbour(geometry_of(subject.fill, change), away)
 
 
-def _half_diagonal(geometry: TargetGeometry) -> float:
+def _half_diagonal(geometry: Geometry) -> float:
     """[pixels]."""
-    return float(0.5 * np.hypot(geometry.length_m, geometry.width_m) / geometry.gsd_m)
+    length, width = geometry.side_m or geometry.length_m or 0.0, geometry.side_m or geometry.width_m or 0.0
+    return 0.5 * math.hypot(length, width) / geometry.gsd_m
 
 
 def _pixel_scores(
     here: Evaluations, target: str, beside: Sequence[str], name: str, drawn: InputDraws, numbers: Numbers
 ) -> tuple[Array, Array]:
-    """(S, R, n) mean and standard deviation of the score of each pixel (3.26, 3.28)."""
+    """(S, R, n) mean score of each pixel, and (L, n) its standard deviation at each place (3.26, 3.28)."""
     fills = numbers.fills
     own, *moved = here.responses(target, name, target)
     mean, sd = own.at(fills)
-    steps = len(moved) // 2
-    for k, (up, down) in enumerate(zip(moved[:steps], moved[steps:], strict=True)):
-        mean = mean + 0.5 * (up.at(fills)[0] - down.at(fills)[0]) * drawn.steps[:, k, None, None]
-    weights = here.weights(target, name)
-    mean = mean + fills * _departure(here, weights, target, drawn)[:, None, None]
-    if not beside:
-        return mean, sd
-    full = [here.responses(target, name, other)[0].at(1.0) for other in beside]
-    level = np.stack(
-        [m + _departure(here, weights, other, drawn) for (m, _), other in zip(full, beside, strict=True)], axis=1
-    )
-    return with_neighbours(mean, sd, own.at(0.0), level, np.array([s for _, s in full]), numbers)
+    steps, weights = len(moved) // 2, here.weights(target, name)
+    # What the inputs and the neighbours add to the mean is linear in what they are by.
+    parts = [
+        0.5 * (up.at(fills)[0] - down.at(fills)[0]) for up, down in zip(moved[:steps], moved[steps:], strict=True)
+    ]
+    by = [*drawn.steps.T, _departure(here, weights, target, drawn)]
+    parts.append(fills)
+    if beside:
+        host_mean, host_sd = own.at(0.0)
+        full = [here.responses(target, name, other)[0].at(1.0) for other in beside]
+        by += [m + _departure(here, weights, o, drawn) - host_mean for (m, _), o in zip(full, beside, strict=True)]
+        parts += list(np.moveaxis(numbers.others, -1, 0))
+        sd = numbers.shared_sd(sd**2, host_sd, np.array([s for _, s in full]))
+    return _mean_draws(mean, np.stack(parts, axis=-1), np.stack(by, axis=-1), numbers.places), sd
 
 
-def with_neighbours(
-    mean: Array, sd: Array, host: tuple[Array, Array], level: Array, spread: Array, numbers: Numbers
-) -> tuple[Array, Array]:
-    """(S, R, n) mean and standard deviation of pixels with parts of neighbours in place of the host (3.26, 3.28).
-
-    ``host`` : of a pixel of the host;  ``level`` (S, J), ``spread`` (J,) : of pixels full of each neighbour
-    """
-    host_mean, host_sd = host
-    others = numbers.others.reshape(len(numbers.others), -1, numbers.others.shape[-1])
-    mean = mean + np.matmul(others, (level - host_mean)[:, :, None]).reshape(mean.shape)
-    variance = sd**2 + numbers.squares @ spread**2 + (numbers.rest**2 - (1.0 - numbers.fills) ** 2) * host_sd**2
-    return mean, np.sqrt(np.clip(variance, 0.0, None))
+def _mean_draws(mean: Array, parts: Array, by: Array, places: Index) -> Array:
+    """(S, R, n) mean + sum_f parts_f by_f at drawn places, of (L, n), (L, n, F) and (S, F)."""
+    if len(by) == 1:
+        return np.asarray((mean + parts @ by[0])[places])
+    out = mean[places]
+    for start in range(0, len(by), _TOGETHER):
+        rows = slice(start, start + _TOGETHER)
+        some = parts[places[rows]]  # (s, R, n, F)
+        out[rows] += np.matmul(some.reshape(len(some), -1, some.shape[-1]), by[rows, :, None]).reshape(
+            some.shape[:-1]
+        )
+    return out
 
 
 def greatest_scores(mean: Array, sd: Array, host_sd: Array, numbers: Numbers, more: Array | None) -> ObjectScores:
-    """Draws (S, R) of the greatest score over the pixels of an object, from their moments (S, R, n)."""
-    if numbers.tails is None or more is None:
-        return ObjectScores((mean + sd * numbers.noise).max(axis=2))
+    """Draws (S, R) of the greatest score over the pixels of an object, from their moments (S, R, n) and (L, n)."""
+    if more is None:
+        return ObjectScores((mean + sd[numbers.places] * numbers.host).max(axis=2))
     part = np.minimum(np.abs(numbers.rest * host_sd), sd)
-    scores = mean + part * numbers.noise * numbers.tails + np.sqrt(sd**2 - part**2) * more
-    return ObjectScores(scores.max(axis=2))
+    left = np.sqrt(sd**2 - part**2)
+    return ObjectScores((mean + part[numbers.places] * numbers.host + left[numbers.places] * more).max(axis=2))
 
 
 def _departure(here: Evaluations, weights: Array, target: str, drawn: InputDraws) -> Array:
@@ -380,15 +337,3 @@ def _departure(here: Evaluations, weights: Array, target: str, drawn: InputDraws
     if target in drawn.collected:
         out = out + drawn.collected[target] @ weights
     return out
-
-
-def _pairs(rng: np.random.Generator, columns: int) -> Array:
-    """(ROWS, columns) standard normal numbers in pairs of opposite sign."""
-    half = rng.standard_normal((ROWS // 2, columns))
-    return np.concatenate([half, -half])
-
-
-def _normal(rng: np.random.Generator, covariance: Array) -> Array:
-    """(ROWS, F) draws of a normal vector."""
-    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2.0)
-    return np.asarray(_pairs(rng, values.size) @ (vectors * np.sqrt(np.clip(values, 0.0, None))).T)

@@ -41,17 +41,25 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
     upper = np.clip(np.searchsorted(grid, at, side="left"), 1, max(grid.size - 1, 1))
     upper = np.minimum(upper, grid.size - 1)
     lower = np.maximum(upper - 1, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        low, high = known[lower], known[upper]
-        straight = low + _share(np.log, at, grid[lower], grid[upper]) * (high - low)
-        share = _share(ndtri, at, grid[lower], grid[upper])
-        bent = ndtr((1.0 - share) * ndtri(low) + share * ndtri(high))
-    ends = np.stack([low, high, grid[lower], grid[upper]])
-    pd = np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), bent, straight)
-    for index in (lower, upper):  # of equal points the last, which declares the most
-        pd = np.where(np.abs(grid[index] - at) <= _SAME * at, known[index], pd)
     inside = (at >= grid[0] * (1.0 - _SAME)) & (at <= grid[-1] * (1.0 + _SAME))
-    return np.asarray(np.where(inside, pd, np.nan))
+    pd, between = np.full(at.shape, np.nan), inside
+    for index in (lower, upper):  # of equal points the last, which declares the most
+        same = np.abs(grid[index] - at) <= _SAME * at
+        pd, between = np.where(same & inside, known[index], pd), between & ~same
+    if between.any():
+        pd = np.where(between, _between(at, (grid[lower], grid[upper]), (known[lower], known[upper])), pd)
+    return np.asarray(pd)
+
+
+def _between(at: Array, pfa: tuple[Array, Array], known: tuple[Array, Array]) -> Array:
+    """P_D between two points of a curve."""
+    low, high = known
+    with np.errstate(divide="ignore", invalid="ignore"):
+        straight = low + _share(np.log, at, *pfa) * (high - low)
+        share = _share(ndtri, at, *pfa)
+        bent = ndtr((1.0 - share) * ndtri(low) + share * ndtri(high))
+    ends = np.stack([*known, *pfa])
+    return np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), bent, straight)
 
 
 def _share(scale: Callable[[Array], Array], at: Array, low: Array, high: Array) -> Array:

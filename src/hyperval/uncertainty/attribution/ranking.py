@@ -120,7 +120,7 @@ def rankings(
     """The candidates ranked by all residuals, by what spectra share or differ in, and by subjects of ``each``."""
 
     def part(of: npt.NDArray[np.intp]) -> tuple[Array, Array, dict[Candidate, Array]]:
-        return residual[of], covariance[np.ix_(of, of)], {c: g[of] for c, g in columns.items() if np.any(g[of])}
+        return residual[of], covariance[np.ix_(of, of)], {c: g[of] for c, g in columns.items() if _moves(g[of], g)}
 
     out = [ranking(ALL, residual, covariance, columns)]
     spectra, common = stack.common_bands()
@@ -189,15 +189,20 @@ def common_and_own(
     rankings = {}
     for name, m, c in ((COMMON, estimate, spread), (DIFFERENT, rest.T, rest.T @ covariance @ rest)):
         moved = {candidate: m @ g for candidate, g in columns.items()}
-        least = {k: 1e-9 * float(np.max(np.abs(columns[k]), initial=0.0)) for k in moved}
-        kept = {k: g for k, g in moved.items() if np.max(np.abs(g), initial=0.0) > least[k]}
+        kept = {k: g for k, g in moved.items() if _moves(g, columns[k])}
         rankings[name] = (m @ residual, c, kept)
     return rankings
 
 
+def _moves(part: Array, whole: Array) -> bool:
+    """Whether a change in some residuals is more than rounding beside that in all of them."""
+    return bool(np.max(np.abs(part), initial=0.0) > 1e-9 * np.max(np.abs(whole), initial=0.0))
+
+
 def _all(data: Whitened, columns: Mapping[Candidate, Array]) -> list[Ranked]:
     ranked = [_ranked(c, explanation(data, g, budgeted=c.budgeted, most=MOST_UNITS)) for c, g in columns.items()]
-    return sorted(ranked, key=lambda r: (-r.gain, r.candidate.name))
+    # Of inputs that explain the same, rounding shall not say which comes first.
+    return sorted(ranked, key=lambda r: (-float(f"{r.gain:.6g}"), r.candidate.name))
 
 
 def _ranked(candidate: Candidate, e: Explanation) -> Ranked:
