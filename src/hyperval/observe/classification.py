@@ -106,8 +106,6 @@ def _half(
     step = max(-(-lines.size // most), 1)  # evenly thinned
     at = lines[::step], samples[::step]
     pixels, valid = place.cube.marked_pixels(at)
-    bands = place.cube.axis.good
-    keep = valid & np.isfinite(pixels[:, bands]).all(axis=1)
-    if np.count_nonzero(keep) < 2:
+    if np.count_nonzero(valid) < 2:
         raise UsageError(f"classification: region {name!r} has fewer than two valid pixels in one of the halves")
-    return _Half(pixels[keep], block[::step][keep])
+    return _Half(pixels if valid.all() else pixels[valid], block[::step][valid])

@@ -117,5 +117,6 @@ def mean_error_covariance(covariance: Array, components: Components, independent
     k = components.values.size
     of_rest = 1.0 / float(np.mean(1.0 / independent[k:])) if independent.size > k else float(independent[k - 1])
     v = components.vectors
-    scale = np.eye(covariance.shape[0]) + (v * (np.sqrt(of_rest / independent[:k]) - 1.0)) @ v.T
-    return np.asarray(scale @ covariance @ scale / of_rest)
+    scaled = v * (np.sqrt(of_rest / independent[:k]) - 1.0)
+    once = covariance + scaled @ (v.T @ covariance)  # D C, by products of K columns
+    return np.asarray((once + (once @ v) @ scaled.T) / of_rest)

@@ -69,9 +69,9 @@ def _noise(covariance: Array, mean: Array, dof: float) -> _Noise:
     """Variance of the noise of each band and its error; see :func:`snr_decorrelated`."""
     bands = len(covariance)
     noise, error, residuals, unexplained = np.zeros(bands), np.zeros(bands), np.eye(bands), np.zeros(bands)
-    for b in range(bands):
-        near = [1, 2] if b == 0 else [bands - 3, bands - 2] if b == bands - 1 else [b - 1, b + 1]
-        inverse = np.linalg.pinv(covariance[np.ix_(near, near)], hermitian=True)
+    neighbours = np.array([[1, 2], *((b - 1, b + 1) for b in range(1, bands - 1)), [bands - 3, bands - 2]])
+    pairs = covariance[neighbours[:, :, None], neighbours[:, None, :]]
+    for b, (near, inverse) in enumerate(zip(neighbours, np.linalg.pinv(pairs, hermitian=True), strict=True)):
         c = inverse @ covariance[near, b]
         residual = max(covariance[b, b] - c @ covariance[near, b], 0.0)
         if residual == 0.0:
