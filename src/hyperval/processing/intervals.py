@@ -119,19 +119,17 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0.95
     # P(X >= k) and P(X > k) are incomplete beta functions, 1 and 0 at the end counts.
     some, not_all = np.maximum(k, 1.0), np.maximum(n - k, 1.0)
 
-    def quantile(wanted: float) -> Array:
-        low, high = np.zeros(k.shape), np.ones(k.shape)
-        for _ in range(_HALVINGS):
-            p = 0.5 * (low + high)
-            at_least = np.where(k > 0, special.betainc(some, n - k + 1.0, p), 1.0)
-            more = np.where(k < n, special.betainc(k + 1.0, not_all, p), 0.0)
-            below = 0.5 * (at_least + more) < wanted
-            low, high = np.where(below, p, low), np.where(below, high, p)
-        return np.asarray(0.5 * (low + high))
-
-    limits = np.where(k > 0, quantile(tail), 0.0), np.where(k < n, quantile(1.0 - tail), 1.0)
-    lower, upper = (limit[at].reshape(counts.shape) for limit in limits)
-    return lower, upper
+    wanted = np.array([[tail], [1.0 - tail]])
+    low, high = np.zeros((2, k.size)), np.ones((2, k.size))
+    for _ in range(_HALVINGS):
+        p = 0.5 * (low + high)
+        at_least = np.where(k > 0, special.betainc(some, n - k + 1.0, p), 1.0)
+        more = np.where(k < n, special.betainc(k + 1.0, not_all, p), 0.0)
+        below = 0.5 * (at_least + more) < wanted
+        low, high = np.where(below, p, low), np.where(below, high, p)
+    lower, upper = 0.5 * (low + high)
+    lower, upper = np.where(k > 0, lower, 0.0), np.where(k < n, upper, 1.0)
+    return lower[at].reshape(counts.shape), upper[at].reshape(counts.shape)
 
 
 def zero_count_upper_limit(total: int, level: float = 0.95) -> float:
