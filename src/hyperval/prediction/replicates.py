@@ -182,6 +182,7 @@ def band_error_covariance(
     u = np.nan_to_num(standard_deviation)
     covariance = (wavelength_nm[:, None] - wavelength_nm) / correlation_nm
     covariance *= -0.5 * covariance  # in place, as a spectrometer's samples are thousands
+    np.maximum(covariance, -100.0, out=covariance)  # nothing is left there, and what float64 cannot hold is slow
     np.exp(covariance, out=covariance)
     covariance *= u
     covariance *= u[:, None]
