@@ -6,12 +6,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from processes import awaited, is_at_work
 
 from hyperval.apart import call_apart
 
@@ -89,18 +89,7 @@ def test_a_killed_process_takes_the_other_along(tmp_path: Path):
         child = int(process.stdout.readline())
         process.kill()
         assert process.stdout.read() == ""  # the end of the pipe: nobody writes into it any more
-    end = time.monotonic() + 30
-    while is_at_work(child) and time.monotonic() < end:
-        time.sleep(0.02)
-    assert not is_at_work(child)
-
-
-def is_at_work(process: int) -> bool:
-    """One that has ended is none, though whoever inherits it may not have waited for it yet."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
+    assert awaited(lambda: not is_at_work(child))
 
 
 def test_what_measures_and_what_writes_load_no_more_than_they_need():

@@ -10,6 +10,7 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
+from processes import awaited, is_at_work
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from hyperval.errors import UsageError
@@ -107,8 +108,8 @@ def test_processes_that_always_die_are_given_up(monkeypatch):
 
 def sleeps(piece):
     folder, number = piece
-    (folder / f"{number}.pid").write_text(str(os.getpid()))
     try:
+        (folder / f"{number}.pid").write_text(str(os.getpid()))  # who reads it may end this process at once
         time.sleep(60)
     finally:
         (folder / f"{number}.unwound").touch()
@@ -116,20 +117,8 @@ def sleeps(piece):
 
 def workers_of(folder):
     """Process ids of two pieces at work."""
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        ids = [path.read_text() for path in folder.glob("*.pid")]
-        if len(ids) == 2 and all(ids):
-            return [int(text) for text in ids]
-        time.sleep(0.02)
-    raise AssertionError("no two pieces at work")
-
-
-def alive(process):
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
+    ids = awaited(lambda: len(ids := [p.read_text() for p in folder.glob("*.pid")]) == 2 and all(ids) and ids)
+    return [int(text) for text in ids]
 
 
 class Ended(BaseException):
@@ -154,12 +143,12 @@ def test_workers_end_with_their_run(tmp_path, number):
     """They went on until their pieces were done, a minute here; what pieces made for the time being goes."""
     # A program of its own: a fork of this process would inherit locks that threads of other tests hold.
     command = [sys.executable, __file__, str(tmp_path), str(int(number))]
-    assert subprocess.run(command, check=False, timeout=120).returncode in (7, -signal.SIGKILL)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    code = subprocess.run(command, env=environment, check=False, timeout=120).returncode
+    assert code in (7, -signal.SIGKILL)
     pieces = workers_of(tmp_path)
-    deadline = time.monotonic() + 4  # before they are ended the hard way
-    while any(map(alive, pieces)) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert not any(map(alive, pieces))
+    assert awaited(lambda: not any(map(is_at_work, pieces)))
+    # What is ended the hard way leaves no such file.
     assert len(list(tmp_path.glob("*.unwound"))) == 2
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import gzip
 import os
 import sys
-import time
 
 import numpy as np
 import pytest
 from modtran_samples import tape7
+from processes import awaited, is_at_work
 
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
 from hyperval.atmosphere.modtran_read import read_chn_blocks
@@ -126,13 +126,12 @@ def test_failures_name_the_cause(stand_in, tmp_path):
 
 
 def test_one_that_hangs_is_ended_with_its_children(stand_in, tmp_path):
-    alive = tmp_path / "alive"
-    late = f"import time; time.sleep(3); open({str(alive)!r}, 'w').write('x')"
-    stand_in(f"import subprocess\nsubprocess.Popen([sys.executable, '-c', {late!r}])\ntime.sleep(60)")
+    child = tmp_path / "child"
+    # A shell, since it starts at once: what has not begun within the second has no child.
+    stand_in("").write_text(f"#!/bin/sh\nsleep 60 &\necho $! > {child}\nwait\n")
     with pytest.raises(EngineError, match="longer than 1 s"):
         run_modtran(AtmosphericState(**STATE), uniform_runs(), configured_modtran(), tmp_path, timeout_s=1.0)
-    time.sleep(3.0)  # until the child would have written
-    assert not alive.exists()
+    assert awaited(lambda: not is_at_work(int(child.read_text())))
 
 
 def test_black_ground_in_the_average_scene_comes_with_its_albedo_file(stand_in, tmp_path):

@@ -7,10 +7,9 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import pytest
+from processes import awaited, is_at_work
 
 from hyperval.atmosphere import sixs_process
 from hyperval.errors import EngineError
@@ -161,23 +160,4 @@ def test_it_ends_with_the_process_that_started_it(tmp_path, number):
     with subprocess.Popen([sys.executable, "-c", code, str(slow)]) as worker:
         engine = int(awaited(lambda: (tmp_path / "pid").is_file() and (tmp_path / "pid").read_text()))
         worker.send_signal(number)
-    assert awaited(lambda: is_gone(engine))
-
-
-def awaited(condition):
-    """What the condition gives, as soon as it gives something."""
-    end = time.monotonic() + 30
-    while time.monotonic() < end:
-        value = condition()
-        if value:
-            return value
-        time.sleep(0.02)
-    raise AssertionError("nothing came in half a minute")
-
-
-def is_gone(process):
-    """Whether it has ended; one that nobody has waited for yet has too."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return True
+    assert awaited(lambda: not is_at_work(engine))

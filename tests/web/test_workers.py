@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from processes import awaited, is_at_work
 
 pytest.importorskip("fastapi", reason="needs the extra web")
 
@@ -85,19 +86,11 @@ def test_processes_end_with_a_server_that_was_killed(tmp_path):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
     server = subprocess.Popen([sys.executable, tmp_path / "server.py"], stdout=subprocess.PIPE, env=environment)
     worker = int(server.stdout.readline())
-    while not (tmp_path / "sign").exists():
-        time.sleep(0.02)
+    awaited((tmp_path / "sign").exists)
     server.send_signal(signal.SIGKILL)
     server.wait()
     server.stdout.close()
-    for _ in range(100):
-        try:
-            os.kill(worker, 0)
-        except ProcessLookupError:
-            break
-        time.sleep(0.1)
-    else:
-        pytest.fail("the worker outlived its server")
+    assert awaited(lambda: not is_at_work(worker))
 
 
 def test_caches_of_a_user_without_a_home_are_the_servers(tmp_path, monkeypatch):
