@@ -13,6 +13,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from operator import attrgetter
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
@@ -22,6 +23,7 @@ from hyperval.results import COLUMNS, Outcome, Result
 
 SCHEMA_VERSION = 3
 
+_values = attrgetter(*COLUMNS)
 # What XML 1.0 cannot hold at all, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -37,8 +39,7 @@ def results_csv(rows: Iterable[Result]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for row in rows:
-        writer.writerow([_cell(getattr(row, column)) for column in COLUMNS])
+    writer.writerows([_cell(value) for value in _values(row)] for row in rows)
     return out.getvalue()
 
 
@@ -59,7 +60,7 @@ def results_json(rows: Iterable[Result]) -> str:
     if not rows:
         return head + "\n"
     encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode  # fast only without indentation
-    listed = ",\n".join(f"  {encode([json_value(getattr(row, column)) for column in COLUMNS])}" for row in rows)
+    listed = ",\n".join(f"  {encode([json_value(value) for value in _values(row)])}" for row in rows)
     return head.removesuffix("[]\n}") + f"[\n{listed}\n ]\n}}\n"
 
 
@@ -82,20 +83,18 @@ def junit_xml(rows: Iterable[Result]) -> str:
 
 def json_value(value: Any) -> Any:
     """A value that JSON can hold: NaN becomes null, an infinity its name, anything unknown its text."""
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None if math.isnan(value) else str(value)
+    if value is None or isinstance(value, int):
+        return value
     if isinstance(value, dict):
         return {str(key): json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [json_value(item) for item in value]
-    if value is None or isinstance(value, bool):
-        return value
-    if isinstance(value, str):
-        return str(value)
     if hasattr(value, "tolist"):  # NumPy scalars and arrays
         return json_value(value.tolist())
-    if isinstance(value, int):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None if math.isnan(value) else str(value)
     if hasattr(value, "items"):
         return json_value(dict(value.items()))
     return str(value)
@@ -117,17 +116,8 @@ def why(row: Result) -> str:
     return f"{row.reason} ({numbers})" if row.reason and math.isfinite(row.value) else row.reason or numbers
 
 
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, str):
-        return harmless(str(value))
-    if isinstance(value, float) or hasattr(value, "dtype"):
-        number = float(value)
-        if hasattr(value, "dtype") and value.dtype.kind in "iu":
-            return str(int(value))
-        return "" if math.isnan(number) else repr(number)
-    return str(value)
+def _cell(value: Any) -> Any:
+    return harmless(value) if isinstance(value, str) else json_value(value)
 
 
 _ELEMENTS = {
@@ -140,7 +130,8 @@ def harmless(text: str) -> str:
 
     A carriage return becomes a line feed: readers of CSV take a bare one for the end of the row.
     """
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
     return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\n") else text
 
 
