@@ -55,16 +55,19 @@ def band(eigenvalues, angles):
 
 
 def test_an_angle_is_too_large_where_five_of_119_draws_exceed_it():
-    drawn = band(np.ones((119, 1)), np.random.default_rng(0).permutation(119.0 + np.zeros(119)).cumsum()[:, None])
+    drawn = band(np.ones((119, 1)), np.random.default_rng(0).permutation(np.linspace(1.0, 60.0, 119))[:, None])
     ordered = np.sort(drawn.angles_deg[:, 0])
-    for angle, inside in ((ordered[113], 1.0), (ordered[113] + 1e-6, 0.0)):
-        rows = _space_rows(MAKE, Statistics(np.ones(1), 1.0, 0.0, np.array([angle])), drawn, (1,), 200)
+    for angle, inside in ((ordered[113] - 1e-6, 1.0), (ordered[113] + 1e-6, 0.0)):
+        overlap = np.array([[np.cos(np.radians(angle))]])
+        rows = _space_rows(MAKE, Statistics(np.ones(1), 1.0, 0.0, overlap), drawn, (1,), 200)
         assert by_metric(rows)["subspace_inside_95@1"].value == inside
 
 
 def test_the_ratio_of_an_eigenvalue_is_expected_over_measured():
     values = np.linspace(1.0, 3.0, 119)[:, None]
-    rows = _eigenvalue_rows(MAKE, Statistics(np.array([4.0]), 5.0, 0.0, np.empty(0)), band(values, values), 200)
+    rows = _eigenvalue_rows(
+        MAKE, Statistics(np.array([4.0]), 5.0, 0.0, np.empty((0, 0))), band(values, values), 200
+    )
     row = by_metric(rows)["eigenvalue_ratio@1"]
     step = 2.0 / 118
     assert (row.lower, row.value, row.upper) == pytest.approx(((1 + 2 * step) / 4, 0.5, (3 - 2 * step) / 4))

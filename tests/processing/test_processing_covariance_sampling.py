@@ -14,7 +14,7 @@ from hyperval.processing.covariance_sampling import (
     drawn_factor,
     full_rank,
     kurtosis_parameter,
-    principal_angle_deg,
+    principal_angles_deg,
     sampling_band,
     statistics_of_covariance,
     statistics_of_factor,
@@ -89,7 +89,7 @@ def test_the_band_holds_a_further_sample_as_often_as_promised():
     inside = np.zeros(4)
     for _ in range(120):
         whitened = directions.of_other(np.cov(pixels(n, rng).T))
-        found = statistics_of_covariance(directions, whitened, 3, ())
+        found = statistics_of_covariance(directions, whitened, 3, 0)
         band = sampling_band(directions, n - 1.0, 3, (), rng)
         low, high = SamplingBand.limits(np.column_stack([band.eigenvalues, band.total]))
         value = np.append(found.eigenvalues, found.total)
@@ -116,8 +116,7 @@ def test_covariance_distance_is_bhattacharyya_without_a_difference_of_means():
 def test_principal_angle_of_a_turned_plane():
     a = np.radians(25.0)
     turned = np.array([[np.cos(a), 0.0], [0.0, 1.0]])
-    assert principal_angle_deg(turned) == pytest.approx(25.0)
-    assert principal_angle_deg(np.eye(2)) == 0.0
+    assert principal_angles_deg([turned, np.eye(2)], (1, 2)) == pytest.approx(np.array([[25.0, 25.0], [0.0, 0.0]]))
 
 
 def test_statistics_of_a_turned_covariance():
@@ -127,8 +126,8 @@ def test_statistics_of_a_turned_covariance():
     vectors[:, 0] = np.cos(a) * directions.vectors[:, 0] + np.sin(a) * directions.vectors[:, 1]
     vectors[:, 1] = np.cos(a) * directions.vectors[:, 1] - np.sin(a) * directions.vectors[:, 0]
     other = vectors @ np.diag(VALUES) @ vectors.T
-    found = statistics_of_covariance(directions, directions.of_other(other), 3, (1, 2))
-    assert found.angles_deg == pytest.approx([20.0, 0.0], abs=1e-4)
+    found = statistics_of_covariance(directions, directions.of_other(other), 3, 2)
+    assert principal_angles_deg(found.overlap, (1, 2)) == pytest.approx([20.0, 0.0], abs=1e-4)
     assert found.eigenvalues == pytest.approx(VALUES[:3])
     assert found.total == pytest.approx(VALUES.sum())
     assert found.distance > 0.0
@@ -138,13 +137,12 @@ def test_statistics_of_a_turned_covariance():
 def test_statistics_of_a_factor_are_those_of_its_covariance(n):
     directions = Directions.of(sigma())
     factor = drawn_factor(P, n, np.random.default_rng(12))
-    found = statistics_of_factor(directions, factor, 4, (1, 2, 3), full_rank=n > P)
+    found = statistics_of_factor(directions, factor, 4, 3, full_rank=n > P)
     covariance = np.diag(np.sqrt(VALUES)) @ factor @ factor.T @ np.diag(np.sqrt(VALUES))
     values, vectors = np.linalg.eigh(covariance)
-    angles = [principal_angle_deg(vectors[:k, ::-1][:, :k]) for k in (1, 2, 3)]
     assert found.eigenvalues == pytest.approx(values[::-1][:4], rel=1e-10)
     assert found.total == pytest.approx(np.trace(covariance), rel=1e-12)
-    assert found.angles_deg == pytest.approx(angles, rel=1e-8)
+    assert np.abs(found.overlap) == pytest.approx(np.abs(vectors[:3, :-4:-1]), abs=1e-10)
     wanted = bhattacharyya_distance(np.zeros(P), np.diag(VALUES), np.zeros(P), covariance) if n > P else np.nan
     assert found.distance == pytest.approx(wanted, rel=1e-9, nan_ok=True)
 

@@ -18,6 +18,7 @@ from hyperval.processing.covariance_sampling import (
     Statistics,
     full_rank,
     kurtosis_parameter,
+    principal_angles_deg,
     sampling_band,
     statistics_of_covariance,
 )
@@ -179,7 +180,8 @@ def sampled(
     count = min(most, drawn)
     spaces = tuple(k for k in SPACES if k <= count and k < size)
     full = full_rank(independent, size)
-    measured = statistics_of_covariance(directions, directions.of_other(second), count, spaces, full_rank=full)
+    most = max(spaces, default=0)
+    measured = statistics_of_covariance(directions, directions.of_other(second), count, most, full_rank=full)
     band = _band(directions.values.tobytes(), independent.tobytes(), drawn, spaces, kurtosis)
     band = replace(band, eigenvalues=band.eigenvalues[:, :count])
     return Sampled(bands, (first, second), measured, band, spaces, n, float(independent.min()) + 1.0, size)
@@ -217,8 +219,9 @@ def _space_rows(
     make: RowMaker, measured: Statistics, band: SamplingBand, spaces: tuple[int, ...], n: int
 ) -> list[Result]:
     rows = []
+    angles = principal_angles_deg(measured.overlap, spaces)
     for i, k in enumerate(spaces):
-        angle = float(measured.angles_deg[i])
+        angle = float(angles[i])
         # One-sided: only too large an angle tells against the prediction.
         most = float(np.sort(band.angles_deg[:, i])[-6])  # the sixth of 119 is exceeded with probability 0.05
         reason = f"sampling alone stays below {most:.3g} deg in 95 % of draws"

@@ -60,46 +60,44 @@ class Statistics:
     total : trace of S
     distance : Bhattacharyya distance of two normal laws of equal mean with Sigma and S; NaN where S is of less
         than full rank
-    angles_deg : largest principal angle between the spaces of the first k eigenvectors, for each k asked for
+    overlap : (k, k) scalar products of the first predicted eigenvectors with those of S
     """
 
     eigenvalues: Array
     total: float
     distance: float
-    angles_deg: Array
+    overlap: Array
 
 
 def statistics_of_covariance(
-    directions: Directions, whitened: Array, count: int, spaces: tuple[int, ...], *, full_rank: bool = True
+    directions: Directions, whitened: Array, count: int, most: int, *, full_rank: bool = True
 ) -> Statistics:
-    """The statistics of S, given as W = D^-1/2 V^T S V D^-1/2 (P, P) in the predicted ``directions``."""
+    """The statistics of S, given as W = D^-1/2 V^T S V D^-1/2 (P, P) in the predicted ``directions``.
+
+    ``count`` leading eigenvalues, and the overlap of the first ``most`` eigenvectors.
+    """
     root = np.sqrt(directions.values)
     covariance = whitened * root[:, None] * root
     values, vectors = (x[..., ::-1] for x in np.linalg.eigh(covariance))
     distance = covariance_distance(whitened) if full_rank else float("nan")
-    return Statistics(values[:count], float(np.trace(covariance)), distance, _angles_deg(vectors, spaces))
+    return Statistics(values[:count], float(np.trace(covariance)), distance, vectors[:most, :most])
 
 
 def statistics_of_factor(
-    directions: Directions, factor: Array, count: int, spaces: tuple[int, ...], *, full_rank: bool = True
+    directions: Directions, factor: Array, count: int, most: int, *, full_rank: bool = True
 ) -> Statistics:
     """:func:`statistics_of_covariance` of W = F F^T with F (P, m).
 
     Of fewer pixels m than directions P, the m eigenvalues are those of the Gram matrix (m, m) of the scaled factor.
     """
     size, pixels = factor.shape
-    if not max(count, *spaces, 1) <= pixels < size:
-        return statistics_of_covariance(directions, factor @ factor.T, count, spaces, full_rank=full_rank)
+    if not max(count, most) <= pixels < size:
+        return statistics_of_covariance(directions, factor @ factor.T, count, most, full_rank=full_rank)
     scaled = np.sqrt(directions.values)[:, None] * factor
     values, turned = (x[..., ::-1] for x in np.linalg.eigh(scaled.T @ scaled))
-    most = max(spaces, default=0)
-    vectors = scaled[:most] @ turned[:, :most] / np.sqrt(values[:most])
+    overlap = scaled[:most] @ turned[:, :most] / np.sqrt(values[:most])
     distance = float("inf" if full_rank else "nan")
-    return Statistics(values[:count], float(np.vdot(scaled, scaled)), distance, _angles_deg(vectors, spaces))
-
-
-def _angles_deg(vectors: Array, spaces: tuple[int, ...]) -> Array:
-    return np.array([principal_angle_deg(vectors[:k, :k]) for k in spaces])
+    return Statistics(values[:count], float(np.vdot(scaled, scaled)), distance, overlap)
 
 
 def covariance_distance(whitened: npt.ArrayLike) -> float:
@@ -116,13 +114,14 @@ def covariance_distance(whitened: npt.ArrayLike) -> float:
     return float(np.sum(np.log(both) - 0.5 * np.log(alone)) - 0.5 * len(w) * np.log(2.0))
 
 
-def principal_angle_deg(overlap: npt.ArrayLike) -> float:
-    """Largest principal angle [deg] between two spaces whose orthonormal bases overlap as (k, k) = A^T B.
+def principal_angles_deg(overlap: npt.ArrayLike, spaces: tuple[int, ...]) -> Array:
+    """(..., S) largest principal angle [deg] between the spaces of the first k of two orthonormal bases, by k.
 
-    Its cosine is the least singular value of the overlap (Bjorck & Golub 1973).
+    Its cosine is the least singular value of the bases' overlap A^T B, here (..., K, K) (Bjorck & Golub 1973).
     """
-    least = float(np.linalg.svd(np.asarray(overlap, dtype=float), compute_uv=False)[-1])
-    return float(np.degrees(np.arccos(min(least, 1.0))))
+    m = np.asarray(overlap, dtype=float)
+    least = [np.linalg.svd(m[..., :k, :k], compute_uv=False)[..., -1] for k in spaces]
+    return np.degrees(np.arccos(np.minimum(np.reshape(least, (len(spaces), *m.shape[:-2])), 1.0))).T
 
 
 def kurtosis_parameter(tail_dof: float) -> float:
@@ -201,11 +200,11 @@ def sampling_band(
     spaces : the k of the principal angles
     """
     size = directions.values.size
-    full = full_rank(independent, size)
+    full, most = full_rank(independent, size), max(spaces, default=0)
     with single_blas_thread():
         sampled = [
             statistics_of_factor(
-                directions, drawn_factor(size, independent, rng, kurtosis), count, spaces, full_rank=full
+                directions, drawn_factor(size, independent, rng, kurtosis), count, most, full_rank=full
             )
             for _ in range(draws)
         ]
@@ -213,7 +212,7 @@ def sampling_band(
         np.stack([f.eigenvalues for f in sampled]),
         np.array([f.total for f in sampled]),
         np.array([f.distance for f in sampled]),
-        np.stack([f.angles_deg for f in sampled]),
+        principal_angles_deg(np.stack([f.overlap for f in sampled]), spaces),
     )
 
 
