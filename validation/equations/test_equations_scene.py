@@ -11,7 +11,7 @@ from scipy.integrate import dblquad
 from scipy.special import ndtr
 
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.scene.builtin import _SURFACES, builtin_class
+from hyperval.scene.builtin import _SURFACES, builtin_class, builtin_mean
 from hyperval.scene.fill import (
     Neighbour,
     TargetGeometry,
@@ -277,6 +277,12 @@ def test_builtin_covariance_is_the_sum_of_its_modes():
     modes = [mode(axis.centre_nm) for mode in surface.modes.values()]
     expected = sum(np.outer(m, m) for m in modes) + surface.band_spread**2 * np.eye(50)
     assert builtin_class("grass", axis).covariance == pytest.approx(expected, rel=1e-12)
+
+
+def test_builtin_mean_is_that_of_the_whole_statistics():
+    axis = SpectralAxis(np.linspace(400, 2450, 50), np.full(50, 10.0))
+    assert np.array_equal(builtin_mean("grass", axis), builtin_class("grass", axis).mean)
+    assert builtin_mean("grey-panel-30", axis) == pytest.approx(0.3, rel=0.05)  # what its name says
 
 
 def test_toa_reflectance_of_a_worked_sun():

@@ -201,7 +201,12 @@ def builtin_class(name: str, axis: SpectralAxis) -> ClassStatistics:
 
 
 def builtin_mean(name: str, axis: SpectralAxis) -> Array:
-    """(B,) mean of :func:`builtin_class`, without the covariance that a fine axis makes large."""
+    """(B,) mean reflectance of a built-in surface (rho_m of 3.8) without the covariance, large on a fine axis.
+
+    Raises
+    ------
+    UsageError : as by :func:`builtin_class`.
+    """
     return _surface(name, axis).mean(axis.centre_nm)
 
 
