@@ -18,7 +18,7 @@ from hyperval.processing.objects import (
     with_halo,
 )
 from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc import empirical_roc, pd_at_pfa
+from hyperval.processing.roc import empirical_roc, pd_at_pfa, preset_thresholds
 from hyperval.processing.roc_areas import RocArea, roc_area
 
 few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), min_size=1, max_size=25)
@@ -171,6 +171,17 @@ def test_unchanged_by_a_monotone_transform(seed):
     one, two = empirical_roc(t, b), empirical_roc(np.exp(t), np.exp(b))
     for name in ("pfa", "pd", "pd_lower", "pd_upper"):
         assert np.array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_thresholds_of_a_background_serve_all_its_targets():
+    rng = np.random.default_rng(8)
+    b = rng.integers(-30, 30, 500) / 10.0
+    for chosen in (None, [0.01, 0.2, 1.0]):
+        thresholds = preset_thresholds(b, chosen)
+        for t in (rng.normal(1, 1, 20), [-np.inf, 2.9], [3.1]):
+            shared, own = empirical_roc(t, thresholds), empirical_roc(t, b, chosen)
+            for name in ("pfa", "pd", "pd_lower", "pd_upper", "threshold", "alarms", "n_background"):
+                assert np.array_equal(getattr(shared, name), getattr(own, name))
 
 
 def test_curve_carries_its_counts_and_rises():

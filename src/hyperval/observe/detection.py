@@ -29,7 +29,7 @@ from hyperval.processing.exceedance import (
 from hyperval.processing.local_scores import LocalWindow, score_cube_locally
 from hyperval.processing.objects import object_scores, values_on
 from hyperval.processing.pixel_scores import PixelDetector, score_cube
-from hyperval.processing.roc import empirical_roc, pooled_roc, with_summary
+from hyperval.processing.roc import PresetThresholds, empirical_roc, pooled_roc, preset_thresholds, with_summary
 from hyperval.processing.sample import SampleStatistics
 from hyperval.products import (
     ANOMALIES,
@@ -202,6 +202,7 @@ class _Curves:
         noise = AlarmBlocks.of_map(scores, self.alarms)
         if noise.scores.size >= FEWEST_FOR_A_CURVE:
             self.exceedance[target.name, detector] = exceedance_curve(noise)
+        thresholds = preset_thresholds(noise.scores, blocks=noise)
         for subject, members in groups.items():
             if (subject, detector) in self.scores:
                 raise UsageError(
@@ -209,10 +210,16 @@ class _Curves:
                     where="detection.group",
                     mend="let the group hold {target}, the name of the detection target",
                 )
-            self._subject(subject, detector, members, scores, noise)
+            self._subject(subject, detector, members, scores, noise, thresholds)
 
     def _subject(
-        self, subject: str, detector: str, members: Sequence[TargetObject], scores: Array, noise: AlarmBlocks
+        self,
+        subject: str,
+        detector: str,
+        members: Sequence[TargetObject],
+        scores: Array,
+        noise: AlarmBlocks,
+        thresholds: PresetThresholds,
     ) -> None:
         objects = {o.name: scored_pixels(o, self.place) for o in members}
         pixels = np.concatenate([values_on(scores, placed) for placed in objects.values()])
@@ -221,15 +228,14 @@ class _Curves:
             raise InputError(f"no valid pixel on the targets of {subject!r}")
         self.scores[subject, detector] = _moments(pixels)
         self.scores[background_of(subject), detector] = _moments(noise.scores)
-        by_pixel = empirical_roc(
-            pixels, noise.scores, unit="pixel", background_area_km2=self.area_km2, blocks=noise
-        )
+        by_pixel = empirical_roc(pixels, thresholds, unit="pixel", background_area_km2=self.area_km2)
         self.roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise.scores, blocks=noise)
         halo = self.detection.halo_pixels
         if not halo:  # the model does not know what a halo may catch
             best = object_scores(scores, objects)
             self.of_objects[subject, detector] = ObjectScores(np.array(list(best.values())), tuple(best))
-        shared = scores, objects, self.alarms, noise, halo, self.place.pixel_area_m2, self.detection.bootstrap
+        area, bootstrap = self.place.pixel_area_m2, self.detection.bootstrap
+        shared = scores, objects, self.alarms, noise, thresholds, halo, area, bootstrap
         by_object = object_curve(*shared)
         if self.detection.first_detection:
             by_object = replace(by_object, alarms_before_first=alarms_before_first(pixels, noise.scores))

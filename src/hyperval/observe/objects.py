@@ -22,7 +22,7 @@ from hyperval.processing.objects import (
     object_scores,
     placed_with_halo,
 )
-from hyperval.processing.roc import empirical_roc, with_summary
+from hyperval.processing.roc import PresetThresholds, empirical_roc, preset_thresholds, with_summary
 from hyperval.products import Abundance, RocCurve
 
 # Names in braces are replaced as they stand: str.format would take widths that fill the memory.
@@ -75,6 +75,7 @@ def object_curve(
     objects: Mapping[str, Placed],
     alarms: Mask,
     blocks: AlarmBlocks,
+    thresholds: PresetThresholds,
     halo: int,
     pixel_area_m2: float | None,
     bootstrap: Bootstrap,
@@ -96,7 +97,7 @@ def object_curve(
     scores : (lines, samples), NaN where invalid
     objects : the pixels that are scored, each object in its window
     alarms : (lines, samples) True on the background
-    blocks : the scores of its valid pixels with their places
+    blocks, thresholds : the scores of its valid pixels with their places, and what they say of every curve
     bootstrap : over objects
 
     Raises
@@ -114,8 +115,10 @@ def object_curve(
         blocks, pixels = AlarmBlocks.of_map(scores, alarms), int(np.count_nonzero(alarms))
     elif halo:
         blocks, pixels = _placements(scores, objects, alarms, halo)
+    if by_pixel or halo:
+        thresholds = preset_thresholds(blocks.scores, blocks=blocks)
     area = None if pixel_area_m2 is None else pixels * pixel_area_m2 / 1e6
-    curve = empirical_roc(best, blocks.scores, unit="object", background_area_km2=area, blocks=blocks)
+    curve = empirical_roc(best, thresholds, unit="object", background_area_km2=area)
     rng = np.random.default_rng(bootstrap.seed)
     return with_summary(curve, best, blocks.scores, draws=bootstrap.draws, rng=rng, blocks=blocks)
 

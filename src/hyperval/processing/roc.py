@@ -26,6 +26,31 @@ Nan = Literal["raise", "omit"]
 POINTS_PER_DECADE = 20
 
 
+@dataclass(frozen=True, eq=False)
+class PresetThresholds:
+    """Thresholds at preset false-alarm probabilities: what a curve takes from its background alone.  All (K,).
+
+    Attributes
+    ----------
+    pfa : the probabilities
+    threshold, alarms : lowest threshold whose empirical false-alarm rate is at most that, and the scores above it
+    everything : True where no score is the threshold, and all is declared
+    greatest : order statistic that bounds the true threshold from above; inf where none does
+    least, unbounded : order statistic that bounds it from below, and True where none does
+    n_background, level : scores of the background; confidence of the bounds
+    """
+
+    pfa: Array
+    threshold: Array
+    alarms: npt.NDArray[np.int64]
+    everything: npt.NDArray[np.bool_]
+    greatest: Array
+    least: Array
+    unbounded: npt.NDArray[np.bool_]
+    n_background: int
+    level: float
+
+
 @dataclass(frozen=True)
 class DetectionRate:
     """Detection probability at preset false-alarm probabilities.
@@ -47,10 +72,58 @@ class DetectionRate:
     level: float
 
 
+def preset_thresholds(
+    background_scores: npt.ArrayLike,
+    pfa: npt.ArrayLike | None = None,
+    *,
+    level: float = 0.95,
+    nan: Nan = "raise",
+    blocks: AlarmBlocks | None = None,
+) -> PresetThresholds:
+    """Thresholds of :func:`pd_at_pfa`; one set serves all targets that are looked for in the same scores.
+
+    ``pfa`` defaults to a logarithmic grid from one alarm in the whole background to 1, which holds the decades.
+    """
+    b = _valid_scores(background_scores, "background", nan)
+    if pfa is None:
+        decades = int(np.ceil(np.log10(max(b.size, 10))))
+        grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
+        pfa = grid[grid * b.size * (1.0 + 1e-12) >= 1.0]
+    p = np.atleast_1d(np.asarray(pfa, dtype=float))
+    if not (np.all(p > 0) and np.all(p <= 1)):
+        raise UsageError("a preset false-alarm probability must lie in (0, 1]")
+    k = np.minimum(np.floor(p * b.size * (1.0 + 1e-12)).astype(np.int64), b.size)
+    if blocks is None:
+        from scipy import stats  # 25 MB with what it loads, which runs without detection do not need
+
+        tail = (1.0 - level) / 2.0
+        # The greatest r with P(fewer than r scores above the true threshold) <= tail: the r-th greatest bounds it
+        # from above, and nothing does where r = 0.
+        r = stats.binom.ppf(tail, b.size, p).astype(np.int64)
+        # The least s with P(s scores or more above it) <= tail: the s-th greatest bounds it from below.
+        s = stats.binom.isf(tail, b.size, p).astype(np.int64) + 1
+    else:
+        same_scores(blocks, b)
+        r, s = blocks.rank_limits(p)
+    ordered = OrderStatistics(b, np.concatenate([k + 1, r, s]))
+    threshold, everything = ordered.greatest(k + 1), k >= b.size
+    return PresetThresholds(
+        p,
+        threshold,
+        np.where(everything, b.size, ordered.above(threshold)),
+        everything,
+        np.where(r >= 1, ordered.greatest(np.maximum(r, 1)), np.inf),
+        ordered.greatest(s),
+        s > b.size,
+        int(b.size),
+        level,
+    )
+
+
 def pd_at_pfa(
     target_scores: npt.ArrayLike,
-    background_scores: npt.ArrayLike,
-    pfa: npt.ArrayLike,
+    background_scores: npt.ArrayLike | PresetThresholds,
+    pfa: npt.ArrayLike | None = None,
     *,
     level: float = 0.95,
     nan: Nan = "raise",
@@ -75,7 +148,8 @@ def pd_at_pfa(
 
     Parameters
     ----------
-    target_scores, background_scores : any shape; +-inf allowed; NaN raises, or is left out with ``nan="omit"``
+    target_scores, background_scores : any shape; +-inf allowed; NaN raises, or is left out with ``nan="omit"``.
+        The thresholds that :func:`preset_thresholds` took from a background may stand for it and all that follows
     pfa : preset false-alarm probabilities in (0, 1]
     blocks : the background scores with their places
 
@@ -84,54 +158,39 @@ def pd_at_pfa(
     UsageError : no targets, no background, NaN, or a ``pfa`` outside (0, 1].
     """
     t = _sorted_scores(target_scores, "target", nan)
-    b = _valid_scores(background_scores, "background", nan)
-    p = np.atleast_1d(np.asarray(pfa, dtype=float))
-    if not (np.all(p > 0) and np.all(p <= 1)):
-        raise UsageError("a preset false-alarm probability must lie in (0, 1]")
-    from scipy import stats  # 25 MB with what it loads, which runs without detection do not need
-
-    k = np.minimum(np.floor(p * b.size * (1.0 + 1e-12)).astype(np.int64), b.size)
-    if blocks is None:
-        tail = (1.0 - level) / 2.0
-        # The greatest r with P(fewer than r scores above the true threshold) <= tail: the r-th greatest bounds it
-        # from above, and nothing does where r = 0.
-        r = stats.binom.ppf(tail, b.size, p).astype(np.int64)
-        # The least s with P(s scores or more above it) <= tail: the s-th greatest bounds it from below.
-        s = stats.binom.isf(tail, b.size, p).astype(np.int64) + 1
-    else:
-        same_scores(blocks, b)
-        r, s = blocks.rank_limits(p)
-    ordered = OrderStatistics(b, np.concatenate([k + 1, r, s]))
-    threshold, everything = ordered.greatest(k + 1), k >= b.size
-    detected = _above(t, threshold, everything)
-    alarms = np.where(everything, b.size, ordered.above(threshold))
-    low, high = mid_p_limits(detected, t.size, level)
-    few = np.where(r >= 1, _above(t, ordered.greatest(np.maximum(r, 1)), np.zeros(p.shape, bool)), 0)
-    many = _above(t, ordered.greatest(s), s > b.size)
+    at = (
+        background_scores
+        if isinstance(background_scores, PresetThresholds)
+        else preset_thresholds(background_scores, pfa, level=level, nan=nan, blocks=blocks)
+    )
+    detected = _above(t, at.threshold, at.everything)
+    low, high = mid_p_limits(detected, t.size, at.level)
+    few = t.size - np.searchsorted(t, at.greatest, side="right")
+    many = _above(t, at.least, at.unbounded)
     pd = detected / t.size
     # Never inside the binomial limits: what could lie inside them is rounding.
     wide_low = np.clip(pd - np.hypot(pd - low, pd - few / t.size), 0.0, low)
     wide_high = np.clip(pd + np.hypot(high - pd, many / t.size - pd), high, 1.0)
     # A false-alarm probability of one declares everything, whatever the sample.
-    certain = p >= 1.0
+    certain = at.pfa >= 1.0
     return DetectionRate(
-        pfa=p,
+        pfa=at.pfa,
         pd=pd,
         lower=np.where(certain, 1.0, wide_low),
         upper=wide_high,
         binomial_lower=low,
         binomial_upper=high,
-        threshold=threshold,
-        alarms=alarms,
+        threshold=at.threshold,
+        alarms=at.alarms,
         n_target=int(t.size),
-        n_background=int(b.size),
-        level=level,
+        n_background=at.n_background,
+        level=at.level,
     )
 
 
 def empirical_roc(
     target_scores: npt.ArrayLike,
-    background_scores: npt.ArrayLike,
+    background_scores: npt.ArrayLike | PresetThresholds,
     pfa: npt.ArrayLike | None = None,
     unit: Literal["pixel", "object"] = "pixel",
     *,
@@ -142,17 +201,11 @@ def empirical_roc(
 ) -> RocCurve:
     """Empirical ROC curve at preset false-alarm probabilities, with the interval of :func:`pd_at_pfa`.
 
-    The true P_D rises with P_FA, so limits that do not are widened until they do.
-    ``pfa`` defaults to a logarithmic grid from one alarm in the whole background to 1, which holds the decades.
+    The true P_D rises with P_FA, so limits that do not are widened until they do.  ``pfa`` defaults to the grid of
+    :func:`preset_thresholds`.
     """
-    if pfa is None:
-        n = _valid_scores(background_scores, "background", nan).size
-        decades = int(np.ceil(np.log10(max(n, 10))))
-        grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
-        pfa = grid[grid * n * (1.0 + 1e-12) >= 1.0]
-    rates = pd_at_pfa(
-        target_scores, background_scores, np.sort(np.asarray(pfa, dtype=float)), level=level, nan=nan, blocks=blocks
-    )
+    rising = None if pfa is None else np.sort(np.asarray(pfa, dtype=float))
+    rates = pd_at_pfa(target_scores, background_scores, rising, level=level, nan=nan, blocks=blocks)
     lower, upper = _rising(rates.lower, rates.upper)
     return RocCurve(
         pfa=rates.pfa,
