@@ -17,16 +17,17 @@ from hyperval.prediction import filters
 from hyperval.prediction.batch import detection_bands
 from hyperval.prediction.cases import terms_in_memory
 from hyperval.prediction.forms import spectrum_error_covariance
-from hyperval.prediction.inputs import SurfaceStatistics
+from hyperval.prediction.inputs import Sources, SurfaceStatistics
 from hyperval.processing.filters import LinearFilter, matched_filter_weights
 from hyperval.processing.roc_reading import detection_at
 from hyperval.products import Prediction, background_of
-from hyperval.scenario import Scenario, SpectrumUncertainty, load_scenario
+from hyperval.scenario import Scenario, SpectrumSource, SpectrumUncertainty, load_scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.scene.mixture import average_reflectance, mixture_covariance
 from hyperval.scene.radiance import adjacency_slope
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.specification import load_sensor
+from hyperval.spectra import readers
 from hyperval.spectra.axis import SpectralAxis
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
@@ -355,6 +356,23 @@ def test_terms_on_bands_are_kept_for_the_same_state_alone():
     terms_in_memory(counted, drier, AXIS, cache_dir=None, show_progress=None)
     terms_in_memory(counted, state, AXIS.select(np.arange(5)), cache_dir=None, show_progress=None)
     assert calls == [state, drier, state]
+
+
+def test_a_file_of_spectra_is_read_once_for_all_bands_of_one_run(tmp_path, monkeypatch):
+    at = tmp_path / "paint.csv"
+    at.write_text("wavelength_nm,paint\n" + "".join(f"{w},{w / 4000.0:g}\n" for w in range(300, 2600, 10)))
+    calls, read = [], readers.read_spectrum
+    monkeypatch.setattr(readers, "read_spectrum", lambda path, **how: calls.append(how) or read(path, **how))
+    source = SpectrumSource.model_validate({"file": "paint.csv", "record": 0, "reflectance_unit": "fraction"})
+    other = source.model_copy(update={"reflectance_unit": "percent"})
+    known = {}
+    for axis in (AXIS, AXIS.select(np.arange(5))):
+        fraction, percent = (
+            Sources(axis, {}, tmp_path.joinpath, read=known).spectrum(s, "paint").mean for s in (source, other)
+        )
+        assert fraction == pytest.approx(axis.centre_nm / 4000.0, rel=1e-6)
+        assert percent == pytest.approx(fraction / 100.0, rel=1e-12)
+    assert [how["reflectance_unit"] for how in calls] == ["fraction", "percent"]
 
 
 def detector_of(p: Prediction) -> LinearFilter:

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.atmosphere.profiles import Profile, pressure_at
+from hyperval.atmosphere.profiles import Profile, pressures_at
 
 Array = npt.NDArray[np.float64]
 
@@ -68,9 +68,8 @@ def collision_column(profile: Profile, bottom_km: float, top_km: float | None = 
     if top <= bottom_km:
         return 0.0
     z = np.linspace(bottom_km, top, int(np.ceil((top - bottom_km) / _STEP_KM)) + 1)
-    pressure = np.array([pressure_at(profile, height) for height in z])
     temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
-    air = (pressure / _STP_HPA) * (_STP_K / temperature)  # amagat
+    air = (pressures_at(profile, z) / _STP_HPA) * (_STP_K / temperature)  # amagat
     return float(OXYGEN * np.trapezoid(air**2, z) * _CM_PER_KM)
 
 

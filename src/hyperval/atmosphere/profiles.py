@@ -80,9 +80,14 @@ def scaled_profile(model: str, ground_km: float, water_g_cm2: float | None, ozon
     return profile
 
 
+def pressures_at(profile: Profile, altitude_km: Array) -> Array:
+    """Pressures at altitudes [hPa], logarithmic between levels."""
+    return np.asarray(np.exp(np.interp(altitude_km, profile.altitude_km, np.log(profile.pressure_hpa))))
+
+
 def pressure_at(profile: Profile, altitude_km: float) -> float:
-    """Pressure at an altitude [hPa], logarithmic between levels."""
-    return float(np.exp(np.interp(altitude_km, profile.altitude_km, np.log(profile.pressure_hpa))))
+    """The same at one altitude [hPa]."""
+    return float(pressures_at(profile, np.array(altitude_km)))
 
 
 def air_column(profile: Profile, above_km: float) -> float:
@@ -93,8 +98,7 @@ def air_column(profile: Profile, above_km: float) -> float:
     inside = profile.altitude_km > above_km
     z = np.concatenate([[above_km], profile.altitude_km[inside]])
     temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
-    pressure = np.exp(np.interp(z, profile.altitude_km, np.log(profile.pressure_hpa)))
-    return float(np.trapezoid(pressure / temperature, z))
+    return float(np.trapezoid(pressures_at(profile, z) / temperature, z))
 
 
 def altitude_of_air_column(profile: Profile, column: float) -> float:

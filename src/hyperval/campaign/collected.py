@@ -24,6 +24,7 @@ from hyperval.scenario import Scenario
 
 if TYPE_CHECKING:
     from hyperval.predict import Origins
+    from hyperval.prediction.inputs import Read
 
 
 class Inputs:
@@ -85,8 +86,12 @@ class Collected:
 
         return Origins(
             observed.observation.axis, self._laws.statistics(scenario), self.resolver(scenario),
-            show_progress=show_progress, left_out=lambda: self._laws.left_out(scenario),
+            show_progress=show_progress, left_out=lambda: self._laws.left_out(scenario), read=self._read,
         )  # fmt: skip
+
+    @cached_property
+    def _read(self) -> Read:
+        return {}
 
     @cached_property
     def _laws(self) -> RegionLaws:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from hyperval.prediction.departure import (
     true_terms,
 )
 from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills, stacked_fills
-from hyperval.prediction.inputs import Resolve, class_tail
+from hyperval.prediction.inputs import Read, Resolve, class_tail
 from hyperval.prediction.setup import Setup, instrument, setup_of, with_sensor_blur
 from hyperval.prediction.view import View, stacked, stacked_noise
 from hyperval.scenario import Scenario
@@ -86,6 +86,7 @@ class Origins:
     sensor : stands in for the sensor that the scenario names
     left_out : (region, its measured statistics without each of the parts of the image that it lies in), of the
         regions whose law is known from their pixels alone
+    read : spectra of the scenario's files, once they were read
     """
 
     axis: SpectralAxis | None = None
@@ -96,6 +97,7 @@ class Origins:
     engine: Engine | None = None
     sensor: Sensor | None = None
     left_out: Callable[[], Iterable[tuple[str, Sequence[ClassStatistics]]]] | None = None
+    read: Read = field(default_factory=dict, repr=False, compare=False)
 
     def find(self, scenario: Scenario) -> Resolve:
         """Turns the file references of a scenario into paths."""
@@ -112,7 +114,7 @@ class Origins:
         there = true_scenario(scenario, truth)
         used = instrument(there, self.axis, next((s.axis for s in measured.values()), None), find, self.sensor)
         used = replace(used, true_axis=true_axis(used.true_axis, truth))
-        setup = setup_of(with_sensor_blur(there, used.sensor), used, measured, find)
+        setup = setup_of(with_sensor_blur(there, used.sensor), used, measured, find, self.read)
         return replace(setup, surfaces=true_surfaces(setup.scenario, setup.surfaces, truth))
 
     def terms(self, setup: Setup, state: AtmosphericState) -> AtmosphericTerms:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Resolve = Callable[[str], Path]
+Read = dict[object, Any]  # spectra of files, by the file and how it is read
 
 
 @dataclass(frozen=True)
@@ -75,13 +77,14 @@ class Sources:
     """Where spectra come from: the axis, statistics handed in, and how file names become paths.
 
     ``nominal`` are the bands as they are labelled, where they are not those of ``axis`` (a shifted spectrometer);
-    what was measured stands on them.
+    what was measured stands on them.  ``read`` holds the spectra of files that were read before.
     """
 
     axis: SpectralAxis
     measured: Mapping[str, ClassStatistics]
     resolve: Resolve
     nominal: SpectralAxis | None = None
+    read: Read = field(default_factory=dict, repr=False, compare=False)
 
     def surface(self, surface: Surface) -> SurfaceStatistics:
         """Mean and covariance of one surface of the scene (rho_m, Sigma_m of 3.8-3.12).
@@ -154,12 +157,12 @@ class Sources:
     def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
         from hyperval.spectra.readers import read_spectrum
 
-        read = read_spectrum(
-            self.resolve(str(source.file)),
-            record=source.record,
-            wavelength_unit=source.wavelength_unit,
-            reflectance_unit=source.reflectance_unit,
-        )
+        path = self.resolve(str(source.file))
+        how = {k: getattr(source, k) for k in ("record", "wavelength_unit", "reflectance_unit")}
+        key = (path, *how.values())
+        if key not in self.read:
+            self.read[key] = read_spectrum(path, **how)
+        read = self.read[key]
         mean = in_bands(read.wavelength_nm, read.values, self.axis, self.nominal)
         if not np.any(np.isfinite(mean)):
             raise UsageError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from typing import Any
 
@@ -16,7 +16,7 @@ from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError, UsageError
-from hyperval.prediction.inputs import Resolve, Sources, SurfaceStatistics, without_gaps
+from hyperval.prediction.inputs import Read, Resolve, Sources, SurfaceStatistics, without_gaps
 from hyperval.scenario import Fill, Scenario, Target
 from hyperval.scenario_uncertainty import Uncertainty
 from hyperval.scene.statistics import ClassStatistics
@@ -186,15 +186,18 @@ class Setup:
         return [c.name for c in self.scenario.scene.classes]
 
 
-def setup_of(scenario: Scenario, used: Instrument, measured: Mapping[str, ClassStatistics], find: Resolve) -> Setup:
-    """Read every spectrum that a scenario names.
+def setup_of(
+    scenario: Scenario, used: Instrument, measured: Mapping[str, ClassStatistics], find: Resolve,
+    read: Read | None = None,
+) -> Setup:  # fmt: skip
+    """Read every spectrum that a scenario names, but those of files that ``read`` holds already.
 
     Raises
     ------
     UsageError, InputError : a spectrum that is missing, corrupt, or does not cover the bands.
     """
-    sources = Sources(used.true_axis, measured, find, used.axis)
-    surfaces, signatures = surfaces_of(scenario, sources, Sources(used.axis, measured, find))
+    sources = Sources(used.true_axis, measured, find, used.axis, {} if read is None else read)
+    surfaces, signatures = surfaces_of(scenario, sources, replace(sources, axis=used.axis, nominal=None))
     around, stated = scenario.scene.adjacency.spectrum, None
     if around is not None:
         stated = without_gaps(sources.spectrum(around, "surroundings").mean)
