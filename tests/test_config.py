@@ -283,10 +283,13 @@ def test_models_are_frozen():
         inner.altitude_km = 2  # type: ignore[misc]
 
 
-def test_half_a_character_is_refused_with_its_line():
+@pytest.mark.parametrize(
+    ("half", "words"), [("\\ud800", "invalid Unicode character escape"), ("\ud800", "half of a pair of UTF-16")]
+)
+def test_half_a_character_is_refused_with_its_line(half, words):
     # It could not be written into any report.
-    with pytest.raises(UsageError, match=r"c\.yaml:2: half of a pair"):
-        parse_yaml('a: 1\ntitle: "x\\ud800"\n', "c.yaml")
+    with pytest.raises(UsageError, match=rf"c\.yaml:2: .*{words}"):
+        parse_yaml(f'a: 1\ntitle: "x{half}"\n', "c.yaml")
 
 
 def test_of_many_mistakes_the_first_are_listed():

@@ -11,6 +11,9 @@ from typing import Annotated, Any, TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from yaml.composer import Composer
+from yaml.cyaml import CParser
+from yaml.resolver import Resolver
 
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.units import radiance_to_internal, wavelength_to_nm
@@ -59,7 +62,7 @@ class Placeholder:
     what: str
 
 
-class _Loader(yaml.SafeLoader):  # type: ignore[misc]
+class _Loader(Composer, Resolver, CParser):  # type: ignore[misc]
     """YAML 1.2 core scalars only: no dates, no octals, no sexagesimals, no yes/no, no underscores.
 
     Aliases, anchors, tags and what is too deep or too large are refused while the tree is built: the parser's time
@@ -67,7 +70,9 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc]
     """
 
     def __init__(self, text: str, name: str):
-        super().__init__(text)
+        CParser.__init__(self, text)
+        Composer.__init__(self)
+        Resolver.__init__(self)
         self._file, self._depth, self._entries = name, 0, 0
 
     def get_event(self) -> yaml.Event:
@@ -141,6 +146,9 @@ def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int
         mark = getattr(error, "problem_mark", None)
         where = f"{name}:{mark.line + 1}" if mark else name
         raise UsageError(f"not valid YAML: {getattr(error, 'problem', error)}", where=where) from error
+    except UnicodeEncodeError as error:
+        line = text.count("\n", 0, error.start) + 1
+        raise UsageError("half of a pair of UTF-16 is no character", where=f"{name}:{line}") from error
     except RecursionError as error:
         raise UsageError(f"nested deeper than {MAX_DEPTH} levels", where=name) from error
     if root is None:
@@ -173,8 +181,6 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
     if isinstance(node, yaml.SequenceNode):
         return [_construct(item, (*at, i), lines, name, count) for i, item in enumerate(node.value)]
     value = node.value
-    if not value.isascii() and any("\ud800" <= c <= "\udfff" for c in value):
-        raise UsageError("half of a pair of UTF-16 is no character", where=f"{name}:{node.start_mark.line + 1}")
     if node.tag.endswith(":bool"):
         return value.lower() == "true"
     if node.tag.endswith(":int"):
