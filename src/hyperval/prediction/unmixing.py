@@ -138,13 +138,24 @@ def _objects(
     fills = fills_of_objects(population.fill)
     f = fills[rng.integers(fills.shape[0], size=draws)][..., None]
     shape = f.shape[:2]
-    background = law.draw(_POOL, rng)[rng.integers(_POOL, size=shape)]
-    material = spread.draw(_POOL, rng)[rng.integers(_POOL, size=shape)] + spectrum + other[index]
+    background = _from_pool(law, shape, rng)
+    material = _from_pool(spread, shape, rng)
+    material += spectrum + other[index]
     if item.relative_uncertainty > 0:
         material += _errors(item, sources.axis, index, draws, rng)[:, None]
     around = law.mean + (law.draw(draws, rng) - law.mean) / np.sqrt(max(item.ring, 1))
     endmembers = np.stack([np.broadcast_to(spectrum, around.shape), around], axis=1)
-    return f * material + (1.0 - f) * background, endmembers
+    material -= background
+    material *= f
+    material += background
+    return material, endmembers
+
+
+def _from_pool(law: ClassLaw, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """(*shape, F) pixels, each one of a pool that is drawn once; those of the pool that none is are not made."""
+    pool, at = law.standard_draw(_POOL, rng), rng.integers(_POOL, size=shape)
+    some, place = np.unique(at, return_inverse=True)
+    return law.pixels(pool[some])[place.reshape(shape)]
 
 
 def _errors(

@@ -208,8 +208,9 @@ class PositiveDefinite:
         self._factor = factor
 
     def solve(self, right: Array) -> Array:
-        """x of matrix x = right, (B,)."""
-        return np.asarray(cho_solve(self._factor, right * self._scale, check_finite=False) * self._scale)
+        """x of matrix x = right, (B,) or (B, N)."""
+        scaled = (right.T * self._scale).T
+        return np.asarray((cho_solve(self._factor, scaled, check_finite=False).T * self._scale).T)
 
     def whiten(self, x: Array) -> Array:
         """y (B, ...) of x (B, ...) such that y . y = x . matrix^-1 x."""

@@ -33,10 +33,18 @@ class ClassLaw:
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """(n, F) pixels."""
+        return self.pixels(self.standard_draw(n, rng))
+
+    def standard_draw(self, n: int, rng: np.random.Generator) -> Array:
+        """(n, F) pixels of the law of the same tails with mean 0 and covariance I."""
         z = rng.standard_normal((n, self.mean.size))
         if np.isfinite(self.tail_dof):  # a normal over sqrt(chi2/nu), scaled to the same covariance
             z *= np.sqrt((self.tail_dof - 2.0) / rng.chisquare(self.tail_dof, n))[:, None]
-        return np.asarray(self.mean + z @ np.linalg.cholesky(self.covariance).T)
+        return z
+
+    def pixels(self, standard: Array) -> Array:
+        """(n, F) pixels of :meth:`standard_draw`."""
+        return np.asarray(self.mean + standard @ np.linalg.cholesky(self.covariance).T)
 
 
 class GaussianClassifier:

@@ -42,20 +42,22 @@ def fully_constrained(
         raise UsageError(f"spectra {x.shape} and endmembers {e.shape} do not stand on the same bands")
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(e))):
         raise UsageError("unmixing needs spectra and endmembers that are finite in every band")
-    x, e = whitened(x, noise), whitened(e, noise)
     if e.shape[-2] == 2:
-        return _between_two(x, e)
+        return _between_two(x, e, noise)
+    x, e = whitened(x, noise), whitened(e, noise)
     flat = x.reshape(-1, x.shape[-1])
     sets = np.broadcast_to(e, (*x.shape[:-1], *e.shape[-2:])).reshape(-1, *e.shape[-2:])
     out = np.array([_closest_in_simplex(p, s) for p, s in zip(flat, sets, strict=True)])
     return out.reshape(*x.shape[:-1], e.shape[-2])
 
 
-def _between_two(x: Array, e: Array) -> Array:
+def _between_two(x: Array, e: Array, noise: PositiveDefinite | None) -> Array:
     """Two endmembers: the point of the line between them that is nearest, kept between its ends."""
     d = e[..., 0, :] - e[..., 1, :]
-    length = np.einsum("...b,...b->...", d, d)
-    along = np.einsum("...b,...b->...", x - e[..., 1, :], np.broadcast_to(d, x.shape))
+    # The endmembers are weighted and not the spectra, of which there are many.
+    weighted = d if noise is None else noise.solve(d.reshape(-1, d.shape[-1]).T).T.reshape(d.shape)
+    length = np.einsum("...b,...b->...", d, weighted)
+    along = np.einsum("...b,...b->...", x, weighted) - np.einsum("...b,...b->...", e[..., 1, :], weighted)
     a = np.clip(along / length, 0.0, 1.0)
     return np.stack([a, 1.0 - a], axis=-1)
 
