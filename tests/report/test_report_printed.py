@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 from synthetic_run import make_run
 
+from hyperval.campaign.curves import spread_curves
 from hyperval.cli.main import run as command
 from hyperval.errors import InputError
+from hyperval.products import ObjectScores, Observation, PixelDistribution, Prediction
 from hyperval.report.netcdf import write_products
 from hyperval.report.netcdf_read import read_products
+from hyperval.report.printed import drawings_of
+from hyperval.report.style import Print
+from hyperval.spectra.axis import SpectralAxis
 
 BEGINNING = {"pdf": b"%PDF-", "png": b"\x89PNG"}
 
@@ -47,6 +52,37 @@ def test_products_are_read_as_they_were_written(run, folder):
             assert (side.roc[key].n_target, side.roc[key].n_background) == (curve.n_target, curve.n_background)
         assert side.scores == original.scores
         assert side.abundance == original.abundance
+
+
+def test_spread_of_pixels_and_scores_of_objects_are_read_as_laws(tmp_path):
+    """Of a predicted score the file has quantiles: the values read have these, to a hundredth of their spread."""
+    axis = SpectralAxis(np.array([500.0, 600.0]), 10.0)
+    law = PixelDistribution(
+        6.0, 5.0, 8.0, 0.01, 2, 7.0, 6.0, 9.0, 2, 50, np.array([30.0, 20.0]), np.linspace(0.1, 9.0, 7),
+        np.linspace(0.9, 0.0, 7), 5,
+    )  # fmt: skip
+    draws = np.random.default_rng(3).normal(0.5, 0.1, (40, 50))
+    predicted = Prediction(
+        axis, distribution={"grass": PixelDistribution(5.0)}, object_scores={("a", "cem"): ObjectScores(draws)}
+    )
+    measured = Observation(
+        axis, distribution={"grass": law}, object_scores={("a", "cem"): ObjectScores(np.array([0.4]), ("a1",))}
+    )
+    write_products(
+        tmp_path / "products.nc", {"predicted": predicted, "observed": measured}, title="", simulated=False
+    )
+    first, second = read_products(tmp_path / "products.nc")
+    assert second.distribution["grass"] == law
+    for name in ("effective_n", "distance", "exceedance"):
+        np.testing.assert_array_equal(getattr(second.distribution["grass"], name), getattr(law, name))
+        assert getattr(first.distribution["grass"], name) is None
+    assert first.distribution["grass"].tail_dof == 5.0
+    assert (first.distribution["grass"].n, first.distribution["grass"].samples) == (None, None)
+    parts = [0.025, 0.3, 0.5, 0.975]
+    read = np.quantile(first.object_scores["a", "cem"].values, parts)
+    np.testing.assert_allclose(read, np.quantile(draws, parts), atol=1e-3)
+    names = {d.name for d in drawings_of(tmp_path, Print("svg"), spread_curves)}
+    assert {"object-scores", "object-transforms", "pixel-tails"} <= names
 
 
 @pytest.mark.parametrize(

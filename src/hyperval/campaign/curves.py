@@ -15,6 +15,13 @@ from hyperval.report.run import EigenvalueSpectrum, TailCurve
 MOST_SUBJECTS = 6  # in each quantity; those with the most pixels
 
 
+def spread_curves(
+    prediction: Prediction, observation: Observation
+) -> tuple[dict[tuple[str, str], EigenvalueSpectrum], dict[str, TailCurve]]:
+    """How the pixels of both sides spread: eigenvalues by (subject, quantity), tails by subject."""
+    return eigenvalue_spectra(prediction, observation), tail_curves(prediction, observation)
+
+
 def eigenvalue_spectra(
     prediction: Prediction, observation: Observation
 ) -> dict[tuple[str, str], EigenvalueSpectrum]:

@@ -20,6 +20,7 @@ from hyperval.products import Prediction
 from hyperval.progress import step
 from hyperval.report import RunReport
 from hyperval.report.power import accepted_table
+from hyperval.report.run import EigenvalueSpectrum, TailCurve
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 
 
@@ -75,15 +76,18 @@ def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextM
 def _report(side: Collected, predictions: Sequence[Prediction], show_progress: bool | None) -> RunReport:
     campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
     prediction = None
+    eigenvalues: dict[tuple[str, str], EigenvalueSpectrum] = {}
+    tails: dict[str, TailCurve] = {}
     # What compares takes 30 MB: not before the imagery is done with.
     if predictions:
-        from hyperval.campaign.curves import eigenvalue_spectra, tail_curves
+        from hyperval.campaign.curves import spread_curves
         from hyperval.campaign.predicted_side import predicted_side
         from hyperval.campaign.reasons import reasons
 
         prediction = predicted_side(side, predictions)
         rows = outcomes(side, prediction)
         rows += reasons(side, prediction, show_progress=show_progress)
+        eigenvalues, tails = spread_curves(prediction, observed.observation)
     else:
         from hyperval.compare.one_side import product_rows
 
@@ -113,8 +117,8 @@ def _report(side: Collected, predictions: Sequence[Prediction], show_progress: b
         ),
         notes=list(dict.fromkeys(notes)),
         references=campaign.references,
-        eigenvalues=eigenvalue_spectra(prediction, observed.observation) if prediction else {},
-        tails=tail_curves(prediction, observed.observation) if prediction else {},
+        eigenvalues=eigenvalues,
+        tails=tails,
         chosen_after=campaign.every_choice(),
         power=accepted_table(campaign.name) if prediction else None,
         kind="Campaign" if prediction else "Collection of campaign",

@@ -88,11 +88,13 @@ def figures(
         Style, typer.Option("--style", help="journal: two columns wide, in its letters, untitled.")
     ] = Style.HOUSE,
 ) -> int:
-    """Draw the figures of a finished run for print, from its products.nc."""
+    """Draw the figures of a finished run for print, from its folder."""
+    from hyperval.campaign.curves import spread_curves
     from hyperval.report.printed import figures_to_folder
     from hyperval.report.style import Print
 
-    return finished(figures_to_folder(run, output, Print(kind.value, style is Style.JOURNAL)), output)
+    print_as = Print(kind.value, style is Style.JOURNAL)
+    return finished(figures_to_folder(run, output, print_as, spread_curves), output)
 
 
 @app.command()

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from hyperval.report import style
 from hyperval.report.panels import Entries, name_rows, small_multiples
@@ -31,7 +32,7 @@ def drawing_of(plots: Plots, *, simulated: bool) -> Drawing:
         if rows
         else 1.3 + 1.2 * len(first.parts)
     )
-    labels = (first.x.label, *(part.y.label for part in first.parts))
+    labels = (first.x.label, *(part.y.label.replace(" [", "\n[") for part in first.parts))
     figure, panels = small_multiples(plots.title, len(views), labels, simulated, row_in=row_in)
     for (subject, view), panel in zip(views.items(), panels, strict=True):
         if subject:
@@ -71,6 +72,8 @@ def _scale(axes: Axes, which: str, axis: Axis, ends: tuple[float, float]) -> Non
     if axis.scale == "log":
         (axes.set_xscale if which == "x" else axes.set_yscale)("log")
         style.log_ticks(axes.xaxis if which == "x" else axes.yaxis)
+    elif which == "x" and not axis.names:
+        axes.xaxis.set_major_locator(MaxNLocator(5))
     (axes.set_xlim if which == "x" else axes.set_ylim)(*ends)
 
 

@@ -1,7 +1,7 @@
 """``products.nc`` read back: what figures are drawn from, without the run that wrote it.
 
-Uncertainties come as variances of single bands, their covariance stays in the file; draws of object scores, which
-the file holds as quantiles, stay there too.
+Uncertainties come as variances of single bands, their covariance stays in the file; of object scores, which the
+file holds as quantiles, come evenly spread values of the same law between the outermost of these.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from hyperval.products import (
     ExceedanceCurve,
     ObjectScores,
     Observation,
+    PixelDistribution,
     Prediction,
     RocCurve,
     ScoreDistribution,
@@ -31,6 +32,9 @@ from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 _FROM = "_uncertainty_from_"
+_LAW_VALUES = 1000  # that stand for a law of object scores
+_WHOLE = ("dimension", "leading_dimension", "n", "samples")  # of a distribution of pixels
+_CURVES = {"distance", "exceedance", "effective_n"}
 
 
 @reader
@@ -85,7 +89,19 @@ def _content(data: xr.Dataset) -> dict[str, Any]:
             **{k: v for k, v in e.items() if k not in ("n", "effective_n", "key")},
             n=_count(e["n"]), effective_n=_known(e["effective_n"])))
     )  # fmt: skip
+    content["distribution"] = {
+        subject: law for (subject,), law in _entries(data, "distribution", ("subject",), _distribution)
+    }
     return {"axis": axis, **content}
+
+
+def _distribution(entry: Mapping[str, Any]) -> PixelDistribution:
+    own: dict[str, Any] = {name: value for name, value in entry.items() if name != "key"}
+    own |= {name: _count(entry[name]) for name in _WHOLE}
+    for name in own.keys() & _CURVES:
+        (values,) = _trimmed(entry[name])
+        own[name] = values if values.size else None
+    return PixelDistribution(**own)
 
 
 def _spectra(data: xr.Dataset, name: str) -> Iterator[tuple[str, SpectralEstimate]]:
@@ -126,7 +142,15 @@ def _entries(
 
 
 def _object_scores(data: xr.Dataset) -> dict[tuple[str, str], ObjectScores]:
-    """Scores of the measured objects; of predicted ones the file has quantiles alone."""
+    """Scores of the measured objects, or the law of those of a predicted one."""
+    if "object_score_quantile" in data:
+        at = (np.arange(_LAW_VALUES) + 0.5) / _LAW_VALUES
+        known = data["object_score_probability"].to_numpy()
+        laws = (data[f"object_score_law_{part}"].to_numpy() for part in ("subject", "detector"))
+        return {
+            (str(subject), str(detector)): ObjectScores(np.interp(at, known, quantiles)[None])
+            for subject, detector, quantiles in zip(*laws, data["object_score_quantile"].to_numpy(), strict=True)
+        }
     if "object_score" not in data:
         return {}
     names = (data[f"object_score_{part}"].to_numpy() for part in ("subject", "detector", "name"))
