@@ -114,7 +114,7 @@ def area_variance(counts: RankCounts, area: RocArea = WHOLE) -> tuple[float, flo
     """
     v, weight = placements(counts, area), counts.targets
     m, n = int(weight.sum()), int(counts.ties.sum() + counts.between.sum())
-    value = roc_area(counts, area)
+    value = float(weight @ v / m)
     bound = value * (1.0 - value)
     of_targets = float(weight @ (v - value) ** 2 / (m - 1)) if m > 1 else bound
     if n < 2:
