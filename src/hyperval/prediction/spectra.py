@@ -23,7 +23,7 @@ from hyperval.prediction.placed_target import (
     spectra_covariance,
 )
 from hyperval.prediction.setup import Setup
-from hyperval.prediction.uncertainty import Steps, combined, interpolation_errors, spectral_errors
+from hyperval.prediction.uncertainty import Steps, combined, interpolation_errors, known, spectral_errors
 from hyperval.prediction.view import View
 from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance
 from hyperval.products import SpectralEstimate
@@ -98,7 +98,7 @@ def spectral_products(
             shapes = spectral_errors(view, subject.rho, axis, engine, subject.error, setup.used.sensor)
             shapes |= _through(view, subject.others) | interpolation_errors(view, axis)
             total, budget = combined(changes, shapes, len(axis))
-            out.radiance[subject.name] = SpectralEstimate(level, total, _known(seen), None, budget)
+            out.radiance[subject.name] = SpectralEstimate(level, total, known(seen), None, budget)
             _add_noise(out, subject, level, view, steps, shapes)
             if setup.scenario.is_of_space:
                 _add_toa_reflectance(out, subject, view, steps, shapes)
@@ -109,9 +109,10 @@ def spectral_products(
                 lambda v, rho=subject.rho: retrieved_reflectance(v.library_line(), v.level(rho))  # type: ignore[misc]
             )
             shapes = spectral_errors(view, subject.rho, axis, None, subject.error) | _through(view, subject.others)
-            shapes = {source: retrieved_covariance(line, c) for source, c in shapes.items()}
+            if view.terms is not None:
+                shapes = {source: retrieved_covariance(line, c) for source, c in shapes.items()}
             total, budget = combined(changes, shapes, len(axis))
-            pixel = _known(seen if view.terms is None else retrieved_covariance(line, seen, of_reflectance))
+            pixel = known(seen if view.terms is None else retrieved_covariance(line, seen, of_reflectance))
             mean = retrieved_reflectance(line, level)
             out.reflectance[subject.name] = SpectralEstimate(mean, total, pixel, None, budget)
     return out
@@ -167,7 +168,7 @@ def _add_noise(
 
 def _through(view: View, errors: Mapping[str, Array]) -> dict[str, Array]:
     """Errors of a reflectance as errors of the level, through D_A (3.11)."""
-    return {source: c * np.outer(view.slope(), view.slope()) for source, c in errors.items()}
+    return {source: view.through(c) for source, c in errors.items()}
 
 
 def _subjects(setup: Setup, view: View, errors: Mapping[str, Array]) -> list[_Subject]:
@@ -264,8 +265,3 @@ def _placed(
             HOST: host_covariance(shares, ground.covariance, gain),
         },
     )
-
-
-def _known(covariance: Array) -> Array:
-    """The matrix with 0 where nothing is known; unchanged, and not copied, where all is."""
-    return covariance if np.isfinite(np.sum(covariance)) else np.nan_to_num(covariance)

@@ -143,7 +143,7 @@ def spectral_errors(
             u = engine.path_relative * view.terms.path_radiance
             errors[ENGINE_PATH] = form_covariance(u, engine, axis, sensor)
     if spectrum is not None:
-        errors["field spectrum"] = spectrum * np.outer(view.slope(), view.slope())
+        errors["field spectrum"] = view.through(spectrum)
     return errors
 
 
@@ -180,10 +180,15 @@ def combined(
         for source, d in zip((name for name, _ in changes), rows, strict=True):
             budget[source] = np.hypot(budget[source], d) if source in budget else np.abs(d)
     for source, covariance in covariances.items():
-        c = np.nan_to_num(covariance)
+        c = known(covariance)
         total += c
         budget[source] = np.sqrt(np.diag(c))
     return total, budget
+
+
+def known(covariance: Array) -> Array:
+    """The matrix with 0 where nothing is known; unchanged, and not copied, where all is."""
+    return covariance if np.isfinite(np.sum(covariance)) else np.nan_to_num(covariance)
 
 
 @lru_cache(maxsize=8)

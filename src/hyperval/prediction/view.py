@@ -228,6 +228,10 @@ class View:
             return np.ones_like(self.average)
         return direct_slope(self.terms, self.average, self.formulation)
 
+    def through(self, covariance: Array) -> Array:
+        """An error (B, B) of the pixel's reflectance as one of the signal, through D_A (3.11)."""
+        return covariance if self.terms is None else covariance * np.outer(self.slope(), self.slope())
+
     def adjacency_slope(self, reflectance: Array) -> Array:
         """(..., B) change of the signal per change of the surroundings (D_B of 3.11)."""
         if self.terms is None:
