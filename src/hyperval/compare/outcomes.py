@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,12 +33,12 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     """
     rows = list(rows)
     out: list[Result] = []
-    concerned: dict[tuple[str, ...], list[Gate]] = {}  # bands of one spectrum have many rows under one name
+    named: dict[tuple[str, ...], list[Result]] = {}  # bands of one spectrum have many rows under one name
     for row in rows:
-        key = row.product, row.subject, row.method, row.metric
-        if key not in concerned:
-            concerned[key] = [g for g in gates if g.names(row)]
-        pooled_or_not = [g for g in concerned[key] if g.covers_band(row)]
+        named.setdefault(_key(row), []).append(row)
+    concerned = {key: [g for g in gates if g.names(same[0])] for key, same in named.items()}
+    for row in rows:
+        pooled_or_not = [g for g in concerned[_key(row)] if g.covers_band(row)]
         covering = [g for g in pooled_or_not if g.fraction_at_least is None]
         if covering:
             out += [_by_gate(row, g) for g in covering]
@@ -47,10 +47,14 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
         else:
             out.append(_by_usual_range(row))
     for gate in gates:
-        out += _unmet(rows, gate)
+        out += _unmet(named.values(), gate)
         if gate.fraction_at_least is not None:
             out += _pooled(rows, gate)
     return shared_levels(out)
+
+
+def _key(row: Result) -> tuple[str, ...]:
+    return row.product, row.subject, row.method, row.metric
 
 
 def outcome_of(row: Result, low: float, high: float) -> Judgement:
@@ -216,16 +220,16 @@ def _by_usual_range(row: Result) -> Result:
     return _concluded(row, usual)
 
 
-def _unmet(rows: Sequence[Result], gate: Gate) -> list[Result]:
-    """An ERROR row for every subject pattern of the gate that no row meets."""
+def _unmet(named: Collection[Sequence[Result]], gate: Gate) -> list[Result]:
+    """An ERROR row for every subject pattern of a gate that no row meets; ``named``: rows of one name together."""
     out = []
     for pattern in gate.subjects:
         alone = gate.model_copy(update={"subjects": (pattern,)})
-        if not any(alone.covers(row) for row in rows):
+        if not any(alone.names(same[0]) and any(map(alone.covers_band, same)) for same in named):
             reason = f"planned but absent: no {gate.product} row of subject {pattern!r} has metric {gate.metric!r}"
             if gate.method != "*":
                 reason += f" and method {gate.method!r}"
-            reason += _nearest(rows, alone)
+            reason += _nearest([row for same in named for row in same], alone)
             out.append(gate.unmade(pattern, Outcome.ERROR, Cause.ABSENT, reason))
     return out
 
