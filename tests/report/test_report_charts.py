@@ -15,7 +15,6 @@ from hyperval.products import ObjectScores, Observation, Prediction, RocCurve
 from hyperval.report.charts import (
     MOST_SUBJECTS,
     draw_charts,
-    eigenvalue_chart,
     roc_chart,
     spectra_chart,
 )
@@ -23,6 +22,7 @@ from hyperval.report.charts_base import FIRST_CURVES, LABELS
 from hyperval.report.charts_objects import MANY_OBJECTS, map_objects, objects_chart
 from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.netcdf import labelled_arrays
+from hyperval.report.plots_covariance import eigenvalue_plots
 from hyperval.report.run import ScoreMap
 from hyperval.report.sides import difference, eigenvalues
 from hyperval.report.style import house_style
@@ -185,22 +185,20 @@ def test_bands_that_go_by_number_are_called_so(run):
     assert "against wavelength" in known.alt
 
 
-def test_eigenvalues_of_one_side_are_a_chart_with_their_sampling_interval(run):
+def test_eigenvalues_of_one_side_have_their_sampling_interval(run):
     """Large-sample standard deviation of the logarithm of an eigenvalue: the root of 2 / (n - 1)."""
-    chart = eigenvalue_chart((run.prediction, None))
-    fill = json.loads(chart.content)["fill"]
-    columns = {name: numbers(fill["arrays"][i]) for name, i in fill["sources"]["eigenvalues-0-0"].items()}
+    (plots,) = eigenvalue_plots((run.prediction, None))
+    view = plots.views["grass"]
+    ((mark,),) = (part.marks for part in view.parts)
     estimate = run.prediction.radiance["grass"]
-    np.testing.assert_allclose(columns["value"], eigenvalues(estimate), rtol=1e-6)
-    np.testing.assert_array_equal(columns["number"], np.arange(1, columns["value"].size + 1))
-    low, high = fill["ranges"]["eigenvalue"]
-    assert low < columns["value"].min() <= columns["value"].max() < high
-    counted = dataclasses.replace(estimate, n=51)
-    one = dataclasses.replace(run.prediction, radiance={"grass": counted})
-    fill = json.loads(eigenvalue_chart((None, one)).content)["fill"]
-    columns = {name: numbers(fill["arrays"][i]) for name, i in fill["sources"]["eigenvalues-0-1"].items()}
-    np.testing.assert_allclose(np.log(columns["high"] / columns["value"]), 1.96 * 0.2, rtol=1e-5)
-    assert eigenvalue_chart((dataclasses.replace(run.prediction, radiance={}), None)) is None
+    np.testing.assert_array_equal(mark.columns["y"], eigenvalues(estimate))
+    np.testing.assert_array_equal(mark.columns["x"], np.arange(1, mark.columns["y"].size + 1))
+    low, high = view.ends(view.parts[0])
+    assert low < mark.columns["y"].min() <= mark.columns["y"].max() < high
+    one = dataclasses.replace(run.prediction, radiance={"grass": dataclasses.replace(estimate, n=51)})
+    ((mark,),) = (part.marks for part in eigenvalue_plots((None, one))[0].views["grass"].parts)
+    np.testing.assert_allclose(np.log(mark.columns["high"] / mark.columns["y"]), 1.96 * 0.2, rtol=1e-12)
+    assert eigenvalue_plots((dataclasses.replace(run.prediction, radiance={}), None)) == []
 
 
 def test_models_of_a_chart_are_kept_on_disk_and_damaged_ones_are_built_again(monkeypatch, tmp_path):

@@ -35,7 +35,6 @@ from hyperval.report.charts_base import CURVE_COLOURS, FIRST_CURVES, LABELS, Cur
 from hyperval.report.plots import GREY
 from hyperval.report.style import COLLECTED, PREDICTED
 
-_EIGENVALUE = "eigenvalue [(µW cm⁻² sr⁻¹ nm⁻¹)²]"
 _LOOKS = {
     "predicted": (PREDICTED.colour, "dashed"),
     "collected": (COLLECTED.colour, "solid"),
@@ -171,29 +170,6 @@ def _density_plot(tab: int, detector: str, curves: Sequence[tuple[str, int, str]
     return plot
 
 
-def eigenvalues(subjects: tuple[tuple[str, tuple[int, ...]], ...]) -> Any:
-    """Eigenvalues over their number, a name in the legend for each subject; the second side is solid."""
-    plot = empty_plot(320, Range1d(start=0.0, end=30.0, name="number"), _EIGENVALUE, y_axis_type="log")
-    plot.y_range = Range1d(start=1e-3, end=1.0, name="eigenvalue")
-    plot.xaxis.axis_label = "number of the eigenvalue [1]"
-    lines = []
-    for number, (subject, sides) in enumerate(subjects):
-        for side in sides:
-            empty: dict[str, Any] = dict.fromkeys(("number", "value", "low", "high"), np.empty(0, np.float32))
-            source = ColumnDataSource(empty, name=f"eigenvalues-{number}-{side}")
-            name, dash = style.shortened(subject, 30), ("dashed", "solid")[side]
-            look: dict[str, Any] = {"color": CURVE_COLOURS[number % len(CURVE_COLOURS)], "legend_label": name}
-            plot.varea("number", "low", "high", source=source, fill_alpha=0.12, **_area(look))
-            lines.append(plot.line("number", "value", source=source, line_dash=dash, line_width=1.6, **look))
-            lines[-1].name = f"{name}, {LABELS[side]}"
-            plot.scatter("number", "value", source=source, size=5, **look)
-    tips = [("", "$name"), ("number", "@number{0}"), ("eigenvalue", "@value (@low to @high)")]
-    plot.add_tools(HoverTool(tooltips=tips, renderers=lines))
-    clickable_legend(plot)
-    plot.add_layout(plot.legend[0], "right")
-    return plot
-
-
 def objects(maps: tuple[str, ...]) -> LayoutDOM:
     """A map of objects above the histogram of their scores, a tab for each score map; both share what is chosen."""
     return Tabs(
@@ -243,10 +219,6 @@ def _objects_of(tab: int) -> LayoutDOM:
     return column(place, scores, sizing_mode="stretch_width")
 
 
-def _area(look: dict[str, Any]) -> dict[str, Any]:
-    return {"fill_color": look["color"], "legend_label": look["legend_label"]}
-
-
 def _numbered(model: LayoutDOM, target: str) -> str:
     """The JSON of a chart's models, numbered as they stand in it: the same chart gives the same bytes."""
     item: Any = json_item(model, ID(target))
@@ -277,7 +249,6 @@ _KINDS: dict[str, Callable[..., LayoutDOM]] = {
     "spectra": spectra,
     "curves": curves,
     "densities": densities,
-    "eigenvalues": eigenvalues,
     "objects": objects,
     "plots": plots,
 }

@@ -25,12 +25,10 @@ from hyperval.report.charts_base import (
     column_text,
 )
 from hyperval.report.sides import (
-    MOST_EIGENVALUES,
     Sides,
     best_counted,
     both_first,
     difference,
-    eigenvalues,
     of_side,
 )
 from hyperval.report.text_cache import chart_models
@@ -154,41 +152,6 @@ def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
         f"Subjects: {', '.join(names)}.",
         chart_content(chart_models("curves", "chart-roc", tuple(tabs), labels), fill),
         (FIRST, *names) if len(names) > 1 else (),
-    )
-
-
-def eigenvalue_chart(sides: Sides) -> Chart | None:
-    """Eigenvalues of the pixel covariance of the radiance of both sides; None without any."""
-    spectra = [
-        {k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
-    ]
-    every = both_first(*spectra)
-    pairs = [subject for subject in every if all(subject in own for own in spectra)]
-    shown = (every if None in sides else pairs)[: style.MAX_PANELS]
-    if not shown:
-        return None
-    fill, built, firsts, ends, sampled = Fill(), [], [], [], False
-    for number, subject in enumerate(shown):
-        built.append((subject, tuple(side for side, own in enumerate(spectra) if subject in own)))
-        for side in built[-1][1]:
-            n, values = spectra[side][subject].n, eigenvalues(spectra[side][subject])
-            # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
-            factor = np.exp(_COVERAGE * np.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
-            sampled |= factor != 1.0
-            columns = {"number": np.arange(1.0, values.size + 1), "value": values}
-            fill.add(f"eigenvalues-{number}-{side}", columns | {"low": values / factor, "high": values * factor})
-            firsts.append(f"{subject} {values[0]:.3g}" if values.size else f"{subject} none")
-            ends += [values.min(initial=np.inf), values.max(initial=0.0)]
-    fill.ranges["number"] = 0.0, float(MOST_EIGENVALUES)
-    fill.ranges["eigenvalue"] = 0.5 * float(min(ends)), 2.0 * float(max(ends))
-    return Chart(
-        "chart-eigenvalues",
-        "covariance",
-        f"Eigenvalues of the pixel covariance of the radiance{', with 95 % sampling intervals' if sampled else ''}"
-        + style.left_out([shown], pairs or every),
-        f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
-        f"logarithmic scale. Largest: {'; '.join(firsts)}.",
-        chart_content(chart_models("eigenvalues", "chart-eigenvalues", tuple(built)), fill),
     )
 
 

@@ -8,20 +8,18 @@ from dataclasses import replace
 from hyperval.products import SPECTRA
 from hyperval.report.figures_detection import roc_figures
 from hyperval.report.figures_plots import drawing_of
-from hyperval.report.figures_spectra import eigenvalue_figures, pair_figures
+from hyperval.report.figures_spectra import pair_figures
 from hyperval.report.plots import Plots
 from hyperval.report.sides import Sides
 from hyperval.report.style import Drawing, Print, house_style
 
 
 def print_figures(sides: Sides, plots: Sequence[Plots], *, simulated: bool, print_as: Print) -> list[Drawing]:
-    """Spectra and ROC curves, eigenvalues, and every stated plot."""
+    """Spectra and ROC curves, and every stated plot."""
     with house_style(print_as):
         drawings: list[Drawing] = []
         for product in SPECTRA:
             drawings += pair_figures(sides, product, simulated=simulated)
         drawings += roc_figures(sides, simulated=simulated)
-        if not any(one.name == "radiance-eigenvalues" for one in plots):  # which have the band of chance besides
-            drawings += eigenvalue_figures(sides, simulated=simulated)
         drawings += [drawing_of(one, simulated=simulated) for one in plots]
     return [replace(drawing, kind=print_as.format) for drawing in drawings]

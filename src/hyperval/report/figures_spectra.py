@@ -1,8 +1,7 @@
-"""Figures of spectra: radiance, reflectance and SNR over wavelength, and eigenvalues."""
+"""Figures of spectra: radiance, reflectance and SNR over wavelength."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,8 +14,8 @@ from matplotlib.patches import Patch
 from hyperval.products import SpectralEstimate
 from hyperval.report import style
 from hyperval.report.panels import COVERAGE, Entries, interval_entry, line_entries, small_multiples
-from hyperval.report.sides import MOST_EIGENVALUES, Sides, both_first, difference, eigenvalues, of_side
-from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look
+from hyperval.report.sides import Sides, both_first, difference, of_side
+from hyperval.report.style import COLLECTED, PREDICTED, Drawing
 from hyperval.spectra.windows import in_window
 
 Array = npt.NDArray[np.float64]
@@ -67,44 +66,6 @@ def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing
         caption = f"{title}: predicted and collected{style.left_out(pages, every)}"
         drawings.append(style.vector_drawing(figure, name, product, caption, alt))
     return drawings
-
-
-def eigenvalue_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
-    """Eigenvalues of the pixel covariance of the radiance, predicted and collected."""
-    predicted, collected = (
-        {k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
-    )
-    every = both_first(predicted, collected)
-    subjects = [s for s in every if s in predicted and s in collected]
-    if not subjects and None in sides:
-        subjects = every  # one side alone was run
-    subjects = subjects[: style.MAX_PANELS]
-    if not subjects:
-        return []
-    labels = ("number of the eigenvalue [1]", "eigenvalue\n[(µW cm⁻² sr⁻¹ nm⁻¹)²]")
-    title = "Eigenvalues of the radiance covariance"
-    figure, panels = small_multiples(title, len(subjects), labels, simulated, row_in=2.6, more_in=0.9)
-    words = []
-    for subject, (axes,) in zip(subjects, panels, strict=True):
-        axes.set_title(style.plain(style.shortened(subject, 44)), loc="left")
-        firsts = []
-        for spectra, look in ((predicted, PREDICTED), (collected, COLLECTED)):
-            if subject in spectra:
-                values = eigenvalues(spectra[subject])
-                _eigenvalue_line(axes, values, spectra[subject].n, look)
-                firsts.append(f"{values[0]:.3g}" if values.size else "none")
-        words.append(f"{subject} {' and '.join(firsts)}")
-        axes.set_yscale("log")
-        axes.set_xlim(left=0.0)
-        style.log_ticks(axes.yaxis)
-    style.add_legend(figure, _legend(predicted, collected, difference=False, absorption=False))
-    alt = (
-        f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
-        f"logarithmic scale, predicted and collected. Largest: {'; '.join(words)}."
-    )
-    title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
-    title += style.left_out([subjects], every)
-    return [style.vector_drawing(figure, "radiance-eigenvalues", "covariance", title, alt)]
 
 
 def _overlay(
@@ -165,19 +126,6 @@ def _wavelength_axis(axes: Axes, w: Array, limits: tuple[float, float] | None) -
 def _keep(w: Array) -> npt.NDArray[np.bool_]:
     keep = in_window(w)
     return keep if keep.any() else np.ones(w.shape, bool)
-
-
-def _eigenvalue_line(axes: Axes, values: Array, n: int | None, look: Look) -> None:
-    number = np.arange(1, values.size + 1)
-    if n is not None and n > 1:
-        # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
-        factor = np.exp(COVERAGE * math.sqrt(2.0 / (n - 1)))
-        axes.fill_between(number, values / factor, values * factor, color=look.colour, alpha=0.2, linewidth=0)
-    hollow = look is PREDICTED  # and larger and on top, so that neither hides the other
-    axes.plot(
-        number, values, color=look.colour, linestyle=look.line, linewidth=1.0, marker=look.marker,
-        markersize=6 if hollow else 3, markerfacecolor="none" if hollow else look.colour, zorder=3 if hollow else 2,
-    )  # fmt: skip
 
 
 def _legend(

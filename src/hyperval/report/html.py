@@ -15,7 +15,7 @@ from markupsafe import Markup
 import hyperval
 from hyperval.metrics import Evidence, explained
 from hyperval.report import verdict as v
-from hyperval.report.charts import draw_charts, eigenvalue_chart
+from hyperval.report.charts import draw_charts
 from hyperval.report.charts_base import Chart
 from hyperval.report.charts_objects import objects_chart
 from hyperval.report.charts_plots import chart_of
@@ -82,11 +82,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     rows = list(run.table)
     sides = (run.prediction, run.observation)
     charts = _worst_first(draw_charts(sides, rows), rows)
-    spread = (
-        None if run.eigenvalues else eigenvalue_chart(sides)
-    )  # else a figure has the band of chance to judge by
     many = objects_chart(run.score_maps, sides)
-    charts += [chart for chart in (many, spread) if chart is not None]
+    charts += [many] if many is not None else []
     margin = equivalence_margin(run.provenance)
     plots = every_plot(sides, run.table, run.eigenvalues, run.tails, margin)
     # Of many objects that chart is a map and a histogram in place of a list.

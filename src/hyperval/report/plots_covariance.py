@@ -7,9 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hyperval.report.plots import GREY, Axis, Mark, Part, Plots, View, measured_mark, predicted_mark
+from hyperval.report.plots import COVERAGE, GREY, Axis, Mark, Part, Plots, View, measured_mark, predicted_mark
 from hyperval.report.run import EigenvalueSpectrum, TailCurve
-from hyperval.report.style import DIFFERENCE_COLOUR, MAX_PANELS
+from hyperval.report.sides import MOST_EIGENVALUES, Sides, both_first, eigenvalues, of_side
+from hyperval.report.style import DIFFERENCE_COLOUR, MAX_PANELS, left_out
 
 _UNITS = {"radiance": "(µW cm⁻² sr⁻¹ nm⁻¹)²", "reflectance": "1"}
 
@@ -37,6 +38,40 @@ def sampled_eigenvalue_plots(spectra: Mapping[tuple[str, str], EigenvalueSpectru
                 f"predicted over measured with that band. {'. '.join(words)}.", views,
             ))  # fmt: skip
     return made
+
+
+def eigenvalue_plots(sides: Sides) -> list[Plots]:
+    """Eigenvalues of the pixel covariance of the radiance of both sides, where no band of chance is known."""
+    spectra = [
+        {k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None} for side in sides
+    ]
+    every = both_first(*spectra)
+    pairs = [subject for subject in every if all(subject in own for own in spectra)]
+    views, words = {}, []
+    for subject in (every if None in sides else pairs)[:MAX_PANELS]:
+        marks, firsts = [], []
+        for own, mark, marker in zip(spectra, (predicted_mark, measured_mark), ("circle", "square"), strict=True):
+            if subject in own:
+                n, values = own[subject].n, eigenvalues(own[subject])
+                # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
+                factor = math.exp(COVERAGE * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
+                columns = {"x": np.arange(1.0, values.size + 1), "y": values}
+                marks.append(
+                    mark("line", columns | {"low": values / factor, "high": values * factor}, marker=marker)
+                )
+                firsts.append(f"{values[0]:.3g}" if values.size else "none")
+        x = Axis("number of the eigenvalue [1]", ends=(0.0, MOST_EIGENVALUES + 1.0))
+        views[subject] = View(x, (Part(Axis(f"eigenvalue [{_UNITS['radiance']}]", "log"), tuple(marks)),))
+        words.append(f"{subject} {' and '.join(firsts)}")
+    if not views:
+        return []
+    return [Plots(
+        "radiance-eigenvalues", "covariance",
+        "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
+        + left_out([list(views)], pairs or every),
+        f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
+        f"logarithmic scale. Largest: {'; '.join(words)}.", views,
+    )]  # fmt: skip
 
 
 def tail_plots(tails: Mapping[str, TailCurve]) -> list[Plots]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from hyperval.report.plots import Plots
 from hyperval.report.plots_budget import budget_plots
-from hyperval.report.plots_covariance import sampled_eigenvalue_plots, tail_plots
+from hyperval.report.plots_covariance import eigenvalue_plots, sampled_eigenvalue_plots, tail_plots
 from hyperval.report.plots_errors import abundance_plots, class_error_plots, score_plots, unmixing_plots
 from hyperval.report.plots_reasons import reason_plots
 from hyperval.report.plots_scores import (
@@ -31,7 +31,7 @@ def every_plot(
     """What the products, the rows and the spread of pixels of a run give, with its margin of P_D [1]."""
     return [
         *budget_plots(sides),
-        *sampled_eigenvalue_plots(eigenvalues),
+        *(sampled_eigenvalue_plots(eigenvalues) if eigenvalues else eigenvalue_plots(sides)),
         *tail_plots(tails),
         *class_error_plots(sides),
         *score_plots(sides),
