@@ -63,10 +63,10 @@ def class_error_plots(sides: Sides) -> list[Plots]:
 
     title = f"Error of a Gaussian maximum-likelihood classifier{left_out([keys], every)}"
     words = _in_words(keys, predicted, measured, _error_words)
-    x = Axis("probability of error [1], 95 % interval", "log", ends=(floor / 1.4, 1.0))
+    x = Axis("probability of error [1]", "log", ends=(floor / 1.4, 1.0))
     rows = rows_axis([", ".join(key) for key in keys])
     view = View(x, (Part(rows, (*marks, *both_sides(predicted, measured, dots))),))
-    legend = f"an error below {floor:.0e} is drawn there"
+    legend = f"bar: 95 % interval; an error below {floor:.0e} is drawn there"
     return [Plots("class-error", "classification", title, f"{title}: {words}.", {"": view}, legend)]
 
 
@@ -139,14 +139,11 @@ def abundance_plots(sides: Sides) -> list[Plots]:
     areas = np.array([own[k].area_m2 for own in (predicted, measured) for k in every[:_MOST_ROWS] if k in own])
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
-    x = (
-        Axis("area [m²], 95 % interval", "log", ends=(areas.min() / 4, areas.max() * 2.5))
-        if scattered
-        else Axis("area [m²], 95 % interval")
-    )
+    x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
     return row_plots(
         "abundance", "abundance", "Target area from the sum of abundances", (predicted, measured), x,
-        lambda area: (area.area_m2, COVERAGE * area.standard_uncertainty), "m²", () if scattered else (0.0,),
+        lambda area: (area.area_m2, COVERAGE * area.standard_uncertainty), "m²",
+        () if scattered else (0.0,), "bar: 95 % interval",
     )  # fmt: skip
 
 
