@@ -12,6 +12,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 
 from web_browser import NEEDS_BROWSER, WIDER_THAN_SCREEN, careful_page, picture, serious
 
+from hyperval.campaign.forward import predict_to_folder
 from small_campaign import SmallCampaign
 
 pytestmark = [NEEDS_BROWSER, pytest.mark.slow]
@@ -218,3 +219,26 @@ def test_axe_sees_nothing_serious(page, scheme, pages):
         assert serious(page) == [], path
     if scheme == "dark":
         picture(page, "dark")
+
+
+def test_charts_of_a_page_are_all_drawn_and_folded_ones_when_they_are_unfolded(browser, atmosphere, tmp_path):
+    """Those that nobody has scrolled to too: the page may be printed."""
+    predict_to_folder("panels", tmp_path / "out", show_progress=False)
+    path = tmp_path / "out" / "report.html"
+    before, figure, after = path.read_text("utf-8").rpartition('<div class="chart"')
+    before, _, begin = before.rpartition("<figure>")
+    inner, _, after = after.partition("</figure>")
+    folded = f"<details><summary>more</summary><figure>{begin}{figure}{inner}</figure></details>"
+    path.write_text(f"{before}{folded}{after}", "utf-8")
+    one = browser.new_context(viewport={"width": 1280, "height": 300})
+    one.set_default_timeout(20_000)
+    with careful_page(one, tmp_path.as_uri()) as page:
+        page.goto(path.as_uri())
+        charts = page.locator("div.chart")
+        assert charts.count() >= 2
+        for chart in charts.all()[:-1]:
+            chart.locator("> *").first.wait_for(state="attached")
+        assert charts.last.locator("> *").count() == 0
+        page.get_by_text("more", exact=True).click()
+        charts.last.locator("> *").first.wait_for(state="attached")
+    one.close()

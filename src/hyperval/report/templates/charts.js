@@ -63,19 +63,36 @@ async function draw(chart) {
   choice?.addEventListener("change", () => show(choice.selectedIndex));
 }
 
-async function drawAll() {
+async function unpackLibrary() {
   const packed = new Blob([bytes(document.getElementById("library").textContent)]).stream();
   const library = document.createElement("script");
   library.textContent = await new Response(packed.pipeThrough(new DecompressionStream("gzip"))).text();
   document.head.append(library);
-  // One after the other; those that are folded when they are unfolded.
-  let drawn = Promise.resolve();
-  const next = (content) => (drawn = drawn.then(() => draw(JSON.parse(content.textContent))));
-  for (const content of document.querySelectorAll("script.chart")) {
-    const folded = content.closest("details:not([open])");
-    if (folded === null) next(content);
-    else folded.addEventListener("toggle", () => next(content), { once: true });
-  }
+}
+
+// One after the other, as they come near the screen; those that are folded when they are unfolded, which brings them
+// there.  The others follow while nobody asks for anything, so that they are there when the page is printed.
+function drawAll() {
+  const left = new Map([...document.querySelectorAll("script.chart")].map((s) => [s.previousElementSibling, s]));
+  let drawn = null;
+  const next = (place) => {
+    const content = left.get(place);
+    left.delete(place);
+    near.unobserve(place);
+    return (drawn = (drawn ?? unpackLibrary()).then(() => draw(JSON.parse(content.textContent))));
+  };
+  const near = new IntersectionObserver(
+    (places) => places.filter((place) => place.isIntersecting).forEach((place) => next(place.target)),
+    { rootMargin: "50%" },
+  );
+  for (const place of left.keys()) near.observe(place);
+  const idle = globalThis.requestIdleCallback ?? ((rest) => setTimeout(rest, 200));
+  const rest = async () => {
+    await drawn;
+    const place = [...left.keys()].find((one) => one.closest("details:not([open])") === null);
+    if (place !== undefined) next(place).then(() => idle(rest));
+  };
+  addEventListener("load", () => idle(rest));
 }
 // Another page may bring the library and the charts by itself.
 if (document.getElementById("library") !== null) drawAll();
