@@ -65,6 +65,21 @@ def test_a_verdict_that_turned_stands_first(folders):
     assert len(page) < 5_000_000
 
 
+def test_curves_that_moved_stand_in_one_chart(folders, tmp_path):
+    run = make_run()
+    (tmp_path / "moved").mkdir()
+    radiance = {k: dataclasses.replace(e, mean=1.1 * e.mean) for k, e in run.prediction.radiance.items()}
+    moved = dataclasses.replace(run.prediction, radiance=radiance)
+    table = ResultTable(dataclasses.replace(row, value=row.value * 1.1) for row in run.table)
+    write_outputs(dataclasses.replace(run, prediction=moved, table=table), tmp_path / "moved")
+    compare_runs(folders / "a", tmp_path / "moved", tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert "run A (dashed) and run B" in page
+    assert page.count('id="chart-radiance"') == page.count('id="library"') == 1
+    compare_runs(folders / "a", folders / "b", tmp_path / "verdicts")  # of the same curves
+    assert 'class="chart"' not in (tmp_path / "verdicts" / "report.html").read_text("utf-8")
+
+
 def test_a_run_against_itself_has_no_difference(folders):
     compare_runs(folders / "a", folders / "a", folders / "same")
     rows = list(read_results(folders / "same" / "results.json"))

@@ -17,7 +17,7 @@ def compare(
     other: Annotated[Path, typer.Argument(metavar="B", help="Another, of the same campaign.")],
     output: Output,
 ) -> int:
-    """Set two runs side by side: verdicts that changed, what moved, both runs' pictures."""
+    """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures."""
     from hyperval.report.side_by_side import compare_runs
 
     return finished(compare_runs(one, other, output), output)

@@ -1,4 +1,4 @@
-"""Two runs side by side: what changed its verdict, what moved, and the figures of both beside each other."""
+"""Two runs side by side: what changed its verdict, what moved, both runs' curves in one chart, their pictures."""
 
 from __future__ import annotations
 
@@ -9,12 +9,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hyperval.errors import UsageError
 from hyperval.files import write_text
 from hyperval.folders import whole_folder
+from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
+from hyperval.report.charts import draw_charts
+from hyperval.report.charts_base import Chart
 from hyperval.report.html import common_words, environment
+from hyperval.report.netcdf_read import read_products
 from hyperval.report.outputs import write_tables
+from hyperval.report.scripts import packed_library, script_hashes, starter
 from hyperval.report.stored import StoredRun, read_run
 from hyperval.report.tables import row_name
 from hyperval.results import Cause, Outcome, Result, ResultTable
@@ -131,6 +138,7 @@ def side_by_side_page(a: StoredRun, b: StoredRun, pairs: Sequence[Pair]) -> str:
     changed = sorted((p for p in pairs if p.verdict_changed), key=lambda p: _RANK[(p.b or p.either).outcome])
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
+    charts = [] if len(moved) + len(changed) == 0 else _charts(a, b)
     labels = zip("AB", (a, b), _names(a.folder, b.folder), strict=True)
     return environment().get_template("pair.html.j2").render(
         runs=[{"label": label, "folder": name, "verdict": v.verdict(run.table),
@@ -143,6 +151,10 @@ def side_by_side_page(a: StoredRun, b: StoredRun, pairs: Sequence[Pair]) -> str:
         same=sum(bool(p.a and p.b) and p.size == 0 and not p.verdict_changed for p in pairs),
         identical=not moved and all(p.a and p.b and not p.verdict_changed for p in pairs),
         inputs=provenance_differences(a, b),
+        charts=charts,
+        library=packed_library() if charts else "",
+        starter=starter() if charts else "",
+        script_hashes=script_hashes() if charts else "",
         figures=_figures(a, b),
         alike=_alike(a, b),
         number=v.number_text,
@@ -173,6 +185,31 @@ def _flat(prefix: str, value: Any) -> dict[str, str]:
         named = [(str(i.get("reference", n)) if isinstance(i, dict) else str(n), i) for n, i in enumerate(value)]
         return {k: x for name, item in named for k, x in _flat(f"{prefix}[{name}]", item).items()}
     return {prefix: str(value)}
+
+
+def _charts(a: StoredRun, b: StoredRun) -> list[Chart]:
+    """Spectra and ROC of both runs: of their predictions, or of their collections where those alone differ."""
+    files = [run.folder / "products.nc" for run in (a, b)]
+    if not all(file.is_file() for file in files):  # the page of several campaigns
+        return []
+    first, second = (read_products(file) for file in files)
+    pairs = [(one, other) for one, other in zip(first, second, strict=True) if one and other]
+    chosen = next((pair for pair in pairs if not _same_curves(*pair)), None)
+    return draw_charts(chosen, [], labels=("run A", "run B")) if chosen else []
+
+
+def _same_curves(one: Products, other: Products) -> bool:
+    """Whether both have the same means of spectra and the same ROC, as far as a chart could show."""
+
+    def numbers(side: Products) -> dict[Any, Any]:
+        means = {(name, k): e.mean for name in SPECTRA for k, e in getattr(side, name).items()}
+        return means | {k: np.stack([curve.pfa, curve.pd]) for k, curve in side.roc.items()}
+
+    first, second = numbers(one), numbers(other)
+    return first.keys() == second.keys() and all(
+        v.shape == second[k].shape and np.allclose(v, second[k], rtol=1e-6, atol=0, equal_nan=True)
+        for k, v in first.items()
+    )
 
 
 def _alike(a: StoredRun, b: StoredRun) -> list[str]:
