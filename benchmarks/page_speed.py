@@ -11,6 +11,7 @@ run it twice where that is not warm.  The page is that of the tests' made-up cam
 
 from __future__ import annotations
 
+import argparse
 import os
 import resource
 import subprocess
@@ -67,10 +68,14 @@ def campaigns(versions: list[Path], folder: str) -> None:
 
 def main() -> None:
     """Print the least processor times of both versions and their ratio."""
-    versions = [ROOT, Path(sys.argv[1]).resolve()]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("other", type=Path, help="checkout of the version to compare with")
+    parser.add_argument("--campaigns", action="store_true", help="every campaign, in place of start and page")
+    options = parser.parse_args()
+    versions = [ROOT, options.other.resolve()]
     with tempfile.TemporaryDirectory() as folder:
         print("| | before [s] | now [s] | ratio |\n| --- | ---: | ---: | ---: |")
-        if "--campaigns" in sys.argv:
+        if options.campaigns:
             campaigns(versions, folder)
             return
         for name, words in (

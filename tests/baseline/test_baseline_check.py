@@ -105,6 +105,10 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys):
     assert len(said.out.splitlines()) == 2 + 4, "two headers (the acceptance before has one), and failures alone"
     assert "likely cause: the code, the campaign's files or its data" in said.err
     assert f'if the change is meant: hyperval baseline accept {campaign} --reason "..."' in said.err
+    elsewhere = Path("validation/baselines").rename("accepted")
+    assert cli.run(["check", *given, "--baselines", str(elsewhere)]) == 1
+    assert f'accept {campaign} --baselines accepted --reason "..."' in capsys.readouterr().err
+    elsewhere.rename("validation/baselines")
     rows = list(read_results(place / "out/results.json"))
     assert sum(r.outcome is Outcome.DISAGREES for r in rows) == 4
     for page in ("out/report.html", "out/small/report.html"):

@@ -110,7 +110,9 @@ def _against(run: Run, folder: Path) -> Checked:
         return Checked(run, [], ResultTable([_one(run, Outcome.DISAGREES, words)]), path)
     candidate = candidate_path(folder, run.kind, run.name)
     write_baseline(candidate, run.kind, run.name, "", run.versions, accepted_of(run.metrics, {}), candidate=True)
-    words = f"no baseline ({path}); the numbers of this run are in {candidate}; {run.acceptance} makes them one"
+    words = (
+        f"no baseline ({path}); the numbers of this run are in {candidate}; {run.acceptance(folder)} makes them one"
+    )
     return Checked(run, [], ResultTable([_one(run, Outcome.DISAGREES, words)]), path, candidate)
 
 

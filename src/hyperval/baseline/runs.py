@@ -11,7 +11,7 @@ from typing import Any
 from hyperval.baseline.metrics import Measured, campaign_metrics, skipped_reason
 from hyperval.baseline.schema import Kind
 from hyperval.baseline.sensors import sensor_metrics
-from hyperval.baseline.store import versions
+from hyperval.baseline.store import DEFAULT_FOLDER, versions
 from hyperval.campaign.job import AnyJob, jobs_of
 from hyperval.campaign.provenance import source_revision
 from hyperval.campaign.run import validate
@@ -49,11 +49,11 @@ class Run:
     simulated: bool = False
     reference: str = ""
 
-    @property
-    def acceptance(self) -> str:
-        """The command that takes the numbers of this run for accepted."""
+    def acceptance(self, baselines: Path) -> str:
+        """The command that takes the numbers of this run for accepted, in the folder ``baselines``."""
         named = self.reference if self.kind == "campaign" else f"--sensors {self.reference}"
-        return f'hyperval baseline accept {named} --reason "..."'
+        where = "" if baselines == DEFAULT_FOLDER else f" --baselines {baselines}"
+        return f'hyperval baseline accept {named}{where} --reason "..."'
 
     @property
     def owner(self) -> str:

@@ -65,7 +65,7 @@ def check(
     print_table(header, [*map(_cells, shown), *lonely])
     skipped: dict[str, list[str]] = {}
     for item in outcome.checked:
-        _tell(item)
+        _tell(item, baselines or DEFAULT_FOLDER)
         if item.run.skipped is not None:
             skipped.setdefault(item.run.skipped, []).append(item.run.owner)
     for reason, owners in skipped.items():
@@ -88,7 +88,7 @@ def _cells(d: Difference) -> tuple[str, ...]:
     )
 
 
-def _tell(item: Checked) -> None:
+def _tell(item: Checked, baselines: Path) -> None:
     """One line of summary, and each number that is not as accepted in words."""
     from hyperval.results import Outcome
 
@@ -101,7 +101,7 @@ def _tell(item: Checked) -> None:
         note(f"{item.run.owner}: {len(wrong)} of {len(item.differences)} numbers are not as accepted")
         causes = _likely_causes(item)
         note(f"  likely cause: {causes}")
-        note(f"  if the change is meant: {item.run.acceptance}")
+        note(f"  if the change is meant: {item.run.acceptance(baselines)}")
 
 
 def _likely_causes(item: Checked) -> str:
