@@ -93,6 +93,7 @@ function drawAll() {
     if (place !== undefined) next(place).then(() => idle(rest));
   };
   addEventListener("load", () => idle(rest));
+  document.addEventListener("toggle", () => idle(rest), true);
 }
 // Another page may bring the library and the charts by itself.
 if (document.getElementById("library") !== null) drawAll();
