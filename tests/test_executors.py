@@ -100,6 +100,46 @@ def test_a_process_that_dies_is_replaced(tmp_path):
     assert (tmp_path / "flag").exists()
 
 
+class EndedInPassing:
+    """Told to end, the first time, while the pool packs it: outside the piece that made it."""
+
+    def __init__(self, flag, number):
+        self.flag, self.number = flag, number
+
+    def __reduce__(self):
+        if not self.flag.exists():
+            self.flag.touch()
+            os.kill(os.getpid(), signal.SIGTERM)
+        return int, (self.number,)
+
+
+def ended_in_passing(piece):
+    return EndedInPassing(*piece)
+
+
+def test_a_process_told_to_end_between_pieces_ends(tmp_path):
+    """The pool kept what the signal raised, and the worker waited for work that nobody gave: so did its run."""
+    with workers(2) as where:
+        assert list(in_order(where, ended_in_passing, [(tmp_path / "flag", k) for k in range(4)])) == [0, 1, 2, 3]
+
+
+def swallows(piece):
+    flag, number = piece
+    if not flag.exists():
+        flag.touch()
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.1)
+        except BaseException:
+            return -1
+    return number
+
+
+def test_a_piece_that_keeps_the_signal_is_not_its_result(tmp_path):
+    with workers(2) as where:
+        assert list(in_order(where, swallows, [(tmp_path / "flag", k) for k in range(4)])) == [0, 1, 2, 3]
+
+
 def test_processes_that_always_die_are_given_up(monkeypatch):
     monkeypatch.setattr("hyperval.executors._RENEWALS", 0)
     with pytest.raises(WorkersLostError, match="worker process died"), workers(2) as where:

@@ -216,8 +216,14 @@ def in_order(
 
 def _single_threaded(function: Callable[[T], R], piece: T) -> R:
     try:
-        with single_blas_thread():
-            return function(piece)
+        try:
+            _signals.in_piece = True
+            with single_blas_thread():
+                return function(piece)
+        finally:
+            _signals.in_piece = False
+            if _signals.ended:  # what the piece called kept it from unwinding
+                os._exit(1)
     except _RunEndedError:
         os._exit(1)  # the pool would take it for the piece's result, and hand out the next one
 
@@ -253,7 +259,22 @@ def _attend(ended: Connection) -> None:
     Thread(target=_end_with_run, args=(ended,), daemon=True).start()
 
 
+@dataclass
+class _Signals:
+    """In a worker: whether the main thread is in a piece, and whether the worker was told to end."""
+
+    in_piece: bool = False
+    ended: bool = False
+
+
+_signals = _Signals()
+
+
 def _unwind(signum: int, frame: FrameType | None) -> NoReturn:
+    """End this worker: a piece unwinds first; outside one the pool would keep what is raised, and wait for ever."""
+    _signals.ended = True
+    if not _signals.in_piece:
+        os._exit(1)
     raise _RunEndedError
 
 
