@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Sequence, Set
@@ -23,6 +24,7 @@ R = TypeVar("R")
 _MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # of malloc.h
 _RETURNED_FROM = 1048576  # bytes
 _PR_SET_PDEATHSIG = 1  # of sys/prctl.h
+_LOOK_S = 0.02  # between two looks whether the other process has ended
 _NOT_STARTED = (126, 127)  # exit codes of setpriv, as of a shell
 
 
@@ -59,12 +61,16 @@ def call_apart(function: Callable[[], R], scratch: Path) -> R:
             if child == 0:
                 _return(function, path, parent, interrupts)
             signal.pthread_sigmask(signal.SIG_SETMASK, interrupts)
-            _, status = os.waitpid(child, 0)
+            # Looked at again and again: an interrupt just before a wait without end is seen after it alone.
+            while (ended := os.waitpid(child, os.WNOHANG)) == (0, 0):
+                time.sleep(_LOOK_S)
+            status = ended[1]
         except BaseException:
             signal.pthread_sigmask(signal.SIG_SETMASK, interrupts)
             if child > 0:
-                os.kill(child, signal.SIGTERM)
-                os.waitpid(child, 0)
+                with contextlib.suppress(ProcessLookupError, ChildProcessError):  # it has ended by itself
+                    os.kill(child, signal.SIGTERM)
+                    os.waitpid(child, 0)
             raise
     if status or not path.is_file():
         raise ProcessLostError(
