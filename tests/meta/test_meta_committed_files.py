@@ -32,7 +32,7 @@ def test_the_check_sees_what_it_is_for(line):
     assert findings(line) == [line]
 
 
-@pytest.mark.parametrize("line", ["src/work/main.py", "../shared/data", "a home/office", "the pypi classifier"])
+@pytest.mark.parametrize("line", ["src/work/main.py", "../elsewhere/data", "a home/office", "the pypi classifier"])
 def test_the_check_leaves_the_rest_alone(line):
     assert findings(line) == []
 
