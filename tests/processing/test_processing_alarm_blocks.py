@@ -161,3 +161,11 @@ def test_halves_of_an_image_repeat_alarms_as_well_as_their_clusters_allow():
     assert clustered > 1.5 > one
     single = AlarmBlocks.of_places(alone[:9], lines[:9], samples[:9], 100)
     assert single.half_image_factor(np.array([0.0]))[0] == np.inf
+
+
+def test_a_threshold_that_no_background_score_bounds_from_below_leaves_every_target_open():
+    """At 0.9 of ten scores the true threshold may lie below them all, and below targets that lie there too."""
+    rate = pd_at_pfa([-5.0, -5.0, -5.0], np.arange(10.0), [0.5, 0.9])
+    assert rate.pd.tolist() == [0.0, 0.0]
+    assert rate.upper[1] == 1.0
+    assert rate.upper[0] == rate.binomial_upper[0] < 1.0
