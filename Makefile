@@ -80,10 +80,11 @@ docs: $(READY)  ## render the documentation, its examples run; build/docs/index.
 	  PYTHON="$(PYTHON)" VENV="$(VENV)" sh scripts/setup.sh requirements-docs.lock
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 
-lint: $(READY_DEV)  ## check style, and which room imports which
+lint: $(READY_DEV)  ## check style, which room imports which, and that nothing outgrows budgets.toml
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports
+	$(BIN)/python scripts/lines_of_code.py --check
 
 check-style: lint
 

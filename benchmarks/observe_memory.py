@@ -1,22 +1,19 @@
-"""Greatest memory of ``hyperval observe`` on a shell of AVIRIS-3's size, process by process.
+"""Greatest memory of ``hyperval observe`` on a shell of AVIRIS-3's size.
 
     python benchmarks/observe_memory.py [--lines 7134] [--folder DIR]
 
 The shell has the layout of the product, 284 bands and 1234 samples in blocks of 24 x 64 x 309.  What is not written
 takes no room on disk: 7134 lines stand for 10 GB of radiance.  Three regions, one of them the whole image.
-One process measures and another writes: each line is the greatest resident memory of one of them, with the pages of
-files that it shares with others; the last line is that of all together, each page counted once.
+What is told is the greatest resident memory of the process, with the pages of files that it shares with others.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import re
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import h5py
@@ -48,37 +45,15 @@ def write_shell(folder, lines):
     (folder / "campaign.yaml").write_text(CAMPAIGN.format(middle=lines // 2))
 
 
-def processes(root):
-    """A process and all that it has started."""
-    try:
-        children = Path(f"/proc/{root}/task/{root}/children").read_text().split()
-    except FileNotFoundError:
-        children = []
-    return [root, *(one for child in children for one in processes(int(child)))]
-
-
-def megabytes(process, file, key):
-    """A line of a file of ``/proc`` [MB]; 0 of a process that has ended."""
-    try:
-        line = re.search(rf"^{key}:\s+(\d+) kB", Path(f"/proc/{process}/{file}").read_text(), re.MULTILINE)
-    except OSError:
-        return 0.0
-    return int(line[1]) * 1024 / 1e6 if line else 0.0
-
-
-def peaks(folder):
-    """Greatest memory of each process, in the order of their start, and of all together."""
+def peak_of(folder):
+    """Greatest resident memory of the command [MB]."""
     command = [sys.executable, "-m", "hyperval", "observe", "campaign.yaml", "-o", "observed"]
-    each, together = {}, 0.0
     with subprocess.Popen(command, cwd=folder, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"}) as run:  # noqa: S603 - ourselves
-        while run.poll() is None:
-            for process in processes(run.pid):
-                each[process] = max(each.get(process, 0.0), megabytes(process, "status", "VmHWM"))
-            together = max(together, sum(megabytes(p, "smaps_rollup", "Pss") for p in processes(run.pid)))
-            time.sleep(0.1)
+        _, status, usage = os.wait4(run.pid, 0)
+        run.returncode = os.waitstatus_to_exitcode(status)
     if run.returncode:
         raise SystemExit(f"observe ended with {run.returncode}")
-    return [peak for peak in each.values() if peak > 50.0], together  # not the programs asked for versions
+    return usage.ru_maxrss * 1024 / 1e6
 
 
 def main():
@@ -88,12 +63,11 @@ def main():
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=args.folder) as name:
         write_shell(Path(name), args.lines)
-        each, together = peaks(Path(name))
+        peak = peak_of(Path(name))
     size = BANDS * args.lines * SAMPLES * 4 / 1e9
-    print(f"a cube of {size:.1f} GB; what writes takes {each[0]:.0f} MB, what measures {max(each[1:]):.0f} MB")
-    print(f"both together, each page once: {together:.0f} MB")
-    met = max(each) < LIMIT_MB
-    print(f"each below {LIMIT_MB:.0f} MB: {'yes' if met else 'no'}")
+    print(f"a cube of {size:.1f} GB; observe takes {peak:.0f} MB")
+    met = peak < LIMIT_MB
+    print(f"below {LIMIT_MB:.0f} MB: {'yes' if met else 'no'}")
     return 0 if met else 1
 
 

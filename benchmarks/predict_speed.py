@@ -22,8 +22,8 @@ from scipy.stats import norm
 from hyperval.atmosphere import atmospheric_terms
 from hyperval.config import parse_yaml, validate
 from hyperval.predict import predict
-from hyperval.processing.thresholds import false_alarm_grid
-from hyperval.products import Prediction
+from hyperval.processing.roc_model import false_alarm_grid
+from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import load_sensor
@@ -109,7 +109,7 @@ def main() -> None:
     """Print both times, their ratio, and how far the two ROC curves are apart."""
     data, lines = parse_yaml(TEXT)
     scenario = validate(Scenario, data, lines, "benchmark")
-    ours: Prediction = predict(scenario)
+    ours: PredictedProducts = predict(scenario)
     _, plain = plainly(scenario)
     difference = float(np.abs(ours.roc["plank", "cem", "pixel"].pd - plain).max())
     least, median = best_of(lambda: predict(scenario), 30)

@@ -25,11 +25,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from predict_speed import TEXT
 
-from hyperval.atmosphere.interpolation import spaced
+from hyperval.atmosphere.terms import spaced
 from hyperval.config import parse_yaml, validate
 from hyperval.executors import Parcel, in_order, parcel, workers
 from hyperval.predict import predict
-from hyperval.processing.thresholds import false_alarm_grid
+from hyperval.processing.roc_model import false_alarm_grid
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.study.evaluate import Evaluator, Sky, make_ready
@@ -114,9 +114,7 @@ def main() -> None:
         plain = loop_rate(scenario, columns)
         wall, cpu = rate(evaluator, columns, 1)
         both, both_cpu = rate(evaluator, columns, 2)
-        numbers = (
-            f"{plain:9.1f}{cpu:9.0f}{cpu / plain:9.1f}{both_cpu:9.0f}{both_cpu / cpu:9.2f}{wall:9.0f}{both:9.0f}"
-        )
+        numbers = f"{plain:9.1f}{cpu:9.0f}{cpu / plain:9.1f}{both_cpu:9.0f}{both_cpu / cpu:9.2f}{wall:9.0f}{both:9.0f}"
         print(f"{name:26s}{numbers}", flush=True)
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import os
 import random
-import re
 import resource
 import statistics
 import subprocess
@@ -39,9 +38,7 @@ class User(threading.Thread):
         self.times: dict[str, list[float]] = defaultdict(list)
         self.errors: list[str] = []
 
-    def timed(
-        self, kind: str, method: str, path: str, status: int | None = None, **more: object
-    ) -> requests.Response:
+    def timed(self, kind: str, method: str, path: str, status: int | None = None, **more: object) -> requests.Response:
         """A request, its time noted; ``status`` where another than success is due."""
         start = time.perf_counter()
         answer = self.session.request(method, ADDRESS + path, timeout=60, **more)  # type: ignore[arg-type]
@@ -64,9 +61,7 @@ class User(threading.Thread):
         time.sleep(chance.uniform(0.0, 2.0 * self.think))
         round_ = 0
         while time.monotonic() < self.end:
-            page = self.timed("page", "GET", "/predict?scenario=yellow-planks-asphalt").text
-            found = re.search(r'name="token" value="(\w+)"', page)
-            self.session.headers["X-Hyperval-Token"] = found[1] if found else ""
+            self.timed("page", "GET", "/predict?scenario=yellow-planks-asphalt")
             time.sleep(chance.uniform(0.5, 1.5) * self.think)
             title = f"user {self.number} round {round_}"
             wrong = {"name": "yellow-planks-asphalt", "settings": {"processing.samples": 10**9}}
@@ -132,7 +127,6 @@ def warm() -> None:
         except requests.ConnectionError:
             time.sleep(0.2)
     session = requests.Session()
-    session.headers["X-Hyperval-Token"] = session.get(f"{ADDRESS}/api/v1/session", timeout=30).json()["token"]
     times = []
     for number in range(24):
         start = time.perf_counter()

@@ -21,14 +21,14 @@ from hyperval.campaign.schema import Campaign
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import SensorSpecification
 from hyperval.simulate.schema import SceneFile
-from hyperval.study.schema import Study
+from hyperval.study.schema import StudyFile
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "files.md"
 FILES: tuple[tuple[str, type[BaseModel], str], ...] = (
     ("Campaign", Campaign, "`hyperval validate`, `hyperval observe`"),
     ("Scenario", Scenario, "`hyperval predict`, and `scenarios` of a campaign"),
     ("Scene", SceneFile, "`hyperval simulate`, and `simulate` of a collection"),
-    ("Study", Study, "`hyperval study`"),
+    ("Study", StudyFile, "`hyperval study`"),
     ("Sensor", SensorSpecification, "`sensor` of a scenario or scene"),
 )
 HEAD = """# The files, key by key

@@ -46,8 +46,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
 
     for module, names in {
         "hyperval.campaign.forward": ["predict_to_folder"],
-        "hyperval.campaign.observing": ["observe"],
-        "hyperval.campaign.run": ["validate"],
+        "hyperval.campaign.run": ["observe", "validate"],
         "hyperval.simulate": ["simulate_to_folder"],
     }.items():
         fake = types.ModuleType(module)
@@ -109,9 +108,7 @@ def test_each_error_has_its_exit_code_and_no_traceback(calls, capsys, error, cod
 def test_message_says_what_where_and_how_to_mend(calls, capsys):
     calls["result"] = MissingDataError("not on this machine", where="data:x/y", mend="hyperval data fetch x")
     cli.run(["observe", "c.yaml", "-o", "out"])
-    assert capsys.readouterr().err == (
-        "hyperval: data:x/y: not on this machine\n  to mend it: hyperval data fetch x\n"
-    )
+    assert capsys.readouterr().err == ("hyperval: data:x/y: not on this machine\n  to mend it: hyperval data fetch x\n")
 
 
 def test_a_full_disk_is_called_so_without_a_log(calls, capsys, tmp_path, monkeypatch):
@@ -119,9 +116,7 @@ def test_a_full_disk_is_called_so_without_a_log(calls, capsys, tmp_path, monkeyp
     calls["result"] = OSError(28, "No space left on device", "out/products.nc")
     assert cli.run(["predict", "panels", "-o", "out"]) == 4
     err = capsys.readouterr().err
-    assert err.startswith(
-        "hyperval: [Errno 28] No space left on device: 'out/products.nc'\n  to mend it: free space"
-    )
+    assert err.startswith("hyperval: [Errno 28] No space left on device: 'out/products.nc'\n  to mend it: free space")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -139,9 +134,7 @@ def test_internal_error_says_where_its_traceback_is(calls, capsys, tmp_path, mon
 @pytest.mark.parametrize("error", [ZeroDivisionError("a bug"), UsageError("bad key")])
 def test_debug_shows_the_traceback(calls, capsys, error):
     calls["result"] = error
-    assert cli.run(["--debug", "observe", "c.yaml", "-o", "out"]) == (
-        4 if isinstance(error, ArithmeticError) else 2
-    )
+    assert cli.run(["--debug", "observe", "c.yaml", "-o", "out"]) == (4 if isinstance(error, ArithmeticError) else 2)
     assert "Traceback" in capsys.readouterr().err
 
 
@@ -161,9 +154,7 @@ def test_wrong_usage_is_exit_code_2(arguments, capsys):
     assert out or err.startswith("hyperval: ")
 
 
-@pytest.mark.parametrize(
-    "arguments", [["--help"], ["-h"], ["validate", "--help"], ["data", "--help"], ["--version"]]
-)
+@pytest.mark.parametrize("arguments", [["--help"], ["-h"], ["validate", "--help"], ["data", "--help"], ["--version"]])
 def test_help_and_version_go_to_standard_output(arguments, capsys):
     assert cli.run(arguments) == 0
     out, err = capsys.readouterr()
@@ -228,9 +219,9 @@ def test_validate_says_the_verdict_of_each_campaign_and_errors_even_when_quiet(c
     cli.run(["validate", "a.yaml", "-o", str(tmp_path)])
     out, err = capsys.readouterr()
     assert out == ""
-    assert "one: Agrees. 1 model gate agrees (" in err
-    assert "two: Does not agree. 1 model gate ended in an error" in err
-    assert err.endswith("gates: 1 agree, 1 in error, 2 skipped\n")
+    assert "one: Met. 1 acceptance criterion is met (" in err
+    assert "two: Not met. 1 acceptance criterion ended in an error" in err
+    assert err.endswith("acceptance criteria: 1 met, 1 error, 2 not run\n")
     assert "two: error: turf.txt: no such file\n" in err
     assert "\nthree, four: skipped: hyperval data fetch x\n" in err
     cli.run(["-q", "validate", "a.yaml", "-o", str(tmp_path)])
@@ -303,15 +294,15 @@ def test_signals_end_the_run_and_remove_what_is_half_written(tmp_path, number, c
     script = f"""
 import sys, types, time
 from pathlib import Path
-from hyperval.folders import whole_folder
-fake = types.ModuleType("hyperval.campaign.observing")
+from hyperval.storage import whole_folder
+fake = types.ModuleType("hyperval.campaign.run")
 def observe(campaign, output, show_progress, **options):
     with whole_folder(output) as t:
         (t / "half").write_text("x")
         print("ready", flush=True)
         time.sleep(30)
 fake.observe = observe
-sys.modules["hyperval.campaign.observing"] = fake
+sys.modules["hyperval.campaign.run"] = fake
 sys.argv = ["hyperval", "observe", "c.yaml", "-o", {str(tmp_path / "out")!r}]
 from hyperval.cli import main
 main()

@@ -19,7 +19,7 @@ from urllib.parse import quote
 
 import pytest
 
-from hyperval import datasets, download
+from hyperval import cli, datasets
 from hyperval.datasets import DataFile, DataSet, InputLog, registry
 from hyperval.errors import InputError, MissingDataError, UsageError
 
@@ -96,7 +96,7 @@ def test_a_set_that_is_not_public_says_who_holds_it_and_where_it_goes(places):
     known = datasets.describe(reference)
     assert (known["dataset"], known["licence"], known["sha256"]) == ("share2012", "not public", None)
     (record,) = (log := InputLog(places[0])).resolve(reference) and log.entries()
-    assert (record["dataset"], record["as_registered"]) == ("share2012", None)
+    assert record["dataset"] == "share2012"
     assert datasets.set_on_request("share2012/x") is None
     assert datasets.set_on_request("data:hysu/x") is None
 
@@ -165,7 +165,7 @@ def test_a_mistyped_name_is_told_the_nearest(places, mistyped, meant):
 
 
 def test_a_pattern_stands_for_every_file_that_matches(places, tmp_path):
-    from hyperval.file_names import matching
+    from hyperval.paths import matching
 
     local, cache = places
     two = [put(local, f"mine/grass{i}.asd") for i in (1, 2)]
@@ -222,19 +222,18 @@ def test_unknown_set_lists_the_known_ones():
 
 
 def test_log_records_what_was_read(places, tmp_path: Path):
-    put(places[0], HEADER, b"not the real header")
+    put(places[0], "hysu/mine.hdr", b"a file of one's own among those of a set")
     put(tmp_path, "campaign/b.csv", b"1,2")
     log = InputLog(tmp_path / "campaign")
     log.resolve("b.csv")
-    log.resolve("data:" + HEADER)
+    log.resolve("data:hysu/mine.hdr")
     log.resolve("b.csv")
     entries = log.entries()
-    assert [e["reference"] for e in entries] == ["b.csv", "data:" + HEADER]
+    assert [e["reference"] for e in entries] == ["b.csv", "data:hysu/mine.hdr"]
     assert entries[0]["sha256"] == hashlib.sha256(b"1,2").hexdigest()
     assert entries[0]["bytes"] == 3
     assert entries[0]["licence"] is None
-    assert entries[1]["licence"] == "CC-BY-4.0"
-    assert entries[1]["as_registered"] is False
+    assert entries[1]["bytes"] == 40
 
 
 def test_log_holds_no_path_of_this_machine(places, tmp_path: Path):
@@ -283,7 +282,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Handler]]:
         )
         toy = DataSet("toy", "Toy", "nobody/toy", "0" * 40, "CC0", "none", files)
         monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
-        monkeypatch.setattr(download, "ATTEMPTS", 1)
+        monkeypatch.setattr(datasets, "ATTEMPTS", 1)
         monkeypatch.setenv("NO_PROXY", "127.0.0.1")
         yield handler
         http.shutdown()
@@ -403,7 +402,7 @@ def test_a_local_copy_that_differs_is_reported_and_not_hidden(server, places):
 
 
 def test_a_failed_attempt_is_repeated(server, places, monkeypatch):
-    monkeypatch.setattr(download, "ATTEMPTS", 2)
+    monkeypatch.setattr(datasets, "ATTEMPTS", 2)
     body, answers = server.content["/a.txt"], []
 
     class Once(dict):
@@ -444,9 +443,9 @@ def test_what_a_killed_fetch_left_is_removed(server, places):
 
 def test_a_server_that_sends_next_to_nothing_is_given_up(server, places, monkeypatch):
     clock = iter(range(0, 10_000, 45))
-    monkeypatch.setattr(download, "ATTEMPTS", 3)
-    monkeypatch.setattr(download, "monotonic", lambda: float(next(clock)))
-    monkeypatch.setattr(download, "CHUNK_BYTES", 1)  # one byte in 45 seconds
+    monkeypatch.setattr(datasets, "ATTEMPTS", 3)
+    monkeypatch.setattr(datasets, "monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr(datasets, "CHUNK_BYTES", 1)  # one byte in 45 seconds
     with pytest.raises(InputError, match="cannot be downloaded: the server sends 0 bytes a second"):
         datasets.fetch("toy")
     assert server.asked == ["/a.txt"]
@@ -469,3 +468,32 @@ def test_cache_that_cannot_be_written(server, places, tmp_path: Path, monkeypatc
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "a-file"))
     with pytest.raises(InputError, match="cannot write"):
         datasets.fetch("toy")
+
+
+# A local copy that is another file.
+
+
+@pytest.fixture
+def tampered(small, places) -> tuple[Path, Path]:
+    """The small campaign with a registered spectrum, of which the local copy has other numbers; both files."""
+    name = "hysu/published/svc/DLR_HySU_SVC_ASCII.txt"
+    copy = put(places[0], name, b"Wavelength (nm)\tReflectance\n400\t0.1\n2500\t0.2\n")
+    small.data["collection"]["empirical_line"]["panels"][0]["spectrum"] = {"file": f"data:{name}"}
+    return small.write(), copy
+
+
+def test_a_wrong_copy_of_a_registered_file_is_refused_with_what_mends_it(tampered, tmp_path: Path, capsys):
+    campaign, copy = tampered
+    words = r"not the registered file[\s\S]*it has 45 bytes[\s\S]*remove it or[\s\S]*: hyperval data fetch hysu"
+    for command in ("validate", "observe"):
+        assert cli.run(["-q", command, str(campaign), "-o", str(tmp_path / command)]) == 3, command
+        said = capsys.readouterr().err
+        assert re.search(words, said)
+        assert str(copy) in said
+        assert not (tmp_path / command / "results.json").exists()
+
+
+def test_the_dry_run_lists_a_wrong_copy(tampered, capsys):
+    campaign, _ = tampered
+    assert cli.run(["validate", "--dry-run", str(campaign)]) != 0
+    assert re.search("not the registered file: remove it or .*: hyperval data fetch hysu", capsys.readouterr().out)

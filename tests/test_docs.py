@@ -22,9 +22,7 @@ def test_every_page_stands_in_the_table_of_contents():
     assert sorted(listed) == sorted(pages)
 
 
-@pytest.mark.parametrize(
-    "page", [p for p in DOCS.glob("*.md") if ">>> " in p.read_text("utf-8")], ids=lambda p: p.stem
-)
+@pytest.mark.parametrize("page", [p for p in DOCS.glob("*.md") if ">>> " in p.read_text("utf-8")], ids=lambda p: p.stem)
 def test_the_examples_of_a_page_give_what_it_says(page):
     flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
     text = page.read_text("utf-8").replace("```", "")
@@ -66,6 +64,4 @@ def test_the_notebook_runs_in_a_kernel_and_shows_what_it_speaks_of(path):
     html = " ".join(data["text/html"] for data in shown if "text/html" in data)
     assert "agrees" in html
     assert "radiance" in html
-    assert not any(
-        out.output_type == "error" or out.get("name") == "stderr" for cell in cells for out in cell.outputs
-    )
+    assert not any(out.output_type == "error" or out.get("name") == "stderr" for cell in cells for out in cell.outputs)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from hyperval.errors import InputError
-from hyperval.files import scratch_folder, sha256_of, size_of, whole_file, write_text
+from hyperval.storage import scratch_folder, sha256_of, size_of, whole_file, write_text
 
 
 class Broken(Exception):
@@ -80,7 +80,7 @@ def test_a_killed_process_keeps_the_old_file_and_the_next_one_removes_what_it_le
     script = f"""
         import os, signal
         from pathlib import Path
-        from hyperval.files import whole_file
+        from hyperval.storage import whole_file
         with whole_file(Path({str(path)!r})) as t:
             t.write_text("ne")
             os.kill(os.getpid(), signal.SIGKILL)
@@ -122,7 +122,7 @@ def test_full_disk_keeps_the_old_file(tmp_path: Path):
     script = f"""
         import resource, signal
         from pathlib import Path
-        from hyperval.files import whole_file
+        from hyperval.storage import whole_file
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
         try:
@@ -156,7 +156,7 @@ def test_scratch_of_killed_processes_goes_with_the_next(tmp_path: Path, monkeypa
     script = f"""
         import os, signal, tempfile
         tempfile.tempdir = {str(tmp_path)!r}
-        from hyperval.files import scratch_folder
+        from hyperval.storage import scratch_folder
         with scratch_folder("trial") as folder:
             (folder / "cube.img").write_bytes(bytes(100))
             os.utime(folder, (0, 0))

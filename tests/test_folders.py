@@ -12,23 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from hyperval import folders
+from hyperval import storage
 from hyperval.errors import UsageError
-from hyperval.folders import (
-    COLLECTION,
-    LIST,
-    LOCK,
-    POWER,
-    RESULTS,
-    Kind,
-    Unplaced,
-    partial_folder,
-    refuse_foreign,
-    whole_folder,
-)
+from hyperval.storage import COLLECTION, LIST, LOCK, POWER, RESULTS, FolderKind, Unplaced, partial_folder, whole_folder
 
 HEAD = '{\n "schema_version": 1,\n "hyperval_version": "0.1.0",\n "rows": []\n}\n'
-SRC = Path(folders.__file__).parents[1]
+SRC = Path(storage.__file__).parents[1]
 
 
 class Broken(Exception):
@@ -56,17 +45,7 @@ def run(path: Path, **content: str) -> None:
         fill(new, results_json=HEAD, **content)
 
 
-@pytest.fixture(params=["exchanged", "inside"])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Both ways in which the new content takes its place."""
-    if request.param == "inside":
-        monkeypatch.setattr(folders, "swappable", lambda path: False)
-    elif not folders.can_exchange(Path.cwd()):
-        pytest.skip("this file system does not exchange two folders")
-    return request.param
-
-
-def test_a_folder_is_replaced_as_a_whole(tmp_path: Path, way: str):
+def test_a_folder_is_replaced_as_a_whole(tmp_path: Path):
     path = tmp_path / "report"
     run(path, old_csv="1", figures__a_svg="<old>", figures__deep__b_svg="b")
     with whole_folder(path) as new:
@@ -78,7 +57,7 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path: Path, way: str):
 
 
 @pytest.mark.parametrize("kind", [RESULTS, COLLECTION, POWER], ids=lambda k: k.marker)
-def test_every_kind_takes_its_place_twice(kind: Kind, tmp_path: Path, way: str):
+def test_every_kind_takes_its_place_twice(kind: FolderKind, tmp_path: Path):
     for content in "12":
         with whole_folder(tmp_path / "out", kind) as new:
             (new / kind.marker).write_text(content)
@@ -86,7 +65,7 @@ def test_every_kind_takes_its_place_twice(kind: Kind, tmp_path: Path, way: str):
     assert files(tmp_path / "out") == {kind.marker: "2", "old2.yaml": ""}
 
 
-def test_failure_in_the_middle_keeps_the_old_folder(tmp_path: Path, way: str):
+def test_failure_in_the_middle_keeps_the_old_folder(tmp_path: Path):
     path = tmp_path / "report"
     run(path, old_csv="old")
 
@@ -101,70 +80,50 @@ def test_failure_in_the_middle_keeps_the_old_folder(tmp_path: Path, way: str):
     assert [p.name for p in tmp_path.iterdir()] == ["report"]
 
 
-def test_a_first_folder_that_fails_leaves_nothing(tmp_path: Path, way: str):
+def test_a_first_folder_that_fails_leaves_nothing(tmp_path: Path):
     with pytest.raises(Broken), whole_folder(tmp_path / "report"):
         raise Broken
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_the_user_put_there_stays(tmp_path: Path, way: str):
+def test_what_the_user_put_there_is_refused_and_stays(tmp_path: Path):
     path = tmp_path / "report"
     run(path, old_csv="1", figures__a_svg="<old>")
-    fill(path, notes_txt="mine", figures__my_png="mine too", summary_html="before there was one of ours")
-    (path / "archive" / "empty").mkdir(parents=True)
-    (path / "link").symlink_to("elsewhere")
-    os.link(path / "notes.txt", tmp_path / "second-name")
-    run(path, figures__b_svg="<new>", summary_html="ours")
-    assert files(path) == {
-        "results.json": HEAD,
-        "notes.txt": "mine",
-        "figures/b.svg": "<new>",
-        "figures/my.png": "mine too",
-        "summary.html": "ours",
-        "summary.html.kept": "before there was one of ours",
-    }
-    assert (path / "archive" / "empty").is_dir()
-    assert os.readlink(path / "link") == "elsewhere"
-    assert (path / "notes.txt").samefile(tmp_path / "second-name")  # the same file, not a copy
+    (path / ".DS_Store").write_text("of the system")
+    run(path, figures__a_svg="<new>")
+    held = {"results.json": HEAD, "figures/a.svg": "<new>", ".DS_Store": "of the system"}
+    assert files(path) == held
+    for name, make in (
+        ("notes.txt", lambda p: p.write_text("mine")),
+        ("figures/my.png", lambda p: p.write_text("mine too")),
+        ("link", lambda p: p.symlink_to("elsewhere")),
+    ):
+        make(path / name)
+        with pytest.raises(UsageError, match=f"holds files that no run wrote there: {name}"), whole_folder(path):
+            raise AssertionError("the block must not begin")
+        assert {k: v for k, v in files(path).items() if k != name} == held
+        (path / name).unlink()
     run(path)
-    assert set(files(path)) == {"results.json", "notes.txt", "figures/my.png", "summary.html.kept"}
+    assert set(files(path)) == {"results.json", ".DS_Store"}
 
 
-def test_a_file_of_the_user_in_the_way_of_a_folder_stays(tmp_path: Path, way: str):
-    path = tmp_path / "report"
-    run(path)
-    fill(path, figures="a file", scores__a="of the user", report_html__x="in a folder of a file's name")
-    run(path, figures__a_svg="<new>", scores="ours", report_html="ours")
-    held = files(path)
-    assert held["figures/a.svg"] == "<new>"
-    assert held["scores"] == held["report.html"] == "ours"
-    assert sorted(held.values()) == sorted(
-        [HEAD, "<new>", "ours", "ours", "a file", "of the user", "in a folder of a file's name"]
-    )
+def test_two_folders_whose_names_share_sixty_letters(tmp_path: Path):
+    one, other = (tmp_path / ("n" * 60 + end) for end in ("-first", "-second"))
+    with whole_folder(one) as new:
+        fill(new, results_json=HEAD, a_csv="1")
+        run(other, b_csv="2")
+        assert set(files(new)) == {"results.json", "a.csv"}
+    assert set(files(one)) == {"results.json", "a.csv"}
+    assert set(files(other)) == {"results.json", "b.csv"}
 
 
-def test_a_folder_in_it_that_another_run_replaced_is_ours(tmp_path: Path, way: str):
-    path = tmp_path / "report"
-    run(path, one__results_json=HEAD, one__old_csv="1")
-    run(path / "one", new_csv="2")
-    run(path, one__results_json=HEAD)
-    assert set(files(path)) == {"results.json", "one/results.json"}
-
-
-def test_a_link_is_followed_and_stays(tmp_path: Path, way: str):
+def test_a_link_is_followed_and_stays(tmp_path: Path):
     real = tmp_path / "disk" / "report"
     run(real, old_csv="1")
     (tmp_path / "out").symlink_to("disk/report")
     run(tmp_path / "out", new_csv="2")
     assert (tmp_path / "out").is_symlink()
     assert set(files(real)) == {"results.json", "new.csv"}
-
-
-def test_a_folder_from_before_there_was_a_list(tmp_path: Path, way: str):
-    path = tmp_path / "report"
-    fill(path, results_json=HEAD, report_html="old", figures__a_svg="old", one__junit_xml="old", notes_md="mine")
-    run(path, new_csv="2")
-    assert files(path) == {"results.json": HEAD, "new.csv": "2", "notes.md": "mine"}
 
 
 @pytest.mark.parametrize(
@@ -180,7 +139,7 @@ def test_a_folder_of_somebody_else_is_refused_untouched(tmp_path: Path, content:
     path = tmp_path / "thesis"
     fill(path, **content)
     before = files(path)
-    with pytest.raises(UsageError, match="holds files, and not results"), whole_folder(path):
+    with pytest.raises(UsageError, match="holds files that no run wrote there"), whole_folder(path):
         raise AssertionError("the block must not begin")
     assert files(path) == before
     assert not (path / LOCK).exists()
@@ -191,7 +150,6 @@ def test_results_and_simulated_collections_do_not_replace_each_other(tmp_path: P
         fill(new, truth_json="{}")
     with pytest.raises(UsageError, match="holds a simulated collection, not results"), whole_folder(tmp_path / "a"):
         raise AssertionError("the block must not begin")
-    refuse_foreign(tmp_path / "a", COLLECTION)
     assert files(tmp_path / "a") == {"truth.json": "{}"}
 
 
@@ -199,8 +157,9 @@ def test_a_damaged_list_loses_nothing(tmp_path: Path):
     path = tmp_path / "report"
     run(path, notes_txt="1")
     (path / LIST).write_text('{"schema": 1, "kind": "results", "files": ["../../etc/passwd"]}')
-    run(path, new_csv="2")
-    assert set(files(path)) == {"results.json", "notes.txt", "new.csv"}
+    with pytest.raises(UsageError, match=r"notes\.txt"):
+        run(path, new_csv="2")
+    assert set(files(path)) == {"results.json", "notes.txt"}
 
 
 @pytest.mark.parametrize("name", ["file", "file/out", "n" * 300, "n" * 200 + "/" + "n" * 300])
@@ -211,7 +170,7 @@ def test_places_where_no_folder_can_be_are_the_users_to_mend(tmp_path: Path, nam
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_a_name_as_long_as_a_name_can_be(tmp_path: Path, way: str):
+def test_a_name_as_long_as_a_name_can_be(tmp_path: Path):
     for text in ("1", "2"):
         run(tmp_path / ("n" * 255), a_csv=text)
     assert files(tmp_path / ("n" * 255))["a.csv"] == "2"
@@ -227,7 +186,7 @@ def test_permissions_obey_the_umask(tmp_path: Path):
     assert stat.S_IMODE((tmp_path / "report" / LIST).stat().st_mode) == 0o640
 
 
-def test_two_runs_into_one_folder(tmp_path: Path, way: str):
+def test_two_runs_into_one_folder(tmp_path: Path):
     path = tmp_path / "report"
     with whole_folder(path) as new:
         fill(new, results_json=HEAD, first_csv="1")
@@ -249,7 +208,7 @@ def test_the_working_directory_keeps_its_place(tmp_path: Path, monkeypatch: pyte
     run(Path(), new_csv="2")
     assert path.stat().st_ino == inode
     assert set(files(Path())) == {"results.json", "new.csv"}
-    assert partial_folder(Path()) == path / folders.PARTIAL
+    assert partial_folder(Path()) == path / storage.PARTIAL
     (path / "deeper").mkdir()
     monkeypatch.chdir(path / "deeper")
     run(path, newer_csv="3")
@@ -274,10 +233,9 @@ def test_a_mounted_volume_is_written_inside(tmp_path: Path):
     script = f"""
         import sys
         from pathlib import Path
-        from hyperval.folders import swappable, whole_folder
+        from hyperval.storage import whole_folder
         out = Path({str(tmp_path / "out")!r})
         for content in "12":
-            assert not swappable(out)
             with whole_folder(out) as new:
                 (new / "results.json").write_text(content)
     """
@@ -293,15 +251,11 @@ def test_a_mounted_volume_is_written_inside(tmp_path: Path):
     assert files(tmp_path / "volume") == {"results.json": "2"}
 
 
-def test_results_that_cannot_be_placed_are_kept_and_named(
-    tmp_path: Path, way: str, monkeypatch: pytest.MonkeyPatch
-):
+def test_results_that_cannot_be_placed_are_kept_and_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "report"
     run(path, old_csv="1")
 
-    step = "exchange" if way == "exchanged" else "rename"
-    owner = folders if way == "exchanged" else os
-    real, calls = getattr(owner, step), []
+    real, calls = os.rename, []
 
     def first_fails(source: Path, target: Path) -> None:
         calls.append(source)
@@ -309,24 +263,35 @@ def test_results_that_cannot_be_placed_are_kept_and_named(
             raise OSError(errno.EBUSY, "busy")
         real(source, target)
 
-    monkeypatch.setattr(owner, step, first_fails)
-    with pytest.raises(Unplaced, match=r"could not be put here: busy(?s:.*)they are complete in .*\.unplaced"):
+    monkeypatch.setattr(os, "rename", first_fails)
+    with pytest.raises(Unplaced, match=r"could not be put here: busy(?s:.*)they are complete in (.*): copy") as told:
         run(path, new_csv="2")
     monkeypatch.undo()
+    (safe,) = path.glob(".hyperval-new-*")
+    assert str(safe) in str(told.value)
+    assert files(safe)["new.csv"] == "2"
+    safe.rename(tmp_path / "safe")
     assert set(files(path)) == {"results.json", "old.csv"}
-    (safe,) = (p for p in tmp_path.iterdir() if p != path)
-    assert files(safe)["new.csv"] == "2"
-    run(path, newer_csv="3")
-    assert files(safe)["new.csv"] == "2"
+
+
+def test_a_change_that_failed_is_finished_by_the_next_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "report"
+    run(path, old_csv="1")
+    monkeypatch.setattr(os, "replace", lambda source, target: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
+    with pytest.raises(Unplaced, match=r"could not be put here: full(?s:.*)the next run into this folder finishes"):
+        run(path, new_csv="2")
+    monkeypatch.undo()
+    assert "results.json" not in files(path)
+    with pytest.raises(Broken), whole_folder(path):
+        raise Broken
+    assert set(files(path)) == {"results.json", "new.csv"}
 
 
 KILLED = """
 import os, signal, sys
 sys.path.insert(0, {src!r})
 from pathlib import Path
-from hyperval import folders
-if {inside}:
-    folders.swappable = lambda path: False
+from hyperval import storage as folders
 WRITES = {{"os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.link", "os.chmod", "shutil.rmtree", "os.truncate"}}
 left = [{steps}]
 def hook(event, args):
@@ -347,7 +312,7 @@ with folders.whole_folder(Path({path!r})) as new:
 
 
 @pytest.mark.parametrize("first", [True, False], ids=["first run", "second run"])
-def test_killed_at_any_point_the_old_report_or_the_new_one(tmp_path: Path, way: str, first: bool):
+def test_killed_at_any_point_the_old_report_or_the_new_one(tmp_path: Path, first: bool):
     new = {"results.json": HEAD, "a.csv": "new", "figures/a.svg": "new", "figures/b.svg": "new"}
     outcomes, codes, steps = [], [], 0
     while not codes or codes[-1] != 0:
@@ -357,21 +322,17 @@ def test_killed_at_any_point_the_old_report_or_the_new_one(tmp_path: Path, way: 
         old: dict[str, str] = {}
         if not first:
             run(path, a_csv="old", figures__a_svg="old", figures__c_svg="old")
-            fill(path, notes_txt="mine")
+            fill(path, **{".notes": "mine"})
             old = files(path)
-        script = KILLED.format(
-            src=str(SRC), inside=way == "inside", steps=steps, parent=str(path.parent), path=str(path), head=HEAD
-        )
+        script = KILLED.format(src=str(SRC), steps=steps, parent=str(path.parent), path=str(path), head=HEAD)
         codes.append(subprocess.run([sys.executable, "-S", "-c", script], check=False).returncode)
-        mine = {} if first else {"notes.txt": "mine"}
+        mine = {} if first else {".notes": "mine"}
         there = {k: v for k, v in files(path).items() if not k.startswith(".hyperval")} if path.exists() else {}
         whole = there in (old, new | mine)
-        if way == "exchanged":
-            assert whole, (steps, there)
-        else:  # file by file: what is neither bears no results, and the next run finishes it
-            assert whole or "results.json" not in there, (steps, there)
+        # File by file: what is neither bears no results, and the next run finishes it.
+        assert whole or "results.json" not in there, (steps, there)
         if not first:
-            assert there["notes.txt"] == "mine"
+            assert there[".notes"] == "mine"
         seen = []
         with whole_folder(path) as made:  # the next run
             seen.append({k: v for k, v in files(path).items() if not k.startswith(".hyperval")})

@@ -14,9 +14,9 @@ from hyperval import api, hdf5
 from hyperval.atmosphere.table_files import read_table
 from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5, trial
-from hyperval.imagery.companions import sun_of_observation
 from hyperval.imagery.cube import open_cube
-from hyperval.spectra.hypernets import read_hypernets
+from hyperval.imagery.placing import sun_of_observation
+from hyperval.spectra.networks import read_hypernets
 from hyperval.statistics_library import read_statistics_library
 
 HEAP_HEADER, OBJECT_SIZE = 16, 8  # bytes before the first object of a global heap, and before its size

@@ -16,15 +16,14 @@ from hyperval.predict import Origins, predict, without_calibration_error
 from hyperval.prediction import filters
 from hyperval.prediction.batch import detection_bands
 from hyperval.prediction.cases import terms_in_memory
-from hyperval.prediction.forms import spectrum_error_covariance
+from hyperval.prediction.input import spectrum_error_covariance
 from hyperval.prediction.inputs import Sources, SurfaceStatistics
 from hyperval.processing.filters import LinearFilter, matched_filter_weights
-from hyperval.processing.roc_reading import detection_at
-from hyperval.products import Prediction, background_of
+from hyperval.processing.roc_model import detection_at
+from hyperval.products import PredictedProducts, background_of
 from hyperval.scenario import Scenario, SpectrumSource, SpectrumUncertainty, load_scenario
 from hyperval.scene.builtin import builtin_class
-from hyperval.scene.mixture import average_reflectance, mixture_covariance
-from hyperval.scene.radiance import adjacency_slope
+from hyperval.scene.radiance import adjacency_slope, average_reflectance, mixture_covariance
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.sensor.specification import load_sensor
 from hyperval.spectra import readers
@@ -74,7 +73,7 @@ def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
     return validate(Scenario, data, lines, "text")
 
 
-def run(extra: str = ATMOSPHERE, **kwargs) -> Prediction:
+def run(extra: str = ATMOSPHERE, **kwargs) -> PredictedProducts:
     return predict(scenario(extra), Origins(axis=AXIS, engine=engine), **kwargs)
 
 
@@ -295,9 +294,7 @@ def test_scene_statistics_hold_the_targets():
                           "{detectors:": "{filter_statistics: scene, detectors:"})  # fmt: skip
     contaminated = predict(s, Origins(axis=AXIS, engine=engine))
     # Targets in the statistics raise the filter's mean: the background then scores below zero on average.
-    assert (
-        contaminated.scores[background_of("tenth"), "cem"].mean < plain.scores[background_of("tenth"), "cem"].mean
-    )
+    assert contaminated.scores[background_of("tenth"), "cem"].mean < plain.scores[background_of("tenth"), "cem"].mean
 
 
 def test_objects_are_found_more_often_than_their_pixels():
@@ -375,7 +372,7 @@ def test_a_file_of_spectra_is_read_once_for_all_bands_of_one_run(tmp_path, monke
     assert [how["reflectance_unit"] for how in calls] == ["fraction", "percent"]
 
 
-def detector_of(p: Prediction) -> LinearFilter:
+def detector_of(p: PredictedProducts) -> LinearFilter:
     """The filter for the plank, designed anew from the reflectance products of the two classes."""
     seen = [p.reflectance[n] for n in ("grass", "asphalt")]
     means = [e.mean for e in seen]

@@ -10,9 +10,9 @@ import pytest
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.errors import UsageError
 from hyperval.predict import Origins, predict
-from hyperval.prediction.fills import fill_distribution
-from hyperval.processing.elm_model import darkest_level
-from hyperval.processing.roc_reading import detection_at
+from hyperval.prediction.departure import fill_distribution
+from hyperval.processing.elm import darkest_level
+from hyperval.processing.roc_model import detection_at
 from hyperval.products import background_of
 from hyperval.scenario import load_scenario
 from hyperval.scene.builtin import builtin_class
@@ -92,9 +92,7 @@ def test_shade_needs_sky_light():
 
 def library(tmp_path, axis: SpectralAxis = AXIS, **changes):
     path = tmp_path / "statistics.nc"
-    write_statistics_library(
-        path, [replace(builtin_class(n, axis), n=500, **changes) for n in ("grass", "asphalt")]
-    )
+    write_statistics_library(path, [replace(builtin_class(n, axis), n=500, **changes) for n in ("grass", "asphalt")])
     return path
 
 
@@ -196,7 +194,7 @@ def test_saturation_is_said():
 
 
 def test_blur_of_the_sensor_serves_where_a_geometry_states_none(tmp_path):
-    from hyperval.prediction.setup import with_sensor_blur
+    from hyperval.prediction.cases import with_sensor_blur
     from hyperval.sensor.specification import load_sensor
 
     fill = "fill: {geometry: {side_m: 1, gsd_m: 1%s}}}"
@@ -275,7 +273,7 @@ def test_ace_against_simulated_pixels():
     """
     p = of(use=engine, **{"[cem, cem-correlation]": "[ace], samples: 8000"})
     from hyperval.processing.ace_model import ace_space
-    from hyperval.scene.mixture import average_reflectance, mixture_covariance
+    from hyperval.scene.radiance import average_reflectance, mixture_covariance
 
     seen = [p.reflectance[n] for n in ("grass", "asphalt")]
     means, covs = [e.mean for e in seen], [e.pixel_covariance for e in seen]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.prediction.replicates import in_bands
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.response import band_average
+from hyperval.prediction.inputs import in_bands
+from hyperval.spectra.axis import SpectralAxis, band_average
 
 AXIS = SpectralAxis(np.arange(420.0, 900.0, 3.6), 4.8)
 

@@ -85,8 +85,7 @@ def test_a_mistake_is_named_with_its_line(tmp_path, old, new, line, words):
 
 def test_an_atmosphere_needs_a_sensor(tmp_path):
     text = GOOD + (
-        "atmosphere: {aot550: 0.1, sensor_altitude_km: 1, "
-        "solar_zenith_deg: 30, solar_azimuth_deg: 0, day_of_year: 1}\n"
+        "atmosphere: {aot550: 0.1, sensor_altitude_km: 1, solar_zenith_deg: 30, solar_azimuth_deg: 0, day_of_year: 1}\n"
     )
     with pytest.raises(UsageError, match="needs a sensor"):
         load_scenario(write(tmp_path, text))
@@ -102,7 +101,5 @@ def test_unknown_name_and_missing_file(tmp_path):
 def test_a_campaign_is_told_from_a_scenario(tmp_path):
     path = tmp_path / "campaign.yaml"
     path.write_text("schema: 1\nname: a\ncollection: {}\nscenarios: []\n")
-    with pytest.raises(
-        UsageError, match=r"a campaign, not a scenario\n.*hyperval validate .*campaign\.yaml -o DIR"
-    ):
+    with pytest.raises(UsageError, match=r"a campaign, not a scenario\n.*hyperval validate .*campaign\.yaml -o DIR"):
         load_scenario(path)

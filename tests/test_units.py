@@ -32,9 +32,7 @@ def test_radiance_factor_follows_from_the_prefixes(unit):
 
 @pytest.mark.parametrize("unit", sorted(units._IRRADIANCE_TO_INTERNAL))
 def test_irradiance_factor_follows_from_the_prefixes(unit):
-    assert units.irradiance_to_internal(unit) == pytest.approx(
-        in_si(unit) / in_si(units.IRRADIANCE_UNIT), rel=1e-12
-    )
+    assert units.irradiance_to_internal(unit) == pytest.approx(in_si(unit) / in_si(units.IRRADIANCE_UNIT), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -54,9 +52,7 @@ def test_wavelength_factor(unit, factor):
     assert units.wavelength_to_nm(unit) == factor
 
 
-@pytest.mark.parametrize(
-    "factor", [units.wavelength_to_nm, units.radiance_to_internal, units.irradiance_to_internal]
-)
+@pytest.mark.parametrize("factor", [units.wavelength_to_nm, units.radiance_to_internal, units.irradiance_to_internal])
 @pytest.mark.parametrize("unit", ["", "furlong", "Unknown", "W"])
 def test_unknown_unit_lists_what_is_known(factor, unit):
     with pytest.raises(UsageError, match="expected: one of") as caught:

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, field_validator, model_validator
 
 from hyperval.collection_files import (
-    BandTable,
+    BandTableFile,
     CubeSource,
     RadCalNetSource,
     RegionSource,
@@ -16,8 +16,7 @@ from hyperval.collection_files import (
     TargetTruth,
 )
 from hyperval.config import Model
-from hyperval.processing.detectors import ANOMALY_DETECTORS, detector_names
-from hyperval.processing.local_scores import LOCAL_DETECTORS
+from hyperval.processing.detectors import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
 from hyperval.scenario import SpectrumSource
 
 
@@ -49,21 +48,19 @@ class PathRadiance(Model):
     line: str | None = Field(None, description="flight line that it holds for, as its spectra state it")
 
 
-class DarkestPixel(Model):
+class DarkestPixelPanel(Model):
     """The darkest radiance of the scene, band by band, as a panel of assumed reflectance."""
 
     reflectance: float = Field(0.0, ge=0, lt=1)
     uncertainty: float = Field(0.01, gt=0, lt=1, description="of the reflectance, standard")
-    radiance_noise: float = Field(
-        0.0, ge=0, description="standard deviation of one pixel's noise [uW cm-2 sr-1 nm-1]"
-    )
+    radiance_noise: float = Field(0.0, ge=0, description="standard deviation of one pixel's noise [uW cm-2 sr-1 nm-1]")
 
 
 class EmpiricalLineSource(Model):
     """Panels for the empirical line; a material of known spectrum in the scene is a panel too."""
 
     panels: list[PanelReference] = Field(min_length=1)
-    darkest_pixel: DarkestPixel | None = Field(None, description="a dark panel where none was laid out")
+    darkest_pixel: DarkestPixelPanel | None = Field(None, description="a dark panel where none was laid out")
     path_radiance: list[PathRadiance] = Field(
         default_factory=list,
         description="with spectra: black ground as an engine sees it, for each flight line; used where a single "
@@ -84,9 +81,7 @@ class EmpiricalLineSource(Model):
                 "an empirical line needs two panels, or one and darkest_pixel or path_radiance, or intercept: false"
             )
         if not self.intercept and (self.darkest_pixel or self.path_radiance):
-            raise ValueError(
-                "darkest_pixel and path_radiance give the path part, which intercept: false says is none"
-            )
+            raise ValueError("darkest_pixel and path_radiance give the path part, which intercept: false says is none")
         lines = [entry.line for entry in self.path_radiance]
         if len(set(lines)) < len(lines):
             raise ValueError("path_radiance: a flight line stands twice")
@@ -115,7 +110,7 @@ class CalibrationUncertainty(Model):
         return self
 
 
-class Collection(Model):
+class CollectionSection(Model):
     """What was collected."""
 
     simulate: str | None = Field(
@@ -124,7 +119,7 @@ class Collection(Model):
     cube: CubeSource | None = None
     spectra: list[SpectrumCollection] = Field(default_factory=list)
     radcalnet: RadCalNetSource | None = Field(None, description="top-of-atmosphere reflectance of a network's site")
-    bands: BandTable | None = Field(
+    bands: BandTableFile | None = Field(
         None, description="needed with spectra; for a cube, takes the place of its wavelengths and bad-band list"
     )
     regions: list[RegionSource] = Field(default_factory=list)
@@ -139,15 +134,10 @@ class Collection(Model):
         description="with spectra: sensor of the library, or file, whose noise over the pixels of a site is "
         "an error of its mean",
     )
-    precision: Literal["auto", "fast", "exact"] = Field(
-        "auto",
-        description="arithmetic of the covariances: 'fast' multiplies in float32 (scores differ by about 1e-6 of "
-        "their standard deviation), 'exact' in float64; 'auto': exact up to 100 million values",
-    )
     snr_regions: list[str] = Field(default_factory=list, description="regions whose SNR the image gives")
 
     @model_validator(mode="after")
-    def _one_source(self) -> Collection:
+    def _one_source(self) -> CollectionSection:
         if bool(self.cube) + bool(self.spectra) + bool(self.radcalnet) != 1:
             raise ValueError("give exactly one of cube, spectra, radcalnet")
         if self.detector is not None and not (self.spectra and all(site.pixels for site in self.spectra)):

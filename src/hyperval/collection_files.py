@@ -78,7 +78,7 @@ class RadCalNetSource(Model):
     )
 
 
-class BandTable(Model):
+class BandTableFile(Model):
     """A text table with the band centres and widths of collected spectra."""
 
     path: str
@@ -224,9 +224,7 @@ class FinerTruth(Model):
     corner: tuple[float, float] | None = Field(
         None, description="line and sample of the cube, continuous, where it begins; None: by its map position"
     )
-    times_finer: float | None = Field(
-        None, ge=2, le=1000, description="cells along the side of a pixel, with corner"
-    )
+    times_finer: float | None = Field(None, ge=2, le=1000, description="cells along the side of a pixel, with corner")
     objects: Literal["patches", "classes"] = Field(
         "patches", description="what one object is: cells that touch, or all of a class"
     )

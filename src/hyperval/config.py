@@ -25,6 +25,11 @@ MAX_NODES = 20_000
 MOST_MISTAKES = 20  # that are listed
 # A value that begins so is one that the user has still to give: "FILL_IN: what it is".
 FILL_IN = "FILL_IN"
+# Keys of the version before that are gone, for one version: what stands in their place.
+GONE = {
+    "surroundings_altitude_km": "surroundings are as high as the site: ground_altitude_km",
+    "precision": "covariances are always summed in float64, as 'exact' did: leave it out",
+}
 
 
 class Model(BaseModel):
@@ -103,9 +108,7 @@ for _tag, _pattern, _first in (
     ),
     ("tag:yaml.org,2002:null", r"^(?:~|null|Null|NULL|)$", "~nN\0"),
 ):
-    _Loader.add_implicit_resolver(
-        _tag, re.compile(_pattern), list(_first) + ([""] if _tag.endswith("null") else [])
-    )
+    _Loader.add_implicit_resolver(_tag, re.compile(_pattern), list(_first) + ([""] if _tag.endswith("null") else []))
 
 
 @reader
@@ -240,6 +243,8 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
                 few = len(problems) < MOST_MISTAKES  # what is looked for takes long beside what is listed
                 near = difflib.get_close_matches(str(item["loc"][-1]), _keys_of(model), n=1) if few else []
                 text = "unknown key" + (f"; did you mean {near[0]!r}?" if near else "")
+                if item["loc"][-1] in GONE:
+                    text = f"this key is gone; {GONE[str(item['loc'][-1])]}"
             problems.append((line, f"{name}:{line}: {key}: {text}"))
         problems.sort()
         if not problems:

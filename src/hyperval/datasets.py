@@ -3,6 +3,8 @@
 A reference ``data:PATH`` in a YAML file means the file PATH of the data directory.  The directory
 HYPERVAL_DATA is looked at first, so that a local copy wins; then the user's cache, which
 ``hyperval data fetch SET`` fills from the public address that the registry pins.
+
+One file from a public address into a folder: whole, of the right content, or not at all.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from functools import cache
 from importlib import resources
 from itertools import islice
 from pathlib import Path, PurePosixPath
+from time import monotonic
 from typing import Any, Literal
 from urllib.parse import quote
 
@@ -26,12 +29,112 @@ import platformdirs
 from pydantic import model_validator
 
 from hyperval.config import Model, parse_yaml, validate
-from hyperval.download import download
 from hyperval.errors import InputError, MissingDataError, UsageError
-from hyperval.file_names import is_pattern, matching, nearest
-from hyperval.files import has_digest, sha256_of, size_of
-from hyperval.paths import checked_store
+from hyperval.paths import checked_store, is_pattern, matching, nearest
 from hyperval.progress import track
+from hyperval.storage import has_digest, scratch_folder, sha256_of, size_of, whole_file
+
+ATTEMPTS = 3
+TIMEOUT_S = 60
+# Small, since nothing is seen of a chunk before it is full; the registered files have a few MB at most.
+CHUNK_BYTES = 1 << 8
+PATIENCE_S = 60.0
+LEAST_BYTES_PER_S = 200.0
+
+
+def download(address: str, target: Path, *, size: int, digest: str, pack: bool = False, mend: str = "") -> Path:
+    """Bring the file at ``address`` to ``target`` and return ``target``.
+
+    Parameters
+    ----------
+    size, digest : of the published content, as ``sha256:HEX`` or ``git-blob:HEX``; an answer that grows past
+        ``size`` is cut off
+    pack : keep the content gzip-compressed at ``target``, whose name then ends in ``.gz``
+    mend : what the user can do when it fails
+
+    Raises
+    ------
+    InputError : no connection, another content, or no room to write; nothing stands at ``target`` then.
+    """
+    # Imported here: only a download needs a network client, and its import is slow.
+    import pooch
+    import requests
+
+    pooch.get_logger().setLevel("WARNING")
+
+    def attempt(url: str, output: str, _: Any) -> None:
+        _stream(url, output, size)
+        if not has_digest(Path(output), digest):
+            raise ValueError("another content")
+
+    try:
+        with scratch_folder("fetch", target.parent) as folder:
+            # A folder for this process alone: others may fetch the same file at this moment.
+            store = pooch.create(
+                folder,
+                base_url="",
+                registry={"published": None},  # checked above: git's digest is none of pooch's
+                urls={"published": address},
+                retry_if_failed=ATTEMPTS - 1,
+            )
+            published = Path(store.fetch("published", downloader=attempt))
+            with whole_file(target) as temporary:
+                # No time in the header: the same content gives the same bytes.
+                content = published.read_bytes()
+                temporary.write_bytes(gzip.compress(content, mtime=0) if pack else content)
+    except _TooSlow as error:
+        raise InputError(f"cannot be downloaded: {error}", where=address, mend=mend) from error
+    except requests.RequestException as error:
+        raise InputError(f"cannot be downloaded: {_reason(error)}", where=address, mend=mend) from error
+    except ValueError as error:
+        raise InputError(
+            "what was downloaded is not the registered file",
+            where=address,
+            expected=f"{size} bytes, {digest}",
+            mend=mend,
+        ) from error
+    except OSError as error:
+        raise InputError(f"cannot write: {error.strerror or error}", where=str(target)) from error
+    return target
+
+
+class _TooSlow(Exception):
+    """A server that sends so little that it is given up, and not asked again."""
+
+
+def _stream(address: str, output: str, size: int) -> None:
+    """Write the answer to ``output``.
+
+    An answer longer than ``size`` bytes is cut off with ValueError, one that comes at less than
+    LEAST_BYTES_PER_S over PATIENCE_S with _TooSlow.
+    """
+    import requests
+
+    received, since, mark = 0, monotonic(), 0
+    with requests.get(address, stream=True, timeout=TIMEOUT_S) as answer, open(output, "wb") as stream:
+        answer.raise_for_status()
+        for chunk in answer.iter_content(CHUNK_BYTES):
+            received += len(chunk)
+            if received > size:
+                raise ValueError("the answer is longer than the registered file")
+            stream.write(chunk)
+            passed = monotonic() - since
+            if passed > PATIENCE_S:
+                if received - mark < LEAST_BYTES_PER_S * passed:
+                    raise _TooSlow(f"the server sends {(received - mark) / passed:.0f} bytes a second")
+                since, mark = monotonic(), received
+
+
+def _reason(error: Exception) -> str:
+    """The cause in a few words: the text of the exception repeats the address several times."""
+    import requests
+
+    if isinstance(error, requests.HTTPError) and error.response is not None:
+        return f"the server answered {error.response.status_code}"
+    if isinstance(error, requests.Timeout):
+        return "no answer in time"
+    return "no connection" if isinstance(error, requests.ConnectionError) else type(error).__name__
+
 
 PREFIX = "data:"
 
@@ -177,7 +280,7 @@ def resolve(reference: str, base: Path | None = None) -> Path:
     ``data:PATH`` is looked for below HYPERVAL_DATA and then in the cache; anything else is a path relative
     to ``base`` (the folder of the YAML file that holds the reference; by default the working directory).
     Where the last part is a pattern (``*``, ``?``) the path of the pattern comes back, which at least one file
-    matches (:func:`hyperval.file_names.matching` lists them).
+    matches (:func:`hyperval.paths.matching` lists them).
 
     Raises
     ------
@@ -202,15 +305,11 @@ def describe(reference: str) -> dict[str, str | None]:
     nothing: dict[str, str | None] = dict.fromkeys(("dataset", "licence", "citation", "address", "sha256"))
     if not reference.startswith(PREFIX):
         return nothing
-    entry = _by_path().get(_data_path(reference))
-    if entry is None:
-        holder = set_on_request(reference)
-        if holder is None:
-            return nothing
-        return nothing | {"dataset": holder.name, "licence": holder.licence, "citation": holder.citation}
-    owner, file = entry
+    owner, file = _by_path().get(_data_path(reference), (set_on_request(reference), None))
+    if owner is None:
+        return nothing
     known = {"dataset": owner.name, "licence": owner.licence, "citation": owner.citation}
-    return known | {"address": file.address, "sha256": file.sha256 or None}
+    return nothing | known | ({"address": file.address, "sha256": file.sha256 or None} if file else {})
 
 
 def set_on_request(reference: str) -> DataSet | None:
@@ -228,14 +327,11 @@ def files_at_hand(name: str) -> int:
 
 def verify(name: str) -> list[FileCheck]:
     """Compare every file of a set, where it would be read from, with its registered SHA-256."""
-    checks = []
-    for file in dataset(name).files:
-        path = _find(file.path)
-        state: Literal["ok", "missing", "differs"] = (
-            "missing" if path is None else "ok" if file.matches(path) else "differs"
-        )
-        checks.append(FileCheck(file.path, state, path))
-    return checks
+    found = [(file, _find(file.path)) for file in dataset(name).files]
+    return [
+        FileCheck(file.path, "missing" if path is None else "ok" if file.matches(path) else "differs", path)
+        for file, path in found
+    ]
 
 
 def missing(name: str) -> list[str]:
@@ -246,37 +342,44 @@ def missing(name: str) -> list[str]:
 def fetch(name: str, *, show_progress: bool | None = None) -> list[Path]:
     """Bring every file of a set that is not at hand, or that differs, into the cache; return the new paths.
 
-    Each file appears under its name only when its SHA-256 is right.  What was fetched before a failure is
-    kept, so that a repeated call goes on where the first stopped.
+    Each appears under its name only when its SHA-256 is right; a repeated call goes on where the first stopped.
 
     Raises
     ------
-    InputError : no connection, an answer that is not the registered file, no room to write, or a set that is not
-        public: the message says who has it.
+    InputError : no connection, another answer, no room to write, or a set that is not public, with who has it.
     """
     entry = dataset(name)
     if not entry.public:
-        raise InputError(
-            f"the data set {name!r} is not public; it is held by {entry.holder}", mend=how_to_get(entry)
-        )
+        raise InputError(f"the data set {name!r} is not public; it is held by {entry.holder}", mend=how_to_get(entry))
     needed = []
     for file in dataset(name).files:
         path = _find(file.path)
         if path is not None and file.matches(path):
             continue
         if path is not None and not path.is_relative_to(cache_dir()):
-            raise InputError(
-                "the local copy is not the registered file, and a local copy wins",
-                where=str(path),
-                expected=file.digest,
-                mend="remove that file, or leave HYPERVAL_DATA unset",
-            )
+            raise _another_file(name, file, path)
         needed.append(file)
     again = f"check the connection and repeat: hyperval data fetch {name}; or name a copy with HYPERVAL_DATA"
     return [
         download(f.address, cache_dir() / f.path, size=f.size, digest=f.digest, pack=f.packed, mend=again)
         for f in track(needed, f"fetching {name}", show=show_progress)
     ]
+
+
+def check_copy(reference: str, path: Path) -> None:
+    """Raise InputError where ``path``, which stands for a registered file, has another content."""
+    entry = _by_path().get(_data_path(reference)) if reference.startswith(PREFIX) else None
+    if entry is not None and not entry[1].matches(path):
+        raise _another_file(entry[0].name, entry[1], path)
+
+
+def _another_file(name: str, file: DataFile, path: Path) -> InputError:
+    return InputError(
+        f"the local copy of {PREFIX}{file.path} is not the registered file",
+        where=str(path),
+        expected=f"{file.size} bytes{' unpacked' * file.packed}, {file.digest}; it has {size_of(path)} bytes",
+        mend=f"remove it or unset HYPERVAL_DATA, then: hyperval data fetch {name}; name your own data by its path",
+    )
 
 
 def how_to_get(entry: DataSet) -> str:
@@ -298,7 +401,7 @@ class InputLog:
         return log
 
     def resolve(self, reference: str) -> Path:
-        """Like :func:`resolve`, and keep a record of the file."""
+        """Like :func:`resolve`, and keep a record of the file; InputError where it is not the registered one."""
         path = resolve(reference, self.base)
         if is_pattern(reference) and not path.is_file():
             for one in matching(path):
@@ -313,14 +416,13 @@ class InputLog:
         if reference is None:
             reference = self._relative(path)
         if reference not in self._entries:
+            check_copy(reference, path)
             known = describe(reference)
-            entry = _by_path().get(_data_path(reference)) if reference.startswith(PREFIX) else None
             self._entries[reference] = {
                 "reference": reference,
                 "sha256": sha256_of(path),
                 "bytes": size_of(path),
                 **{key: known[key] for key in ("dataset", "licence", "citation")},
-                "as_registered": entry[1].matches(path) if entry else None,
             }
         return path
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import InputError, reader
-from hyperval.files import decoded
+from hyperval.errors import InputError, UsageError, reader
+from hyperval.storage import decoded
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_KEYS = 1000
@@ -101,6 +101,12 @@ class EnviHeader:
         value = self.text(key)
         return None if value is None else tuple(part.strip() for part in value.split(","))
 
+    @property
+    def band_names(self) -> tuple[str, ...]:
+        """The names of the bands; none where there are not as many of them as bands."""
+        names = self.strings("band names") or ()
+        return names if len(names) == self.bands else ()
+
     def numbers(self, key: str, count: int | None = None) -> npt.NDArray[np.float64] | None:
         """A comma-separated entry as finite numbers, None when it is absent or empty.
 
@@ -149,6 +155,27 @@ class EnviHeader:
                 where=self.where(key),
                 mend="correct it, or delete the entry",
             ) from None
+
+
+def header_beside(data: Path) -> Path | None:
+    """The header of a data file: ``name.img.hdr`` or ``name.hdr``; None when there is none.
+
+    ``name.hdr`` beside a table ``name.csv`` or ``name.txt`` is that of an image of the same name.
+    """
+    ends = (".hdr", ".HDR")
+    candidates = {data.with_name(data.name + end) for end in ends}
+    if data.suffix.lower() not in (".csv", ".txt"):
+        candidates |= {data.with_suffix(end) for end in ends}
+    headers = sorted(p for p in candidates - {data} if p.is_file())
+    # One file under two names on a file system that ignores case is one header.
+    unique = {p.resolve().stat().st_ino: p for p in reversed(headers)}
+    if len(unique) > 1:
+        raise UsageError(
+            "two headers beside the data file: " + ", ".join(p.name for p in headers),
+            where=str(data),
+            mend="state which one is meant (header:), or move the other away",
+        )
+    return next(iter(unique.values()), None)
 
 
 @reader

@@ -26,9 +26,7 @@ class HypervalError(Exception):
 
     exit_code = 4
 
-    def __init__(
-        self, what: str, *, where: str | None = None, expected: str | None = None, mend: str | None = None
-    ):
+    def __init__(self, what: str, *, where: str | None = None, expected: str | None = None, mend: str | None = None):
         self.what, self.where, self.expected, self.mend = what, where, expected, mend
         parts = [f"{where}: {what}" if where else what]
         if expected:

@@ -31,7 +31,7 @@ import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are c
 from threadpoolctl import ThreadpoolController
 
 from hyperval.errors import HypervalError, UsageError
-from hyperval.files import scratch_folder
+from hyperval.storage import scratch_folder
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -1,18 +1,50 @@
-"""Which files may be opened: regular files below the data root, never a URL or a virtual path."""
+"""Which files may be opened: regular files below the data root, never a URL or a virtual path.
+
+Names of files: patterns such as ``grass*.asd``, and the names nearest to one that does not exist.
+"""
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 import stat
-from pathlib import Path
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
 
 from hyperval.errors import InputError, UsageError
 
+MAX_MATCHES = 1000
 
-def checked_file(
-    path: Path | str, *, root: Path | None = None, what: str = "file", most: int | None = None
-) -> Path:
+
+def is_pattern(name: str) -> bool:
+    """Whether the last part of a path stands for several files: it holds ``*``, ``?`` or ``[``."""
+    return any(c in PurePosixPath(name).name for c in "*?[")
+
+
+def matching(path: Path) -> list[Path]:
+    """The files that a path names: itself, or all that match the pattern in its last part, sorted by name.
+
+    A file whose name is the pattern itself comes first.  At most 1001 are listed.
+    """
+    if path.is_file():
+        return [path]
+    if not is_pattern(path.name) or not path.parent.is_dir():
+        return []
+    matches = (p for p in path.parent.iterdir() if fnmatchcase(p.name, path.name) and p.is_file())
+    return sorted(matches)[: MAX_MATCHES + 1]
+
+
+def nearest(name: str, known: Iterable[str], count: int = 3) -> list[str]:
+    """The known names most like ``name``, case left aside; the best first."""
+    by_lower: dict[str, str] = {}
+    for one in known:
+        by_lower.setdefault(one.lower(), one)
+    return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, count, 0.6)]
+
+
+def checked_file(path: Path | str, *, root: Path | None = None, what: str = "file", most: int | None = None) -> Path:
     """The path of a regular file that lies under ``root``, of at most ``most`` bytes.
 
     Symbolic links are followed before the check, so a link that leads out of ``root`` is refused.
@@ -64,7 +96,5 @@ def _checked(given: Path, root: Path | None, what: str, *, folder: bool) -> Path
         )
     if not (stat.S_ISDIR(mode) if folder else stat.S_ISREG(mode)):
         kind = "a folder" if stat.S_ISDIR(mode) else "a file" if stat.S_ISREG(mode) else "a pipe, socket or device"
-        raise InputError(
-            f"is {kind}, not a {what}", where=text, expected="a folder" if folder else "a regular file"
-        )
+        raise InputError(f"is {kind}, not a {what}", where=text, expected="a folder" if folder else "a regular file")
     return given

@@ -13,40 +13,50 @@ import numpy.typing as npt
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.prediction.batch import Batch
-from hyperval.prediction.budget import given_with, inputs_of, spectrum_inputs
-from hyperval.prediction.cases import Case, Engine, Origins, batch_of, case_of
-from hyperval.prediction.certain_objects import object_scores_of_truths
-from hyperval.prediction.departure import Departure, moved_on
-from hyperval.prediction.detection import Detection, RocKey, detect
-from hyperval.prediction.expected_scores import expected_scores
-from hyperval.prediction.forms import spectrum_error_covariance
-from hyperval.prediction.input import Input
-from hyperval.prediction.input_paths import Given
-from hyperval.prediction.inputs import class_tail
-from hyperval.prediction.law_sampling import law_directions, setups_without, with_law_errors, with_law_limits
-from hyperval.prediction.object_scores import predicted_object_scores
-from hyperval.prediction.setup import Setup, engine_notes, saturation_notes, sensor_notes, unstated_notes
-from hyperval.prediction.spectra import spectral_products, without_calibration_error
+from hyperval.prediction.cases import (
+    Case,
+    Engine,
+    Origins,
+    Setup,
+    batch_of,
+    case_of,
+    engine_notes,
+    saturation_notes,
+    sensor_notes,
+    unstated_notes,
+)
+from hyperval.prediction.departure import Departure, Given, moved_on, pixels_of_object
+from hyperval.prediction.detection import PredictedDetection, RocKey, detect
+from hyperval.prediction.input import UncertainInput, spectrum_error_covariance
+from hyperval.prediction.inputs import SurfaceStatistics, class_tail
+from hyperval.prediction.object_scores import expected_scores, object_scores_of_truths, predicted_object_scores
+from hyperval.prediction.spectra import MeanError, spectral_products, without_calibration_error
 from hyperval.prediction.uncertainty import (
     Change,
     Moved,
     Steps,
+    given_with,
+    inputs_of,
+    law_directions,
     moved_predictions,
     probit,
+    setups_without,
+    shifted_intervals,
+    spectrum_inputs,
     steps_of,
     with_bands,
+    with_law_errors,
+    with_law_limits,
     with_moves,
 )
-from hyperval.products import SPECTRA, PixelDistribution, Prediction
-from hyperval.scenario import Scenario
-from hyperval.scenario_uncertainty import Uncertainty
+from hyperval.products import SPECTRA, PixelDistribution, PredictedProducts, RocCurve
+from hyperval.scenario import BackgroundClass, Scenario, Uncertainty
 
 __all__ = ["Origins", "predict", "predictions", "without_calibration_error"]
 
 Array = npt.NDArray[np.float64]
-Again = Callable[[Iterable[Departure]], Iterator[Prediction]]
+Again = Callable[[Iterable[Departure]], Iterator[PredictedProducts]]
 _TOGETHER = 16  # truths in one batch: their matrices and products are in memory at once
-_MOST_OF_CLASSES = 8  # directions of a class's spectrum whose effect on the curves is followed
 
 
 def predict(
@@ -56,7 +66,7 @@ def predict(
     departure: Departure | None = None,
     objects: bool | int = False,
     object_curves: bool = True,
-) -> Prediction:
+) -> PredictedProducts:
     """Predict radiance, SNR, reflectance, detector scores and ROC of a scenario (3.7-3.33).
 
     Parameters
@@ -87,15 +97,21 @@ def predict(
     inputs = inputs_of(given, shapes=False)
     steps = steps_of(case, origins, truth, inputs)
 
-    def again(truths: Iterable[Departure], stand_in: Engine | None = None) -> Iterator[Prediction]:
+    def again(truths: Iterable[Departure], stand_in: Engine | None = None) -> Iterator[PredictedProducts]:
         from_here = replace(origins, engine=stand_in or origins.engine)
         return predictions(scenario, (moved_on(truth, d) for d in truths), from_here)
 
     setups = setups_without(scenario, origins, truth)
     products, changes = _prediction(case, steps, objects, object_curves, setups)
-    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
-    of_classes = _of_classes(products, given, again)
-    products = _with_moves(products, changes, moved_predictions(inputs, again), of_classes, filters)
+    if products.roc:
+        means = _of_background(given, inputs)
+        truths = (moved_on(truth, item.direction(k, z)) for item in means for k in range(item.size) for z in (1, -1))
+        for key, pairs in _changes_of(_curves(scenario, truths, origins), products.roc).items():
+            changes[key] += pairs
+    moves = moved_predictions([i for i in inputs if not i.subject], again)
+    products = _with_moves(
+        products, changes, moves, {p.name: t.name for t in scenario.scene.targets for p in t.populations}
+    )
     if scenario.uncertainty.method == "linear" or departure is not None:
         return products
     return _propagated(case, products, inputs_of(given), again, origins)
@@ -108,28 +124,39 @@ def predictions(
     *,
     objects: bool | int = False,
     object_curves: bool = True,
-) -> Iterator[Prediction]:
+) -> Iterator[PredictedProducts]:
     """Predictions of truths that depart from a scenario, in their order, each without a budget of its own.
 
     Spectra are read once; truths are evaluated together.
     """
-    bare, source = scenario.model_copy(update={"uncertainty": Uncertainty()}), origins or Origins()
-    waiting, like = iter(truths), None
+    for together, batch in _batches(scenario, truths, origins or Origins()):
+        detections = detect(batch, object_curves=object_curves, points=range(len(together)))
+        scores = None
+        if objects and detections[0].roc:
+            setups = [case.setup for case in together]
+            scores = object_scores_of_truths(batch, setups, None if objects is True else objects)
+        for number, (case, detection) in enumerate(zip(together, detections, strict=True)):
+            if scores:
+                detection = replace(detection, object_scores=scores[number])
+            yield _joined(case, batch, number, Steps(), detection)
+
+
+def _batches(scenario: Scenario, truths: Iterable[Departure], origins: Origins) -> Iterator[tuple[list[Case], Batch]]:
+    """Truths that are evaluated together, nothing of them uncertain, in their order."""
+    bare, waiting, like = scenario.model_copy(update={"uncertainty": Uncertainty()}), iter(truths), None
     while some := list(islice(waiting, _TOGETHER)):
         if like is None:
-            like = case_of(bare, source, Departure())
-        cases = [case_of(bare, source, truth, like) for truth in some]
-        for together in _alike(cases):
-            batch = batch_of(together, spectrum_errors(together[0].setup))
-            detections = detect(batch, object_curves=object_curves, points=range(len(together)))
-            scores = None
-            if objects and detections[0].roc:
-                setups = [case.setup for case in together]
-                scores = object_scores_of_truths(batch, setups, None if objects is True else objects)
-            for number, (case, detection) in enumerate(zip(together, detections, strict=True)):
-                if scores:
-                    detection = replace(detection, object_scores=scores[number])
-                yield _joined(case, batch, number, Steps(), detection)
+            like = case_of(bare, origins, Departure())
+        for together in _alike([case_of(bare, origins, truth, like) for truth in some]):
+            yield together, batch_of(together, spectrum_errors(together[0].setup))
+
+
+def _curves(scenario: Scenario, truths: Iterable[Departure], origins: Origins) -> Iterator[Mapping[RocKey, Array]]:
+    """P_D (K,) of whole curves in each truth."""
+    for together, batch in _batches(scenario, truths, origins):
+        curves = detect(batch)[0].curves
+        for number in range(len(together)):
+            yield {key: of[number] for key, of in curves.items()}
 
 
 def _alike(cases: Sequence[Case]) -> Iterator[list[Case]]:
@@ -145,11 +172,18 @@ def _alike(cases: Sequence[Case]) -> Iterator[list[Case]]:
 
 
 def _same_task(a: Setup, b: Setup) -> bool:
+    if a.scenario.scene is not b.scenario.scene and _sizes(a) != _sizes(b):
+        return False
     if a.signatures is b.signatures and a.used is b.used:
         return True
     same = a.scenario.processing == b.scenario.processing and a.scenario.formulation == b.scenario.formulation
     same = same and list(a.surfaces) == list(b.surfaces) and len(a.used.axis) == len(b.used.axis)
     return same and all(np.array_equal(v, b.signatures[n], equal_nan=True) for n, v in a.signatures.items())
+
+
+def _sizes(setup: Setup) -> list[int]:
+    """Number of pixels of an object of each population."""
+    return [pixels_of_object(p.fill) for t in setup.scenario.scene.targets for p in t.populations]
 
 
 def spectrum_errors(setup: Setup) -> dict[str, Array]:
@@ -170,7 +204,7 @@ def spectrum_errors(setup: Setup) -> dict[str, Array]:
 
 def _prediction(
     case: Case, steps: Steps, objects: bool | int, object_curves: bool, setups: Iterable[Sequence[Setup]]
-) -> tuple[Prediction, dict[RocKey, list[Change]]]:
+) -> tuple[PredictedProducts, dict[RocKey, list[Change]]]:
     """A case with the errors of its spectra by light and sensor.
 
     The second part are the changes of probit P_D by one standard uncertainty of each input of light and sensor, and
@@ -180,24 +214,23 @@ def _prediction(
     ----------
     setups : of the case without parts of the pixels that the laws of its background were fitted to
     """
-    errors = spectrum_errors(case.setup)
-    leading = steps.leading
-    cases = [case, *(steps.plus[i] for i in leading), *(steps.minus[i] for i in leading)]
+    errors, pairs = spectrum_errors(case.setup), len(steps.plus)
+    cases = [case, *steps.plus, *steps.minus]
     shifts = (1.0, -1.0) if any(t.name in errors for t in case.setup.scenario.scene.targets) else ()
     batch = batch_of(cases, errors, shifts)
     detection = detect(batch, object_curves=object_curves)[0]
     if objects and detection.roc:
-        points, targets = np.arange(1 + 2 * len(leading)), case.setup.scenario.scene.targets
+        points, targets = np.arange(1 + 2 * pairs), case.setup.scenario.scene.targets
         draws = None if objects is True else objects
         scores = predicted_object_scores(batch, points, targets, draws)
         detection = replace(detection, object_scores=scores, expected_scores=expected_scores(batch, points))
     detection = replace(
         detection, exceedance=with_law_errors(detection.exceedance, law_directions(batch, case, setups))
     )
-    return _joined(case, batch, 0, steps, detection), _changes(detection, len(leading))
+    return _joined(case, batch, 0, steps, detection), _changes(detection, pairs)
 
 
-def _changes(detection: Detection, pairs: int) -> dict[RocKey, list[Change]]:
+def _changes(detection: PredictedDetection, pairs: int) -> dict[RocKey, list[Change]]:
     """Changes of probit P_D by one standard uncertainty, from evaluations in the order of :func:`_prediction`."""
     out = {}
     for key, curves in detection.curves.items():
@@ -209,7 +242,7 @@ def _changes(detection: Detection, pairs: int) -> dict[RocKey, list[Change]]:
     return out
 
 
-def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Detection) -> Prediction:
+def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: PredictedDetection) -> PredictedProducts:
     """One evaluation of a batch as a prediction."""
     setup, settings = case.setup, batch.settings
     scenario, axis = setup.scenario, setup.used.axis
@@ -217,7 +250,12 @@ def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Dete
     if view.retrieval is not None:  # what the line is off by is seen by the detectors alone
         view = replace(view, retrieval=None)
     ground, engine = settings.grounds[settings.which[number]], scenario.uncertainty.engine
-    spectra = spectral_products(case, ground, view, steps, batch.errors, engine)
+    errors = [MeanError("field spectrum", name, error) for name, error in batch.errors.items()]
+    if scenario.uncertainty.sampled_statistics:
+        given = given_with(setup, lambda: cast(AtmosphericTerms, case.terms))
+        means = [i for i in inputs_of(given, shapes=False) if i.subject]
+        errors += [MeanError(i.name, i.subject, i.rows.T @ i.rows) for i in means]
+    spectra = spectral_products(case, ground, view, steps, errors, engine)
     notes = [f"formulation: {scenario.formulation}", *unstated_notes(scenario.atmosphere, scenario.uncertainty)]
     notes += engine_notes(scenario.atmosphere, case.terms)
     if detection.roc:
@@ -225,8 +263,7 @@ def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Dete
     notes += detection.notes
     if case.noise is not None:
         notes += sensor_notes(setup.used) + saturation_notes(spectra.full_scale, axis)
-    tails = {c.name: class_tail(c, setup.surfaces[c.name]) for c in scenario.scene.classes}
-    return Prediction(
+    return PredictedProducts(
         axis,
         spectra.radiance,
         spectra.snr,
@@ -235,7 +272,7 @@ def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Dete
         detection.roc,
         object_scores=detection.object_scores,
         exceedance=detection.exceedance,
-        distribution={name: PixelDistribution(dof or math.inf) for name, dof in tails.items()},
+        distribution={c.name: _distribution(c, setup.surfaces[c.name]) for c in scenario.scene.classes},
         notes=tuple(notes),
         provenance=_provenance(case),
         noise=spectra.noise,
@@ -245,22 +282,41 @@ def _joined(case: Case, batch: Batch, number: int, steps: Steps, detection: Dete
     )
 
 
-def _of_classes(prediction: Prediction, given: Given, again: Again) -> list[Moved]:
-    """Moved spectra of classes, which move the background; those of targets are in the curves already."""
-    if not prediction.roc:
-        return []
+def _distribution(c: BackgroundClass, surface: SurfaceStatistics) -> PixelDistribution:
+    """How the pixels of a class are distributed about their mean."""
+    parts, tail = surface.components, class_tail(c, surface) or math.inf
+    if parts is None:
+        return PixelDistribution(tail)
+    own = parts.stretched(math.sqrt(c.gain))
+    dof = [tail if isinstance(c.tail_dof, float) else parts.dof] * len(parts)
+    clusters = zip(own.weights.tolist(), own.offsets, own.covariances, dof, strict=True)
+    return PixelDistribution(tail, clusters=tuple(clusters))
+
+
+def _of_background(given: Given, inputs: Iterable[UncertainInput]) -> list[UncertainInput]:
+    """Spectra that move the background or were sampled; field spectra of targets are in the curves already."""
     classes = {c.name for c in given.scenario.scene.classes}
-    inputs = [i for i in spectrum_inputs(given) if i.subject in classes]
-    return moved_predictions(inputs, again, most=_MOST_OF_CLASSES)
+    return [*(i for i in spectrum_inputs(given) if i.subject in classes), *(i for i in inputs if i.subject)]
+
+
+def _changes_of(
+    curves: Iterable[Mapping[RocKey, Array]], stated: Mapping[RocKey, RocCurve]
+) -> dict[RocKey, list[Change]]:
+    """Changes of probit P_D from curves of truths, each input up and then down."""
+    out: dict[RocKey, list[Change]] = {key: [] for key in stated}
+    each = iter(curves)
+    for up, down in zip(each, each, strict=True):
+        for key, curve in stated.items():
+            out[key].append((probit(up[key]) - probit(curve.pd), probit(down[key]) - probit(curve.pd)))
+    return out
 
 
 def _with_moves(
-    prediction: Prediction,
+    prediction: PredictedProducts,
     changes: Mapping[RocKey, list[Change]],
     moves: Sequence[Moved],
-    of_classes: Sequence[Moved],
     filters: Mapping[str, str],
-) -> Prediction:
+) -> PredictedProducts:
     """The prediction with the errors by inputs that change surfaces, fills or bands, and limits of its curves.
 
     ``filters`` : population -> the target that its filter looks for
@@ -268,24 +324,21 @@ def _with_moves(
     spectra: dict[str, Any] = {p: dict(getattr(prediction, p)) for p in SPECTRA}
     for product, estimates in spectra.items():
         with_moves(estimates, product, moves)
-    pairs = [*moves, *of_classes]
-    whole = {}
-    for key, curve in prediction.roc.items():
-        z = probit(curve.pd)
-        moved = [(probit(m.plus.roc[key].pd) - z, probit(m.minus.roc[key].pd) - z) for m in pairs]
-        whole[key] = [*changes[key], *moved]
-    roc = with_bands(prediction.roc, whole)
+    curves = ({k: c.pd for k, c in p.roc.items()} for m in moves for p in (m.plus, m.minus))
+    moved = _changes_of(curves, prediction.roc)
+    whole = {key: [*changes[key], *moved[key]] for key in prediction.roc}
+    roc, notes = with_bands(prediction.roc, whole), shifted_intervals(prediction.roc, whole)
     for (population, detector, unit), curve in roc.items():
         alarms = prediction.exceedance.get((filters[population], detector))
         if alarms is not None and np.any(alarms.upper > alarms.probability):
             roc[population, detector, unit] = with_law_limits(curve, alarms)
-    return replace(prediction, **spectra, roc=roc)
+    return replace(prediction, **spectra, roc=roc, notes=(*prediction.notes, *notes))
 
 
 def _propagated(
-    case: Case, stated: Prediction, inputs: list[Input], again: Callable[..., Iterator[Prediction]],
-    origins: Origins,
-) -> Prediction:  # fmt: skip
+    case: Case, stated: PredictedProducts, inputs: list[UncertainInput],
+    again: Callable[..., Iterator[PredictedProducts]], origins: Origins,
+) -> PredictedProducts:  # fmt: skip
     """The prediction with its budget drawn; unchanged where nothing is uncertain."""
     from hyperval.prediction.monte_carlo import propagate, with_intervals
 

@@ -7,7 +7,7 @@ side a product came from.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
@@ -64,6 +64,8 @@ class SpectralEstimate:
     circular : why the estimate is no evidence, such as a panel that its own empirical line goes through; else empty
     stated : (B,) standard uncertainty that its source states, where ``error_covariance`` leaves out what the other
         side shares with it; None where that holds all
+    rounding : (B,) variance that storing whole steps adds to that from pixel to pixel: step^2/12; 0 without
+    calibration : (B, B) part of ``error_covariance`` that all spectra of the collection share; None without
     """
 
     mean: Array
@@ -74,6 +76,8 @@ class SpectralEstimate:
     estimated: tuple[EstimatedPart, ...] = field(default=(), compare=False, repr=False)
     circular: str = ""
     stated: Array | None = field(default=None, compare=False, repr=False)
+    rounding: Array | float = field(default=0.0, compare=False, repr=False)
+    calibration: Array | None = field(default=None, compare=False, repr=False)
 
     @property
     def standard_uncertainty(self) -> Array:
@@ -255,6 +259,8 @@ class PixelDistribution:
     effective_n : (K,) independent pixels behind the variance along the leading components; None for a definition
     distance, exceedance : (Q,) squared Mahalanobis distances and the share of pixels beyond each
     samples : columns of the image that the pixels lie in, None for a definition
+    clusters : part, offset (B,) from the mean, covariance (B, B) and degrees of freedom of the laws that together
+        are a predicted class; none where it is one law
     """
 
     tail_dof: float = math.inf
@@ -271,6 +277,7 @@ class PixelDistribution:
     distance: Array | None = field(default=None, compare=False, repr=False)
     exceedance: Array | None = field(default=None, compare=False, repr=False)
     samples: int | None = None
+    clusters: Sequence[tuple[float, Array, Array, float]] = field(default=(), compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -346,7 +353,7 @@ class Products:
 
 
 @dataclass(frozen=True, repr=False)
-class Prediction(Products):
+class PredictedProducts(Products):
     """The products as the model gives them, and what only a model knows.
 
     ``noise``: subject -> source of noise (shot, fixed, quantisation, bit_errors, calibration, fit) -> (B,) variance
@@ -361,5 +368,5 @@ class Prediction(Products):
 
 
 @dataclass(frozen=True, repr=False)
-class Observation(Products):
+class ObservedProducts(Products):
     """The products as the collection gives them."""

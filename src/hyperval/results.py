@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
-from hyperval.metrics import Evidence, metric_of
+from hyperval.metrics import Evidence, Kind, metric_of
 
 
 class Outcome(StrEnum):
@@ -33,13 +33,16 @@ class Role(StrEnum):
 
 
 class Cause(StrEnum):
-    """Why a row is undecided, skipped or in error: the one list, each in the words that a page shows."""
+    """Why a row has its outcome: the one list, each in the words that a page shows."""
 
     NONE = ""
+    # disagrees
+    TOO_WIDE = "the stated uncertainty is too wide"
     # undecided
     WIDE_INTERVAL = "the interval reaches beyond the range"
+    NEVER = "can never be met: the interval is wider than the range"
     NO_INTERVAL = "the value has no interval"
-    NO_POWER = "the test has too little power"
+    NO_POWER = "can never be met: the test has too little power"
     COVERAGE = "inside an interval, which is coverage and not agreement"
     MULTIPLICITY = "not below its part of the campaign's level"
     NOT_JUDGED = "a statistic that its own test judges"
@@ -116,6 +119,36 @@ class Result:
     def planned(self) -> bool:
         """Whether an outcome was asked for."""
         return self.outcome is not Outcome.NONE
+
+    @property
+    def shortfall(self) -> float:
+        """How many times too uncertain the row is to agree ever; 1 and less where some value would agree.
+
+        Of a quantity the width of its interval over that of its range, of logarithms where 1 is agreement; of a
+        size, whose range begins at its least value, the upper half over the range; of a test what it could find
+        over what it is asked to find.  NaN where there is no such question.
+
+        Examples
+        --------
+        >>> limits = {"limit_low": -0.1, "limit_high": 0.1}
+        >>> Result("", "radiance", "", "", "bias_ratio", 0.0, lower=-0.2, upper=0.2, **limits).shortfall
+        2.0
+        """
+        known, low, high = metric_of(self.metric), self.limit_low, self.limit_high
+        if known.kind is Kind.TEST:
+            return self.detectable / known.alternative
+        if known.kind is not Kind.QUANTITY:
+            return math.nan
+        if not low > -math.inf and known.low > -math.inf and known.high == math.inf:
+            return (self.upper - self.value) / (high - known.low)
+        if known.agreement == 1.0 and low > 0.0 and self.lower > 0.0:
+            return math.log(self.upper / self.lower) / math.log(high / low)
+        return (self.upper - self.lower) / (high - low)
+
+    @property
+    def never_met(self) -> bool:
+        """Whether it is a criterion that no value would have met, since what is known is too uncertain for it."""
+        return self.gates and self.cause in (Cause.NEVER, Cause.NO_POWER)
 
     @property
     def per_band(self) -> bool:

@@ -35,6 +35,29 @@ def setting(model: BaseModel, path: str) -> Any:
     return at
 
 
+def numbers_of(model: BaseModel) -> list[str]:
+    """Dotted paths of all numbers, and lists of numbers, in a configuration, those at their defaults included."""
+    out: list[str] = []
+
+    def walk(at: Any, path: str) -> None:
+        if isinstance(at, dict):
+            for key, value in at.items():
+                walk(value, f"{path}.{key}" if path else str(key))
+        elif isinstance(at, list | tuple) and at and isinstance(at[0], dict):
+            for number, item in enumerate(at):
+                name = next((f"[{item[k]}]" for k in _LABELS if k in item), str(number))
+                walk(item, f"{path}.{name}")
+        elif at != () and at != [] and all(_is_number(x) for x in (at if isinstance(at, list | tuple) else [at])):
+            out.append(path)
+
+    walk(model.model_dump(mode="python", by_alias=True), "")
+    return out
+
+
+def _is_number(x: object) -> bool:
+    return isinstance(x, int | float) and not isinstance(x, bool)
+
+
 def with_settings(model: M, changes: Mapping[str, Any]) -> M:
     """A copy of a configuration in which the entries at some paths have other values, checked as a file is.
 
@@ -109,9 +132,7 @@ def _key(at: Any, part: str, path: str) -> Any:
 
 
 def _index(items: list[Any] | tuple[Any, ...], part: str, path: str) -> int:
-    names = [
-        next((item[k] for k in _LABELS if k in item), None) if isinstance(item, dict) else None for item in items
-    ]
+    names = [next((item[k] for k in _LABELS if k in item), None) if isinstance(item, dict) else None for item in items]
     return item_number(names, part, path)
 
 

@@ -20,12 +20,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.files import whole_file
 from hyperval.hdf5 import check_hdf5
 from hyperval.paths import checked_file
-from hyperval.scene.components import MOST_COMPONENTS, Components
-from hyperval.scene.statistics import ClassStatistics
+from hyperval.scene.statistics import MOST_COMPONENTS, ClassStatistics, Components
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.storage import whole_file
 
 Array = npt.NDArray[np.float64]
 
@@ -51,7 +50,7 @@ def statistics_of_samples(
 ) -> ClassStatistics:
     """Mean and sample covariance of spectra (N, B) on ``axis`` (rho_m, Sigma_m of 3.8-3.12).
 
-    ``components`` : clusters of the samples, those of ``hyperval.processing.component_moments.class_mixture``.
+    ``components`` : clusters of the samples, those of ``hyperval.processing.laws.class_mixture``.
 
     Raises
     ------
@@ -146,9 +145,7 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
     with data:
         lacking = [name for name in _DIMENSIONS if name not in data.variables]
         if lacking:
-            raise InputError(
-                f"has no variable {', '.join(lacking)}", where=str(path), expected="a statistics library"
-            )
+            raise InputError(f"has no variable {', '.join(lacking)}", where=str(path), expected="a statistics library")
         sizes = {name: data.sizes.get(name, 0) for name in ("band", "class", "component")}
         bands, count, parts = sizes.values()
         sizes["band_2"] = bands

@@ -19,7 +19,6 @@ _COMMON = {
     ),
     "3A1": "IPARM:I5 IPH:I5 IDAY:I5 ISOURC:I5",
     "3A2": "PARM1:F10.4 PARM2:F10.4 PARM3:F10.3 PARM4:F10.3 TIME:F10.4 PSIPO:F10.3 ANGLEM:F10.3 G:F10.3",
-    "4A": "NSURF:I1 AATEMP:F9.3",
     "5": "IRPT:I5",
 }
 CARDS: Final[dict[int, dict[str, str]]] = {

@@ -7,8 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from hyperval.atmosphere import AtmosphericState, sixs
-from hyperval.atmosphere.sixs import NODES_NM, angstrom_law, sixs_terms
-from hyperval.atmosphere.sixs_text import Monochromatic
+from hyperval.atmosphere.sixs import NODES_NM, Monochromatic, angstrom_law, sixs_terms
 
 STATE = {
     "aot550": 0.3, "sensor_altitude_km": 1000.0, "solar_zenith_deg": 30.0, "solar_azimuth_deg": 0.0,
@@ -37,9 +36,7 @@ def test_each_node_is_run_with_the_depth_of_the_law(monkeypatch, tmp_path):
     monkeypatch.setattr(sixs, "sixs_fingerprint", lambda: "a stand-in")
     state = AtmosphericState(angstrom_exponent=0.2, **STATE)
     node = sixs._scattering(state, sixs._Setting(sixs.Geometry(30.0, 0.0, 0.0), 0.0, None), tmp_path, False)
-    assert node["depth_aerosol"] == pytest.approx(
-        0.3 * (NODES_NM / 550.0) ** -0.2, rel=1e-5
-    )  # decks have six decimals
+    assert node["depth_aerosol"] == pytest.approx(0.3 * (NODES_NM / 550.0) ** -0.2, rel=1e-5)  # decks have six decimals
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericState, sixs
-from hyperval.atmosphere.engine_ratio import (
+from hyperval.atmosphere.physics import (
     GREATEST_WATER_G_CM2,
     EngineRatio,
     engine_ratio,
@@ -38,9 +38,7 @@ def test_spherical_albedo_has_the_aerosol_that_is_below_the_free_troposphere():
 
 
 def test_the_free_troposphere_holds_the_same_aerosol_under_every_haze():
-    above = [
-        (1.0 - low_share(STATE.model_copy(update={"aot550": depth}))) * depth for depth in (0.05, 0.1, 0.2, 0.6)
-    ]
+    above = [(1.0 - low_share(STATE.model_copy(update={"aot550": depth}))) * depth for depth in (0.05, 0.1, 0.2, 0.6)]
     assert above == pytest.approx(4 * [0.032], abs=5e-4)
     assert low_share(STATE.model_copy(update={"aerosol": "none", "aot550": None})) == 1.0
     # Half of the thin haze is stated to lie above the aircraft at most: no more than that is above 5 km.

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
-from hyperval.atmosphere.interpolation import (
+from hyperval.atmosphere.terms import (
+    AtmosphericTerms,
     Interpolator,
     Rule,
     along,
@@ -17,7 +18,6 @@ from hyperval.atmosphere.interpolation import (
     smooth_rule,
     spaced,
 )
-from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import UsageError
 
 NM = np.array([500.0, 600.0, 700.0])
@@ -51,9 +51,7 @@ def test_linear_weights_are_those_of_an_independent_multilinear_interpolator():
 
 def test_along_an_axis_and_by_weights_a_spline_is_the_same():
     nodes, values = np.array([1.0, 2.0, 4.0, 7.0]), RNG.normal(size=(4, 5))
-    np.testing.assert_allclose(
-        along(nodes, values, 3.3, Rule("cubic")), CubicSpline(nodes, values)(3.3), rtol=1e-12
-    )
+    np.testing.assert_allclose(along(nodes, values, 3.3, Rule("cubic")), CubicSpline(nodes, values)(3.3), rtol=1e-12)
 
 
 def test_a_grid_is_exact_where_absorption_goes_with_the_root_of_the_column_and_haze_with_one_over_the_range():

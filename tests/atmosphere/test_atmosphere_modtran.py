@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericTerms, read_chn, read_modtran_runs
-from hyperval.atmosphere.modtran_read import read_chn_blocks
+from hyperval.atmosphere.modtran import read_chn_blocks
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.errors import InputError

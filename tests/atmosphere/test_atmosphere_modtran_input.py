@@ -11,16 +11,7 @@ import pytest
 from modtran_cards import CARDS, card_fields
 
 from hyperval.atmosphere import AtmosphericState
-from hyperval.atmosphere.modtran_template import read_modtran_json, stated_albedo, stated_fields
-from hyperval.atmosphere.modtran_write import (
-    Run,
-    albedo_curves,
-    model_runs,
-    modtran6_json,
-    modtran_case,
-    tape5,
-    uniform_runs,
-)
+from hyperval.atmosphere.modtran import modtran6_json, read_modtran_json, stated_albedo, stated_fields, tape5
 from hyperval.atmosphere.solar import distance_on_day
 from hyperval.errors import InputError, UsageError
 
@@ -60,10 +51,6 @@ def cards(deck, version):
     while i < len(lines):
         case = {name: parse_card(version, name, lines[i + n]) for n, name in enumerate(ORDER)}
         i += len(ORDER)
-        if case["1"]["SURREF"].strip().startswith("L"):
-            case["4A"] = parse_card(version, "4A", lines[i])
-            case["4L1"], case["4L2"] = lines[i + 1].strip(), [x.strip() for x in lines[i + 2 : i + 4]]
-            i += 4
         case["5"] = parse_card(version, "5", lines[i])
         i += 1
         found.append(case)
@@ -72,7 +59,7 @@ def cards(deck, version):
 
 def test_deck_says_what_the_state_says_field_by_field():
     for version in (4, 5):
-        (case,) = cards(tape5(state(), [Run(0.1)], version), version)
+        (case,) = cards(tape5(state(), [0.1], version), version)
         assert (case["1"]["MODEL"], case["1"]["ITYPE"], case["1"]["IEMSCT"], case["1"]["IMULT"]) == (2, 2, 2, -1)
         assert float(case["1"]["SURREF"]) == 0.1
         assert (case["1A"]["DIS"], case["1A"]["NSTR"], case["1A"]["CO2MX"]) == (True, 8, 400.0)
@@ -88,62 +75,42 @@ def test_deck_says_what_the_state_says_field_by_field():
 
 
 def test_aerosol_is_a_depth_for_version_5_and_a_range_for_version_4():
-    (five,) = cards(tape5(state(), [Run(0.0)], 5), 5)
-    (four,) = cards(tape5(state(), [Run(0.0)], 4), 4)
+    (five,) = cards(tape5(state(), [0.0], 5), 5)
+    (four,) = cards(tape5(state(), [0.0], 4), 4)
     assert five["2"]["VIS"] == -0.1
     # What MODTRAN 6 prints as the range of optical depth 0.1 over ground at 0.35 km: 82.72642 km.
     assert four["2"]["VIS"] == pytest.approx(82.73, rel=0.005)
     for none in (state(aerosol="none", aot550=None), state(aot550=0.0)):
-        (clear,) = cards(tape5(none, [Run(0.0)], 5), 5)
+        (clear,) = cards(tape5(none, [0.0], 5), 5)
         assert (clear["2"]["IHAZE"], clear["2"]["VIS"]) == (0, 0.0)
 
 
 def test_what_is_left_to_the_model_is_blank():
-    (case,) = cards(tape5(state(water_vapour_g_cm2=None, ozone_atm_cm=None), [Run(0.0)]), 5)
+    (case,) = cards(tape5(state(water_vapour_g_cm2=None, ozone_atm_cm=None), [0.0]), 5)
     assert case["1A"]["H2OSTR"].strip() == case["1A"]["O3STR"].strip() == ""
 
 
-def test_every_run_of_the_model_and_black_ground_in_the_average_scene():
-    runs = model_runs(0.25)
-    found = cards(tape5(state(), runs), 5)
-    assert [float(c["1"]["SURREF"]) for c in found[:4]] == [0.0, 0.1, 0.5, 1.0]
-    assert [c["5"]["IRPT"] for c in found] == [1, 1, 1, 1, 0]
-    last = found[-1]
-    assert last["1"]["SURREF"].strip() == "LAMBER"
-    assert last["4A"]["NSURF"] == 2
-    assert (last["4L1"], last["4L2"]) == ("albedos.dat", ["1", "2"])
-    curves = albedo_curves(runs).splitlines()
-    assert curves[0].split()[0] == "1"
-    assert [float(line.split()[1]) for line in (curves[1], curves[2])] == [0.0, 0.0]
-    assert [float(line.split()[1]) for line in (curves[4], curves[5])] == [0.25, 0.25]
-    assert albedo_curves(uniform_runs()) == ""
-
-
-def test_backgrounds_are_numbered_and_checked():
-    runs = [Run(0.0, 0.2), Run(0.3), Run(0.1, ((0.4, 0.05), (0.8, 0.45)))]
-    found = cards(tape5(state(), runs), 5)
-    assert found[2]["4L2"] == ["3", "4"]
-    assert "0.8000  0.45000" in albedo_curves(runs)
-    with pytest.raises(UsageError, match="do not increase"):
-        Run(0.0, ((0.8, 0.1), (0.4, 0.1)))
-    for wrong in (Run, lambda r: Run(0.0, r)):
-        with pytest.raises(UsageError, match="reflectance"):
-            wrong(1.2)
+def test_every_run_of_the_model():
+    found = cards(tape5(state()), 5)
+    assert [float(c["1"]["SURREF"]) for c in found] == [0.0, 0.1, 0.5]
+    assert [c["5"]["IRPT"] for c in found] == [1, 1, 0]
 
 
 def test_aerosol_that_modtran_does_not_have_is_refused():
     for aerosol in ("continental", {"dust": 0.5, "soot": 0.5}):
         with pytest.raises(UsageError, match="aerosol"):
-            modtran_case(state(aerosol=aerosol))
-    with pytest.raises(UsageError, match="no runs"):
-        tape5(state(), [])
+            tape5(state(aerosol=aerosol))
+    for albedos in ([], [0.0, 1.2]):
+        for deck in (tape5, modtran6_json):
+            with pytest.raises(UsageError, match="runs over ground"):
+                deck(state(), albedos)
     with pytest.raises(UsageError, match="MODTRAN 3"):
-        tape5(state(), [Run(0.0)], 3)
+        tape5(state(), [0.0], 3)
 
 
 def test_distance_alone_becomes_a_day_with_that_distance():
-    case = modtran_case(state(day_of_year=None, earth_sun_distance_au=1.0))
-    assert distance_on_day(case.day_of_year) == pytest.approx(1.0, abs=2e-4)
+    (case,) = cards(tape5(state(day_of_year=None, earth_sun_distance_au=1.0), [0.0]), 5)
+    assert distance_on_day(case["3A1"]["IDAY"]) == pytest.approx(1.0, abs=2e-4)
 
 
 @pytest.mark.parametrize("version", [4, 5])
@@ -151,7 +118,7 @@ def test_every_value_fits_its_columns(version):
     far = {"sensor_altitude_km": 99_999.0, "ground_altitude_km": 4.9, "aot550": 5.0, "solar_zenith_deg": 80.0}
     near = {"sensor_altitude_km": 0.4, "aot550": 0.003, "solar_azimuth_deg": 89.99, "day_of_year": 1}
     for changes in (far, near):
-        lines = tape5(state(**changes), [Run(1.0)], version).splitlines()
+        lines = tape5(state(**changes), [1.0], version).splitlines()
         for name, line in zip(ORDER, lines, strict=False):
             last = card_fields(version, name)[-1]
             assert len(line) <= last.start + last.width
@@ -215,26 +182,22 @@ def test_values_of_real_decks(data_dir):
 
 
 def test_json_input_states_the_state(tmp_path):
-    text = modtran6_json(state(view_zenith_deg=0.0), model_runs(0.25), "NAME")
+    text = modtran6_json(state(view_zenith_deg=0.0), name="NAME")
     (tmp_path / "input.json").write_text(text)
     cases = read_modtran_json(tmp_path / "input.json")
-    assert [c["NAME"] for c in cases] == ["NAME"] * 5
-    assert [c["CASE"] for c in cases] == [0, 1, 2, 3, 4]
-    assert [stated_albedo(c) for c in cases] == [0.0, 0.1, 0.5, 1.0, None]
+    assert [c["NAME"] for c in cases] == ["NAME"] * 3
+    assert [c["CASE"] for c in cases] == [0, 1, 2]
+    assert [stated_albedo(c) for c in cases] == [0.0, 0.1, 0.5]
     found = stated_fields(cases[0], "input.json")
     given = state(view_zenith_deg=0.0).model_dump()
     assert {name: found[name] for name in found} == {name: given[name] for name in found}
     assert {"model", "aerosol", "aot550", "water_vapour_g_cm2", "solar_zenith_deg", "day_of_year"} <= set(found)
-    black = cases[4]["SURFACE"]
-    assert black["NSURF"] == 2
-    assert black["SURFP"]["UDSALB"] == [0.0, 0.0]
-    assert black["SURFA"]["UDSALB"] == [0.25, 0.25]
 
 
 @pytest.mark.data
 def test_json_has_the_keys_and_kinds_of_the_real_template(data_dir):
     template = read_modtran_json(data_dir("modtran/modtran6_airborne_lut/modtran_template.json"))[0]
-    ours = json.loads(modtran6_json(state(), uniform_runs()))["MODTRAN"][0]["MODTRANINPUT"]
+    ours = json.loads(modtran6_json(state()))["MODTRAN"][0]["MODTRANINPUT"]
     assert set(ours) == set(template)
     for section in ("RTOPTIONS", "ATMOSPHERE", "GEOMETRY", "SPECTRAL", "FILEOPTIONS"):
         assert set(ours[section]) - {"OBSZEN"} <= set(template[section])

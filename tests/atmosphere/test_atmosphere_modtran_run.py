@@ -12,10 +12,15 @@ from modtran_samples import tape7
 from processes import awaited, is_at_work
 
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
-from hyperval.atmosphere.modtran_read import read_chn_blocks
-from hyperval.atmosphere.modtran_run import Modtran, configured_modtran, run_modtran
-from hyperval.atmosphere.modtran_solve import terms_from_blocks
-from hyperval.atmosphere.modtran_write import Run, uniform_runs
+from hyperval.atmosphere.modtran import (
+    Modtran,
+    configured_modtran,
+    modtran6_json,
+    read_chn_blocks,
+    run_modtran,
+    tape5,
+    terms_from_blocks,
+)
 from hyperval.errors import EngineError, InputError
 
 STATE = {
@@ -94,9 +99,7 @@ def test_a_state_is_computed_once_and_nothing_is_left_behind(stand_in, tmp_path,
     (tmp_path / "scratch").mkdir()
     monkeypatch.setattr("tempfile.tempdir", None)
     count = tmp_path / "count"
-    stand_in(
-        f"open({str(count)!r}, 'a').write(os.getcwd() + chr(10))\n" + replay(tmp_path / "sample", "hyperval.tp7")
-    )
+    stand_in(f"open({str(count)!r}, 'a').write(os.getcwd() + chr(10))\n" + replay(tmp_path / "sample", "hyperval.tp7"))
     first = atmospheric_terms(AtmosphericState(**STATE), cache_dir=tmp_path / "cache")
     again = atmospheric_terms(AtmosphericState(**STATE), cache_dir=tmp_path / "cache")
     np.testing.assert_array_equal(first.ground_irradiance, again.ground_irradiance)
@@ -130,16 +133,8 @@ def test_one_that_hangs_is_ended_with_its_children(stand_in, tmp_path):
     # A shell, since it starts at once: what has not begun within the second has no child.
     stand_in("").write_text(f"#!/bin/sh\nsleep 60 &\necho $! > {child}\nwait\n")
     with pytest.raises(EngineError, match="longer than 1 s"):
-        run_modtran(AtmosphericState(**STATE), uniform_runs(), configured_modtran(), tmp_path, timeout_s=1.0)
+        run_modtran(modtran6_json(AtmosphericState(**STATE)), configured_modtran(), tmp_path, timeout_s=1.0)
     assert awaited(lambda: not is_at_work(int(child.read_text())))
-
-
-def test_black_ground_in_the_average_scene_comes_with_its_albedo_file(stand_in, tmp_path):
-    (tmp_path / "sample").write_text(tape7((0.0,)))
-    stand_in("assert '0.25000' in open('albedos.dat').read()\n" + replay(tmp_path / "sample", "tape7"), version=5)
-    (tmp_path / "run").mkdir()
-    (found,) = run_modtran(AtmosphericState(**STATE), [Run(0.0, 0.25)], configured_modtran(), tmp_path / "run")
-    assert found.name == "tape7"
 
 
 @pytest.mark.data
@@ -165,7 +160,8 @@ def test_replayed_real_tape7_is_read_by_the_same_way(stand_in, tmp_path, data_di
     (tmp_path / "sample").write_bytes(gzip.decompress(path.read_bytes()))
     stand_in(replay(tmp_path / "sample", "tape7"), version=5)
     (tmp_path / "run").mkdir()
-    (found,) = run_modtran(AtmosphericState(**STATE), [Run(0.0)], configured_modtran(), tmp_path / "run")
+    deck = tape5(AtmosphericState(**STATE), [0.0])
+    found = run_modtran(deck, configured_modtran(), tmp_path / "run")
     assert found.read_bytes() == (tmp_path / "sample").read_bytes()
     # One run is not enough for the terms: said in plain words.
     with pytest.raises(Exception, match="3 albedos for 1 runs"):

@@ -7,11 +7,12 @@ import pytest
 from modtran_samples import spectrum, tape7
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.atmosphere.modtran_read import read_chn_blocks, read_tape7
-from hyperval.atmosphere.modtran_solve import (
+from hyperval.atmosphere.modtran import (
     checked_albedos,
     read_chn,
+    read_chn_blocks,
     read_modtran_runs,
+    read_tape7,
     solve_coefficients,
     terms_from_blocks,
     terms_from_tape7,
@@ -51,7 +52,7 @@ def test_where_nothing_is_reflected_the_spherical_albedo_is_that_of_the_neighbou
 )
 def test_albedos_that_do_not_determine_the_terms_are_refused(wrong):
     with pytest.raises(UsageError, match="albedos"):
-        checked_albedos(wrong)
+        checked_albedos(wrong, len(wrong))
 
 
 def test_tape7_runs_give_terms_per_wavelength(tmp_path):

@@ -9,13 +9,9 @@ import numpy as np
 import pytest
 from modtran_samples import RADIANCE_WIDTHS, tape7
 
-from hyperval.atmosphere import modtran_read
-from hyperval.atmosphere.modtran_read import (
-    RADIANCE_COLUMNS,
-    TOTAL_PARTS,
-    read_tape7,
-)
-from hyperval.errors import InputError, UsageError
+from hyperval.atmosphere import modtran
+from hyperval.atmosphere.modtran import RADIANCE_COLUMNS, TOTAL_PARTS, read_tape7
+from hyperval.errors import InputError
 
 
 def write(tmp_path, text, name="tape7"):
@@ -34,13 +30,10 @@ def test_several_cases_with_blank_fields(tmp_path):
     cases = read_tape7(write(tmp_path, tape7((0.0, 0.5))))
     assert [case.albedo() for case in cases] == [0.0, 0.5]
     first = cases[0]
-    assert first.mode == "radiance"
     assert first.wavenumber_cm[0] == 4000.0
     assert np.all(np.isnan(first.columns["REF_SOL"]))  # blank in the file, not shifted from a neighbour
     np.testing.assert_array_equal(first.column("REF_SOL"), 0.0)
     assert np.all(first.columns["DEPTH"] == 0.105)
-    with pytest.raises(UsageError, match="no column TRANS in radiance mode"):
-        first.column("TRANS")
 
 
 def test_packed_file_with_carriage_returns(tmp_path):
@@ -103,7 +96,7 @@ def test_total_that_is_not_the_sum_of_its_parts_is_refused(tmp_path, part):
 
 
 def test_a_file_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(modtran_read, "MAX_BYTES", 1000)
+    monkeypatch.setattr(modtran, "MAX_BYTES", 1000)
     path = write(tmp_path, tape7((0.0,)))
     with pytest.raises(InputError, match="larger than 1000 bytes"):
         read_tape7(path)
@@ -114,27 +107,28 @@ def test_a_file_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
 
 
 REAL = [
-    # file, mode, rows, albedo, first wavenumber, a column and its first value
-    ("modtran4_5/tape7-01", "transmittance", 51, 0.0, 2050.0, "H2O", 0.9726),
-    ("modtran4_5/tape7-01b", "transmittance", 20, 0.3, 655.0, "-LOG COMBIN", 15.344),
-    ("modtran4_5/tape7-02", "radiance", 51, 0.0, 2050.0, "PTH_THRML", 2.0416e-8),
-    ("modtran4_5/tape7-02b", "radiance", 51, 0.0, 2050.0, "TOT_TRANS", 0.88372636),
-    ("modtran4_5/tape7-02c", "radiance", 13, 0.3, 655.0, "SOL_SCAT", 8.1174e-30),
-    ("modtran4_5/tape7-04", "irradiance", 101, 0.0, 2050.0, "DEPTH", 15.95),
-    ("modtran4_5/tape7-sunE", "irradiance", 1411, 0.0, 11995.0, "SOLAR", 7.40e-6),
-    ("modtran4_5/tape7.VISSun.gz", "radiance", 11668, 0.0, 13333.0, "SING_SCAT", 4.6103e-7),
-    ("modtran4_5/tape7VISNIR5kmTrop23Vis.gz", "transmittance", 1501, 0.0, 10000.0, "AER+CLD abTRNS", 0.9686),
-    ("modtran5_decks/OMAA_userprofile/tape5.tp7.gz", "radiance", 6501, None, 833.0, "GRND_RFLT", 8.3842e-7),
-    ("modtran5_decks/data_path100/tape7.gz", "radiance", 2001, 0.0, 12000.0, "TOA_SUN", 7.4303e-6),
+    # file, rows, albedo, first wavenumber, a column and its first value
+    ("modtran4_5/tape7-02", 51, 0.0, 2050.0, "PTH_THRML", 2.0416e-8),
+    ("modtran4_5/tape7-02b", 51, 0.0, 2050.0, "TOT_TRANS", 0.88372636),
+    ("modtran4_5/tape7-02c", 13, 0.3, 655.0, "SOL_SCAT", 8.1174e-30),
+    ("modtran4_5/tape7.VISSun.gz", 11668, 0.0, 13333.0, "SING_SCAT", 4.6103e-7),
+    ("modtran5_decks/OMAA_userprofile/tape5.tp7.gz", 6501, None, 833.0, "GRND_RFLT", 8.3842e-7),
+    ("modtran5_decks/data_path100/tape7.gz", 2001, 0.0, 12000.0, "TOA_SUN", 7.4303e-6),
 ]
 
 
 @pytest.mark.data
-@pytest.mark.parametrize(("relative", "mode", "rows", "albedo", "first", "column", "value"), REAL)
-def test_real_files(data_dir, relative, mode, rows, albedo, first, column, value):
+@pytest.mark.parametrize(("relative", "rows", "albedo", "first", "column", "value"), REAL)
+def test_real_files(data_dir, relative, rows, albedo, first, column, value):
     (case,) = read_tape7(data_dir(f"modtran/{relative}"))
-    assert (case.mode, case.wavenumber_cm.size, case.albedo()) == (mode, rows, albedo)
+    assert (case.wavenumber_cm.size, case.albedo()) == (rows, albedo)
     assert case.wavenumber_cm[0] == first
     assert case.columns[column][0] == pytest.approx(value, rel=1e-12)
-    if mode == "radiance":
-        assert np.all(case.column("SOL_SCAT") >= case.column("SING_SCAT"))  # it holds the single scattering
+    assert np.all(case.column("SOL_SCAT") >= case.column("SING_SCAT"))  # it holds the single scattering
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["tape7-01", "tape7-04", "tape7VISNIR5kmTrop23Vis.gz"])
+def test_real_files_of_other_modes_are_refused(data_dir, name):
+    with pytest.raises(InputError, match="radiance mode"):
+        read_tape7(data_dir(f"modtran/modtran4_5/{name}"))

@@ -66,9 +66,7 @@ def test_both_are_inputs_of_the_budget():
 @pytest.mark.slow
 def test_more_below_is_a_brighter_path_and_the_same_sunlight(engine_cache, solver_at):
     solver_at(550.0, 860.0)
-    few, many = (
-        sixs_terms(AtmosphericState(**STATE, aerosol_share_below=s), engine_cache, False) for s in (0.4, 0.8)
-    )
+    few, many = (sixs_terms(AtmosphericState(**STATE, aerosol_share_below=s), engine_cache, False) for s in (0.4, 0.8))
     green = few.wavelength_nm == 550.0
     assert 1.1 < many.path_radiance[green] / few.path_radiance[green] < 2.0
     assert many.ground_irradiance[green] == pytest.approx(few.ground_irradiance[green], rel=5e-3)

@@ -8,11 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hyperval.atmosphere import AtmosphericState, atmospheric_terms, sixs, sixs_text, solar
-from hyperval.atmosphere.engine_ratio import molecular_albedo
-from hyperval.atmosphere.sixs_process import run_sixs
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.windows import in_window
+from hyperval.atmosphere import AtmosphericState, atmospheric_terms, sixs, solar
+from hyperval.atmosphere.physics import molecular_albedo
+from hyperval.atmosphere.sixs import run_sixs
+from hyperval.spectra.axis import SpectralAxis, in_window
 
 AIRBORNE = {
     "model": "midlatitude-summer",
@@ -51,11 +50,11 @@ def at(terms, nm):
 def solver_reflectance(st, nm, rho, folder):
     """The solver's own answer, aerosol, gas and ground together, with its own copy of the standard atmosphere."""
     depth = st.aerosol_optical_depth
-    aerosol = sixs_text.Aerosol(sixs._aerosol_card(st), depth, depth * st.aerosol_fraction_below)
-    geometry = sixs_text.Geometry(st.sun[0], st.view_zenith_deg, (st.sun[1] - st.view_azimuth_deg) % 360.0)
+    aerosol = sixs.Aerosol(sixs._aerosol_card(st), depth, depth * st.aerosol_fraction_below)
+    geometry = sixs.SunAndView(st.sun[0], st.view_zenith_deg, (st.sun[1] - st.view_azimuth_deg) % 360.0)
     height = None if st.in_space else st.sensor_altitude_km - st.ground_altitude_km
-    deck = sixs_text.deck(geometry, "2\n", st.ground_altitude_km, height, f"-1\n{nm / 1e3:.4f}", aerosol, rho)
-    return sixs_text.parse_monochromatic(run_sixs(deck, folder)).reflectance
+    deck = sixs.deck(geometry, "2\n", st.ground_altitude_km, height, f"-1\n{nm / 1e3:.4f}", aerosol, rho)
+    return sixs.parse_monochromatic(run_sixs(deck, folder)).reflectance
 
 
 @cache
@@ -93,9 +92,9 @@ def test_path_part_is_the_solvers_own_less_its_extra_molecules(engine_cache, nm)
     card = sixs._aerosol_card(st)
 
     def black_ground(depth):
-        aerosol = sixs_text.Aerosol(card, depth, depth * st.aerosol_fraction_below) if depth else None
-        deck = sixs_text.deck(sixs_text.Geometry(40, 0, 0), "2\n", 0.35, 2.65, f"-1\n{nm / 1e3:.4f}", aerosol)
-        return sixs_text.parse_monochromatic(run_sixs(deck, engine_cache)).reflectance
+        aerosol = sixs.Aerosol(card, depth, depth * st.aerosol_fraction_below) if depth else None
+        deck = sixs.deck(sixs.SunAndView(40, 0, 0), "2\n", 0.35, 2.65, f"-1\n{nm / 1e3:.4f}", aerosol)
+        return sixs.parse_monochromatic(run_sixs(deck, engine_cache)).reflectance
 
     extra = 2 * black_ground(least) - black_ground(2 * least) - black_ground(0.0)
     assert abs(extra) < 0.05 * theirs
@@ -156,8 +155,8 @@ def test_covers_bands_from_350_to_2510_nm(terms_of):
 def test_molecular_atmosphere_has_its_published_optical_depth(engine_cache, terms_of):
     # Bodhaine et al., J. Atmos. Oceanic Technol. 16 (1999), table 3: 0.09718 at 550 nm, 1013.25 hPa, 45 N.
     st = state(RAYLEIGH_FROM_SPACE)
-    out = run_sixs(sixs_text.deck(sixs_text.Geometry(40.0, 0.0, 0.0), "6\n", 0.0, None, "-1\n0.5500"), engine_cache)
-    depth = sixs_text.parse_monochromatic(out).depth_rayleigh
+    out = run_sixs(sixs.deck(sixs.SunAndView(40.0, 0.0, 0.0), "6\n", 0.0, None, "-1\n0.5500"), engine_cache)
+    depth = sixs.parse_monochromatic(out).depth_rayleigh
     assert depth == pytest.approx(0.0972, rel=0.02)
     terms = terms_of(st)
     # Thin conservative Rayleigh layer, first order in tau: path reflectance P(Theta) tau / (4 mu0 mu_v), with the
@@ -172,7 +171,7 @@ def test_molecular_atmosphere_has_its_published_optical_depth(engine_cache, term
     assert path == pytest.approx(phase * tau / (4.0 * mu0), rel=0.03)
     assert terms.spherical_albedo[i] == pytest.approx(tau, rel=0.03)
     # The closed form for molecules, beside what the solver integrates.
-    seen = sixs_text.parse_monochromatic(out)
+    seen = sixs.parse_monochromatic(out)
     assert seen.spherical_albedo == pytest.approx(float(molecular_albedo(np.array(depth))), rel=0.01)
     e0 = solar.extraterrestrial_irradiance(st.solar_spectrum, terms.wavelength_nm)[i]
     down = np.pi * (terms.direct[i] + terms.adjacency[i]) / (mu0 * e0 * terms.gas_transmittance[i])  # T_down T_up
@@ -251,11 +250,9 @@ def test_stand_in_stays_inside_what_the_solver_honours():
 
 def test_solver_honours_the_depth_below_that_it_is_given(engine_cache):
     used, share = sixs._stand_in(0.02, 0.1, 2.65, 550.0)
-    aerosol = sixs_text.Aerosol("1", used, used * share)
-    out = run_sixs(
-        sixs_text.deck(sixs_text.Geometry(40, 0, 0), "0\n", 0.0, 2.65, "-1\n0.5500", aerosol), engine_cache
-    )
-    assert sixs_text.parse_monochromatic(out).depth_aerosol == pytest.approx(used * share, abs=6e-6)
+    aerosol = sixs.Aerosol("1", used, used * share)
+    out = run_sixs(sixs.deck(sixs.SunAndView(40, 0, 0), "0\n", 0.0, 2.65, "-1\n0.5500", aerosol), engine_cache)
+    assert sixs.parse_monochromatic(out).depth_aerosol == pytest.approx(used * share, abs=6e-6)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import sys
 import pytest
 from processes import awaited, is_at_work
 
-from hyperval.atmosphere import sixs_process
+from hyperval.atmosphere import sixs
 from hyperval.errors import EngineError
 
 CARD = "0\n30 0 0 0 1 1\n0\n0\n-1\n0\n-1000\n-1\n0.55\n0\n0\n0\n0.0\n-1\n"
@@ -19,35 +19,35 @@ CARD = "0\n30 0 0 0 1 1\n0\n0\n-1\n0\n-1000\n-1\n0.55\n0\n0\n0\n0.0\n-1\n"
 
 @pytest.fixture(autouse=True)
 def _forget():
-    sixs_process._library_folder.cache_clear()
+    sixs._library_folder.cache_clear()
     yield
-    sixs_process._library_folder.cache_clear()
+    sixs._library_folder.cache_clear()
 
 
 def bare_system():
     """True where the executable does not start by itself."""
-    return not sixs_process._works(None)
+    return not sixs._works(None)
 
 
 def test_runs_whatever_the_machine_has(tmp_path):
-    assert "6SV version 2.1" in sixs_process.run_sixs(CARD, tmp_path)
+    assert "6SV version 2.1" in sixs.run_sixs(CARD, tmp_path)
 
 
 def test_borrowed_library_is_linked_and_works(tmp_path, monkeypatch):
     if not bare_system():  # the same path, on a machine that would not need it
-        works = sixs_process._works
-        monkeypatch.setattr(sixs_process, "_works", lambda folder: folder is not None and works(folder))
-    folder = sixs_process._library_folder(str(tmp_path))
+        works = sixs._works
+        monkeypatch.setattr(sixs, "_works", lambda folder: folder is not None and works(folder))
+    folder = sixs._library_folder(str(tmp_path))
     assert folder is not None
     link = tmp_path / "libraries" / os.path.basename(folder) / "libgfortran.so.5"
     assert link.is_symlink()
-    assert link.resolve() in [p.resolve() for p in sixs_process.fortran_libraries()]
-    assert sixs_process._works(folder)
+    assert link.resolve() in [p.resolve() for p in sixs.fortran_libraries()]
+    assert sixs._works(folder)
 
 
 def test_a_system_on_which_the_program_starts_is_left_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(sixs_process, "_works", lambda folder: True)
-    assert sixs_process._library_folder(str(tmp_path)) is None
+    monkeypatch.setattr(sixs, "_works", lambda folder: True)
+    assert sixs._library_folder(str(tmp_path)) is None
     assert list(tmp_path.iterdir()) == []
 
 
@@ -58,37 +58,37 @@ def test_user_search_path_is_kept(tmp_path, monkeypatch):
         seen.update(options["env"])
         return subprocess.CompletedProcess(args, 0, "6SV version apparent reflectance", "")
 
-    monkeypatch.setattr(sixs_process.subprocess, "run", run)
+    monkeypatch.setattr(sixs.subprocess, "run", run)
     monkeypatch.setenv("LD_LIBRARY_PATH", "/opt/mine")
-    sixs_process._start(CARD, str(tmp_path))
+    sixs._start(CARD, str(tmp_path))
     assert seen["LD_LIBRARY_PATH"] == f"{tmp_path}{os.pathsep}/opt/mine"
 
 
 def test_a_library_that_does_not_suit_is_passed_over(tmp_path, monkeypatch):
     if not bare_system():
         pytest.skip("the system has libgfortran.so.5: no library is borrowed")
-    good = sixs_process.fortran_libraries()
+    good = sixs.fortran_libraries()
     bad = tmp_path / "elsewhere.libs" / "libgfortran-bad.so.5.0.0"
     bad.parent.mkdir()
     bad.write_bytes(b"not a library")
-    monkeypatch.setattr(sixs_process, "fortran_libraries", lambda: [bad, *good])
-    assert "6SV version 2.1" in sixs_process.run_sixs(CARD, tmp_path / "cache")
+    monkeypatch.setattr(sixs, "fortran_libraries", lambda: [bad, *good])
+    assert "6SV version 2.1" in sixs.run_sixs(CARD, tmp_path / "cache")
 
 
 def test_links_left_by_a_removed_environment_are_replaced(tmp_path):
-    (library, *_) = sixs_process.fortran_libraries()
-    folder = sixs_process._linked(library, tmp_path)
+    (library, *_) = sixs.fortran_libraries()
+    folder = sixs._linked(library, tmp_path)
     (folder / "libgfortran.so.5").unlink()
     (folder / "libgfortran.so.5").symlink_to(tmp_path / "gone")
-    again = sixs_process._linked(library, tmp_path)
+    again = sixs._linked(library, tmp_path)
     assert again == folder
     assert (again / "libgfortran.so.5").resolve() == library.resolve()
     assert [p.name for p in folder.parent.iterdir()] == [folder.name]  # nothing temporary stays behind
 
 
 def test_links_that_a_killed_process_left_half_made_go_at_the_next_start(tmp_path):
-    (library, *_) = sixs_process.fortran_libraries()
-    sixs_process._linked(library, tmp_path)
+    (library, *_) = sixs.fortran_libraries()
+    sixs._linked(library, tmp_path)
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     left = tmp_path / "libraries" / f".hyperval-links-{ended.pid}-abcd_123"
@@ -97,7 +97,7 @@ def test_links_that_a_killed_process_left_half_made_go_at_the_next_start(tmp_pat
     ours = left.with_name(f".hyperval-links-{os.getpid()}-abcd_123")
     ours.mkdir()
     os.utime(ours, (0, 0))
-    sixs_process._linked(library, tmp_path)
+    sixs._linked(library, tmp_path)
     assert not left.exists()
     assert ours.exists()  # of a process that lives
 
@@ -105,7 +105,7 @@ def test_links_that_a_killed_process_left_half_made_go_at_the_next_start(tmp_pat
 def test_parallel_processes_share_one_folder(tmp_path):
     code = (
         "import sys; from pathlib import Path;"
-        "from hyperval.atmosphere.sixs_process import _linked, fortran_libraries;"
+        "from hyperval.atmosphere.sixs import _linked, fortran_libraries;"
         "print(_linked(fortran_libraries()[0], Path(sys.argv[1])))"
     )
     running = [
@@ -119,31 +119,31 @@ def test_parallel_processes_share_one_folder(tmp_path):
 
 
 def test_no_library_at_all_names_the_command_that_mends(tmp_path, monkeypatch):
-    monkeypatch.setattr(sixs_process, "_works", lambda folder: False)
+    monkeypatch.setattr(sixs, "_works", lambda folder: False)
     with pytest.raises(EngineError, match="apt-get install libgfortran5"):
-        sixs_process.run_sixs(CARD, tmp_path)
+        sixs.run_sixs(CARD, tmp_path)
 
 
 def test_failure_of_a_run_is_told(tmp_path):
     with pytest.raises(EngineError, match="6S ended with code"):
-        sixs_process.run_sixs("0\nnonsense\n", tmp_path)
+        sixs.run_sixs("0\nnonsense\n", tmp_path)
 
 
 def test_missing_executable(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(EngineError, match="executable is missing"):
-        sixs_process.run_sixs(CARD, tmp_path)
+        sixs.run_sixs(CARD, tmp_path)
 
 
 def test_a_file_that_may_not_be_started(tmp_path, monkeypatch):
     text = tmp_path / "sixs"
     text.touch(0o644)
-    monkeypatch.setattr(sixs_process, "sixs_path", lambda: text)
+    monkeypatch.setattr(sixs, "sixs_path", lambda: text)
     for tied in (True, False):  # where the system has a way to end it with its run, and where it has none
         if not tied:
-            monkeypatch.setattr("hyperval.apart._tie", tuple)
+            monkeypatch.setattr("hyperval.storage._tie", tuple)
         with pytest.raises(EngineError, match=r"6S cannot be started: .*Permission denied"):
-            sixs_process._start(CARD, None)
+            sixs._start(CARD, None)
 
 
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="the system has no setpriv")
@@ -154,7 +154,7 @@ def test_it_ends_with_the_process_that_started_it(tmp_path, number):
     slow.write_text(f"#!/bin/sh\necho $$ > {tmp_path}/new; mv {tmp_path}/new {tmp_path}/pid; exec sleep 60\n")
     slow.chmod(0o755)
     code = (
-        "import sys; from pathlib import Path; from hyperval.atmosphere import sixs_process as s;"
+        "import sys; from pathlib import Path; from hyperval.atmosphere import sixs as s;"
         "s.sixs_path = lambda: Path(sys.argv[1]); s._start('', None)"
     )
     with subprocess.Popen([sys.executable, "-c", code, str(slow)]) as worker:

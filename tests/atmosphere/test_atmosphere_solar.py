@@ -113,9 +113,7 @@ def test_shipped_numbers_are_made_from_the_source_and_bands_see_it_through_them(
     assert solar.source_samples("tsis-1")[1] * 10.0 == pytest.approx(made, rel=2e-6)
     # Straight lines stay what they are, whatever the corners.
     straight = np.arange(0.0, 10.1, 0.5)
-    assert script.projection(straight, 3.0 + 2.0 * straight, straight[::4]) == pytest.approx(
-        3.0 + 2.0 * straight[::4]
-    )
+    assert script.projection(straight, 3.0 + 2.0 * straight, straight[::4]) == pytest.approx(3.0 + 2.0 * straight[::4])
     source_nm, source_e = np.loadtxt(source, unpack=True)
     centre = np.arange(370.0, 2485.0, 1.7)
     theirs = lambda x: np.interp(x, source_nm, source_e)  # noqa: E731

@@ -1,12 +1,13 @@
-"""Surroundings that a scenario states: their reflectance as a spectrum, their height."""
+"""Surroundings that a scenario states: their reflectance as a spectrum."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
-from hyperval.atmosphere import AtmosphericState, engine
+from hyperval.atmosphere import AtmosphericState
+from hyperval.config import load_model
+from hyperval.errors import UsageError
 from hyperval.predict import Origins, predict
 from hyperval.scenario import Scenario
 from hyperval.scene.radiance import mean_radiance
@@ -59,31 +60,7 @@ def test_it_is_read_from_a_file(tmp_path):
     assert seen.mean == pytest.approx(mean_radiance(terms, 0.3, around), rel=1e-6)
 
 
-def test_a_height_of_their_own_gives_what_they_scatter_and_send_back(monkeypatch):
-    heights = []
-
-    def higher_is_clearer(state, _):
-        heights.append(state.ground_altitude_km)
-        return stand_in_atmosphere(state.model_copy(update={"aot550": 0.3 - 0.2 * state.ground_altitude_km}))
-
-    monkeypatch.setitem(engine.ENGINES, "sixs", higher_is_clearer)
-    same, low, own = (
-        engine.atmospheric_terms(AtmosphericState(**STATE, **more))
-        for more in ({"surroundings_altitude_km": 0.35}, {"surroundings_altitude_km": 0.0}, {})
-    )
-    assert heights == [0.35, 0.35, 0.0, 0.35]
-    assert np.array_equal(same.adjacency, own.adjacency)
-    assert np.array_equal(low.path_radiance, own.path_radiance)
-    assert np.array_equal(low.direct, own.direct)
-    there = higher_is_clearer(AtmosphericState(**{**STATE, "ground_altitude_km": 0.0}), None)
-    assert np.array_equal(low.adjacency, there.adjacency)
-    assert np.array_equal(low.spherical_albedo, there.spherical_albedo)
-    assert not np.array_equal(low.adjacency, own.adjacency)
-    assert low.provenance["surroundings_altitude_km"] == 0.0
-
-
-def test_surroundings_above_the_sensor_are_refused():
-    with pytest.raises(ValidationError, match="must lie below sensor_altitude_km"):
-        AtmosphericState(**STATE, surroundings_altitude_km=2.5)
-    with pytest.raises(ValidationError, match=r"atmosphere\.surroundings_altitude_km is not: state it there"):
-        scenario({"surroundings_altitude_km": 0.05})
+def test_the_key_of_a_height_of_their_own_is_gone_and_says_so(tmp_path):
+    (tmp_path / "atmosphere.yaml").write_text("sensor_altitude_km: 2.3\nsurroundings_altitude_km: 0.0\n")
+    with pytest.raises(UsageError, match=r"atmosphere\.yaml:2: .*this key is gone; .*ground_altitude_km"):
+        load_model(AtmosphericState, tmp_path / "atmosphere.yaml")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.atmosphere.table_aerosol import PATH_ERROR, between_aerosols, depth_below, path_error
-from hyperval.atmosphere.visibility import aot550_from_range
+from hyperval.atmosphere.state import aot550_from_range
+from hyperval.atmosphere.table import PATH_ERROR, between_aerosols, depth_below, path_error
 
 GROUND, SENSOR = 0.35, 2.3
 NODES = np.array([0.05, 0.1, 0.2, 0.6])

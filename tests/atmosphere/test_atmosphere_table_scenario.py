@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericTable, atmospheric_terms, read_table, write_table
-from hyperval.atmosphere.table import QUANTITIES
-from hyperval.atmosphere.table_aerosol import PATH_ERROR
+from hyperval.atmosphere.table import PATH_ERROR, QUANTITIES
 from hyperval.errors import InputError, UsageError
 from hyperval.predict import Origins, predict
 from hyperval.scenario import load_scenario

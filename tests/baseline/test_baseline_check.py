@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,7 +13,7 @@ import yaml
 
 from hyperval import cli
 from hyperval.baseline import accept, check
-from hyperval.baseline.runs import _stale
+from hyperval.baseline.check import _stale
 from hyperval.campaign.job import Job
 from hyperval.campaign.schema import load_campaign
 from hyperval.report.stored import read_results
@@ -115,7 +117,7 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys):
         text = (place / page).read_text()
         assert f"4 of {len(rows)} numbers are not as accepted." in text
         # What is set beside accepted numbers is no verdict about the model.
-        assert "model gate" not in text
+        assert "acceptance criteria are" not in text
         assert "Model and collection" not in text
     assert (place / "out/junit.xml").read_bytes() == (place / "moved.xml").read_bytes()
 
@@ -166,7 +168,8 @@ def test_a_finished_run_of_other_files_is_refused(small, finished, place, capsys
 def test_a_finished_run_of_another_source_is_refused(small, monkeypatch):
     path = small.write()
     job = Job(load_campaign(path), path)
-    monkeypatch.setattr("hyperval.baseline.runs.source_revision", lambda: {"commit": "b" * 40, "changed": False})
+    revision = {"commit": "b" * 40, "changed": False}
+    monkeypatch.setattr(sys.modules["hyperval.baseline.check"], "source_revision", lambda: revision)
     assert "made by commit aaaa" in str(_stale(job, {"source_revision": {"commit": "a" * 40}}))
     assert _stale(job, {"source_revision": {"commit": "b" * 40}}) is None
     assert _stale(job, {"source_revision": None}) is None
@@ -200,6 +203,16 @@ def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere):
     moved = {row.metric for row in wrong}
     assert {"median_snr", "median_electrons_per_radiance", "median_noise_shot"} <= moved
     assert not any("SWIR2" in row.subject for row in wrong)  # its noise stands in another row of the table
+
+
+def test_the_command_that_is_printed_for_a_sensor_file_names_the_file(place, tmp_path, own_atmosphere):
+    file = str(write_yaml(tmp_path / "mine.yaml", sensor_data()))
+    told = check([], [file], baselines=place, engine=stand_in_atmosphere).checked[0].run.acceptance(place)
+    words = shlex.split(told)
+    named = words[words.index("--sensors") + 1]
+    assert [*accept([], [named], reason="First", baselines=place, engine=stand_in_atmosphere).written] == [
+        "sensor small-sensor"
+    ]
 
 
 def test_a_scenario_that_a_sensor_cannot_do_is_a_number_too(place, own_atmosphere):

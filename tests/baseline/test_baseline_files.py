@@ -10,13 +10,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperval.baseline.differences import compare
-from hyperval.baseline.metrics import BEHIND, Measured, campaign_metrics, skipped_reason
-from hyperval.baseline.schema import Accepted, key_of, load_baseline, split_key
-from hyperval.baseline.store import accepted_of, baseline_path, candidate_path, stored, today, write_baseline
-from hyperval.baseline.tolerances import rounded
+from hyperval.baseline.accepted import (
+    BEHIND,
+    Accepted,
+    Measured,
+    accepted_of,
+    baseline_path,
+    campaign_metrics,
+    candidate_path,
+    key_of,
+    load_baseline,
+    rounded,
+    skipped_reason,
+    split_key,
+    stored,
+    today,
+    write_baseline,
+)
+from hyperval.baseline.check import compare
 from hyperval.errors import UsageError
-from hyperval.metrics.tolerances import DIGITS, Tolerance, default_tolerance
+from hyperval.metrics.table import DIGITS, Tolerance, default_tolerance
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.results import Outcome, Result
 

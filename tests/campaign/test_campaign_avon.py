@@ -24,8 +24,8 @@ from hyperval.campaign.one import run_campaign
 from hyperval.campaign.run import validate
 from hyperval.config import load_yaml
 from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi_write import write_cube
-from hyperval.imagery.lookup_table import divided
+from hyperval.imagery.envi import write_cube
+from hyperval.imagery.placing import divided
 from hyperval.processing.intervals import Z95
 from hyperval.report.stored import read_results
 from hyperval.results import Cause, Outcome
@@ -222,9 +222,7 @@ def polished(folder: Path, header: str, axis: SpectralAxis) -> None:
     stored.transpose(0, 2, 1).tofile(folder / f"{RUN}_pol_ref.dat")
     sizes = f"samples = {cube.samples}\nlines = {cube.lines}\nbands = {stored.shape[-1]}\n"
     bands = as_delivered("", SpectralAxis(axis.centre_nm[every], axis.fwhm_nm[every]))
-    (folder / f"{RUN}_pol_ref.hdr").write_text(
-        f"ENVI\n{sizes}data type = 2\ninterleave = bil\nbyte order = 0{bands}"
-    )
+    (folder / f"{RUN}_pol_ref.hdr").write_text(f"ENVI\n{sizes}data type = 2\ninterleave = bil\nbyte order = 0{bands}")
 
 
 def on_ground(raw: Path, mapped: Path, line: ScannedLine) -> None:
@@ -276,7 +274,7 @@ def test_filled_in_it_runs_through(line, tmp_path, monkeypatch):
     monkeypatch.setenv("HYPERVAL_DATA", str(line))
     # Draws of covariances in 360 bands take half of the run, and other campaigns have them.
     monkeypatch.setattr("hyperval.compare.covariance.sampled", lambda *words: None)
-    monkeypatch.setattr("hyperval.campaign.curves.sampled", lambda *words: None)
+    monkeypatch.setattr("hyperval.campaign.sides.sampled", lambda *words: None)
     path = filled_in(tmp_path / "campaign")
     assert "FILL_IN" not in "".join(str(yaml.safe_load(p.read_text())) for p in path.parent.glob("*.yaml"))
     assert [i for i in dry_run([path]) if i.lacking] == []
@@ -308,9 +306,7 @@ def test_filled_in_it_runs_through(line, tmp_path, monkeypatch):
     curves = {key[0] for key in run.observation.roc} & {key[0] for key in run.prediction.roc}
     assert {"yellow-planks", "green-planks"} <= curves
     # Like pixels with like: all that a plank touches on both sides, of which the emptier ones are not found.
-    gaps = {
-        (r.subject, r.method): r for r in rows if r.metric == "pd_difference@1e-2" and r.subject.endswith("planks")
-    }
+    gaps = {(r.subject, r.method): r for r in rows if r.metric == "pd_difference@1e-2" and r.subject.endswith("planks")}
     # 24 planks of each colour; with the fullest pixel of each in the prediction: 0.20 and -0.18 for first and last.
     found = {
         ("yellow-planks", "cem/pixel"): 0.02, ("green-planks", "cem/pixel"): -0.06,
@@ -331,9 +327,7 @@ def test_filled_in_it_runs_through(line, tmp_path, monkeypatch):
     assert any("glt.dat lies beside the cube and places its pixels" in note for note in run.notes)
     # The halves of the fields are as many pixels as their surfaces have without planks; the parts are counted.
     assert {"grass second half", "asphalt second half"} <= run.prediction.radiance.keys()
-    assert all(
-        run.prediction.radiance[f"{s} second half"].pixel_covariance is not None for s in ("grass", "asphalt")
-    )
+    assert all(run.prediction.radiance[f"{s} second half"].pixel_covariance is not None for s in ("grass", "asphalt"))
     assert run.prediction.radiance["grass-field"].pixel_covariance is None  # its own pixels: no evidence
     by_band = [r for r in rows if (r.product, r.subject, r.metric) == ("snr", "white-panel", "difference_ratio")]
     assert len(by_band) > 300
@@ -346,7 +340,7 @@ def test_filled_in_it_runs_through(line, tmp_path, monkeypatch):
 def test_the_polished_reflectance_whole_and_divided(line, tmp_path, monkeypatch):
     """Planks against the whole scene and against their own half of it; one half of a field predicts the other."""
     monkeypatch.setenv("HYPERVAL_DATA", str(line))
-    monkeypatch.setattr("hyperval.campaign.curves.sampled", lambda *words: None)  # a figure
+    monkeypatch.setattr("hyperval.campaign.sides.sampled", lambda *words: None)  # a figure
     folder = filled_in(tmp_path / "campaign").parent
     rows = {}
     for name in ("campaign-reflectance.yaml", "campaign-divided.yaml"):

@@ -144,6 +144,10 @@ CASES: dict[str, tuple[Callable[[SmallCampaign], None], int, tuple[str, ...]]] =
         settings(lambda d: d["collection"]["empirical_line"]["panels"][0].update(region="grey")), 2,
         ("no region 'grey'", "white-panel"),
     ),
+    "key that is gone": (
+        settings(lambda d: d["collection"].update(precision="fast")), 2,
+        (r"campaign\.yaml:\d+: collection\.precision: this key is gone; .*always summed in float64.*leave it out",),
+    ),
     "unknown key": (
         settings(lambda d: d["collection"].update(leaveout=[])), 2,
         (r"campaign\.yaml:\d+: collection\.leaveout: unknown key; did you mean 'leave_out'\?",),

@@ -14,11 +14,10 @@ from hyperval.campaign.dry_run import dry_run, overview, summary
 from hyperval.campaign.job import jobs_of
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.run import validate
-from hyperval.campaign.schema import load_campaign, load_campaigns
-from hyperval.campaign.template import campaign_runs, with_words
+from hyperval.campaign.schema import campaign_runs, load_campaign, load_campaigns, with_words
 from hyperval.config import load_yaml, placeholders
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.envi import write_cube
 from hyperval.spectra.axis import SpectralAxis
 
 CAMPAIGN = {
@@ -90,7 +89,7 @@ def test_everything_that_is_lacking_is_listed(places):
         ("comparison", "planned", "radiance median_abs_difference_ratio_windows of a, b"),
     ]
     assert items[3].detail == f"scale of the radiance ({places}:12)"
-    assert items[5].detail == "at most 0.1, decides"
+    assert items[5].detail == "at most 0.1, acceptance criterion"
     said = summary(items)
     assert said[0] == "line-0920-1638: 2 files missing, 2 values to fill in"
     assert summary(dry_run([places]))[0] == "line-{line} (2 campaigns): 2 files missing, 2 values to fill in"
@@ -105,7 +104,7 @@ def test_the_overview_names_once_what_runs_share(places, tmp_path):
         ("2 campaigns, line-{line}", "found", "scenario.yaml"),
         ("2 campaigns, line-{line}", "to fill in", "collection.cube.scale"),
         ("2 campaigns, line-{line}", "to fill in", "scene.classes.0.fraction"),
-        ("2 campaigns, line-{line}", "planned", "1 comparisons, 1 decide"),
+        ("2 campaigns, line-{line}", "planned", "1 comparisons, 1 acceptance criteria"),
     ]
     # What one run alone lacks stands under its own name, with its own words.
     complete(tmp_path)

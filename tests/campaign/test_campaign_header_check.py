@@ -13,10 +13,9 @@ from rasterio.crs import CRS
 
 from hyperval.campaign.job import jobs_of
 from hyperval.campaign.one import run_campaign
-from hyperval.campaign.scenario_notes import centre_of, distance_km, header_notes
-from hyperval.imagery.companions import table_of
-from hyperval.imagery.envi_write import write_cube
-from hyperval.imagery.lookup_table import LookupTable
+from hyperval.campaign.sides import centre_of, distance_km, header_notes
+from hyperval.imagery.envi import write_cube
+from hyperval.imagery.placing import LookupTable, table_of
 from hyperval.imagery.rasters import open_raster
 from hyperval.observe.place import Place
 

@@ -74,7 +74,5 @@ def test_places_are_the_centres_of_the_masks(data_dir):
     large = {m: np.array(truth[m, 3.0]) for m, side in truth if side == 3.0}
     along = large["red_metal"] - large["bitumen"], large["blue_fabric"] - large["green_fabric"]
     across = large["green_fabric"] - large["bitumen"], large["red_fabric"] - large["green_fabric"]
-    angles = [np.degrees(np.arctan2(d[1], d[0])) for d in along] + [
-        np.degrees(np.arctan2(-d[0], d[1])) for d in across
-    ]
+    angles = [np.degrees(np.arctan2(d[1], d[0])) for d in along] + [np.degrees(np.arctan2(-d[0], d[1])) for d in across]
     assert np.mean(angles) == pytest.approx(12.0, abs=1.0)

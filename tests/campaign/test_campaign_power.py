@@ -12,15 +12,7 @@ from hyperval.campaign.power import Power, power, power_table, turned
 from hyperval.errors import UsageError
 from hyperval.metrics import Evidence
 from hyperval.report.html import report_page
-from hyperval.report.power import (
-    Planted,
-    PowerTable,
-    Sight,
-    accepted_table,
-    gate_values,
-    own_files,
-    write_power_table,
-)
+from hyperval.report.run import Planted, PowerTable, Sight, accepted_table, gate_values, own_files, write_power_table
 from hyperval.results import Outcome, Result, Role
 from hyperval.uncertainty.planted import PlantedError, planted_errors
 
@@ -92,10 +84,10 @@ def test_only_what_turns_counts():
 
 def test_the_sentence_names_what_goes_unseen():
     assert table().sentence == (
-        "Of 3 standard errors planted in the model the gates see 1. Only rows that do not decide show: blur x 1.5. "
-        "Unseen: noise x 1.5. There is nothing here to plant in for: tails left out."
+        "The criteria detect 1 of 3 injected model errors. Informational comparisons alone detect: blur x 1.5. "
+        "Undetected: noise x 1.5. Not applicable: tails left out."
     )
-    assert table(disagreeing=2).sentence.endswith("2 gates that disagree already cannot show any.")
+    assert table(disagreeing=2).sentence.endswith("2 criteria that are not met already cannot detect any.")
 
 
 def test_a_table_is_stored_and_read_back(tmp_path):
@@ -158,13 +150,13 @@ def test_tables_are_written_accepted_and_shown(small, tmp_path, monkeypatch):
     assert accepted_table("small") == found.table
     run = run_campaign(jobs_of(path)[0])
     page = report_page(run, [])
-    assert "the gates see 1. Unseen: noise x 1.5." in page[: page.index("<nav")]
+    assert "Undetected: noise x 1.5." in page[: page.index("<nav")]
     assert "The table is" not in page
     changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in run.provenance["inputs"]]
     page = report_page(replace(run, provenance={**run.provenance, "inputs": changed}), [])
     assert "The table is older than campaign.yaml" in page[: page.index("<nav")]
     old = found.table.model_copy(update={"stated": dict.fromkeys(found.table.stated, 0.5)})
-    assert "The table is old: 2 of its gates had other values" in report_page(replace(run, power=old), [])
+    assert "The table is old: 2 of its criteria had other values" in report_page(replace(run, power=old), [])
     assert "What this campaign could have found is not known" in report_page(replace(run, power=None), [])
 
 

@@ -15,12 +15,13 @@ from rasterio.warp import transform as warp
 
 from hyperval import cli
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.campaign.day_scenarios import DayScenarios, day_scenarios
 from hyperval.campaign.dry_run import dry_run
 from hyperval.campaign.job import read_texts
-from hyperval.imagery.envi_write import write_cube
+from hyperval.campaign.schema import DayScenarios, day_scenarios
+from hyperval.imagery.envi import write_cube
 from hyperval.predict import Origins, predict
 from hyperval.report.stored import read_results
+from hyperval.results import Cause
 from hyperval.sensor.specification import load_sensor
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "radcalnet-sensor"
@@ -132,7 +133,7 @@ def test_from_files_to_verdict_and_drift(overpasses, tmp_path, capsys):
     gates = {name: [r for r in rows if str(r.role) == "gate" and r.metric == name] for name in GATES}
     assert [str(r.outcome) for r in gates["median_difference_ratio_vnir"]] == ["agrees"] * 4
     # The stand-in has none of the errors that the budget holds, and the full test says so.
-    assert all("too wide" in r.reason for r in gates["p_value_shape"]), gates
+    assert all(r.cause is Cause.TOO_WIDE for r in gates["p_value_shape"]), gates
     assert code == 1
     capsys.readouterr()
     assert cli.run(["drift", str(out), "--within", "-0.005", "0.005"]) == 1

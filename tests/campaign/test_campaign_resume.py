@@ -14,15 +14,15 @@ from pathlib import Path
 import pytest
 
 from hyperval import cli
-from hyperval.campaign import jobs as campaign_jobs
+from hyperval.campaign import run as campaign_jobs
 from hyperval.campaign import run as campaign_run
 from hyperval.campaign.job import jobs_of
-from hyperval.campaign.resume import Finished
+from hyperval.campaign.run import Finished
 from hyperval.datasets import InputLog
-from hyperval.folders import RECORD
 from hyperval.report import RunReport
 from hyperval.report.outputs import write_tables
 from hyperval.results import Result, ResultTable
+from hyperval.storage import PARTIAL, RECORD
 from small_campaign import SmallCampaign, with_stand_in_atmosphere, without_figures
 
 
@@ -141,7 +141,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(two, tmp_path, monkeypatch):
 
 def test_only_what_would_come_out_the_same_is_taken_over(two, tmp_path, monkeypatch):
     interrupted(two, tmp_path / "out")
-    kept, path = tmp_path / "out.partial", two[0]
+    kept, path = tmp_path / "out" / PARTIAL, two[0]
     assert [p.name for p in (kept / "campaigns").iterdir()] == ["small"]
     record = kept / "campaigns" / "small" / RECORD
 
@@ -179,7 +179,7 @@ def test_only_what_would_come_out_the_same_is_taken_over(two, tmp_path, monkeypa
     assert not taken_over()
     beside.unlink()
     assert taken_over()
-    monkeypatch.setattr("hyperval.campaign.resume._program", lambda: "another")
+    monkeypatch.setattr("hyperval.campaign.run._program", lambda: "another")
     assert not taken_over()
 
 
@@ -187,11 +187,11 @@ def test_what_was_skipped_or_went_wrong_is_not_kept(two, tmp_path, monkeypatch):
     (cube,) = two[0].parent.rglob("small_rad.img")
     cube.unlink()
     interrupted(two, tmp_path / "out")
-    (folder,) = (tmp_path / "out.partial" / "campaigns").iterdir()
+    (folder,) = (tmp_path / "out" / PARTIAL / "campaigns").iterdir()
     assert (folder / "results.json").is_file()
     assert not (folder / RECORD).exists()
     (job,) = jobs_of(two[0])
-    assert Finished(tmp_path / "out.partial").load(job) is None
+    assert Finished(tmp_path / "out" / PARTIAL).load(job) is None
 
 
 @pytest.fixture
@@ -232,22 +232,53 @@ def test_a_second_run_takes_over_what_did_not_change(two, quick, tmp_path, capsy
     code = validate(two, out)
     assert sorted(quick) == ["other", "small"]
     first = files_of(out)
-    (out / "other" / "notes.txt").write_text("mine")
     quick.clear()
     assert cli.run(["validate", *map(str, two), "-o", str(out)]) == code
     assert quick == []
     assert capsys.readouterr().err.count("nothing changed") == 2
-    assert files_of(out) == {**first, "other/notes.txt": b"mine"}
+    assert files_of(out) == first
 
     two[0].write_bytes(two[0].read_bytes() + b"# nothing but a comment\n")
     assert validate(two, out) == code
     assert quick == ["small"]
 
 
-@pytest.mark.parametrize("inside", [False, True])
-def test_a_single_campaign_is_taken_over_wherever_it_stands(make_small, quick, tmp_path, monkeypatch, inside):
+def test_a_campaign_more_does_not_make_the_others_run_again(make_small, quick, tmp_path, monkeypatch):
+    paths = []
+    for name in ("first", "second", "third", "fourth"):
+        small = make_small(name)
+        small.data["name"] = name
+        paths.append(small.write())
+
+    def command(count: int, *more: str) -> int:
+        quick.clear()
+        arguments = ["-q", "validate", *map(str, paths[:count]), "-o", str(tmp_path / "out"), *more]
+        monkeypatch.setattr(sys, "argv", ["hyperval", *arguments])  # as in the program
+        return cli.run(arguments)
+
+    for count, more, ran in ((3, [], ["first", "second", "third"]), (4, [], ["fourth"]), (4, ["--strict"], [])):
+        command(count, *more)
+        assert sorted(quick) == ran, (count, more)
+    assert {"first", "second", "third", "fourth"} < {p.name for p in (tmp_path / "out").iterdir()}
+
+
+def test_a_run_into_a_folder_whose_name_begins_alike_takes_nothing_away(make_small, quick, tmp_path, monkeypatch):
+    path, (one, other) = make_small("one").write(), (tmp_path / ("n" * 60 + end) for end in "ab")
+    right, codes = campaign_run.write_outputs, []
+
+    def neighbour_runs(run, folder):
+        right(run, folder)
+        with monkeypatch.context() as patch:
+            patch.setattr(campaign_run, "write_outputs", right)
+            codes.append(validate([path], other))
+
+    monkeypatch.setattr(campaign_run, "write_outputs", neighbour_runs)
+    assert validate([path], one) == codes[0]
+    assert files_of(one) == files_of(other)
+
+
+def test_a_single_campaign_is_taken_over(make_small, quick, tmp_path):
     path, out = make_small("one").write(), tmp_path / "out"
-    monkeypatch.setattr("hyperval.folders.swappable", lambda place: not inside)
     code = validate([path], out)
     first = files_of(out)
     quick.clear()

@@ -146,7 +146,7 @@ def test_a_fault_of_ours_is_named_with_its_place_in_the_rows_of_its_campaign(mak
     def faulty(*_, **__):
         return wavelength_to_nm(None)
 
-    monkeypatch.setattr("hyperval.campaign.jobs.run_campaign", faulty)
+    monkeypatch.setattr("hyperval.campaign.run.run_campaign", faulty)
     monkeypatch.setenv("HYPERVAL_WORKERS", "1")
     one, two = make_small("one"), make_small("two")
     two.data["name"] = "other"

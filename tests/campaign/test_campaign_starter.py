@@ -12,7 +12,7 @@ import yaml
 from hyperval import cli
 from hyperval.campaign.dry_run import WRONG, dry_run, summary
 from hyperval.campaign.schema import load_campaign
-from hyperval.campaign.starter_scene import Spectrum, matching_spectrum
+from hyperval.campaign.starter import Spectrum, matching_spectrum
 from hyperval.config import FILL_IN
 from hyperval.scene.builtin import builtin_class
 from hyperval.sensor.specification import load_sensor
@@ -67,9 +67,7 @@ def test_a_radiance_collection_becomes_a_campaign_that_a_dry_run_calls_ready(sma
 
 def test_what_cannot_be_guessed_is_left_to_be_filled_in(small, sources, capsys):
     folder = small.folder / "draft"
-    assert (
-        cli.run([*sources, "--unit", UNIT, "--sensor", str(small.folder / "sensor.yaml"), "-o", str(folder)]) == 0
-    )
+    assert cli.run([*sources, "--unit", UNIT, "--sensor", str(small.folder / "sensor.yaml"), "-o", str(folder)]) == 0
     state = yaml.safe_load((folder / "campaign.yaml").read_text())["scenarios"][0]["atmosphere"]
     assert [k for k, v in state.items() if str(v).startswith(FILL_IN)] == ["sensor_altitude_km", "time_utc"]
     assert state["latitude_deg"] == pytest.approx(42.9, abs=0.1)
@@ -171,9 +169,7 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     assert subjects == {"felt 1 m": 1.0, "felt 0.5 m": 0.5}
     assert next(g for g in campaign.comparisons if g.product == "roc").subjects == tuple(subjects)
     # What tests a budget that is guessed does not decide.
-    decides = {
-        (g.product, g.metric): g.gate for g in campaign.comparisons if g.product in ("radiance", "reflectance")
-    }
+    decides = {(g.product, g.metric): g.gate for g in campaign.comparisons if g.product in ("radiance", "reflectance")}
     assert decides == {
         ("radiance", "median_difference_ratio_windows"): True, ("radiance", "p_value_shape"): False,
         ("reflectance", "median_difference_ratio_windows"): True, ("reflectance", "p_value_full"): False,

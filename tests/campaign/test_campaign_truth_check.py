@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hyperval.campaign.scenario_notes import truth_notes
+from hyperval.campaign.sides import truth_notes
 from hyperval.collection import Detection
 from hyperval.imagery.truth import TargetObject
 from hyperval.scenario import Scenario

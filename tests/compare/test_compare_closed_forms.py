@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare.abundance import compare_abundance, compare_area_errors
 from hyperval.compare.covariance import _eigenvalue_rows, _space_rows
-from hyperval.compare.roc import compare_roc
-from hyperval.compare.roc_alarms import far_at_detection_rows
+from hyperval.compare.objects import compare_abundance, compare_area_errors
+from hyperval.compare.roc import compare_roc, far_at_detection_rows
 from hyperval.compare.rows import RowMaker
 from hyperval.compare.spectral import compare_spectra, leading_source
-from hyperval.processing.covariance_sampling import SamplingBand, Statistics
 from hyperval.processing.intervals import Z95
+from hyperval.processing.sample import SamplingBand, Statistics
 from hyperval.products import Abundance, AlarmsAtDetection, RocCurve, SpectralEstimate
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.windows import in_window
+from hyperval.spectra.axis import SpectralAxis, in_window
 
 MAKE = RowMaker("product", "planks", "cem/object")
 NAMES = {"subject": "planks", "method": "cem/object"}
@@ -30,6 +28,23 @@ def test_a_measured_area_is_judged_by_the_predicted_interval_alone():
     for predicted, observed, inside in ((0.6, 0.1, 1.0), (0.1, 0.6, 0.0)):
         rows = compare_abundance(Abundance(11.0, predicted), Abundance(10.0, observed, 9, 10.5), **NAMES)
         assert by_metric(rows)["area_in_predicted_95"].value == inside
+
+
+def test_errors_of_areas_by_hand():
+    rows = compare_abundance(Abundance(5.0, 0.3), Abundance(4.0, 0.4, 9, 2.5), **NAMES)
+    row = by_metric(rows)
+    half = {metric: (r.upper - r.lower) / 2.0 / Z95 for metric, r in row.items() if np.isfinite(r.upper)}
+    # d(o/p) = do/p - o dp/p^2; d(p/o - 1) = dp/o - p do/o^2.
+    assert half["area_ratio"] == pytest.approx(np.hypot(0.4 / 5.0, 4.0 * 0.3 / 25.0))
+    assert half["area_difference_ratio"] == pytest.approx(np.hypot(0.3 / 4.0, 5.0 * 0.4 / 16.0))
+    for side, u in (("predicted", 0.3), ("observed", 0.4)):
+        assert (half[f"area_{side}"], half[f"area_error_{side}"]) == pytest.approx((u, u))
+    assert half["area_nominal_ratio"] == pytest.approx(0.4 / 2.5)
+    assert row["area_z"].value == pytest.approx(1.0 / 0.5)
+    assert row["area_inside_95"].value == 0.0  # 2.0 is beyond 1.96
+    assert row["area_in_predicted_95"].value == 0.0  # 1.0 is beyond 1.96 of 0.3
+    near = compare_abundance(Abundance(4.9, 0.3), Abundance(4.0, 0.4), **NAMES)
+    assert by_metric(near)["area_inside_95"].value == 1.0
 
 
 def test_intervals_of_the_errors_of_several_areas():
@@ -65,9 +80,7 @@ def test_an_angle_is_too_large_where_five_of_119_draws_exceed_it():
 
 def test_the_ratio_of_an_eigenvalue_is_expected_over_measured():
     values = np.linspace(1.0, 3.0, 119)[:, None]
-    rows = _eigenvalue_rows(
-        MAKE, Statistics(np.array([4.0]), 5.0, 0.0, np.empty((0, 0))), band(values, values), 200
-    )
+    rows = _eigenvalue_rows(MAKE, Statistics(np.array([4.0]), 5.0, 0.0, np.empty((0, 0))), band(values, values), 200)
     row = by_metric(rows)["eigenvalue_ratio@1"]
     step = 2.0 / 118
     assert (row.lower, row.value, row.upper) == pytest.approx(((1 + 2 * step) / 4, 0.5, (3 - 2 * step) / 4))

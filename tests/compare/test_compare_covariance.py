@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from hyperval.compare import Gate, compare_products
-from hyperval.compare.abundance import compare_area_errors
-from hyperval.compare.classification import compare_classification
 from hyperval.compare.covariance import compare_covariance, compare_distribution, independent_pixels
-from hyperval.processing.noise_part import noise_part
+from hyperval.compare.objects import compare_area_errors
+from hyperval.compare.scores import compare_classification
+from hyperval.processing.sample import noise_part
 from hyperval.products import (
     Abundance,
     ClassificationError,
-    Observation,
+    ObservedProducts,
     PixelDistribution,
-    Prediction,
+    PredictedProducts,
     SpectralEstimate,
 )
 from hyperval.results import Outcome
@@ -149,9 +149,7 @@ def test_rows_of_tails():
     alone = tails(None, measured)
     assert "tail_inverse_dof_difference" not in alone
     assert "no predicted law" in alone["background_tail_dof"].reason
-    normal = tails(
-        PixelDistribution(), PixelDistribution(np.inf, 100.0, np.inf, 0.5, 5, np.inf, 90.0, np.inf, 2, 50)
-    )
+    normal = tails(PixelDistribution(), PixelDistribution(np.inf, 100.0, np.inf, 0.5, 5, np.inf, 90.0, np.inf, 2, 50))
     assert normal["tail_inverse_dof_difference"].value == 0.0
 
 
@@ -191,12 +189,12 @@ def test_area_errors_by_size():
 
 
 def test_all_of_it_is_in_the_table_and_can_gate():
-    predicted = Prediction(
+    predicted = PredictedProducts(
         AXIS, radiance={"g": estimate(truth())}, distribution={"g": PixelDistribution()},
         classification={("a / b", "f"): ClassificationError(0.1, 0.09, 0.11)},
         abundance={(k, "fcls"): Abundance(1.0, 0.1, 4, 1.0) for k in "ab"},
     )  # fmt: skip
-    observed = Observation(
+    observed = ObservedProducts(
         AXIS, radiance={"g": sample(500)},
         distribution={"g": PixelDistribution(np.inf, 50.0, np.inf, 0.4, 6, n=500)},
         classification={("a / b", "f"): ClassificationError(0.1, 0.08, 0.12, 400, 400.0)},
@@ -272,6 +270,25 @@ def test_a_prediction_with_other_noise_shows_in_its_ratio():
     assert wrong.value == pytest.approx(1.5 * right.value, rel=0.05)
     # Without the number of columns there is no interval, and no row.
     assert "noise_ratio" not in rows_of(estimate(texture), observed, predicted_noise={"shot": NOISE})
+
+
+def test_calibration_error_of_a_class_follows_the_mean_square_of_its_pixels():
+    """Of pixels that differ by 30 %, an error that is a part of each has c^2 E[L^2], 9 % above that of their mean.
+
+    The mean of 12 ratios is known to 0.4 %, and 5 standard errors are passed by chance once in a million."""
+    rng = np.random.default_rng(34)
+    texture, c = np.full((B, B), 0.09), 0.02
+    there = {"observed_distribution": PixelDistribution(samples=4000)}
+    found = []
+    for _ in range(12):
+        light = rng.multivariate_normal(np.ones(B), texture, 4000)
+        seen = np.cov((light * (1.0 + c * rng.standard_normal(light.shape))).T)
+        more = {"predicted_noise": {"calibration": np.full(B, c**2)}, **there}
+        predicted = estimate(texture + c**2 * np.eye(B))
+        found.append(rows_of(predicted, estimate(seen, 4000), **more)["noise_ratio"])
+    values = np.array([row.value for row in found])
+    assert values.mean() == pytest.approx(1.0, abs=5 * values.std() / np.sqrt(12))
+    assert values.std() / np.sqrt(12) < 0.006
 
 
 def test_noise_that_pixels_cannot_tell_is_no_number():

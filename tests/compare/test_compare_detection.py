@@ -5,21 +5,17 @@ import pytest
 from scipy import stats
 
 from hyperval.compare import Gate, judged
-from hyperval.compare.abundance import compare_abundance
-from hyperval.compare.difference import difference_interval
+from hyperval.compare.objects import compare_abundance
 from hyperval.compare.products import compare_products
-from hyperval.compare.roc import compare_roc, equivalent
-from hyperval.compare.roc_areas import curve_area
-from hyperval.compare.rows import scientific
+from hyperval.compare.roc import compare_roc, curve_area, equivalent
+from hyperval.compare.rows import difference_interval, scientific
 from hyperval.compare.scores import compare_scores
 from hyperval.errors import UsageError
-from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc import empirical_roc, with_summary
-from hyperval.processing.roc_areas import WHOLE, RocArea, roc_area
+from hyperval.processing.roc import WHOLE, RocArea, counts_of, empirical_roc, roc_area, with_summary
 from hyperval.products import (
     Abundance,
-    Observation,
-    Prediction,
+    ObservedProducts,
+    PredictedProducts,
     RocCurve,
     ScoreDistribution,
     SpectralEstimate,
@@ -113,9 +109,7 @@ def test_equivalence_needs_a_narrow_interval_not_a_missing_difference():
     few = by_metric(compare_roc(model_curve(3.0), measured_curve(3.0), equivalence_margin=0.1, **NAMES))
     assert few["pd_inside_interval@1e-1"].value == 1.0
     assert few["pd_equivalent@1e-2"].value == 0.0
-    many = by_metric(
-        compare_roc(model_curve(3.0), measured_curve(3.0, targets=3000), equivalence_margin=0.1, **NAMES)
-    )
+    many = by_metric(compare_roc(model_curve(3.0), measured_curve(3.0, targets=3000), equivalence_margin=0.1, **NAMES))
     assert many["pd_equivalent@1e-2"].value == 1.0
     assert many["pd_equivalent@1e-2"].reason == "margin 0.1"
 
@@ -205,6 +199,8 @@ def test_score_moments():
     assert rows["score_mean_difference"].upper == pytest.approx(0.1 + half)
     assert rows["score_sd_ratio"].value == pytest.approx(2.0)
     assert rows["score_sd_ratio"].lower < 2.0 < rows["score_sd_ratio"].upper
+    own = by_metric(compare_scores(predicted, ScoreDistribution(1e-16, 0.1, 26), **NAMES))
+    assert np.isnan(own["score_mean_difference"].upper)  # 0 by construction of the filter: no chance is in it
     single = by_metric(compare_scores(predicted, ScoreDistribution(0.4, 0.0, 1), **NAMES))
     assert single["score_sd_ratio"].outcome is Outcome.SKIPPED
     (row,) = compare_scores(predicted, None, **NAMES)
@@ -242,7 +238,7 @@ def test_areas():
 def test_every_subject_of_either_side_has_rows():
     axis = SpectralAxis(np.arange(450.0, 900.0, 10.0), 10.0)
     one = SpectralEstimate(np.ones(len(axis)), 1e-4 * np.eye(len(axis)))
-    predicted = Prediction(
+    predicted = PredictedProducts(
         axis,
         radiance={"grass": one, "only model": one},
         reflectance={"grass": one},
@@ -250,7 +246,7 @@ def test_every_subject_of_either_side_has_rows():
         scores={("t", "cem"): ScoreDistribution(1, 0.1)},
         abundance={("t", "cem"): Abundance(1.0, 0.1)},
     )
-    observed = Observation(
+    observed = ObservedProducts(
         axis,
         radiance={"grass": one, "only data": one},
         snr={"grass": one},
@@ -270,7 +266,7 @@ def test_every_subject_of_either_side_has_rows():
         ("roc", "t", "ace/object"),
     }
     assert {r.product for r in rows} == {"radiance", "snr", "reflectance", "scores", "roc", "abundance"}
-    other = Observation(SpectralAxis(np.arange(451.0, 901.0, 10.0), 10.0))
+    other = ObservedProducts(SpectralAxis(np.arange(451.0, 901.0, 10.0), 10.0))
     with pytest.raises(UsageError, match="not on the same spectral axis"):
         compare_products(predicted, other)
 

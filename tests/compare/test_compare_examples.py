@@ -8,7 +8,7 @@ import pytest
 
 @pytest.mark.parametrize(
     "name",
-    ["processing.difference", "compare.difference", "compare.consistency", "compare.rows", "processing.intervals"],
+    ["compare.rows", "compare.spectral", "processing.intervals"],
 )
 def test_examples(name):
     outcome = doctest.testmod(importlib.import_module(f"hyperval.{name}"))

@@ -104,7 +104,7 @@ def test_an_interval_against_a_range(row_, outcome, cause):
         (0.2, 0.0, Outcome.AGREES, Cause.NONE, ""),
         (0.2, math.inf, Outcome.UNDECIDED, Cause.NO_POWER, "no 80 % power"),
         (0.001, 0.0, Outcome.DISAGREES, Cause.NONE, ""),
-        (0.9999, 0.0, Outcome.DISAGREES, Cause.NONE, "the stated uncertainty is too wide"),
+        (0.9999, 0.0, Outcome.DISAGREES, Cause.TOO_WIDE, ""),
     ],
 )
 def test_a_test_of_both_tails_against_its_level(value, detectable, outcome, cause, words):
@@ -122,8 +122,39 @@ def test_the_smallest_p_value_alone_has_the_whole_part_of_holm():
     out = judged(rows, [gate])
     assert [r.outcome for r in out] == [Outcome.UNDECIDED, Outcome.DISAGREES, Outcome.UNDECIDED]
     assert [r.cause for r in out] == [Cause.MULTIPLICITY, Cause.NONE, Cause.MULTIPLICITY]
-    assert "its part of the level is 0.015, one of 3 tests" in out[2].reason
+    assert "its part of the level is 0.015, one of 3 criteria" in out[2].reason
     assert [r.role for r in out] == [Role.GATE] * 3
+
+
+def test_intervals_of_all_criteria_share_their_level():
+    # On either side twenty intervals lie off equality by 2.5 standard errors, and one by 4: of 42 the worst has
+    # 0.05/42 of the level (3.2 standard errors), so that one right campaign in twenty is called wrong.
+    gate = Gate(product="radiance", metric="median_difference_ratio_windows", within=[-0.1, 0.1], reason="r")
+    beside = [row(value=k, lower=k - 1.96, upper=k + 1.96) for k in (*[2.5] * 20, 4.0)]
+    beside += [row(value=-x.value, lower=-x.upper, upper=-x.lower) for x in beside]
+    out = judged(beside, [gate])
+    assert [r.outcome for r in out] == ([Outcome.UNDECIDED] * 20 + [Outcome.DISAGREES]) * 2
+    assert {r.cause for r in out if r.outcome is Outcome.UNDECIDED} == {Cause.MULTIPLICITY}
+    assert judged(beside[:1], [gate])[0].outcome is Outcome.DISAGREES  # alone it has the whole level
+    assert judged(beside[:20], [gate.model_copy(update={"gate": False})])[0].outcome is Outcome.DISAGREES
+
+
+@pytest.mark.parametrize(
+    ("metric", "value", "lower", "upper", "p"),
+    [
+        ("pd_difference@1e-2", 0.2, 0.0, 0.6, 0.05),  # the end on the side of equality counts
+        ("pd_difference@1e-2", -0.2, -0.6, 0.0, 0.05),
+        ("pd_difference@1e-2", 0.0, -0.1, 0.3, 1.0),
+        ("pfa_ratio@1e-2", 4.0, 1.0, 9.0, 0.05),  # of a ratio in the logarithm
+        ("pfa_ratio@1e-2", 4.0, 2.0, 8.0, 8.862e-5),  # twice as far: 3.92 standard errors
+        ("pfa_ratio@1e-2", 0.25, 0.125, 1.0, 0.05),
+        ("pfa_ratio@1e-2", 0.0, 0.0, 0.5, 8.862e-5),  # nothing was predicted
+        ("pfa_ratio@1e-2", 3.0, 3.0, 3.0, 0.0),
+        ("pd_inside_interval@1e-2_fraction", 0.0, 0.0, 0.25, 4.1e-15),
+    ],
+)
+def test_the_level_at_which_an_interval_would_reach_equality(metric, value, lower, upper, p):
+    assert tail_probability(row(metric, value, lower, upper, product="roc")) == pytest.approx(p, rel=0.1)
 
 
 def test_departures_that_a_range_would_see():
@@ -146,9 +177,7 @@ def test_what_is_planned_and_not_there_is_an_error_with_what_comes_near():
     assert (absent.outcome, absent.cause, absent.role) == (Outcome.ERROR, Cause.ABSENT, Role.GATE)
     assert "no radiance row of subject 'court'" in absent.reason
     assert "and method 'radiance'; rows with it: 'field' (radiance)" in absent.reason
-    near = Gate(
-        product="radiance", metric="median_difference_ratio_vnir", within=(-0.1, 0.1), reason="r", gate=False
-    )
+    near = Gate(product="radiance", metric="median_difference_ratio_vnir", within=(-0.1, 0.1), reason="r", gate=False)
     (_, absent) = judged([row()], [near])
     assert absent.role is Role.INFORM
     assert "did you mean 'median_difference_ratio_windows'?" in absent.reason

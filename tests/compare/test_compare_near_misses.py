@@ -7,7 +7,7 @@ import pytest
 
 from hyperval.compare import Gate, judged
 from hyperval.compare.products import compare_products
-from hyperval.products import Observation, Prediction, RocCurve
+from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.results import Outcome, Result
 from hyperval.spectra.axis import SpectralAxis
 
@@ -19,14 +19,14 @@ def test_a_side_that_lacks_a_curve_is_told_with_what_it_has():
         pfa = np.geomspace(1e-4, 1.0, 20)
         return RocCurve(pfa, pfa**0.2, pfa**0.2, pfa**0.2, -pfa, unit)
 
-    predicted = Prediction(AXIS, roc={("planks", "cem", "pixel"): curve(), ("planks", "ace", "pixel"): curve()})
-    observed = Observation(AXIS, roc={("planks", "rx", "pixel"): curve(), ("mask 1", "cem", "pixel"): curve()})
+    predicted = PredictedProducts(AXIS, roc={("planks", "cem", "pixel"): curve(), ("planks", "ace", "pixel"): curve()})
+    observed = ObservedProducts(AXIS, roc={("planks", "rx", "pixel"): curve(), ("mask 1", "cem", "pixel"): curve()})
     rows = compare_products(predicted, observed)
     told = {(r.subject, r.method): r.reason for r in rows if r.product == "roc" and r.outcome is Outcome.SKIPPED}
     assert told["planks", "rx/pixel"] == "no roc of planks in the prediction, which has it by cem, ace"
     assert told["mask 1", "cem/pixel"] == "no roc of mask 1 in the prediction, which has 'planks'"
     assert told["planks", "cem/pixel"] == "no roc of planks in the observation, which has it by rx"
-    (nothing,) = [r for r in compare_products(predicted, Observation(AXIS)) if r.method == "ace/pixel"]
+    (nothing,) = [r for r in compare_products(predicted, ObservedProducts(AXIS)) if r.method == "ace/pixel"]
     assert nothing.reason.endswith("in the observation, which has no roc at all")
 
 

@@ -7,11 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from hyperval.compare.abundance import compare_abundance
-from hyperval.compare.consistency import _detectable, chi_square_shape, detectable_tilts
-from hyperval.compare.roc_areas import predicted_area
-from hyperval.compare.spectral import _mean_ratio
-from hyperval.processing.roc_areas import AREAS
+from hyperval.compare.objects import compare_abundance
+from hyperval.compare.roc import predicted_area
+from hyperval.compare.spectral import _detectable, _mean_ratio, chi_square_shape, detectable_tilts
+from hyperval.processing.roc import AREAS
 from hyperval.products import Abundance, RocCurve
 from hyperval.results import Cause, Outcome
 

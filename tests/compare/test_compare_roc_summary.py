@@ -7,15 +7,12 @@ import pytest
 from scipy import stats
 
 from hyperval.compare import Gate, judged
-from hyperval.compare.one_side import product_rows
-from hyperval.compare.roc import compare_roc
-from hyperval.compare.roc_alarms import joint_rows
-from hyperval.compare.roc_areas import curve_area
+from hyperval.compare.products import product_rows
+from hyperval.compare.roc import compare_roc, curve_area, joint_rows
 from hyperval.compare.rows import RowMaker
 from hyperval.processing.intervals import clopper_pearson, zero_count_upper_limit
-from hyperval.processing.roc import empirical_roc, with_summary
-from hyperval.processing.roc_areas import RocArea
-from hyperval.products import Observation, Prediction, RocCurve
+from hyperval.processing.roc import RocArea, empirical_roc, with_summary
+from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis
 
@@ -134,13 +131,13 @@ def test_the_joint_region_holds_the_truth_though_the_background_sets_the_thresho
 
 def test_one_side_alone_has_its_rows_too():
     axis, key = SpectralAxis(np.array([500.0, 600.0]), 5.0), ("planks", "cem", "object")
-    seen = by_metric(product_rows(Observation(axis, roc={key: measured_curve(2.5)}), "observed"))
+    seen = by_metric(product_rows(ObservedProducts(axis, roc={key: measured_curve(2.5)}), "observed"))
     assert {"auc_measured", "far_measured@1e-3", "far_measured@pd0.9", "joint_pd@1e-2"} <= set(seen)
     assert not any("predicted" in name or "difference" in name for name in seen)
-    told = by_metric(product_rows(Prediction(axis, roc={key: model_curve(2.5, 0.2)}), "predicted"))
+    told = by_metric(product_rows(PredictedProducts(axis, roc={key: model_curve(2.5, 0.2)}), "predicted"))
     assert told["auc_predicted"].lower < told["auc_predicted"].value < told["auc_predicted"].upper
     assert not any(name.startswith(("far", "joint")) for name in told)
-    bare = by_metric(product_rows(Observation(axis, roc={key: measured_curve(2.5, area=None)}), "observed"))
+    bare = by_metric(product_rows(ObservedProducts(axis, roc={key: measured_curve(2.5, area=None)}), "observed"))
     assert not any(r.outcome is Outcome.SKIPPED for r in bare.values())
 
 
@@ -174,9 +171,7 @@ def test_no_area_exceeds_one_and_a_perfect_curve_has_one():
 def test_a_predicted_curve_that_ends_inside_the_rectangle_goes_on_to_nothing(start, end, pd, inside):
     pfa = np.array([1e-3, 1e-2, 1e-1])
     nothing = np.full(3, np.nan)
-    measured = RocCurve(
-        pfa, np.zeros(3), nothing, nothing, -pfa, "pixel", 200, 10_000, None, np.array([10, 100, 1000])
-    )
+    measured = RocCurve(pfa, np.zeros(3), nothing, nothing, -pfa, "pixel", 200, 10_000, None, np.array([10, 100, 1000]))
     at = np.array([start, end])
     predicted = RocCurve(at, np.full(2, pd), nothing[:2], nothing[:2], -at, "pixel")
     rows = joint_rows(RowMaker("roc", "panel", "cem/pixel"), predicted, measured, 1e-2)

@@ -6,35 +6,25 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare import Gate, consistency, judged
-from hyperval.compare.consistency import (
+from hyperval.compare import Gate, judged, spectral
+from hyperval.compare.outcomes import detectable_departure
+from hyperval.compare.rows import comparable_bands, median_interval, regions, size_intervals
+from hyperval.compare.spectral import (
     chi_square_diagonal,
     chi_square_full,
     chi_square_shape,
+    compare_spectra,
     detectable_tilts,
     share_inside,
     spectral_angle_degrees,
     whitening,
     z_scores,
 )
-from hyperval.compare.difference import (
-    comparable_bands,
-    median_interval,
-    regions,
-    size_intervals,
-)
-from hyperval.compare.outcomes import detectable_departure
-from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import UsageError
-from hyperval.processing.difference import (
-    difference_ratio,
-    difference_ratio_covariance,
-    difference_ratio_uncertainty,
-)
+from hyperval.processing.intervals import difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
 from hyperval.products import SpectralEstimate
 from hyperval.results import Outcome, Result
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.windows import in_window
+from hyperval.spectra.axis import SpectralAxis, in_window
 
 AXIS = SpectralAxis(np.arange(420.0, 2450.0, 20.0), 20.0)
 B = len(AXIS)
@@ -355,12 +345,12 @@ def test_the_interval_of_the_share_inside_holds_what_right_errors_give(length):
 @pytest.mark.parametrize("nu", [np.inf, 40.0])
 def test_a_detectable_departure_is_rejected_four_times_in_five(nu):
     """20,000 draws of the statistic; the share is within 0.015 of 0.8 in all but one case in 10 million."""
-    dof, size = 5, consistency._detectable(1.0, 5, nu)
+    dof, size = 5, spectral._detectable(1.0, 5, nu)
     rng = np.random.default_rng(3)
     whole = rng.noncentral_chisquare(dof, size**2, 20_000)
     if np.isinf(nu):
-        limit = stats.chi2.isf(consistency.POWER_LEVEL / 2.0, dof)
+        limit = stats.chi2.isf(spectral.POWER_LEVEL / 2.0, dof)
     else:
         whole *= (nu - dof + 1.0) / dof / rng.chisquare(nu - dof + 1.0, whole.size)
-        limit = stats.f.isf(consistency.POWER_LEVEL / 2.0, dof, nu - dof + 1.0)
+        limit = stats.f.isf(spectral.POWER_LEVEL / 2.0, dof, nu - dof + 1.0)
     assert np.mean(whole > limit) == pytest.approx(0.8, abs=0.015)

@@ -125,9 +125,7 @@ def observation(path: Path, product: str, zenith: np.ndarray) -> None:
             return
         for name, size in (("downtrack", zenith.shape[0]), ("crosstrack", zenith.shape[1]), ("bands", 2)):
             file.createDimension(name, size)
-        image = file.createVariable(
-            "obs", "f4", ("downtrack", "crosstrack", "bands"), fill_value=np.float32(-9999.0)
-        )
+        image = file.createVariable("obs", "f4", ("downtrack", "crosstrack", "bands"), fill_value=np.float32(-9999.0))
         image[:] = np.stack([zenith + 4000, zenith], axis=-1)
         names = file.createGroup("sensor_band_parameters").createVariable("observation_bands", str, ("bands",))
         names[:] = np.array(["Path length (in meters)", "To-sun zenith (0 to 90 degrees from zenith)"])
@@ -159,9 +157,7 @@ def neon_radiance(path: Path) -> np.ndarray:
         first = group.create_dataset("RadianceIntegerPart", data=whole.astype(np.uint8))
         first[5, 5] = 255
         first.attrs["Data_Ignore_Value"] = 255.0
-        second = group.create_dataset(
-            "RadianceDecimalPart", data=np.round((values - whole) * 50_000).astype(np.uint16)
-        )
+        second = group.create_dataset("RadianceDecimalPart", data=np.round((values - whole) * 50_000).astype(np.uint16))
         second.attrs["Scale_Factor"] = 50_000.0
         neon_metadata(group, [450.0, 650.0, 860.0, 2100.0])
     values[5, 5] = np.nan
@@ -248,9 +244,7 @@ def enmap(folder: Path, level: str = "L1C", *, sensor: str = "EnMAP") -> tuple[P
     stored = np.random.default_rng(5).integers(200, 5000, (4, LINES, SAMPLES)).astype(np.int16)
     stored[:, 0, 0] = -32768
     stem = (
-        f"ENMAP01-____{level}-DT0000001867_20220724T104526Z"
-        if sensor == "EnMAP"
-        else f"DESIS-HSI-{level}-DT0483531728"
+        f"ENMAP01-____{level}-DT0000001867_20220724T104526Z" if sensor == "EnMAP" else f"DESIS-HSI-{level}-DT0483531728"
     )
     image = folder / f"{stem}-SPECTRAL_IMAGE.{'TIF' if sensor == 'EnMAP' else 'tif'}"
     with rasterio.open(

@@ -151,9 +151,7 @@ SCENARIO = datetime(2012, 9, 20, 16, 31, tzinfo=UTC)
 def test_times_that_are_not_those_of_the_scenario(entries, said):
     notes = time_notes(entries, SCENARIO, "line")
     assert len(notes) == len(said)
-    assert all(
-        note.startswith("warning: header: ") and part in note for note, part in zip(notes, said, strict=True)
-    )
+    assert all(note.startswith("warning: header: ") and part in note for note, part in zip(notes, said, strict=True))
 
 
 def test_times_around_midnight_and_with_an_offset():

@@ -18,7 +18,7 @@ from affine import Affine
 
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.envi import write_cube
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
 
@@ -173,8 +173,7 @@ def test_more_bands_than_an_imager_has_are_refused(tmp_path: Path):
 
 def test_sidecar_that_changes_the_meaning_is_not_read(tiff: Path, axis: SpectralAxis):
     tiff.with_name("t.tif.aux.xml").write_text(
-        "<PAMDataset><PAMRasterBand band='1'><NoDataValue>5</NoDataValue><Scale>7</Scale>"
-        "</PAMRasterBand></PAMDataset>"
+        "<PAMDataset><PAMRasterBand band='1'><NoDataValue>5</NoDataValue><Scale>7</Scale></PAMRasterBand></PAMDataset>"
     )
     cube = open_cube(tiff, quantity="reflectance", scale=1e-4, axis=axis)
     assert cube.ignore_value == -99

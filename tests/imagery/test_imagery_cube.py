@@ -18,8 +18,7 @@ from rasterio.crs import CRS
 from hyperval.envi_header import DATA_TYPES
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi_write import envi_writer, write_cube
-from hyperval.imagery.georeference import transform_of
+from hyperval.imagery.envi import envi_writer, transform_of, write_cube
 from hyperval.imagery.rasters import open_raster
 from hyperval.spectra.axis import SpectralAxis
 
@@ -42,9 +41,7 @@ def by_spy(path: Path) -> np.ndarray:
 @pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("code", sorted(DATA_TYPES))
-def test_own_reader_equals_spy_and_rasterio(
-    tmp_path: Path, axis: SpectralAxis, interleave: str, order: int, code: int
-):
+def test_own_reader_equals_spy_and_rasterio(tmp_path: Path, axis: SpectralAxis, interleave: str, order: int, code: int):
     dtype = np.dtype(DATA_TYPES[code])
     rng = np.random.default_rng(code)
     high = 200 if code == 1 else 30000
@@ -64,9 +61,7 @@ def test_own_reader_equals_spy_and_rasterio(
 
 
 @given(
-    data=arrays(
-        np.float64, st.tuples(*[st.integers(1, 5)] * 3), elements=st.floats(-1e6, 1e6, allow_subnormal=False)
-    ),
+    data=arrays(np.float64, st.tuples(*[st.integers(1, 5)] * 3), elements=st.floats(-1e6, 1e6, allow_subnormal=False)),
     interleave=st.sampled_from(["bsq", "bil", "bip"]),
     order=st.sampled_from([0, 1]),
     offset=st.integers(0, 9),
@@ -239,9 +234,7 @@ def test_missing_fwhm_is_taken_from_the_spacing_with_a_note(edit, fwhm):
 
 
 def test_micrometres(edit):
-    path = edit(
-        wavelength_units="Micrometers", wavelength="{0.45, 0.55, 0.65, 0.85}", fwhm="{0.01, 0.01, 0.01, 0.02}"
-    )
+    path = edit(wavelength_units="Micrometers", wavelength="{0.45, 0.55, 0.65, 0.85}", fwhm="{0.01, 0.01, 0.01, 0.02}")
     axis = open_cube(path, quantity="reflectance").axis
     assert np.allclose(axis.centre_nm, [450, 550, 650, 850])
     assert np.allclose(axis.fwhm_nm, [10, 10, 10, 20])

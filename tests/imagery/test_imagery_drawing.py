@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from hyperval.errors import InputError
-from hyperval.imagery.drawing import Drawing, area_inside, polygon_mask, polygon_of
+from hyperval.imagery.drawing import RegionDrawing, area_inside, polygon_mask, polygon_of
 from hyperval.imagery.regions import holes, read_regions
 
 SHAPE = (10, 12)
@@ -30,11 +30,9 @@ def test_the_cut_is_that_of_a_larger_image():
     for _ in range(60):
         ring = star(rng)
         hole = ring.mean(axis=0) + 0.2 * (ring - ring.mean(axis=0))
-        drawing = Drawing(SHAPE)
+        drawing = RegionDrawing(SHAPE)
         drawing.add_polygon(ring, [hole], where="t")
-        larger = polygon_mask(
-            ring + BORDER, (SHAPE[0] + 2 * BORDER, SHAPE[1] + 2 * BORDER), [hole + BORDER], where="t"
-        )
+        larger = polygon_mask(ring + BORDER, (SHAPE[0] + 2 * BORDER, SHAPE[1] + 2 * BORDER), [hole + BORDER], where="t")
         part = larger[BORDER : BORDER + SHAPE[0], BORDER : BORDER + SHAPE[1]]
         assert np.array_equal(drawing.mask, part)
         # Areas by counting points of a grid 16 times finer; each of 9 sides of up to 30 pixels crosses at most
@@ -57,22 +55,22 @@ def test_areas_of_known_figures():
 
 
 def test_what_is_said_of_a_polygon_that_leaves_the_image():
-    drawing = Drawing(SHAPE)
+    drawing = RegionDrawing(SHAPE)
     drawing.add_polygon([(8, 2), (16, 2), (16, 6), (8, 6)], where="t")
     assert drawing.mask.sum() == 16
     assert drawing.notes() == ("warning: leaves the image: 50.0 % of its area is outside, 16 pixels are left",)
     drawing.add_polygon([(0, 0), (8, 0), (8, 4), (0, 4)], where="t")  # 16 of 64 pixels of both are outside
     assert drawing.notes() == ("warning: leaves the image: 25.0 % of its area is outside, 48 pixels are left",)
-    little = Drawing(SHAPE)
+    little = RegionDrawing(SHAPE)
     little.add_polygon([(0, 0), (12.06, 0), (12.06, 10), (0, 10)], where="t")
     assert little.notes() == ("leaves the image: 0.5 % of its area is outside, 120 pixels are left",)
-    inside = Drawing(SHAPE)
+    inside = RegionDrawing(SHAPE)
     inside.add_polygon([(0, 0), (12 + 1e-8, 0), (12, 10), (0, 10)], where="t")
     assert inside.notes() == ()
 
 
 def test_a_hole_that_leaves_the_image_with_its_polygon():
-    drawing = Drawing(SHAPE)
+    drawing = RegionDrawing(SHAPE)
     drawing.add_polygon([(6, 0), (18, 0), (18, 10), (6, 10)], [[(10, 2), (14, 2), (14, 8), (10, 8)]], where="t")
     assert drawing.mask.sum() == 60 - 12
     # 120 - 24 in all, 60 - 12 inside.
@@ -80,7 +78,7 @@ def test_a_hole_that_leaves_the_image_with_its_polygon():
 
 
 def test_points_outside_are_counted():
-    drawing = Drawing(SHAPE)
+    drawing = RegionDrawing(SHAPE)
     drawing.add_points([(0.5, 0.5), (11.9, 9.9), (-3.0, 2.0)], where="t")
     assert drawing.mask.sum() == 2
     assert drawing.notes() == ("warning: leaves the image: 1 of 3 points are outside, 2 pixels are left",)
@@ -112,9 +110,7 @@ def test_the_region_carries_what_was_found(tmp_path):
 @pytest.mark.parametrize("shift", [(20.0, 0.0), (0.0, -30.0), (3e5, 4.7e6), (1e300, 0.0)])
 def test_nothing_left_inside_is_an_error(tmp_path, shift):
     ring = [(8 + shift[0], 2 + shift[1]), (16 + 2 * shift[0], 2 + shift[1]), (16 + shift[0], 6 + shift[1])]
-    with pytest.raises(
-        InputError, match=r"r0.*leaves the image: samples .*\n.*expected: samples 0 to 12"
-    ) as caught:
+    with pytest.raises(InputError, match=r"r0.*leaves the image: samples .*\n.*expected: samples 0 to 12") as caught:
         read_regions(geojson(tmp_path, ring), SHAPE, coordinates="pixel")
     assert "pixel, map or longitude/latitude" in str(caught.value)
 

@@ -136,9 +136,7 @@ def test_a_missing_byte_order_is_little_endian_and_noted_but_for_bytes():
 def test_a_byte_order_in_words_is_read_and_noted(words: str, order: int):
     header = parse_header(header_text(byte_order=words), NAME)
     assert header.dtype == np.dtype("<>"[order] + "i2")
-    assert header.notes == (
-        f"byte order {words.split(' ;')[0]!r}: read as {order}, {('little', 'big')[order]}-endian",
-    )
+    assert header.notes == (f"byte order {words.split(' ;')[0]!r}: read as {order}, {('little', 'big')[order]}-endian",)
 
 
 @pytest.mark.parametrize("words", ["Host", "IEEE", "0 (big endian)", "01", "", "intel" * 100_000])

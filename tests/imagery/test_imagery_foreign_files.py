@@ -14,9 +14,9 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy.io import savemat
 
 from hyperval.errors import InputError
-from hyperval.imagery import tiff_raster
+from hyperval.imagery import tiff
 from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.envi import write_cube
 from hyperval.imagery.rasters import open_raster
 
 CENTRE = (450.0, 550.0, 650.0, 850.0)
@@ -27,9 +27,7 @@ def tagged(path: Path, values: np.ndarray, tags: list[dict[str, str]]) -> Path:
     lines, samples, bands = values.shape
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(
-            path, "w", driver="GTiff", height=lines, width=samples, count=bands, dtype="float32"
-        ) as out:
+        with rasterio.open(path, "w", driver="GTiff", height=lines, width=samples, count=bands, dtype="float32") as out:
             out.write(values.astype(np.float32).transpose(2, 0, 1))
             for band, entries in enumerate(tags, start=1):
                 out.update_tags(band, **entries)
@@ -127,7 +125,7 @@ def test_a_mask_in_the_file_is_not_passed_over(tmp_path: Path, values):
 
 
 def test_threads_that_read_a_file_without_position_warn_of_nothing(tmp_path: Path, values, monkeypatch):
-    monkeypatch.setattr(tiff_raster, "MAX_READ_BYTES", 0)  # as of a large image: each opens the file
+    monkeypatch.setattr(tiff, "MAX_READ_BYTES", 0)  # as of a large image: each opens the file
     raster = open_raster(tagged(tmp_path / "c.tif", np.tile(values, (40, 8, 1)), []))
     with warnings.catch_warnings(record=True) as seen, ThreadPoolExecutor(8) as pool:
         warnings.simplefilter("always")
@@ -142,8 +140,8 @@ def test_a_small_image_that_is_held_reads_as_a_large_one(tmp_path: Path, monkeyp
     stored = rng.random((9, 7, 4)).astype(np.float32)
     path = tagged(tmp_path / "c.tif", stored, [])
     rows, cols = rng.integers(9, size=30), rng.integers(7, size=30)
-    for most in (tiff_raster.MAX_READ_BYTES, 0):
-        monkeypatch.setattr(tiff_raster, "MAX_READ_BYTES", most)
+    for most in (tiff.MAX_READ_BYTES, 0):
+        monkeypatch.setattr(tiff, "MAX_READ_BYTES", most)
         raster = open_raster(path)
         for _ in range(2):  # what a caller does with the numbers stays with the caller
             pixels, lines = raster.read_pixels(rows, cols), raster.read_bands(2, 4)

@@ -14,7 +14,7 @@ from rasterio.crs import CRS
 
 from hyperval.errors import UsageError
 from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.envi import write_cube
 from hyperval.report.run import ScoreMap
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.spectra.readers import read_records

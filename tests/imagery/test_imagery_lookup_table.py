@@ -12,7 +12,7 @@ from scanned_line import LINES, SAMPLES, UTM18, ScannedLine, write_table
 
 from hyperval.errors import InputError
 from hyperval.imagery.drawing import polygon_mask
-from hyperval.imagery.lookup_table import divided, open_lookup_table
+from hyperval.imagery.placing import divided, open_lookup_table
 from hyperval.imagery.regions import read_regions
 from hyperval.imagery.truth import read_targets
 
@@ -84,9 +84,7 @@ def test_regions_drawn_on_the_map_fall_on_the_raw_pixels(tmp_path, line, table):
     _, ring = square(line)
     data = {"type": "Polygon", "coordinates": [[*ring.tolist(), ring[0].tolist()]]}
     (tmp_path / "r.geojson").write_text(json.dumps(data))
-    (region,) = read_regions(
-        tmp_path / "r.geojson", SHAPE, coordinates="map", transform=table, crs=table.crs
-    ).values()
+    (region,) = read_regions(tmp_path / "r.geojson", SHAPE, coordinates="map", transform=table, crs=table.crs).values()
     # By another route: the pixels whose own centres lie in the polygon on the map.
     sample, row = np.meshgrid(np.arange(SAMPLES) + 0.5, np.arange(LINES) + 0.5)
     centres = line.on_map(sample, row)
@@ -197,5 +195,5 @@ def test_memory_is_bounded_and_lines_across_blocks_agree(tmp_path, monkeypatch):
     table = open_lookup_table(write_table(tmp_path / "glt.dat", *line.table()), SHAPE)
     places = line.on_map(*some_places().T)
     whole = table.to_pixel(places, where="t")
-    monkeypatch.setattr("hyperval.imagery.lookup_table._BLOCK", 16)
+    monkeypatch.setattr("hyperval.imagery.placing._BLOCK", 16)
     assert np.array_equal(table.to_pixel(places, where="t"), whole)

@@ -18,14 +18,11 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.array_raster import SLAB_BYTES
-from hyperval.imagery.companions import sun_zenith_deg, table_of
+from hyperval.imagery.arrays import SLAB_BYTES, page_array
 from hyperval.imagery.cube import Cube, open_cube
-from hyperval.imagery.layouts import layouts
-from hyperval.imagery.lookup_table import open_lookup_table
+from hyperval.imagery.placing import open_lookup_table, sun_zenith_deg, table_of
+from hyperval.imagery.products import layouts, lookup_raster
 from hyperval.imagery.rasters import open_raster
-from hyperval.imagery.stores import page_array
-from hyperval.imagery.trees import lookup_raster
 
 LINES, SAMPLES = shells.LINES, shells.SAMPLES
 
@@ -74,9 +71,7 @@ def test_aviris_3_radiance_with_its_lookup_table(tmp_path: Path, chunks):
     # The centre of raw pixel (line 5, sample 4) lies in the cell moved by one line and two samples.
     with xr.open_dataset(path, group="geolocation_lookup_table", engine="h5netcdf") as other:
         for band, name in enumerate(("sample", "line")):
-            assert np.array_equal(
-                table.raster.read_bands(0, other[name].shape[0])[band], np.nan_to_num(other[name])
-            )
+            assert np.array_equal(table.raster.read_bands(0, other[name].shape[0])[band], np.nan_to_num(other[name]))
     place = (shells.MAP.c + 4 * (4.5 + 2), shells.MAP.f - 4 * (5.5 + 1))
     assert np.allclose(table.to_pixel(np.array([place]), where="here"), [[4.5, 5.5]], atol=1e-6)
     assert table.pixel_area_m2 == pytest.approx(16.0, rel=1e-6)
@@ -262,9 +257,7 @@ def test_maps_are_where_the_attributes_say_read_by_themselves(tmp_path: Path):
 
     shells.neon_reflectance(tmp_path / "n.h5")
     with h5py.File(tmp_path / "n.h5") as file:
-        entries = (
-            np.asarray(file["SERC/Reflectance/Metadata/Coordinate_System/Map_Info"]).item().decode().split(",")
-        )
+        entries = np.asarray(file["SERC/Reflectance/Metadata/Coordinate_System/Map_Info"]).item().decode().split(",")
         code = int(np.asarray(file["SERC/Reflectance/Metadata/Coordinate_System/EPSG Code"]).item())
     cube = open_cube(tmp_path / "n.h5", quantity="reflectance")
     column, line, east, north, width, height = map(float, entries[1:7])
@@ -278,9 +271,7 @@ def test_maps_are_where_the_attributes_say_read_by_themselves(tmp_path: Path):
             "ULcorner_easting", "ULcorner_northing", "LRcorner_easting", "LRcorner_northing")}  # fmt: skip
         code = int(file.attrs["Epsg_Code"])
     cube = open_cube(tmp_path / "p.he5", quantity="reflectance")
-    ends = [
-        cube.transform @ at for at in ((0.5, 0.5), (SAMPLES - 0.5, LINES - 0.5))
-    ]  # centres of the corner pixels
+    ends = [cube.transform @ at for at in ((0.5, 0.5), (SAMPLES - 0.5, LINES - 0.5))]  # centres of the corner pixels
     assert np.allclose(np.ravel(ends), list(corners.values()), atol=1e-6)
     assert cube.crs.to_epsg() == code
 
@@ -555,7 +546,7 @@ def test_lines_and_pixels_are_those_of_the_array_however_it_is_stored(tmp_path: 
     rng = np.random.default_rng(5)
     rows, cols = rng.integers(0, LINES, 40), rng.integers(0, SAMPLES, 40)
     for slab in (SLAB_BYTES, 1):  # kept in memory, or in a file
-        monkeypatch.setattr("hyperval.imagery.array_raster.SLAB_BYTES", slab)
+        monkeypatch.setattr("hyperval.imagery.arrays.SLAB_BYTES", slab)
         fresh = open_raster(tmp_path / "a.nc")
         for first, count in ((0, 2), (2, 2), (4, 5), (9, 3), (1, 1)):
             np.testing.assert_array_equal(fresh.read_bands(first, count), stored[:, first : first + count])
@@ -566,14 +557,14 @@ def test_lines_and_pixels_are_those_of_the_array_however_it_is_stored(tmp_path: 
 
 def test_where_there_is_no_room_for_a_file_lines_are_unpacked_again(tmp_path: Path, monkeypatch):
     shells.aviris(tmp_path / "a.nc", chunks=(3, 4, 5))
-    monkeypatch.setattr("hyperval.imagery.array_raster.SLAB_BYTES", 1)
+    monkeypatch.setattr("hyperval.imagery.arrays.SLAB_BYTES", 1)
 
     def full(*args: object, **more: object) -> None:
         raise OSError(28, "No space left on device")
 
     raster = open_raster(tmp_path / "a.nc")
     want = [raster.read_bands(line, 1).copy() for line in range(LINES)]
-    monkeypatch.setattr("hyperval.imagery.stores.tempfile.TemporaryFile", full)
+    monkeypatch.setattr("hyperval.imagery.arrays.tempfile.TemporaryFile", full)
     raster = open_raster(tmp_path / "a.nc")
     np.testing.assert_array_equal([raster.read_bands(line, 1) for line in range(LINES)], want)
 

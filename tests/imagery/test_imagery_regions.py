@@ -19,15 +19,8 @@ from scipy import ndimage
 
 from hyperval.errors import HypervalError, InputError, UsageError
 from hyperval.imagery.drawing import polygon_mask
-from hyperval.imagery.envi_write import write_cube
-from hyperval.imagery.regions import (
-    Region,
-    guard,
-    objects,
-    overlaps,
-    read_regions,
-    rectangle_region,
-)
+from hyperval.imagery.envi import write_cube
+from hyperval.imagery.regions import Region, guard, objects, overlaps, read_regions, rectangle_region
 
 SHAPE = (10, 12)  # lines, samples
 SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
@@ -76,9 +69,7 @@ def roi_ascii(mask: np.ndarray, name: str = "grass", dimension: str = "12 x 10")
         "; ENVI Output of ROIs (4.8) [x]", "; Number of ROIs: 1", f"; File Dimension: {dimension}", ";",
         f"; ROI name: {name}", "; ROI rgb value: {0, 1, 2}", f"; ROI npts: {rows.size}", ";   ID    X    Y",
     ]  # fmt: skip
-    return "\r\n".join(
-        [*head, *(f"{i + 1} {c + 1} {r + 1}" for i, (r, c) in enumerate(zip(rows, cols, strict=True)))]
-    )
+    return "\r\n".join([*head, *(f"{i + 1} {c + 1} {r + 1}" for i, (r, c) in enumerate(zip(rows, cols, strict=True)))])
 
 
 def roi_binary(name: str, *, points=(), polygons=(), size=(12, 10), count: int = 0) -> bytes:
@@ -132,8 +123,7 @@ def written(tmp_path: Path, kind: str) -> tuple[Path, dict]:
         return path, {}
     if kind == "csv-1":
         path.write_text(
-            "col1, row1, class\r\n"
-            + "".join(f"{c + 1},{r + 1}, grass\r\n" for r, c in zip(rows, cols, strict=True))
+            "col1, row1, class\r\n" + "".join(f"{c + 1},{r + 1}, grass\r\n" for r, c in zip(rows, cols, strict=True))
         )
         return path, {}
     if kind == "roi-points":
@@ -177,9 +167,7 @@ def test_pixel_centre_rule():
     assert np.flatnonzero(narrow[0]).tolist() == [3, 4]
 
 
-@given(
-    st.lists(st.tuples(st.floats(0, 12, width=16), st.floats(0, 10, width=16)), min_size=3, max_size=3, unique=True)
-)
+@given(st.lists(st.tuples(st.floats(0, 12, width=16), st.floats(0, 10, width=16)), min_size=3, max_size=3, unique=True))
 @settings(max_examples=100)
 def test_triangles_hold_the_centres_on_the_inner_side_of_their_edges(points):
     x, y = np.meshgrid(np.arange(12) + 0.5, np.arange(10) + 0.5)
@@ -601,9 +589,7 @@ def test_an_ascii_export_without_pixel_numbers_says_how_to_export_it(tmp_path: P
 
 
 def test_an_xml_threshold_is_called_that(tmp_path: Path):
-    (tmp_path / "r.xml").write_text(
-        '<RegionsOfInterest><Region name="t"><ThresholdDef/></Region></RegionsOfInterest>'
-    )
+    (tmp_path / "r.xml").write_text('<RegionsOfInterest><Region name="t"><ThresholdDef/></Region></RegionsOfInterest>')
     with pytest.raises(InputError, match="a threshold is not evaluated"):
         read_regions(tmp_path / "r.xml", SHAPE)
 

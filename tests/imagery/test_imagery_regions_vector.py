@@ -13,9 +13,8 @@ from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.drawing import Drawing
-from hyperval.imagery.regions import read_regions
-from hyperval.imagery.regions_files import _draw
+from hyperval.imagery.drawing import RegionDrawing
+from hyperval.imagery.regions import _draw, read_regions
 
 SHAPE = (10, 12)
 SQUARE = [(2.0, 3.0), (6.0, 3.0), (6.0, 8.0), (2.0, 8.0)]  # samples 2-5, lines 3-7
@@ -126,7 +125,7 @@ def test_a_ring_that_is_not_closed_and_a_geometry_cut_short():
     def place(points, where, ring):
         return points
 
-    drawing = Drawing(SHAPE)
+    drawing = RegionDrawing(SHAPE)
     _draw(drawing, big, place, "f")
     assert drawing.area == 18.0
     with pytest.raises(InputError, match="not understood"):

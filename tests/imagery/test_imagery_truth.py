@@ -119,9 +119,7 @@ def test_a_target_holds_its_window_alone(tmp_path: Path):
     assert np.array_equal(all_pixels(found, SHAPE), np.logical_or.reduce([masks[name] for name in masks]))
 
 
-@pytest.mark.parametrize(
-    ("row", "col", "doubt"), [(0.5, 0.5, 3.0), (19.5, 29.5, 2.5), (10.2, 15.7, 1.0), (3, 3, 90)]
-)
+@pytest.mark.parametrize(("row", "col", "doubt"), [(0.5, 0.5, 3.0), (19.5, 29.5, 2.5), (10.2, 15.7, 1.0), (3, 3, 90)])
 def test_a_widened_mask_in_a_window_is_that_in_the_whole_image(tmp_path: Path, row, col, doubt):
     text = f"material,line,sample,side_m,position_uncertainty_m\na,{row},{col},0.6,{{}}\n"
     (sure,) = targets(tmp_path, text.format(""), pixel_size_m=1.0)

@@ -14,7 +14,7 @@ from rasterio.crs import CRS
 from hyperval.envi_header import parse_header, read_header
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery.cube import open_cube
-from hyperval.imagery.georeference import crs_of, pixel_area_m2, transform_of
+from hyperval.imagery.envi import crs_of, pixel_area_m2, transform_of
 from hyperval.imagery.regions import read_regions
 
 SIZES = "ENVI\nsamples = 2\nlines = 2\nbands = 1\ndata type = 1\ninterleave = bsq\nbyte order = 0\n"

@@ -14,23 +14,25 @@ import pytest
 
 MODULES = (
     "hyperval.scene.radiance",
-    "hyperval.scene.mixture",
     "hyperval.scene.fill",
     "hyperval.scene.builtin",
     "hyperval.sensor.response",
     "hyperval.sensor.noise",
-    "hyperval.sensor.response",
-    "hyperval.sensor.operation",
+    "hyperval.sensor.specification",
     "hyperval.processing.filters",
-    "hyperval.processing.features",
-    "hyperval.processing.elm_model",
-    "hyperval.processing.roc_model",
-    "hyperval.processing.thresholds",
-    "hyperval.prediction.filters",
-    "hyperval.prediction.responses",
-    "hyperval.processing.ace_model",
     "hyperval.processing.classification",
+    "hyperval.processing.elm",
+    "hyperval.processing.roc_model",
+    "hyperval.prediction.filters",
+    "hyperval.processing.ace_model",
 )
+# Functions of these files that are no formula of the source: readers, the reading of curves, classifiers and laws with
+# evidence of their own below tests/.
+BESIDE = {
+    "class_features", "contradiction", "darkest_pixel_panel", "detection_at", "feature_bands", "fit_elm", "fit_gain",
+    "fit_line", "fully_constrained", "library_names", "line_error", "load_sensor", "log10_false_alarm_at",
+    "measured_error", "predicted_error", "refuse_bad_panels", "whitened", "with_distances",
+}  # fmt: skip
 SOURCE = Path(__file__).parents[2] / "src" / "hyperval"
 FOLDER = Path(__file__).parents[2] / "validation" / "equations"
 EQUATION = re.compile(r"\b3\.([7-9]|[12]\d|3[0-3])\b")
@@ -38,7 +40,7 @@ EQUATION = re.compile(r"\b3\.([7-9]|[12]\d|3[0-3])\b")
 
 def public_functions(module: str) -> dict[str, Callable[..., object]]:
     found = inspect.getmembers(importlib.import_module(module), inspect.isfunction)
-    return {n: f for n, f in found if f.__module__ == module and not n.startswith("_")}
+    return {n: f for n, f in found if f.__module__ == module and not n.startswith("_") and n not in BESIDE}
 
 
 def checked_names(source: str) -> set[str]:
@@ -107,8 +109,7 @@ def test_every_equation_is_named_somewhere():
         for text in [Path(importlib.import_module(module).__file__ or "").read_text(encoding="utf-8")]
         for number in EQUATION.findall(text)
     }
-    ranges = {17, 23, 24, 32}  # inside "3.15-3.20", "3.22-3.25" and "3.30-3.33" as well
-    assert set(range(7, 34)) - named - ranges == set()
+    assert set(range(7, 34)) - named == set()
 
 
 def test_the_gate_goes_red_without_a_number_or_a_worked_value():

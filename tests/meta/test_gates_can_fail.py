@@ -8,7 +8,7 @@ import pytest
 from hyperval.compare import Gate, compare_products, judged
 from hyperval.config import parse_yaml, validate
 from hyperval.errors import UsageError
-from hyperval.products import Observation, Prediction, RocCurve, SpectralEstimate
+from hyperval.products import ObservedProducts, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.spectra.axis import SpectralAxis
 
@@ -90,7 +90,7 @@ def test_a_test_disagrees_below_its_level_and_agrees_only_with_power():
         (found,) = judged([row(value, None, "p_value_full", detectable=detectable)], [p])
         assert found.outcome is expected, value
     (wide,) = judged([row(0.9999, None, "p_value_full", detectable=0.02)], [p])
-    assert wide.reason.startswith("the stated uncertainty is too wide")
+    assert wide.cause is Cause.TOO_WIDE
 
 
 def test_the_levels_of_a_campaign_are_shared_out():
@@ -181,9 +181,7 @@ def test_what_a_comparison_could_have_seen_stands_beside_it():
     assert found.detectable == pytest.approx(0.0571470, rel=1e-6)
     rng = np.random.default_rng(5)
     seen = found.detectable + 0.005 / 1.959964 * rng.standard_normal(2000)
-    share = np.mean(
-        [judged([row(v)], [gate(at_most=None, within=(-0.05, 0.05))])[0].outcome is D for v in seen[:2000]]
-    )
+    share = np.mean([judged([row(v)], [gate(at_most=None, within=(-0.05, 0.05))])[0].outcome is D for v in seen[:2000]])
     assert abs(share - 0.8) < 0.036  # four standard errors: one failure in 16000
 
 
@@ -314,10 +312,10 @@ def sides(mean=1.0, pd=0.7, observed_mean=1.0, width=0.15):
         return RocCurve(pfa, middle, low, high, -pfa, "object", n, None if n is None else 50_000)
 
     return (
-        Prediction(
+        PredictedProducts(
             AXIS, radiance={"grass": spectrum(mean, NOISE[0])}, roc={("t", "cem", "object"): curve(pd, 0.0, None)}
         ),
-        Observation(
+        ObservedProducts(
             AXIS,
             radiance={"grass": spectrum(observed_mean, NOISE[1])},
             roc={("t", "cem", "object"): curve(0.7, width, 20)},
@@ -354,6 +352,6 @@ def test_a_curve_that_says_nothing_is_no_agreement(falsified):
 
 def test_a_missing_product_turns_the_verdict():
     predicted, observed = sides()
-    assert code_of(Prediction(AXIS, roc=predicted.roc), observed) == 1
-    assert code_of(predicted, Observation(AXIS, radiance=observed.radiance)) == 1
-    assert code_of(Prediction(AXIS), Observation(AXIS)) == 1
+    assert code_of(PredictedProducts(AXIS, roc=predicted.roc), observed) == 1
+    assert code_of(predicted, ObservedProducts(AXIS, radiance=observed.radiance)) == 1
+    assert code_of(PredictedProducts(AXIS), ObservedProducts(AXIS)) == 1

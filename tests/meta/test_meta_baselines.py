@@ -13,11 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.baseline.differences import Difference, compare
-from hyperval.baseline.metrics import Measured, campaign_metrics
-from hyperval.baseline.schema import Accepted, Baseline, load_baseline
-from hyperval.baseline.sensors import sensor_metrics
-from hyperval.baseline.store import DEFAULT_FOLDER, SENSORS, accepted_of
+from hyperval.baseline.accepted import (
+    DEFAULT_FOLDER,
+    SENSORS,
+    Accepted,
+    Baseline,
+    Measured,
+    accepted_of,
+    campaign_metrics,
+    load_baseline,
+    sensor_metrics,
+)
+from hyperval.baseline.check import Difference, compare
 from hyperval.campaign.job import Job
 from hyperval.campaign.one import run_campaign
 from hyperval.campaign.schema import load_campaign
@@ -80,7 +87,7 @@ def filter_sign(patch: Patch) -> None:
 
 def width_as_sigma(patch: Patch) -> None:
     """The full width at half maximum of a band taken as its standard deviation."""
-    patch.setattr("hyperval.spectra.response.SIGMA_PER_FWHM", 1.0)
+    patch.setattr("hyperval.spectra.axis.SIGMA_PER_FWHM", 1.0)
 
 
 def gain_of_electrons(patch: Patch) -> None:
@@ -124,9 +131,9 @@ def band_order(patch: Patch) -> None:
 
 def no_variance_of_fill(patch: Patch) -> None:
     """(3.12) without its Var(f) term."""
-    from hyperval.prediction.fills import moments
+    from hyperval.prediction.departure import moments
 
-    patch.setattr("hyperval.prediction.fills.moments", lambda p, t: fixed_fill(moments(p, t).mean))
+    patch.setattr("hyperval.prediction.departure.moments", lambda p, t: fixed_fill(moments(p, t).mean))
 
 
 def deviation_for_variance(patch: Patch) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from hyperval.campaign.schema import load_campaign
 from hyperval.config import load_yaml
 from hyperval.datasets import describe
 from hyperval.metrics import plain_words
@@ -30,3 +31,21 @@ def test_first_screens_name_no_metric_by_its_identifier(path):
     for item in load_yaml(path)[0]["comparisons"]:
         metric = item["metric"] + "_fraction" * ("fraction_at_least" in item)
         assert "_" not in plain_words(metric, item["product"])
+
+
+@pytest.mark.parametrize(
+    ("campaign", "metric"),
+    [
+        ("hysu-2018", "pit_uniformity_p_value"),
+        ("share2012-independent", "median_difference_ratio_vnir"),
+        ("share2012-independent", "median_difference_ratio_swir1"),
+        ("share2012-independent", "p_value_full"),
+        ("radcalnet-baotou-2018", "median_difference_ratio_windows"),
+    ],
+)
+def test_what_was_set_after_the_data_were_seen_says_so_and_what_it_was_before(campaign, metric):
+    """As the history of the files and the changelog have it."""
+    gates = load_campaign(ROOT / "campaigns" / campaign / "campaign.yaml").comparisons
+    marked = [gate for gate in gates if gate.metric == metric]
+    assert marked
+    assert all(gate.chosen_after and gate.before for gate in marked)

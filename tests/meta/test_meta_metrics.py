@@ -24,9 +24,9 @@ from hyperval.products import (
     ClassificationError,
     ExceedanceCurve,
     ObjectScores,
-    Observation,
+    ObservedProducts,
     PixelDistribution,
-    Prediction,
+    PredictedProducts,
     RocCurve,
     ScoreDistribution,
     SpectralEstimate,
@@ -68,7 +68,7 @@ def test_every_metric_has_a_reference_that_leads_somewhere(metric):
 
 
 # Rows that say that something could not be made: they have no number.
-MARKS = {"comparison", "benchmark", "agreement", "rank", "baseline", "runs", "known_discrepancy", "sensor_check"}
+MARKS = {"comparison", "benchmark", "rank", "baseline", "runs", "known_discrepancy", "sensor_check"}
 
 
 @pytest.mark.parametrize("metric", [m for m in METRICS if not math.isnan(m.gives)], ids=lambda m: m.name)
@@ -115,9 +115,7 @@ def test_the_page_is_current():
     made = subprocess.run(
         [sys.executable, str(ROOT / "scripts" / "metrics_page.py")], capture_output=True, text=True, check=True
     ).stdout
-    assert made == (ROOT / "docs" / "metrics.md").read_text("utf-8"), (
-        "renew it: python scripts/metrics_page.py --write"
-    )
+    assert made == (ROOT / "docs" / "metrics.md").read_text("utf-8"), "renew it: python scripts/metrics_page.py --write"
 
 
 AXIS = SpectralAxis(np.arange(450.0, 900.0, 25.0), 10.0)
@@ -149,14 +147,14 @@ def curve(top: float, measured: bool) -> RocCurve:
     )  # fmt: skip
 
 
-def sides() -> tuple[Prediction, Observation]:
+def sides() -> tuple[PredictedProducts, ObservedProducts]:
     """Every product on both sides, none of them equal."""
     names = ("a", "b", "c")
     draws = {(k, "cem"): ObjectScores(0.3 * i + 0.1 * RNG.standard_normal((50, 80))) for i, k in enumerate(names)}
     scores = {(k, "cem"): ObjectScores(np.array([0.3 * i + 0.05]), (k,)) for i, k in enumerate(names)}
     x = np.linspace(0.0, 4.0, 60)
     fall = np.exp(-x)
-    predicted = Prediction(
+    predicted = PredictedProducts(
         AXIS,
         radiance={"g": spectrum()}, snr={"g": spectrum()}, reflectance={"g": spectrum()},
         toa_reflectance={"g": spectrum()},
@@ -170,7 +168,7 @@ def sides() -> tuple[Prediction, Observation]:
         distribution={"g": PixelDistribution(20.0, math.nan, math.nan, math.nan)},
         classification={("g / h", "f"): ClassificationError(0.1, 0.09, 0.11, bound_lower=0.01, bound_upper=0.2)},
     )  # fmt: skip
-    observed = Observation(
+    observed = ObservedProducts(
         AXIS,
         radiance={"g": spectrum(0.02)}, snr={"g": spectrum(0.02)}, reflectance={"g": spectrum(0.02)},
         toa_reflectance={"g": replace(spectrum(0.02), stated=np.full(BANDS, 0.01))},
@@ -191,7 +189,7 @@ def sides() -> tuple[Prediction, Observation]:
     return predicted, observed
 
 
-def moved(p: Prediction) -> Prediction:
+def moved(p: PredictedProducts) -> PredictedProducts:
     """Every number of a prediction moved: spectra x 1.5, scores + 1, probabilities and areas changed."""
 
     def brighter(s: SpectralEstimate) -> SpectralEstimate:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperval.report.power import PowerTable, accepted_table
+from hyperval.report.run import PowerTable, accepted_table
 from hyperval.uncertainty.planted import planted_errors
 
 ROOT = Path(__file__).parents[2]

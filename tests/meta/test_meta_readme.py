@@ -42,9 +42,7 @@ def test_readme_names_every_command_and_no_other():
 def test_make_knows_the_target(target):
     if not shutil.which("make"):
         pytest.skip("make is not installed")
-    done = subprocess.run(
-        ["make", "--dry-run", "-C", str(ROOT), target], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run(["make", "--dry-run", "-C", str(ROOT), target], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 

@@ -37,8 +37,7 @@ def can_fail(function: ast.FunctionDef) -> bool:
 def vacuous(function: ast.FunctionDef) -> bool:
     """Whether an assertion of the function holds whatever the code does: a constant or a tuple."""
     return any(
-        isinstance(node, ast.Assert) and isinstance(node.test, ast.Constant | ast.Tuple)
-        for node in ast.walk(function)
+        isinstance(node, ast.Assert) and isinstance(node.test, ast.Constant | ast.Tuple) for node in ast.walk(function)
     )
 
 

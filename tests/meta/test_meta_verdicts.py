@@ -46,7 +46,7 @@ def test_the_campaign_passes_as_it_stands(small):
 
 def scaled_spectrum(small: SmallCampaign, source: dict, builtin: str, factor: float) -> None:
     """Write a built-in mean times ``factor`` as a field spectrum and let ``source`` name it."""
-    from hyperval.simulate.truth import field_axis
+    from hyperval.simulate.collection import field_axis
 
     axis = field_axis()
     values = factor * builtin_class(builtin, axis).mean
@@ -196,7 +196,7 @@ def test_the_command_line_says_so(small, tmp_path):
     text = (out / "results.csv").read_text()
     assert ",disagrees," in text
     assert "<failure" in (out / "junit.xml").read_text()
-    assert "Does not agree" in (out / "report.html").read_text()
+    assert "Not met." in (out / "report.html").read_text()
 
 
 @pytest.mark.parametrize(

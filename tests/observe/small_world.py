@@ -10,8 +10,8 @@ import numpy as np
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.collection import Collection, Detection
-from hyperval.imagery.envi_write import write_cube
+from hyperval.collection import CollectionSection, Detection
+from hyperval.imagery.envi import write_cube
 from hyperval.observe import Observed, observe
 from hyperval.prediction.inputs import Sources
 from hyperval.scenario import SpectrumSource
@@ -85,7 +85,7 @@ class World:
     def observe(self) -> Observed:
         """Run the pipeline on the settings as they stand."""
         detection = None if self.detection is None else Detection.model_validate(self.detection)
-        return observe(Collection.model_validate(self.collection), detection, self.resolve, show_progress=False)
+        return observe(CollectionSection.model_validate(self.collection), detection, self.resolve, show_progress=False)
 
 
 @dataclass

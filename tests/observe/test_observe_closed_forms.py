@@ -11,8 +11,8 @@ from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, background_spread
 from hyperval.collection import EmpiricalLineSource
 from hyperval.errors import UsageError
 from hyperval.imagery.cube import open_cube
-from hyperval.observe.empirical_line import empirical_line
-from hyperval.observe.unmixing import _ring
+from hyperval.observe.detection import _ring
+from hyperval.observe.site_spectra import empirical_line
 from hyperval.prediction.inputs import Sources
 from hyperval.processing.region_statistics import region_statistics
 from hyperval.products import EstimatedPart
@@ -20,9 +20,7 @@ from hyperval.products import EstimatedPart
 
 def line_of(made, source):
     """The line of a collection with panels that have no error of their own mean."""
-    cube = open_cube(
-        made.world.folder / "cube.img", quantity="radiance", unit="uW cm-2 sr-1 nm-1", check_values=False
-    )
+    cube = open_cube(made.world.folder / "cube.img", quantity="radiance", unit="uW cm-2 sr-1 nm-1", check_values=False)
     masks = {name: np.zeros((LINES, SAMPLES), bool) for name in ("white", "black")}
     masks["white"][0:4, 30:34] = masks["black"][0:4, 36:40] = True
     measured = region_statistics(cube, masks)

@@ -8,8 +8,8 @@ from small_world import AXIS, BANDS, LINES, PLANTED, SAMPLES, target_rows
 
 from hyperval.collection import Detection
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.envi_write import write_cube
-from hyperval.observe.filter_bank import usable_bands
+from hyperval.imagery.envi import write_cube
+from hyperval.observe.detection import usable_bands
 from hyperval.processing.roc import pd_at_pfa
 from hyperval.processing.sample import SampleStatistics
 from hyperval.products import background_of
@@ -249,9 +249,7 @@ def test_areas_are_sums_of_scores_times_the_pixel_area(world):
     world.detection["areas"] = [{"target": "paint", "detector": "cem", "margin_pixels": 1}]
     seen = world.observe()
     scores = seen.detected.score_maps["paint-cem"]
-    expected = np.mean(
-        [scores[i - 1 : i + 2, j - 1 : j + 2].sum() * 4.0 for (i, j), f in PLANTED.items() if f == 0.8]
-    )
+    expected = np.mean([scores[i - 1 : i + 2, j - 1 : j + 2].sum() * 4.0 for (i, j), f in PLANTED.items() if f == 0.8])
     area = seen.observation.abundance["fill 0.8", "cem"]
     assert area.area_m2 == pytest.approx(expected, rel=1e-12)
     assert area.n == 18

@@ -7,15 +7,15 @@ import pytest
 from affine import Affine
 from small_world import LINES, PLANTED, SAMPLES
 
-from hyperval.collection import Collection
+from hyperval.collection import CollectionSection
 from hyperval.collection_files import TargetTruth
 from hyperval.errors import UsageError
-from hyperval.imagery.envi_write import write_cube
+from hyperval.imagery.envi import write_cube
 from hyperval.observe.place import open_place
 
 
 def opened(world):
-    return open_place(Collection.model_validate(world.collection), world.resolve, show_progress=False)
+    return open_place(CollectionSection.model_validate(world.collection), world.resolve, show_progress=False)
 
 
 def mask_file(world, name: str, classes: np.ndarray) -> str:

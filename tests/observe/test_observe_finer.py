@@ -10,17 +10,17 @@ import rasterio
 from affine import Affine
 from scipy.ndimage import gaussian_filter
 
-from hyperval.campaign.measured_scenes import with_fills_of_truth
-from hyperval.campaign.observing import observed_report
+from hyperval.campaign.run import observed_report
 from hyperval.campaign.schema import load_campaign
-from hyperval.collection import Collection, Detection
+from hyperval.campaign.sides import with_fills_of_truth
+from hyperval.collection import CollectionSection, Detection
 from hyperval.errors import HypervalError, InputError, UsageError
 from hyperval.observe.place import open_place
 from hyperval.observe.truth_images import FinerGrid, fills_of, object_of_fills, registration_shifts, window_fills
-from hyperval.prediction.fills import fill_distribution, fills_of_objects, pixels_of_object
+from hyperval.prediction.departure import fill_distribution, fills_of_objects, pixels_of_object
 from hyperval.scenario import Fill, Scenario
 from hyperval.scene.fill import TargetGeometry, pixel_fills
-from hyperval.spectra.response import SIGMA_PER_FWHM
+from hyperval.spectra.axis import SIGMA_PER_FWHM
 
 ONE_PLACE = np.zeros((1, 2))
 
@@ -32,9 +32,7 @@ def test_cells_that_make_a_rectangle_have_the_fills_of_its_geometry(blur):
     geometry = TargetGeometry(length, width, 1.0, 0.0, blur)
     expected = pixel_fills(geometry, offset[None], np.zeros(1))[0]
     half = expected.shape[0] // 2
-    grid = FinerGrid(
-        half + 0.5 + offset[1] - length / 2, half + 0.5 + offset[0] - width / 2, length / 16, width / 9
-    )
+    grid = FinerGrid(half + 0.5 + offset[1] - length / 2, half + 0.5 + offset[0] - width / 2, length / 16, width / 9)
     fills = window_fills(np.ones((16, 9), bool), grid, (0, 0), expected.shape, both, ONE_PLACE)
     np.testing.assert_allclose(fills[0], expected, atol=1e-9)
     assert fills.sum() == pytest.approx(length * width, rel=1e-6)
@@ -120,11 +118,11 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def collection(**finer) -> Collection:
+def collection(**finer) -> CollectionSection:
     truth = {"image": "finer.tif", "classes": {"plank": 1, "panel": 2}, "psf_fwhm_pixels": 0.7} | finer
     if not {"registration_m", "registration_pixels"} & truth.keys():
         truth["registration_m"] = 0.0
-    return Collection.model_validate(
+    return CollectionSection.model_validate(
         {"cube": {"path": "cube.img", "quantity": "reflectance"}, "targets": {"finer": truth}}
     )
 
@@ -175,9 +173,7 @@ def test_a_finer_image_that_lies_aslant_or_is_not_finer_is_refused(folder: Path)
 
 def scenario(fill: dict) -> Scenario:
     target = {"name": "plank", "host": "court", "spectrum": {"constant": 0.5}, "fill": fill}
-    classes = [
-        {"name": "court", "fraction": 1.0, "spectrum": {"constant": 0.2}, "covariance": {"relative_sd": 0.05}}
-    ]
+    classes = [{"name": "court", "fraction": 1.0, "spectrum": {"constant": 0.2}, "covariance": {"relative_sd": 0.05}}]
     return Scenario.model_validate({"schema": 1, "name": "s", "scene": {"classes": classes, "targets": [target]}})
 
 

@@ -13,7 +13,7 @@ import yaml
 from pydantic import ValidationError
 
 from hyperval import cli
-from hyperval.collection import Collection, Detection
+from hyperval.collection import CollectionSection, Detection
 from hyperval.observe import observe
 
 PAGE = Path(__file__).parents[2] / "docs/flight-line.md"
@@ -52,7 +52,7 @@ def test_the_pages_campaign_runs_from_the_delivered_folder(tmp_path: Path):
     values = delivered(tmp_path)
     blocks = re.findall(r"```yaml\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     collection = yaml.safe_load(blocks[0])["collection"]
-    run = observe(Collection.model_validate(collection), None, lambda name: tmp_path / name, show_progress=False)
+    run = observe(CollectionSection.model_validate(collection), None, lambda name: tmp_path / name, show_progress=False)
     found = run.observation
     want = values[:, 4:16, 4:16].reshape(BANDS, -1).mean(axis=1)
     np.testing.assert_allclose(found.radiance["water"].mean, want, rtol=1e-6)
@@ -65,7 +65,7 @@ def test_the_pages_campaign_runs_from_the_delivered_folder(tmp_path: Path):
     for name, level in (("road", 0.05), ("roof", 0.2)):
         rows = "".join(f"{w:.2f},{level}\n" for w in wavelength)
         (tmp_path / f"{name}.txt").write_text("wavelength_nm,reflectance\n" + rows)
-    whole = Collection.model_validate(collection | {"empirical_line": line})
+    whole = CollectionSection.model_validate(collection | {"empirical_line": line})
     lit = observe(whole, None, lambda name: tmp_path / name, show_progress=False).observation
     # The line goes through both panels: 0.05 and 0.2 at brightness 0.5 and 2, so water at 0.3 reflects 0.03.
     assert np.allclose(lit.reflectance["water"].mean, 0.03, atol=0.003)

@@ -7,12 +7,11 @@ import pytest
 from affine import Affine
 from small_world import AXIS, BANDS
 
-from hyperval.campaign.measured_scenes import with_measured_fractions
-from hyperval.campaign.predicted_side import without_circles
+from hyperval.campaign.sides import with_measured_fractions, without_circles
 from hyperval.errors import InputError, UsageError
-from hyperval.imagery.georeference import pixel_sides_m
+from hyperval.imagery.envi import pixel_sides_m
 from hyperval.imagery.regions import Region, half_region, ring_region
-from hyperval.products import Prediction, SpectralEstimate
+from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
 
 FIELD = {"name": "field", "rectangle": [35, 5, 10, 20]}
@@ -108,10 +107,8 @@ def test_a_covariance_of_other_pixels_is_evidence_and_of_its_own_is_not(world):
     given = scenario(
         [surface("field", "left") | {"fraction": 1.0}], sites=[surface("right", "left"), surface("left", "left")]
     )
-    spectra = {
-        n: SpectralEstimate(np.ones(BANDS), np.eye(BANDS), np.eye(BANDS)) for n in ("field", "right", "left")
-    }
-    prediction = Prediction(AXIS, reflectance=spectra)
+    spectra = {n: SpectralEstimate(np.ones(BANDS), np.eye(BANDS), np.eye(BANDS)) for n in ("field", "right", "left")}
+    prediction = PredictedProducts(AXIS, reflectance=spectra)
     kept = without_circles(prediction, [given], place).reflectance
     assert {name for name, s in kept.items() if s.pixel_covariance is not None} == {"right"}
     # Where the pixels are not known, every measured covariance counts as the subject's own.

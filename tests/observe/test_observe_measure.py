@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from small_world import AXIS, BANDS, PLANTED, SAMPLES, World
 
-from hyperval.collection import CalibrationUncertainty, Collection
+from hyperval.collection import CalibrationUncertainty, CollectionSection
 from hyperval.errors import InputError, UsageError
 from hyperval.observe import observe
-from hyperval.observe.uncertainty import calibration_covariance, detector_covariance, spectral_estimate
-from hyperval.processing.few_pixels import factor_covariance
-from hyperval.processing.mean_error import small_sample_factor
+from hyperval.observe.site_spectra import calibration_covariance, detector_covariance, spectral_estimate
+from hyperval.processing.sample import factor_covariance, small_sample_factor
 from hyperval.sensor.specification import load_sensor
 
 
@@ -238,9 +237,7 @@ def test_errors_stated_band_by_band_are_independent_and_an_uncorrelated_part_add
     by_band = CalibrationUncertainty(file="error.txt", uncorrelated=0.02)
     found = calibration_covariance(level, AXIS, by_band, lambda r: tmp_path / r)
     assert found == pytest.approx(np.diag((relative**2 + 0.02**2) * level**2))
-    common = calibration_covariance(
-        level, AXIS, CalibrationUncertainty(relative=0.03, uncorrelated=0.01), lambda r: r
-    )
+    common = calibration_covariance(level, AXIS, CalibrationUncertainty(relative=0.03, uncorrelated=0.01), lambda r: r)
     assert common[0, 1] == pytest.approx(0.03**2 * level[0] * level[1])
     assert common[0, 0] == pytest.approx((0.03**2 + 0.01**2) * level[0] ** 2)
 
@@ -253,7 +250,7 @@ def test_noise_of_the_detector_goes_with_the_pixels_averaged():
     a, b, c = (x[3] for x in sensor.noise(AXIS).measured)
     assert np.sqrt(one[3, 3]) == pytest.approx(abs(a * np.sqrt(b + 5.0) + c))
     with pytest.raises(ValueError, match="each of which states its pixels"):
-        Collection(spectra=[{"subject": "a", "path": "a.txt"}], detector="aviris-ng")
+        CollectionSection(spectra=[{"subject": "a", "path": "a.txt"}], detector="aviris-ng")
 
 
 def test_calibration_stands_in_the_budget_of_the_radiance(make_radiance):
@@ -384,13 +381,13 @@ def _checked(world: World):
     """Observe through the check of file references that a campaign makes."""
     from hyperval import datasets
 
-    collection = Collection.model_validate(world.collection)
+    collection = CollectionSection.model_validate(world.collection)
     return observe(collection, None, lambda r: datasets.resolve(r, world.folder), show_progress=False)
 
 
 def test_spectra_without_a_band_table_are_refused(sites):
     with pytest.raises(ValueError, match="spectra need 'bands'"):
-        Collection.model_validate({k: v for k, v in sites.collection.items() if k != "bands"})
+        CollectionSection.model_validate({k: v for k, v in sites.collection.items() if k != "bands"})
 
 
 def test_replicate_spectra_of_a_panel_widen_the_empirical_line(make_radiance):

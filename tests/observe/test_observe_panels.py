@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.compare.spectral import compare_spectra
-from hyperval.observe.uncertainty import rounding_variance
+from hyperval.observe.site_spectra import rounding_variance
 from hyperval.results import ResultTable
 
 

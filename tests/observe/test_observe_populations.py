@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.collection import Collection, Detection
+from hyperval.collection import CollectionSection, Detection
 from hyperval.errors import UsageError
 from hyperval.observe import pipeline
 from hyperval.observe.place import open_place
@@ -15,7 +15,7 @@ from hyperval.scenario import CovarianceSource, SpectrumSource, Surface
 
 def populations(world):
     """Pixels behind the class of the whole image, the filter, and the false alarms."""
-    place = open_place(Collection.model_validate(world.collection), world.resolve, show_progress=False)
+    place = open_place(CollectionSection.model_validate(world.collection), world.resolve, show_progress=False)
     detection = Detection.model_validate(world.detection)
     seen = world.observe()
     return seen, place, (
@@ -52,8 +52,7 @@ def test_the_notes_say_how_the_populations_differ(world):
     assert note.startswith(f"the filters have their statistics from {total} pixels (image)")
     assert f"counted on {total - near} (scene)" in note
     assert any(
-        n.startswith(f"{near} pixels of targets and their guard are in the filters'")
-        for n in seen.observation.notes
+        n.startswith(f"{near} pixels of targets and their guard are in the filters'") for n in seen.observation.notes
     )
 
 
@@ -75,7 +74,7 @@ def test_a_single_pixel_gives_a_mean_and_no_spread(world):
 
 def test_another_detection_in_the_same_collection_measures_only_pixels_that_it_changes(make_radiance, monkeypatch):
     world = make_radiance(relative_noise=0.01).world
-    collection = Collection.model_validate(world.collection)
+    collection = CollectionSection.model_validate(world.collection)
     first = world.observe()
     material, spectrum = {"material": "paint"}, world.source("library.csv", "paint")
     world.detection |= {

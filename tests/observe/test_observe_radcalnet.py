@@ -9,12 +9,12 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from hyperval.atmosphere.profiles import pressure_at, standard_profile
+from hyperval.atmosphere.state import pressure_at, standard_profile
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.campaign.day_scenarios import DayScenarios, day_scenarios
 from hyperval.campaign.dry_run import dry_run, summary
 from hyperval.campaign.job import jobs_of
 from hyperval.campaign.one import run_campaign
+from hyperval.campaign.schema import DayScenarios, day_scenarios
 from hyperval.collection_files import RadCalNetSource
 from hyperval.compare.spectral import compare_spectra
 from hyperval.errors import InputError, UsageError
@@ -24,7 +24,7 @@ from hyperval.prediction.departure import Departure
 from hyperval.products import SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.radcalnet import read_radcalnet
+from hyperval.spectra.networks import read_radcalnet
 
 AXIS = SpectralAxis(np.array([500.0, 600.0, 700.0]), np.full(3, 10.0))
 GRID = np.arange(400.0, 801.0, 5.0)
@@ -152,9 +152,7 @@ def test_words_of_a_scenario_take_what_the_day_says(day):
     state = one.atmosphere
     assert state is not None
     assert (state.aot550, state.angstrom_exponent, state.time_utc) == (0.1, 0.5, "2020-06-08T18:30:00Z")
-    assert pressure_at(standard_profile("us-standard-1962"), state.ground_altitude_km) == pytest.approx(
-        869, rel=1e-4
-    )
+    assert pressure_at(standard_profile("us-standard-1962"), state.ground_altitude_km) == pytest.approx(869, rel=1e-4)
     assert one.uncertainty.aot550 == 0.1
     assert one.scene.classes[0].name == "sand 18:30"
     with pytest.raises(InputError, match="top of the atmosphere"):

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from small_world import LINES, PLANTED, SAMPLES
 
-from hyperval.collection import Collection
+from hyperval.collection import CollectionSection
 from hyperval.errors import InputError, UsageError
 from hyperval.observe.place import open_place
 
 
 def opened(world):
-    return open_place(Collection.model_validate(world.collection), world.resolve, show_progress=False)
+    return open_place(CollectionSection.model_validate(world.collection), world.resolve, show_progress=False)
 
 
 def test_a_rectangle_has_the_stated_size(world):
@@ -134,7 +134,7 @@ def test_each_field_has_its_error(world, change, error, message):
 )
 def test_settings_that_contradict_themselves_are_refused(world, change, message):
     with pytest.raises(ValueError, match=message):
-        Collection.model_validate(world.collection | change)
+        CollectionSection.model_validate(world.collection | change)
 
 
 def test_targets_inside_a_region_are_counted_and_said_to_be_left_out(world):
@@ -172,9 +172,7 @@ def test_drawn_regions_tell_of_what_leaves_the_image_and_of_holes(world):
     world.collection["regions"].append({"file": "rois.geojson", "coordinates": "pixel", "name": "court"})
     notes = opened(world).notes
     # 200 - 6 pixels in all, 100 - 6 inside.
-    assert (
-        "warning: the region 'court' leaves the image: 51.5 % of its area is outside, 94 pixels are left" in notes
-    )
+    assert "warning: the region 'court' leaves the image: 51.5 % of its area is outside, 94 pixels are left" in notes
     assert "the region 'court' has a hole of 6 pixels, which are not part of it" in notes
 
 
@@ -223,7 +221,7 @@ def test_a_lookup_table_places_regions_and_targets_of_a_raw_line(world):
     from affine import Affine
     from rasterio.crs import CRS
 
-    from hyperval.imagery.envi_write import write_cube
+    from hyperval.imagery.envi import write_cube
 
     line, sample = np.indices((LINES, SAMPLES))
     table = np.stack([sample + 1, LINES - line], axis=-1)

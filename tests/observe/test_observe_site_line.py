@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from small_world import AXIS, BACKGROUND, BANDS, TARGET, World
 
-from hyperval.collection import Collection, PathRadiance
+from hyperval.collection import CollectionSection, PathRadiance
 from hyperval.errors import UsageError
-from hyperval.observe.path_radiance import path_estimate
+from hyperval.observe.site_spectra import path_estimate
 from hyperval.prediction.inputs import correlation
 from hyperval.products import SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis
@@ -88,9 +88,7 @@ def test_one_other_site_needs_the_path_radiance(sites, monkeypatch):
     assert any("lawn: no reflectance by other sites" in n and "path_radiance" in n for n in seen.notes)
 
     error = np.outer(0.1 * PATH, 0.1 * PATH)
-    monkeypatch.setattr(
-        "hyperval.observe.path_radiance.path_estimate", lambda *_: SpectralEstimate(PATH.copy(), error)
-    )
+    monkeypatch.setattr("hyperval.observe.site_spectra.path_estimate", lambda *_: SpectralEstimate(PATH.copy(), error))
     line["path_radiance"] = [{"line": "a", "scenario": "air.yaml"}]
     seen = sites.observe().observation
     lawn, rho = seen.reflectance["lawn"], {n: sites.on_bands("field.csv", n) for n in ("lawn", "turf")}
@@ -158,4 +156,4 @@ def test_names_that_the_collection_does_not_have(sites, change, message):
 def test_lines_that_contradict_themselves(sites, line, message):
     sites.collection["empirical_line"].update(line)
     with pytest.raises(ValueError, match=message):
-        Collection.model_validate(sites.collection)
+        CollectionSection.model_validate(sites.collection)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_world import BANDS, LINES, SAMPLES, TARGET, background_spread
 
-from hyperval.collection import Classification, Collection
+from hyperval.collection import Classification, CollectionSection
 from hyperval.errors import UsageError
 from hyperval.observe import observe
 
@@ -51,6 +51,15 @@ def test_pixels_that_are_drawn_together_count_once_for_the_limits_of_tails(world
     assert width["repeated"] / width["alone"] == pytest.approx(3.0, rel=0.35)
 
 
+def test_pixels_without_correlation_are_all_independent_in_an_image_of_several_windows(world):
+    # Windows that lie over each other counted their pairs of pixels twice and more: a seventh was lost here.
+    world.detection, world.collection["targets"] = None, None
+    world.write(field(np.inf, lines=110, samples=90))
+    world.collection["regions"] = [{"name": "all", "rectangle": [0, 0, 110, 90]}]
+    found = world.observe().observation.distribution["all"]
+    assert found.effective_n == pytest.approx(np.full(found.effective_n.size, 9900.0), rel=0.03)
+
+
 def test_small_regions_have_no_tails(world):
     world.collection["regions"] = [{"name": "few", "rectangle": [0, 0, 10, 10]}]
     assert world.observe().observation.distribution == {}
@@ -58,7 +67,7 @@ def test_small_regions_have_no_tails(world):
 
 def classified(world, **settings):
     task = Classification.model_validate({"classes": ["dark", "bright"], "features": [{"name": "all"}]} | settings)
-    collection = Collection.model_validate(world.collection)
+    collection = CollectionSection.model_validate(world.collection)
     found = observe(collection, None, world.resolve, classification=task, show_progress=False)
     return found.observation.classification
 
@@ -115,9 +124,7 @@ def test_areas_by_unmixing(unmixing):
             assert area.area_m2 == pytest.approx(4.0 * fill, abs=4 * area.standard_uncertainty + 0.35)
             assert area.standard_uncertainty > 0.0
     weighted = found.observation.abundance["fill 0.3", "fcls-weighted field"]
-    assert (
-        weighted.standard_uncertainty < found.observation.abundance["fill 0.3", "fcls field"].standard_uncertainty
-    )
+    assert weighted.standard_uncertainty < found.observation.abundance["fill 0.3", "fcls field"].standard_uncertainty
 
 
 def test_unmixing_hands_the_prediction_what_it_needs(unmixing):

@@ -10,20 +10,20 @@ from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.errors import UsageError
 from hyperval.predict import Origins
-from hyperval.prediction.budget import given_of, inputs_of
-from hyperval.prediction.forms import (
+from hyperval.prediction.input import (
+    UncertainInput,
     covariance_directions,
     directions,
+    drawn_truths,
     form_covariance,
     form_in_words,
     number_directions,
     standardised,
     value_along,
 )
-from hyperval.prediction.input import Input, drawn_truths
 from hyperval.prediction.inputs import correlation
-from hyperval.scenario import Scenario
-from hyperval.scenario_uncertainty import SpectralForm, Spread, Uncertainty
+from hyperval.prediction.uncertainty import given_of, inputs_of
+from hyperval.scenario import Scenario, SpectralForm, Spread, Uncertainty
 
 EVERYTHING = (
     ATMOSPHERE
@@ -56,7 +56,7 @@ uncertainty:
 )
 
 
-def inputs(s: Scenario) -> dict[str, Input]:
+def inputs(s: Scenario) -> dict[str, UncertainInput]:
     found = inputs_of(given_of(s, Origins(axis=AXIS, engine=engine)))
     assert len({i.name for i in found}) == len(found)
     return {i.name: i for i in found}

@@ -7,9 +7,15 @@ import pytest
 from uncertain_scene import AXIS, run, scenario
 
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure, StatisticsDeparture, combined, departs, true_fill
-from hyperval.prediction.fills import fill_distribution
-from hyperval.prediction.replicates import in_bands
+from hyperval.prediction.departure import (
+    Departure,
+    StatisticsDeparture,
+    combined,
+    departs,
+    fill_distribution,
+    true_fill,
+)
+from hyperval.prediction.inputs import in_bands
 from hyperval.scenario import Fill
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
@@ -62,16 +68,12 @@ def test_path_ground_and_irradiance_split_the_radiance():
 def test_spectrum_departs_while_the_filter_looks_for_what_was_stated():
     added = np.linspace(-0.03, 0.03, B)
     base, off = run(scenario()), run(scenario(), departure=Departure(spectra={"plank": added}))
-    np.testing.assert_allclose(
-        off.reflectance["tenth"].mean - base.reflectance["tenth"].mean, 0.1 * added, atol=1e-12
-    )
+    np.testing.assert_allclose(off.reflectance["tenth"].mean - base.reflectance["tenth"].mean, 0.1 * added, atol=1e-12)
     # Filter, background and threshold stay; the score moves by the filter on the change, to first order in it.
     assert off.roc[KEY].threshold == pytest.approx(base.roc[KEY].threshold, rel=1e-12)
     half = run(scenario(), departure=Departure(spectra={"plank": 0.5 * added}))
     moved = off.scores["tenth", "cem"].mean - base.scores["tenth", "cem"].mean
-    assert moved == pytest.approx(
-        2 * (half.scores["tenth", "cem"].mean - base.scores["tenth", "cem"].mean), rel=1e-6
-    )
+    assert moved == pytest.approx(2 * (half.scores["tenth", "cem"].mean - base.scores["tenth", "cem"].mean), rel=1e-6)
     assert abs(moved) > 1e-4
 
 
@@ -121,9 +123,7 @@ def test_fill_from_geometry_moves_its_mean_by_area():
 
 def test_combined_adds_and_multiplies():
     a = Departure(settings={"atmosphere.aot550": 0.3}, spectra={"grass": 0.01}, path=1.1, wavelength_shift_nm=0.2)
-    b = Departure(
-        spectra={"grass": 0.02}, fill={"tenth": 0.01}, path=1.2, wavelength_shift_nm=0.1, recorded_gain=0.9
-    )
+    b = Departure(spectra={"grass": 0.02}, fill={"tenth": 0.01}, path=1.2, wavelength_shift_nm=0.1, recorded_gain=0.9)
     both = combined(a, b, Departure(fill={"tenth": 0.02}))
     assert both.path == pytest.approx(1.32)
     assert both.spectra["grass"] == pytest.approx(0.03)

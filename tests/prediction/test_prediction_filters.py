@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.prediction.background import Settings, ground_of, seen_classes
+from hyperval.prediction.background import Settings, View, ground_of, seen_classes
 from hyperval.prediction.filters import Designer
 from hyperval.prediction.inputs import SurfaceStatistics
-from hyperval.prediction.view import View
 from hyperval.scenario import Processing
 
 B, CLASSES = 5, ["soil", "grass"]

@@ -8,13 +8,12 @@ from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.errors import UsageError
 from hyperval.predict import Origins
-from hyperval.prediction.budget import given_of, inputs_of
-from hyperval.prediction.departure import Departure
+from hyperval.prediction.departure import Departure, input_path
 from hyperval.prediction.input import drawn_truths, number_input, one_at_a_time, spectral_input
-from hyperval.prediction.input_paths import input_path
-from hyperval.scenario_uncertainty import RelativeUncertainty, Spread
+from hyperval.prediction.uncertainty import given_of, inputs_of
+from hyperval.scenario import RelativeUncertainty, Spread
 from hyperval.settings import with_settings
-from hyperval.uncertainty.attribution.assumed import assumed_inputs
+from hyperval.uncertainty.attribution.ranking import assumed_inputs
 
 B = len(AXIS)
 SCENE = scenario()
@@ -88,6 +87,11 @@ def test_a_path_that_leads_nowhere_is_refused(path, words):
         input_path(GIVEN, path)
 
 
+def test_a_path_that_is_nearly_one_is_told_which():
+    with pytest.raises(UsageError, match=r"did you mean line\.dark"):
+        input_path(GIVEN, "line.darker")
+
+
 def test_light_needs_an_atmosphere():
     with pytest.raises(UsageError, match="no atmosphere"):
         input_path(given_of(scenario(""), Origins(axis=AXIS)), "light.irradiance")
@@ -110,8 +114,8 @@ def test_a_log_normal_factor_multiplies_and_a_normal_one_adds():
 def test_one_at_a_time_goes_up_and_down_along_the_leading_directions():
     form = RelativeUncertainty.model_validate({"relative": 0.02, "correlation": "random"})
     wide = spectral_input(GIVEN, "gain", "sensor", "sensor.gain", 0.02, form)
-    steps = one_at_a_time([wide], 3)
-    assert [s.direction for s in steps] == [0, 1, 2]
+    steps = one_at_a_time([wide])
+    assert [s.direction for s in steps] == list(range(B))
     up, down = steps[1].truths
     np.testing.assert_allclose(np.asarray(up.recorded_gain) + np.asarray(down.recorded_gain), 2.0)
     assert isinstance(up, Departure)

@@ -10,8 +10,8 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
 from hyperval.predict import Origins, predict
-from hyperval.prediction.law_sampling import with_law_limits
-from hyperval.processing.law_jackknife import moments_without_each
+from hyperval.prediction.uncertainty import with_law_limits
+from hyperval.processing.laws import moments_without_each
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import Scenario
 from hyperval.scene.statistics import ClassStatistics

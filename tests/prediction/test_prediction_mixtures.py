@@ -13,8 +13,7 @@ from hyperval.predict import Origins, predict, predictions
 from hyperval.prediction.cases import batch_of, case_of
 from hyperval.prediction.departure import Departure, StatisticsDeparture
 from hyperval.scene.builtin import builtin_class
-from hyperval.scene.components import Components
-from hyperval.scene.statistics import ClassStatistics
+from hyperval.scene.statistics import ClassStatistics, Components
 from hyperval.simulate.surface import sampler
 
 BANDS = len(AXIS)
@@ -32,9 +31,7 @@ def two_clusters(dof: float = np.inf) -> Components:
     grass, plank = builtin_class("grass", AXIS), builtin_class("yellow-paint-plank", AXIS)
     away = 0.15 * (plank.mean - grass.mean)
     wide = grass.covariance + 1e-5 * np.eye(BANDS)
-    return Components(
-        np.array([0.95, 0.05]), np.array([-0.05 * away, 0.95 * away]), np.array([wide, 0.3 * wide]), dof
-    )
+    return Components(np.array([0.95, 0.05]), np.array([-0.05 * away, 0.95 * away]), np.array([wide, 0.3 * wide]), dof)
 
 
 def mixed(mixture: object = "auto", tail: object = "null", detectors: str = "cem"):
@@ -55,9 +52,7 @@ def curves(statistics: ClassStatistics, of=None):
 @pytest.mark.parametrize("tail", ["null", "measured"])
 def test_one_component_is_the_class_itself(tail):
     whole = of_region(None, 5.0)
-    one = Components(
-        np.ones(1), np.zeros((1, BANDS)), whole.covariance[None], 5.0 if tail == "measured" else np.inf
-    )
+    one = Components(np.ones(1), np.zeros((1, BANDS)), whole.covariance[None], 5.0 if tail == "measured" else np.inf)
     before, after = (
         curves(s, mixed(m, tail))[0] for s, m in ((whole, "null"), (replace(whole, components=one), "auto"))
     )
@@ -108,9 +103,7 @@ def test_ace_of_two_truths_sees_the_objects_of_each():
         "detectors: [cem]": "elm: none, samples: 300, detectors: [ace]",
     }
     truths = [Departure(), Departure(fill={"tenth": -0.006})]
-    both = [
-        made.roc["tenth", "ace", "object"].pd for made in predictions(scenario("", **small), truths, Origins(AXIS))
-    ]
+    both = [made.roc["tenth", "ace", "object"].pd for made in predictions(scenario("", **small), truths, Origins(AXIS))]
     (alone,) = predictions(scenario("", **small), truths[1:], Origins(AXIS))
     np.testing.assert_allclose(both[1], alone.roc["tenth", "ace", "object"].pd, rtol=1e-9)
     assert np.max(both[0] - both[1]) > 0.01  # the smaller target is seen less

@@ -7,13 +7,11 @@ import pytest
 from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.predict import Origins
-from hyperval.prediction.budget import drawn_covariance, given_of, inputs_of
 from hyperval.prediction.departure import true_scenario
-from hyperval.prediction.monte_carlo import emulator
-from hyperval.prediction.propagation import auc_of, quantities, tolerance
-from hyperval.processing.roc_reading import detection_at
-from hyperval.scenario import FalseAlarmGrid, Scenario
-from hyperval.scenario_uncertainty import Uncertainty
+from hyperval.prediction.monte_carlo import auc_of, emulator, quantities, tolerance
+from hyperval.prediction.uncertainty import drawn_covariance, given_of, inputs_of
+from hyperval.processing.roc_model import detection_at
+from hyperval.scenario import FalseAlarmGrid, Scenario, Uncertainty
 
 KEY = ("tenth", "cem", "pixel")
 SMALL = """
@@ -150,9 +148,7 @@ def test_an_input_at_the_end_of_its_range_is_interpolated_from_the_other_side():
     s = scenario((ATMOSPHERE + "uncertainty: {aot550: 0.1}\n").replace("aot550: 0.2,", "aot550: 0.0,"))
     made = emulator(s, inputs_of(given_of(s, Origins(axis=AXIS, engine=engine))), engine, AXIS)
     assert made.runs == 3
-    p = run(
-        s.model_copy(update={"uncertainty": s.uncertainty.model_copy(update={"method": "both", "samples": 40})})
-    )
+    p = run(s.model_copy(update={"uncertainty": s.uncertainty.model_copy(update={"method": "both", "samples": 40})}))
     assert np.all(np.isfinite(p.radiance["grass"].standard_uncertainty))
 
 
@@ -180,9 +176,7 @@ def test_area_of_a_curve_and_tolerance_of_a_limit():
     curve = p.roc[KEY]
     # P(score of a target above one of the background), from the tabulated densities of both.
     target, ground = p.scores["tenth", "cem"], p.scores["tenth background", "cem"]
-    below = np.concatenate(
-        [[0.0], np.cumsum(0.5 * np.diff(ground.grid) * (ground.density[1:] + ground.density[:-1]))]
-    )
+    below = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(ground.grid) * (ground.density[1:] + ground.density[:-1]))])
     share = np.interp(target.grid, ground.grid, below, left=0.0, right=1.0)
     assert auc_of(curve) == pytest.approx(np.trapezoid(share * target.density, target.grid), abs=2e-3)
     assert quantities(p)["AUC", *KEY][0] == auc_of(curve)

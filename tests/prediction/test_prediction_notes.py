@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
-from hyperval.prediction.setup import engine_notes, unstated_notes
-from hyperval.scenario_uncertainty import Uncertainty
+from hyperval.prediction.cases import engine_notes, unstated_notes
+from hyperval.scenario import Uncertainty
 
 
 def state(**stated: object) -> AtmosphericState:

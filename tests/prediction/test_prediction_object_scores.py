@@ -10,7 +10,7 @@ from hyperval.errors import UsageError
 from hyperval.predict import Origins, predict, predictions
 from hyperval.prediction.departure import Departure
 from hyperval.processing.filters import design_filter
-from hyperval.processing.thresholds import ClassScores, class_threshold, greatest_class_false_alarm
+from hyperval.processing.roc_model import ClassScores, class_threshold, greatest_class_false_alarm
 from hyperval.products import background_of
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.scene.builtin import builtin_class
@@ -206,9 +206,7 @@ def test_expected_scores_of_target_pixels_and_background_are_the_means_of_their_
                 what: score for (what, *of), score in p.expected_scores.items() if of == [target.name, detector]
             }
             for population in target.populations:
-                assert expected[population.name] == pytest.approx(
-                    p.scores[population.name, detector].mean, rel=1e-9
-                )
+                assert expected[population.name] == pytest.approx(p.scores[population.name, detector].mean, rel=1e-9)
                 mixed = sum(c.fraction * expected[c.name] for c in scenario.scene.classes)
                 background = p.scores[background_of(population.name), detector].mean
                 assert mixed == pytest.approx(background, rel=1e-6, abs=1e-12)

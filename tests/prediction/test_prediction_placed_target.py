@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from hyperval.compare.consistency import chi_square_full
+from hyperval.compare.spectral import chi_square_full
 from hyperval.config import parse_yaml, validate
 from hyperval.predict import Origins, predict
-from hyperval.prediction.placed_target import (
-    HOST,
-    PLACE,
-    Shares,
-    host_covariance,
-    mixed,
-    place_covariance,
-    shares_of,
-    spectra_covariance,
-)
+from hyperval.prediction.object_scores import HOST, PLACE, Shares, host_covariance, mixed, place_covariance, shares_of
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis
@@ -51,9 +42,7 @@ processing: {detectors: [cem], elm: none}
 
 
 def scenario(place="position_m: [0, 0],", there="position_m: [0, 1.4],", side="1", extra="", paint="yellow"):
-    text = (
-        SCENE.replace("yellow", paint).replace("PLACE", place).replace("THERE", there).replace("SIDE", side) + extra
-    )
+    text = SCENE.replace("yellow", paint).replace("PLACE", place).replace("THERE", there).replace("SIDE", side) + extra
     data, lines = parse_yaml(text, "small.yaml")
     return validate(Scenario, data, lines, "small.yaml")
 
@@ -112,9 +101,9 @@ def test_an_object_alone_has_the_mean_of_its_fill_and_the_spread_of_its_host():
 def test_errors_of_one_material_add_up_and_those_of_two_do_not():
     one = Shares(("a", "a"), np.array([0.3, 0.2]), np.zeros((2, 2)))
     two = Shares(("a", "b"), np.array([0.3, 0.2]), np.zeros((2, 2)))
-    error = {"a": np.eye(3), "b": np.eye(3)}
-    assert spectra_covariance(one, error, 3)[0, 0] == pytest.approx(0.25)
-    assert spectra_covariance(two, error, 3)[0, 0] == pytest.approx(0.13)
+    up, stays = {"a": np.ones(2), "b": np.zeros(2)}, np.zeros(2)
+    assert mixed(one, up, stays) == pytest.approx(np.full(2, 0.5))
+    assert mixed(two, up, stays) == pytest.approx(np.full(2, 0.3))
     assert mixed(two, {"a": np.ones(2), "b": np.zeros(2)}, np.full(2, 0.5)) == pytest.approx(np.full(2, 0.55))
 
 

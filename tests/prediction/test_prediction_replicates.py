@@ -13,12 +13,9 @@ from scipy import stats
 from hyperval.config import validate
 from hyperval.errors import InputError, UsageError
 from hyperval.predict import Origins, predict
-from hyperval.prediction.inputs import Sources
-from hyperval.prediction.replicates import band_error_covariance, mean_error_covariance, replicate_statistics
-from hyperval.scenario import Scenario, SpectrumSource, Surface
-from hyperval.scenario_sources import Replicates
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.response import band_average
+from hyperval.prediction.inputs import Sources, band_error_covariance, mean_error_covariance, replicate_statistics
+from hyperval.scenario import Replicates, Scenario, SpectrumSource, Surface
+from hyperval.spectra.axis import SpectralAxis, band_average
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860]), np.full(5, 10.0))
 GRID = np.arange(400.0, 901.0, 5.0)
@@ -108,9 +105,7 @@ def test_the_error_of_the_mean_covers_the_truth_as_often_as_said():
 
 def test_records_of_one_file(tmp_path):
     spectra = lawn(6)
-    rows = "".join(
-        ",".join(f"{v:.9f}" for v in (w, *column)) + "\n" for w, column in zip(GRID, spectra.T, strict=True)
-    )
+    rows = "".join(",".join(f"{v:.9f}" for v in (w, *column)) + "\n" for w, column in zip(GRID, spectra.T, strict=True))
     (tmp_path / "all.csv").write_text("wavelength_nm,m1,m2,m3,m4,m5,m6\n" + rows)
     values = band_average(GRID, np.round(spectra, 9), AXIS)
     assert np.allclose(found(tmp_path, "all.csv").mean, values.mean(axis=0))
@@ -170,9 +165,7 @@ def test_a_surface_takes_spectrum_and_covariance_from_replicates(tmp_path):
     assert mixed.mean_error is None
     assert direct.source == "20 replicate spectra"
     with pytest.raises(UsageError, match="replicates of 'lawn'"):
-        sources.spectrum(
-            SpectrumSource.model_validate({"replicates": {**replicates, "files": "grass00.csv"}}), "lawn"
-        )
+        sources.spectrum(SpectrumSource.model_validate({"replicates": {**replicates, "files": "grass00.csv"}}), "lawn")
 
 
 def scenario(folder: Path, stated: list[dict[str, Any]]) -> Scenario:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hyperval.errors import InputError, UsageError
-from hyperval.prediction.setup import _sensor
-from hyperval.prediction.view import View
+from hyperval.prediction.background import View
+from hyperval.prediction.cases import _sensor
 
 
 def nowhere(name: str):
@@ -28,6 +28,4 @@ def test_bands_that_no_light_of_the_ground_reaches_are_dark_and_so_are_all_of_th
     for direct, lit in (([1.0, 0.0, 2e-9, 0.5e-9], [True, False, True, False]), ([0.0] * 4, [False] * 4)):
         view = View(SimpleNamespace(direct=np.array(direct)), np.full((1, 4), 0.2), None, 0.1, "corrected", None)
         np.testing.assert_array_equal(view.lit(), [lit])
-    np.testing.assert_array_equal(
-        View(None, np.full((1, 4), 0.2), None, 0.1, "corrected", None).lit(), [[True] * 4]
-    )
+    np.testing.assert_array_equal(View(None, np.full((1, 4), 0.2), None, 0.1, "corrected", None).lit(), [[True] * 4])

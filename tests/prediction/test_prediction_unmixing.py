@@ -12,7 +12,7 @@ from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure
 from hyperval.prediction.inputs import Sources
 from hyperval.prediction.unmixing import UnmixedSubject, labelled, predicted_areas, predicted_classification
-from hyperval.products import PixelDistribution, Prediction, SpectralEstimate
+from hyperval.products import PixelDistribution, PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
 
@@ -30,12 +30,13 @@ def scenario(fill, pixels=1):
     return Scenario.model_validate({"name": "s", "scene": scene})
 
 
-def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariances=None, draws=4000, departure=None):
+def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariances=None, draws=4000, departure=None,
+              clusters=()):  # fmt: skip
     grass = SpectralEstimate(GRASS, np.zeros((B, B)), spread)
-    prediction = Prediction(AXIS, reflectance={"grass": grass}, distribution={"grass": PixelDistribution()})
-    subject = UnmixedSubject(
-        "paint 1 m", "paint 1 m", "paint", np.full(B, 0.3), uncertainty, 300.0, "", 1, 1.0, 10**6
+    prediction = PredictedProducts(
+        AXIS, reflectance={"grass": grass}, distribution={"grass": PixelDistribution(clusters=clusters)}
     )
+    subject = UnmixedSubject("paint 1 m", "paint 1 m", "paint", np.full(B, 0.3), uncertainty, 300.0, "", 1, 1.0, 10**6)
     found = predicted_areas(
         scenario(fill), prediction, [subject], np.ones(B, bool), covariances or {"fcls": None}, 4.0,
         Sources(AXIS, {}, lambda name: name), draws=draws, departure=departure,
@@ -69,6 +70,18 @@ def test_an_empty_pixel_is_biased_upwards():
     assert area.area_m2 == pytest.approx(sd / np.sqrt(2 * np.pi), rel=0.12)
 
 
+def test_an_empty_pixel_of_clusters_is_biased_by_each_of_them():
+    # Two clusters along the target's direction, their mean that of the class: E[max(0, X)] of each, in closed form.
+    ends, parts = np.array([-0.05, 0.45]), np.array([0.9, 0.1])
+    clusters = [(p, f * DIRECTION, 0.25 * SPREAD, np.inf) for p, f in zip(parts, ends, strict=True)]
+    gain = DIRECTION / (DIRECTION @ DIRECTION)
+    sd = 0.5 * np.sqrt(gain @ SPREAD @ gain)
+    expected = parts @ (ends * norm.cdf(ends / sd) + sd * norm.pdf(ends / sd))
+    area = predicted({"fixed": 1e-9}, clusters=clusters, draws=40_000).area_m2
+    # A share of a tenth of 40,000 draws from a pool of each is known to 0.0015: 3 % is two of it and more.
+    assert area == pytest.approx(4.0 * expected, rel=0.03)
+
+
 def test_weights_by_the_background_reduce_the_spread():
     both = {"fcls": None, "fcls-weighted": SPREAD}
     plain = predicted({"fixed": 0.4}, covariances=both)
@@ -94,7 +107,7 @@ def test_whole_objects_have_their_own_fills():
 def test_a_scenario_with_light_is_left_out():
     made = scenario({"fixed": 0.4})
     lit = made.model_copy(update={"atmosphere": object()})
-    assert predicted_areas(lit, Prediction(AXIS), [], np.ones(B, bool), {"fcls": None}, 1.0, None) == {}
+    assert predicted_areas(lit, PredictedProducts(AXIS), [], np.ones(B, bool), {"fcls": None}, 1.0, None) == {}
     assert labelled("fcls", "") == "fcls"
 
 
@@ -104,7 +117,7 @@ WIDE = 30.0 * SPREAD
 def two_classes(spread=WIDE):
     means = {"grass": GRASS, "paint": GRASS + 0.02}
     spectra = {name: SpectralEstimate(mean, np.zeros((B, B)), spread) for name, mean in means.items()}
-    return Prediction(AXIS, radiance=spectra)
+    return PredictedProducts(AXIS, radiance=spectra)
 
 
 def test_two_classes_of_one_covariance_are_told_apart_by_their_distance():
@@ -118,9 +131,7 @@ def test_two_classes_of_one_covariance_are_told_apart_by_their_distance():
     error = found["grass / paint", "2 bands"]
     assert 0.001 < exact < 0.2
     assert abs(error.error - exact) < 4.0 * np.sqrt(exact * (1.0 - exact) / error.n)
-    assert error.distance == pytest.approx(
-        norm.ppf(exact) ** 2 / 2.0, rel=1e-6
-    )  # Bhattacharyya's of one covariance
+    assert error.distance == pytest.approx(norm.ppf(exact) ** 2 / 2.0, rel=1e-6)  # Bhattacharyya's of one covariance
     assert set(found) == {("grass / paint", "2 bands"), ("grass / paint", "all")}
 
 
@@ -132,5 +143,5 @@ def test_a_class_without_spread_has_no_classifier():
 
 
 def test_classes_that_are_not_predicted_are_left_out():
-    prediction = Prediction(AXIS, radiance={"a": SpectralEstimate(GRASS, np.zeros((B, B)), SPREAD)})
+    prediction = PredictedProducts(AXIS, radiance={"a": SpectralEstimate(GRASS, np.zeros((B, B)), SPREAD)})
     assert predicted_classification(prediction, [("a", "b")], [], "radiance") == {}

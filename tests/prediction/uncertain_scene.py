@@ -8,7 +8,7 @@ from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
 from hyperval.predict import Origins, predict
-from hyperval.products import Prediction
+from hyperval.products import PredictedProducts
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
 
@@ -58,6 +58,6 @@ def scenario(extra: str = ATMOSPHERE, **replaced: str) -> Scenario:
     return validate(Scenario, data, lines, "text")
 
 
-def run(s: Scenario, **kwargs) -> Prediction:
+def run(s: Scenario, **kwargs) -> PredictedProducts:
     """The prediction on the ten bands."""
     return predict(s, Origins(axis=AXIS, engine=engine), **kwargs)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc_areas import WHOLE, AreaEstimate, area_estimates, area_variance, roc_area
+from hyperval.processing.roc import WHOLE, AreaEstimate, area_estimates, area_variance, counts_of, roc_area
 
 
 def roc_points(target, background):

@@ -73,16 +73,14 @@ def test_stated_error_is_the_scatter_of_repetition(space):
     # 60 repetitions know a standard deviation to 9 %; four of that are allowed.
     of, mean, covariance = space
     far = mean + np.linspace(0.5, 2.0, BANDS)
-    runs = [
-        ace_exceedance(of, far, covariance, 500, np.random.default_rng(k), scores=[0.2, 0.6]) for k in range(60)
-    ]
+    runs = [ace_exceedance(of, far, covariance, 500, np.random.default_rng(k), scores=[0.2, 0.6]) for k in range(60)]
     scatter = np.std([r.probability for r in runs], axis=0, ddof=1)
     assert np.mean([r.standard_error for r in runs], axis=0) == pytest.approx(scatter, rel=0.37)
 
 
 def test_probability_of_a_quadratic_by_its_roots():
     def one(*abc):
-        return float(_positive(*(np.array([float(x)]) for x in abc), opens_upwards=abc[0] >= 0)[0])
+        return float(_positive(*(np.array([float(x)]) for x in abc))[0])
 
     assert one(1, 0, -4) == pytest.approx(2 * ndtr(-2.0), rel=1e-14)
     assert one(-1, 0, 4) == pytest.approx(1 - 2 * ndtr(-2.0), rel=1e-14)

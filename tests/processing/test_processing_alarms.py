@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from hyperval.processing.alarms import alarms_at_detection
-from hyperval.processing.rank_counts import counts_of
+from hyperval.processing.roc import alarms_at_detection, counts_of
 
 
 def limit(count, n, tail, side):
     """End of the exact interval: the p at which the binomial tail beyond ``count`` is ``tail``, by root finding."""
     if (side == "low" and count == 0) or (side == "high" and count == n):
         return float(side == "high")
-    beyond = (
-        (lambda p: stats.binom.sf(count - 1, n, p)) if side == "low" else lambda p: stats.binom.cdf(count, n, p)
-    )
+    beyond = (lambda p: stats.binom.sf(count - 1, n, p)) if side == "low" else lambda p: stats.binom.cdf(count, n, p)
     return optimize.brentq(lambda p: beyond(p) - tail, 1e-15, 1 - 1e-12, xtol=1e-15)
 
 

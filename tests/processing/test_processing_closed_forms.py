@@ -6,26 +6,42 @@ import numpy as np
 import pytest
 from scipy import integrate, ndimage, optimize, stats
 
-from hyperval.compare.consistency import chi_square_full
+from hyperval.compare.spectral import chi_square_full
 from hyperval.errors import UsageError
-from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.covariance_sampling import SamplingBand, drawn_factor
-from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.elm_error import PanelErrors, line_error
-from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
-from hyperval.processing.elm_model import darkest_level
-from hyperval.processing.exceedance import exceedance_curve, false_alarm_ratio
+from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve, false_alarm_ratio
+from hyperval.processing.classification import ClassLaw, measured_error, with_distances
+from hyperval.processing.elm import (
+    PanelErrors,
+    PanelMeasurement,
+    darkest_level,
+    darkest_pixel_panel,
+    fit_elm,
+    fit_gain,
+    line_error,
+)
 from hyperval.processing.filters import PositiveDefinite
-from hyperval.processing.gaussian_classifier import ClassLaw, measured_error, with_distances
-from hyperval.processing.mean_error import independent_pixels
-from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc import average_roc, empirical_roc, pd_at_pfa, pooled_roc, with_summary
-from hyperval.processing.roc_areas import WHOLE, area_estimates, area_variance, logit_interval
-from hyperval.processing.roc_model import object_detection_probability
+from hyperval.processing.laws import fit_tail_dof, left_out_distances, tail_log_likelihood
+from hyperval.processing.roc import (
+    WHOLE,
+    area_estimates,
+    area_variance,
+    average_roc,
+    counts_of,
+    empirical_roc,
+    logit_interval,
+    pd_at_pfa,
+    pooled_roc,
+    with_summary,
+)
+from hyperval.processing.roc_model import (
+    ClassScores,
+    greatest_class_false_alarm,
+    log_false_alarm,
+    object_detection_probability,
+    score_density,
+)
+from hyperval.processing.sample import SamplingBand, drawn_factor, independent_pixels, neighbour_shares
 from hyperval.processing.snr import snr_decorrelated
-from hyperval.processing.spatial_correlation import neighbour_shares
-from hyperval.processing.tails import fit_tail_dof, left_out_distances, tail_log_likelihood
-from hyperval.processing.thresholds import ClassScores, greatest_class_false_alarm, log_false_alarm, score_density
 from hyperval.products import ClassificationError, EstimatedPart, ExceedanceCurve, RocCurve
 
 # Empirical line -----------------------------------------------------------------------------------
@@ -259,18 +275,27 @@ def test_interval_of_exceedance_by_blocks_in_plain_loops():
     total = counted.sum()
     effects, struck = [], []
     for t, p in zip(curve.threshold, curve.probability, strict=True):
-        left = np.zeros((8, 10))  # a ring of nothing around 6 x 8 blocks
-        weights = 0.0
+        left, part = np.zeros((2, 8, 10))  # a ring of nothing around 6 x 8 blocks
         for i in range(6):
             for j in range(8):
                 inside = counted[4 * i : 4 * i + 4, 4 * j : 4 * j + 4]
                 alarms = np.sum(image[4 * i : 4 * i + 4, 4 * j : 4 * j + 4][inside] > t)
                 left[i + 1, j + 1] = alarms - p * inside.sum()
-                weights += (2 - (i in (0, 5)) / 2) * (2 - (j in (0, 7)) / 2)
-        squares = sum(left[i : i + 2, j : j + 2].sum() ** 2 / 4 for i in range(7) for j in range(9))
-        together = squares * 48 / (48 - weights / 48)
-        alone = np.sum(left**2) * 48 / 47
-        effects.append(max(together, alone, total * p * (1 - p)) / (total * p * (1 - p)) if p else 1.0)
+                part[i + 1, j + 1] = inside.sum() / total
+        squares, taken = (
+            sum(x[i : i + 2, j : j + 2].sum() ** 2 / 4 for i in range(7) for j in range(9)) for x in (left, part)
+        )
+        alone = np.sum(left**2) / (1 - np.sum(part**2))
+        # The variance of sum e^2: e^4 less its mean by block, and products of neighbours, each pair twice.
+        scatter = np.sum(left**4) - np.sum(left**2) ** 2 * np.sum(part**2)
+        for i in range(1, 7):
+            for j in range(1, 9):
+                for down, along in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+                    weight = 1 / (1 + abs(down)) / (1 + abs(along))
+                    scatter += 2 * weight**2 * left[i, j] ** 2 * left[i + down, j + along] ** 2
+        widened = stats.t.ppf(0.975, max(2 * np.sum(left**2) ** 2 / scatter - 1, 1)) / stats.norm.ppf(0.975)
+        beyond = max(squares / (1 - taken), alone) / (total * p * (1 - p)) - 1 if p else 0.0
+        effects.append(max(1 + beyond * widened**2, 1.0))
         struck.append(np.count_nonzero(np.abs(left[1:-1, 1:-1] + p * np.array([
             [counted[4 * i : 4 * i + 4, 4 * j : 4 * j + 4].sum() for j in range(8)] for i in range(6)
         ])) > 1e-9))  # fmt: skip
@@ -314,18 +339,14 @@ def test_variance_of_a_single_direction_has_the_scatter_of_its_tails(kappa):
 def test_snr_of_few_pixels_by_definition():
     n, dof, bands = 24, 21, 5
     rng = np.random.default_rng(7)
-    x = np.array([50.0, 60.0, 66.0, 70.0, 71.0]) * (1 + 0.02 * rng.normal(size=(n, 1))) + rng.normal(
-        size=(n, bands)
-    )
+    x = np.array([50.0, 60.0, 66.0, 70.0, 71.0]) * (1 + 0.02 * rng.normal(size=(n, 1))) + rng.normal(size=(n, bands))
     m, s = x.mean(axis=0), np.cov(x.T) * (n - 1) / dof
     expected = []
     for b, (i, j) in enumerate([(1, 2), (0, 2), (1, 3), (2, 4), (2, 3)]):
         design = np.column_stack([np.ones(n), x[:, i], x[:, j]])
         c, rest, *_ = np.linalg.lstsq(design, x[:, b], rcond=None)
         errors = (rest[0] / dof * np.linalg.inv(design.T @ design))[1:, 1:]  # ordinary least squares
-        pairs = [
-            (k, q) for k in range(bands) for q in range(k) if b not in (k, q) and max(abs(k - b), abs(q - b)) <= 2
-        ]
+        pairs = [(k, q) for k in range(bands) for q in range(k) if b not in (k, q) and max(abs(k - b), abs(q - b)) <= 2]
         texture = np.mean([s[k, q] * m[b] ** 2 / m[k] / m[q] for k, q in pairs])
         h = m[[i, j]] / m[b]
         unexplained = ((1 - c[1:] @ h) ** 2 - h @ errors @ h) * texture

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from hyperval.processing.classification import bhattacharyya_distance
-from hyperval.processing.covariance_sampling import (
-    Directions,
+from hyperval.processing.sample import (
+    EigenDirections,
     SamplingBand,
     covariance_distance,
     drawn_factor,
@@ -44,14 +44,14 @@ def test_drawn_eigenvalues_are_those_of_samples_of_pixels(n):
     # n = 6 is of less than full rank; 15 is strongly biased. Two-sample Kolmogorov-Smirnov on the first and third
     # eigenvalue; at p > 1e-3 each of the 6 comparisons rejects a right sampler once in a thousand.
     truth = sample_eigenvalues(n, 600)
-    band = sampling_band(Directions.of(sigma()), n - 1.0, 3, (1,), np.random.default_rng(3), draws=600)
+    band = sampling_band(EigenDirections.of(sigma()), n - 1.0, 3, (1,), np.random.default_rng(3), draws=600)
     for k in (0, 2):
         assert stats.ks_2samp(band.eigenvalues[:, k], truth[:, k]).pvalue > 1e-3
 
 
 def test_bias_of_the_first_eigenvalue_is_in_the_band_and_not_in_the_naive_comparison():
     truth = sample_eigenvalues(12, 400)[:, 0].mean()
-    band = sampling_band(Directions.of(sigma()), 11.0, 1, (), np.random.default_rng(1), draws=400)
+    band = sampling_band(EigenDirections.of(sigma()), 11.0, 1, (), np.random.default_rng(1), draws=400)
     # The mean of 400 draws of relative spread 0.4 is known to 2 %, the difference of two to 2.8 %: four of these.
     assert band.eigenvalues.mean() == pytest.approx(truth, rel=0.12)
     assert truth > 1.1 * VALUES[0]
@@ -63,7 +63,7 @@ def test_heavy_tails_widen_the_band_as_pixels_do(dof):
     truth = sample_eigenvalues(n, 400, dof)[:, 0]
     kappa = kurtosis_parameter(dof)
     band = sampling_band(
-        Directions.of(sigma()), n - 1.0, 1, (), np.random.default_rng(4), kurtosis=kappa, draws=400
+        EigenDirections.of(sigma()), n - 1.0, 1, (), np.random.default_rng(4), kurtosis=kappa, draws=400
     )
     # A standard deviation of 400 draws is known to 3.5 %; of heavy-tailed ones to perhaps 6 %: four of these.
     drawn = band.eigenvalues[:, 0]
@@ -85,7 +85,7 @@ def test_fewer_independent_pixels_along_one_direction_widen_it_alone():
 def test_the_band_holds_a_further_sample_as_often_as_promised():
     # 120 samples, each with a band of its own: the count inside is binomial(120, 0.95) for every eigenvalue and the
     # trace. Fewer than 104 has probability 1e-4 each; more than 119 would be too wide a band (2e-3 each).
-    directions, rng, n = Directions.of(sigma()), np.random.default_rng(11), 60
+    directions, rng, n = EigenDirections.of(sigma()), np.random.default_rng(11), 60
     inside = np.zeros(4)
     for _ in range(120):
         whitened = directions.of_other(np.cov(pixels(n, rng).T))
@@ -100,13 +100,13 @@ def test_the_band_holds_a_further_sample_as_often_as_promised():
 def test_distance_of_the_same_covariance_is_the_bias_of_sampling_alone():
     # To second order p (p + 1)/(16 n): the mean of sum e^2/16 over the entries of a Wishart matrix.
     n = 5000
-    band = sampling_band(Directions.of(sigma()), float(n), 1, (), np.random.default_rng(6), draws=400)
+    band = sampling_band(EigenDirections.of(sigma()), float(n), 1, (), np.random.default_rng(6), draws=400)
     assert band.distance.mean() == pytest.approx(P * (P + 1) / (16 * n), rel=0.06)  # sd of the mean 1 %
 
 
 def test_covariance_distance_is_bhattacharyya_without_a_difference_of_means():
     other = np.cov(pixels(40, np.random.default_rng(9)).T)
-    directions = Directions.of(sigma())
+    directions = EigenDirections.of(sigma())
     expected = bhattacharyya_distance(np.zeros(P), sigma(), np.zeros(P), other)
     assert covariance_distance(directions.of_other(other)) == pytest.approx(expected, rel=1e-9)
     assert covariance_distance(np.eye(P)) == pytest.approx(0.0, abs=1e-15)
@@ -121,7 +121,7 @@ def test_principal_angle_of_a_turned_plane():
 
 def test_statistics_of_a_turned_covariance():
     # Turn the first two eigenvectors by 20 degrees within their plane: the line turns, the plane does not.
-    directions, a = Directions.of(sigma()), np.radians(20.0)
+    directions, a = EigenDirections.of(sigma()), np.radians(20.0)
     vectors = directions.vectors.copy()
     vectors[:, 0] = np.cos(a) * directions.vectors[:, 0] + np.sin(a) * directions.vectors[:, 1]
     vectors[:, 1] = np.cos(a) * directions.vectors[:, 1] - np.sin(a) * directions.vectors[:, 0]
@@ -135,7 +135,7 @@ def test_statistics_of_a_turned_covariance():
 
 @pytest.mark.parametrize("n", [5.0, 40.0])
 def test_statistics_of_a_factor_are_those_of_its_covariance(n):
-    directions = Directions.of(sigma())
+    directions = EigenDirections.of(sigma())
     factor = drawn_factor(P, n, np.random.default_rng(12))
     found = statistics_of_factor(directions, factor, 4, 3, full_rank=n > P)
     covariance = np.diag(np.sqrt(VALUES)) @ factor @ factor.T @ np.diag(np.sqrt(VALUES))
@@ -149,7 +149,7 @@ def test_statistics_of_a_factor_are_those_of_its_covariance(n):
 
 def test_directions_leave_out_what_is_rounding():
     singular = sigma() - VALUES[-1] * np.outer(*[np.linalg.eigh(sigma())[1][:, 0]] * 2)
-    assert Directions.of(singular).values.size == P - 1
+    assert EigenDirections.of(singular).values.size == P - 1
 
 
 def test_kurtosis_and_rank():

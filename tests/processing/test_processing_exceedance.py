@@ -6,8 +6,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
 from hyperval.errors import UsageError
-from hyperval.processing.alarm_blocks import AlarmBlocks, block_side
-from hyperval.processing.exceedance import exceedance_at, exceedance_curve
+from hyperval.processing.alarm_blocks import AlarmBlocks, block_side, exceedance_at, exceedance_curve
 
 
 def test_counts_are_those_of_the_pixels():
@@ -36,9 +35,7 @@ def test_equal_scores_pass_together():
 
 
 def test_log_linear_between_points():
-    curve = exceedance_curve(
-        AlarmBlocks.of_map(np.random.default_rng(2).exponential(size=(60, 60)), np.ones((60, 60)))
-    )
+    curve = exceedance_curve(AlarmBlocks.of_map(np.random.default_rng(2).exponential(size=(60, 60)), np.ones((60, 60))))
     x, p = curve.threshold, curve.probability
     assert exceedance_at(curve, float(x[3])) == pytest.approx(p[3])
     assert exceedance_at(curve, 0.5 * (x[3] + x[4])) == pytest.approx(np.sqrt(p[3] * p[4]))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hyperval.compare.consistency import chi_square_full
+from hyperval.compare.spectral import chi_square_full
 from hyperval.errors import UsageError
-from hyperval.processing.few_pixels import factor_covariance
+from hyperval.processing.sample import factor_covariance
 from hyperval.products import EstimatedPart
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis

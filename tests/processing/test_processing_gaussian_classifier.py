@@ -7,10 +7,11 @@ import pytest
 from scipy import special
 
 from hyperval.errors import UsageError
-from hyperval.processing.class_features import class_features, feature_bands
-from hyperval.processing.gaussian_classifier import (
+from hyperval.processing.classification import (
     ClassLaw,
     GaussianClassifier,
+    class_features,
+    feature_bands,
     measured_error,
     predicted_error,
 )

@@ -7,17 +7,16 @@ import pytest
 from scipy import ndimage
 from scipy.special import ndtri
 
-from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.component_moments import class_mixture
-from hyperval.processing.exceedance import exceedance_curve, false_alarm_ratio
-from hyperval.processing.law_jackknife import (
+from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve, false_alarm_ratio
+from hyperval.processing.laws import (
+    class_mixture,
     compact_parts,
+    fit_tail_dof,
     jackknife_directions,
     leading_tail_dof,
     moments_without_each,
 )
-from hyperval.processing.tails import fit_tail_dof
-from hyperval.processing.thresholds import ClassScores, log_false_alarm
+from hyperval.processing.roc_model import ClassScores, log_false_alarm
 from hyperval.products import ExceedanceCurve
 
 SIDE = 110

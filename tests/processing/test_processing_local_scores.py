@@ -7,11 +7,17 @@ import pytest
 
 from hyperval.errors import UsageError
 from hyperval.imagery.cube import open_cube
-from hyperval.imagery.envi_write import write_cube
-from hyperval.processing import local_scores
-from hyperval.processing.detectors import pixel_detector, whitener_of
+from hyperval.imagery.envi import write_cube
+from hyperval.processing import detectors as local_scores
+from hyperval.processing.detectors import (
+    LOCAL_DETECTORS,
+    LocalWindow,
+    _MovingMeans,
+    pixel_detector,
+    score_cube_locally,
+    whitener_of,
+)
 from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.local_scores import LOCAL_DETECTORS, LocalWindow, _MovingMeans, score_cube_locally
 from hyperval.spectra.axis import SpectralAxis
 
 LINES, SAMPLES, BANDS = 37, 29, 7

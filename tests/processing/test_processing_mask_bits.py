@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.processing.mask_bits import MaskBits, PackedMasks
-from hyperval.processing.spatial_correlation import drawn_pixels, neighbour_shares, nth_pixels
+from hyperval.processing.region_statistics import MaskBits, PackedMasks
+from hyperval.processing.sample import drawn_pixels, neighbour_shares, nth_pixels
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 8), (7, 13), (40, 257)])

@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.compare.consistency import chi_square_full, chi_square_shape, covariance_dof
-from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.elm_error import PanelErrors, line_error
-from hyperval.processing.mean_error import (
+from hyperval.compare.spectral import chi_square_full, chi_square_shape, covariance_dof
+from hyperval.processing.elm import PanelErrors, PanelMeasurement, fit_elm, line_error
+from hyperval.processing.sample import (
     components,
     independent_pixels,
     mean_error_covariance,
+    neighbour_shares,
     small_sample_factor,
 )
-from hyperval.processing.spatial_correlation import neighbour_shares
 from hyperval.products import EstimatedPart
 from hyperval.simulate.surface import correlated_field
 
@@ -23,9 +22,9 @@ SIDE, REACH = 40, 24
 
 def _fields(correlation: float, count: int, rng: np.random.Generator) -> np.ndarray:
     wide = SIDE + 60
-    return np.stack(
-        [correlated_field((wide, wide), correlation, rng)[30:-30, 30:-30] for _ in range(count)]
-    ).astype(float)
+    return np.stack([correlated_field((wide, wide), correlation, rng)[30:-30, 30:-30] for _ in range(count)]).astype(
+        float
+    )
 
 
 @pytest.mark.parametrize(("correlation", "tolerance"), [(0.0, 0.2), (3.0, 0.25), (5.0, 0.3)])
@@ -105,9 +104,7 @@ def _panels(bands: int = 6):
 
 def test_line_of_two_panels_has_the_variance_of_the_closed_form_and_the_correlation_of_its_panels():
     panels, gain, offset = _panels()
-    errors = [
-        PanelErrors(np.outer(p.reflectance_sd, p.reflectance_sd), np.diag(p.radiance_variance)) for p in panels
-    ]
+    errors = [PanelErrors(np.outer(p.reflectance_sd, p.reflectance_sd), np.diag(p.radiance_variance)) for p in panels]
     found = line_error(fit_elm, panels, errors)
     rho = np.full(6, 0.3)
     level = offset + gain * rho
@@ -123,9 +120,7 @@ def test_line_of_two_panels_has_the_variance_of_the_closed_form_and_the_correlat
 
 def test_a_panel_of_the_line_keeps_the_error_of_its_reflectance_alone():
     panels, _, _ = _panels()
-    errors = [
-        PanelErrors(np.outer(p.reflectance_sd, p.reflectance_sd), np.diag(p.radiance_variance)) for p in panels
-    ]
+    errors = [PanelErrors(np.outer(p.reflectance_sd, p.reflectance_sd), np.diag(p.radiance_variance)) for p in panels]
     found = line_error(fit_elm, panels, errors)
     c = found.covariance(panels[1].radiance, own="bright")
     np.testing.assert_allclose(c, (0.02 * 0.6) ** 2, rtol=1e-3)
@@ -139,9 +134,7 @@ def test_line_through_three_panels_against_draws():
     panels, gain, offset = _panels()
     grey = np.full(6, 0.35)
     panels.append(PanelMeasurement("grey", grey, 0.02 * grey, offset + gain * grey, (0.01 * gain) ** 2, 100))
-    errors = [
-        PanelErrors(np.outer(p.reflectance_sd, p.reflectance_sd), np.diag(p.radiance_variance)) for p in panels
-    ]
+    errors = [PanelErrors(np.outer(p.reflectance_sd, p.reflectance_sd), np.diag(p.radiance_variance)) for p in panels]
     level = offset + gain * 0.25
     stated = line_error(fit_elm, panels, errors).covariance(level)
     draws = []

@@ -8,8 +8,14 @@ from scipy import stats
 from sklearn.mixture import GaussianMixture
 
 from hyperval.errors import UsageError
-from hyperval.processing.component_moments import class_mixture, shrunk_covariances
-from hyperval.processing.mixture_fit import MixtureFit, chosen_count, chosen_dof, fit_mixture
+from hyperval.processing.laws import (
+    MixtureFit,
+    chosen_count,
+    chosen_dof,
+    class_mixture,
+    fit_mixture,
+    shrunk_covariances,
+)
 
 
 def clusters(n: int, seed: int, centres=((-1.5, 0.0), (1.0, 1.5), (0.5, -1.5))):
@@ -35,9 +41,7 @@ def test_one_normal_component_is_the_sample():
     fit = fit_mixture(x, 1, np.random.default_rng(0))
     assert fit.means[0] == pytest.approx(np.zeros(2), abs=1e-12)
     assert fit.scales[0] == pytest.approx(np.eye(2), abs=1e-12)
-    assert fit.log_density(x) == pytest.approx(
-        stats.multivariate_normal(np.zeros(2), np.eye(2)).logpdf(x), rel=1e-12
-    )
+    assert fit.log_density(x) == pytest.approx(stats.multivariate_normal(np.zeros(2), np.eye(2)).logpdf(x), rel=1e-12)
 
 
 def test_three_clusters_as_another_package_finds_them():
@@ -56,9 +60,7 @@ def test_density_of_a_t_law_is_the_published_one():
     scale = np.array([[1.0, 0.3], [0.3, 0.5]])
     x = np.random.default_rng(2).standard_normal((20, 2))
     fit = MixtureFit(np.ones(1), np.array([[0.2, -0.1]]), scale[None], 5.0)
-    assert fit.log_density(x) == pytest.approx(
-        stats.multivariate_t([0.2, -0.1], scale, df=5.0).logpdf(x), rel=1e-12
-    )
+    assert fit.log_density(x) == pytest.approx(stats.multivariate_t([0.2, -0.1], scale, df=5.0).logpdf(x), rel=1e-12)
 
 
 def test_degrees_of_freedom_are_recovered():
@@ -66,9 +68,7 @@ def test_degrees_of_freedom_are_recovered():
     x = stats.multivariate_t(np.zeros(3), 0.6 * np.eye(3), df=5.0, seed=3).rvs(4000)
     assert 4.0 < fit_mixture(x, 1, np.random.default_rng(0), dof=None).dof < 6.7
     normal = np.random.default_rng(4).standard_normal((2000, 3))
-    assert (
-        fit_mixture(normal, 1, np.random.default_rng(0), dof=None).dof > 15.0
-    )  # a step that gains 1e-4 is the last
+    assert fit_mixture(normal, 1, np.random.default_rng(0), dof=None).dof > 15.0  # a step that gains 1e-4 is the last
 
 
 def test_blocks_choose_as_many_components_as_there_are():

@@ -8,8 +8,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hyperval.errors import UsageError
-from hyperval.processing.elm_model import two_panel_line
-from hyperval.processing.features import principal_components
+from hyperval.processing.classification import principal_components
+from hyperval.processing.elm import two_panel_line
 from hyperval.processing.filters import LINEAR_DETECTORS, design_filter, matched_filter_weights
 
 

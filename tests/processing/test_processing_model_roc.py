@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 from score_classes import classes, log_alarms, printed_procedure, roc_of, thresholds
 
 from hyperval.errors import UsageError
-from hyperval.processing.roc_model import RocScores, object_detection_probability
-from hyperval.processing.thresholds import (
-    ClassScores,
-    false_alarm_grid,
-)
+from hyperval.processing.roc_model import ClassScores, RocScores, false_alarm_grid, object_detection_probability
 from hyperval.scene.fill import beta_fill
 
 

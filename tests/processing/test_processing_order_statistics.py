@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.processing.order_statistics import OrderStatistics
-from hyperval.processing.roc import pd_at_pfa
+from hyperval.processing.roc import OrderStatistics, pd_at_pfa
 
 KINDS = {
     "normal": lambda rng, n: rng.normal(size=n),
@@ -14,9 +13,7 @@ KINDS = {
     "ties": lambda rng, n: np.round(rng.normal(size=n), 1),
     "one value": lambda rng, n: np.full(n, 0.25),
     "two far values": lambda rng, n: np.where(rng.random(n) < 0.9, 0.0, 1e300),
-    "infinities": lambda rng, n: np.where(
-        rng.random(n) < 0.2, rng.choice([-np.inf, np.inf], n), rng.normal(size=n)
-    ),
+    "infinities": lambda rng, n: np.where(rng.random(n) < 0.2, rng.choice([-np.inf, np.inf], n), rng.normal(size=n)),
     "all infinite": lambda rng, n: rng.choice([-np.inf, np.inf], n),
     "tiny": lambda rng, n: 1e-310 * rng.normal(size=n),
     "sorted": lambda rng, n: np.sort(rng.exponential(size=n)),

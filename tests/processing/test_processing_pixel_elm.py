@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.line_fit import fit_line
+from hyperval.processing.elm import PanelMeasurement, fit_elm, fit_line
 
 GAIN, OFFSET = np.array([10.0, 6.0, 2.0]), np.array([1.0, 0.5, 0.1])
 

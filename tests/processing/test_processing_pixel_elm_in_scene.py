@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.elm_in_scene import darkest_pixel_panel, fit_gain
+from hyperval.processing.elm import PanelMeasurement, darkest_pixel_panel, fit_elm, fit_gain
 
 
 def panel(name, rho, radiance, u_rho=0.0, variance=0.0):

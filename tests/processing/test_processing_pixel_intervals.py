@@ -94,9 +94,7 @@ def test_jeffreys_limits_hold_at_their_level_on_average_and_clopper_pearson_s_ab
     share = {}
     for name, limits in (("jeffreys", jeffreys_limits), ("exact", clopper_pearson)):
         low, high = limits(k, n)
-        covered = [
-            float(stats.binom.pmf(k, n, p) @ ((low <= p) & (p <= high))) for p in np.geomspace(3e-4, 3e-3, 200)
-        ]
+        covered = [float(stats.binom.pmf(k, n, p) @ ((low <= p) & (p <= high))) for p in np.geomspace(3e-4, 3e-3, 200)]
         share[name] = float(np.mean(covered))
     assert share["jeffreys"] == pytest.approx(0.95, abs=0.002)
     assert share["exact"] > 0.958

@@ -17,9 +17,7 @@ from hyperval.processing.objects import (
     values_on,
     with_halo,
 )
-from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc import empirical_roc, pd_at_pfa, preset_thresholds
-from hyperval.processing.roc_areas import RocArea, roc_area
+from hyperval.processing.roc import RocArea, counts_of, empirical_roc, pd_at_pfa, preset_thresholds, roc_area
 
 few_values = st.lists(st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 1.0, np.inf]), min_size=1, max_size=25)
 

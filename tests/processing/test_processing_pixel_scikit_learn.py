@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 from exact_forms import roc_points
 
-from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc_areas import RocArea, roc_area
+from hyperval.processing.roc import RocArea, counts_of, roc_area
 from hyperval.processing.sample import statistics_of
 
 
 def peer(module):
-    return pytest.importorskip(
-        f"sklearn.{module}", reason="scikit-learn is not installed; pip install scikit-learn"
-    )
+    return pytest.importorskip(f"sklearn.{module}", reason="scikit-learn is not installed; pip install scikit-learn")
 
 
 @pytest.mark.parametrize("decimals", [0, 1, 2, 9])

@@ -9,16 +9,20 @@ import numpy as np
 import pytest
 
 from hyperval.errors import UsageError
-from hyperval.processing.class_features import feature_bands
-from hyperval.processing.covariance_sampling import Directions
+from hyperval.processing.classification import (
+    ClassLaw,
+    feature_bands,
+    minimum_noise_fraction,
+    principal_components,
+    with_distances,
+)
 from hyperval.processing.detectors import pixel_detector, register_detector
 from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.features import minimum_noise_fraction, principal_components
 from hyperval.processing.filters import correlation_filter
-from hyperval.processing.gaussian_classifier import ClassLaw, with_distances
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.objects import footprint, with_halo
 from hyperval.processing.roc import average_roc, empirical_roc, pooled_roc
+from hyperval.processing.sample import EigenDirections
 from hyperval.processing.wavelength_check import FEATURES, absorption_centre
 
 EYE = np.eye(3)
@@ -52,7 +56,7 @@ def curve(pfa=(1e-2, 1e-1)):
         (lambda: principal_components(EYE, 0), "0 principal components of 3 bands"),
         (lambda: principal_components(EYE, 4), "4 principal components of 3 bands"),
         (lambda: minimum_noise_fraction(EYE, np.array([1.0, 0.0, 1.0]), 1), "need noise in every band"),
-        (lambda: Directions.of(np.zeros((3, 3))), "a covariance without variance has no eigenvalues"),
+        (lambda: EigenDirections.of(np.zeros((3, 3))), "a covariance without variance has no eigenvalues"),
         (lambda: with_distances(None, [ClassLaw("a", np.zeros(3), EYE)]), "classification needs two classes"),
         (lambda: panel(sd=-0.01), "panel 'white': an uncertainty is negative"),
         (lambda: panel(variance=-1.0), "panel 'white': an uncertainty is negative"),
@@ -81,7 +85,7 @@ def test_what_lies_beside_it_has_one():
     assert with_halo(EYE > 0, 2).all()
     assert feature_bands(np.arange(3.0), np.array([True, False, True]), ()).tolist() == [0, 2]
     assert principal_components(np.diag([1.0, 3.0, 2.0]), 3).tolist() == [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
-    assert Directions.of(np.diag([0.0, 2.0, 0.0])).values.tolist() == [2.0]
+    assert EigenDirections.of(np.diag([0.0, 2.0, 0.0])).values.tolist() == [2.0]
     assert fit_elm((panel(), panel("black", 0.05))).reflectance(np.full(3, 3.0)) == pytest.approx(np.full(3, 0.3))
 
 

@@ -11,19 +11,22 @@ from hypothesis import strategies as st
 from scipy import special, stats
 
 from hyperval.errors import UsageError
-from hyperval.processing.alarms import alarms_at_detection
 from hyperval.processing.intervals import bounded_mean_limits, clopper_pearson
-from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc import empirical_roc, pd_at_pfa, pooled_roc, with_summary
-from hyperval.processing.roc_areas import (
+from hyperval.processing.roc import (
     AREAS,
     WHOLE,
     RocArea,
+    alarms_at_detection,
     area_estimates,
     area_variance,
     areas_within,
     bootstrap_areas,
+    counts_of,
+    empirical_roc,
+    pd_at_pfa,
+    pooled_roc,
     roc_area,
+    with_summary,
 )
 
 PART, LOG = RocArea(0.05, 0.4), RocArea(0.05, 0.4, logarithmic=True)

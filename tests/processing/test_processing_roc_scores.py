@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from hyperval.processing.roc_model import RocScores
-from hyperval.processing.thresholds import ClassScores
+from hyperval.processing.roc_model import ClassScores, RocScores
 from hyperval.processing.wavelength_check import FEATURES, OXYGEN_RESIDUAL, RED_EDGE, red_edge, wavelength_shifts
 from hyperval.spectra.axis import SpectralAxis
 
@@ -39,8 +38,7 @@ def test_the_area_is_the_integral_over_background_and_target():
         return sum(w * stats.norm.sf(x, m, s) for m, s, w in zip(MEANS, SDS, WEIGHTS, strict=True))
 
     expected = sum(
-        f
-        * integrate.quad(lambda x, m=m: law(m).pdf(x) * outscored(x), -2.0, 2.0, points=[0.1, 0.3], epsabs=1e-10)[0]
+        f * integrate.quad(lambda x, m=m: law(m).pdf(x) * outscored(x), -2.0, 2.0, points=[0.1, 0.3], epsabs=1e-10)[0]
         for m, f in enumerate(FRACTION)
     )
     assert scores().auc() == pytest.approx([expected], abs=2e-5)  # 64 nodes in the quantile of the tail

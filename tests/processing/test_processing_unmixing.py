@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from hyperval.errors import UsageError
-from hyperval.processing.filters import PositiveDefinite
-from hyperval.processing.unmixing import fully_constrained
+from hyperval.processing.filters import PositiveDefinite, fully_constrained
 
 B = 12
 
@@ -33,9 +32,7 @@ def by_every_support(x, e, weight):
     for size in range(1, len(e) + 1):
         for chosen in combinations(range(len(e)), size):
             part = e[list(chosen)]
-            normal = np.block(
-                [[part @ weight @ part.T, np.ones((size, 1))], [np.ones((1, size)), np.zeros((1, 1))]]
-            )
+            normal = np.block([[part @ weight @ part.T, np.ones((size, 1))], [np.ones((1, size)), np.zeros((1, 1))]])
             a = np.linalg.solve(normal, np.append(part @ weight @ x, 1.0))[:-1]
             rest = x - a @ part
             value = rest @ weight @ rest

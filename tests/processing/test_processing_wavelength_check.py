@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval.compare.spectral import compare_spectra
-from hyperval.observe.uncertainty import wavelength_notes
+from hyperval.observe.site_spectra import wavelength_notes
 from hyperval.processing.wavelength_check import (
     FEATURES,
     RED_EDGE,
@@ -119,9 +119,7 @@ def test_the_uncertainty_of_a_centre_is_its_spread_over_draws():
         c = np.outer(u, u) * np.exp(-0.5 * ((w[:, None] - w) / length) ** 2)
         root = np.linalg.cholesky(c + 1e-12 * np.eye(w.size))
         rng = np.random.default_rng(31)
-        found = np.array(
-            [absorption_centre(w, y + root @ rng.standard_normal(w.size), OXYGEN)[0] for _ in range(1000)]
-        )
+        found = np.array([absorption_centre(w, y + root @ rng.standard_normal(w.size), OXYGEN)[0] for _ in range(1000)])
         stated = centre_uncertainty(w, y, c, OXYGEN, absorption_centre(w, y, OXYGEN)[0])
         assert stated == pytest.approx(found.std(), rel=0.15)
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from hyperval.products import (
     Abundance,
-    Observation,
-    Prediction,
+    ObservedProducts,
+    PredictedProducts,
     RocCurve,
     ScoreDistribution,
     SpectralEstimate,
@@ -145,8 +145,8 @@ def make_run(
         description="Invented spectra in the shape of a small campaign.",
         simulated=simulated,
         table=table,
-        prediction=Prediction(ax, **p, notes=("Thermal emission is left out.",), provenance={"engine": "6S"}),
-        observation=Observation(ax, **o),
+        prediction=PredictedProducts(ax, **p, notes=("Thermal emission is left out.",), provenance={"engine": "6S"}),
+        observation=ObservedProducts(ax, **o),
         score_maps={
             "yellow planks-CEM": ScoreMap(score, (0.5, 0, 287000.0, 0, -0.5, 4781000.0), "EPSG:32618", masks, 0.5),
             "yellow planks-ACE": ScoreMap(np.where(score > 1, np.nan, score)),

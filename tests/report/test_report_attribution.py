@@ -8,9 +8,9 @@ import re
 import pytest
 from test_report_charts import models, numbers
 
-from hyperval.report.charts_plots import chart_of
-from hyperval.report.figures_plots import drawing_of
-from hyperval.report.plots_reasons import reason_plots
+from hyperval.report.charts import chart_of
+from hyperval.report.figures import drawing_of
+from hyperval.report.plots_run import reason_plots
 from hyperval.report.style import house_style
 from hyperval.results import Result, ResultTable
 
@@ -19,9 +19,7 @@ from hyperval.results import Result, ResultTable
 def plots():
     long = "field spectrum of a target with a long name"
     rows = [
-        Result(
-            "c", "attribution", "all", name, "likelihood_gain", gain, reason=f"{name}: -3 times its step of 1 %; x"
-        )
+        Result("c", "attribution", "all", name, "likelihood_gain", gain, reason=f"{name}: -3 times its step of 1 %; x")
         for name, gain in ((long, 130.0), ("sensor gain", 5.0), ("blur (2)", 0.2))
     ]
     rows += [Result("c", "attribution", "lawn", long, "likelihood_gain", 104.0)]
@@ -90,9 +88,7 @@ def test_charts_hold_the_numbers_of_the_rows(charts):
 
 
 def test_charts_tell_closer_from_farther_by_shape_and_hold_no_numbers_in_their_models(charts):
-    shapes = [
-        glyph["angle"]["value"] for glyph in models(charts["what-ifs"].content, "Scatter") if "angle" in glyph
-    ]
+    shapes = [glyph["angle"]["value"] for glyph in models(charts["what-ifs"].content, "Scatter") if "angle" in glyph]
     assert len(set(shapes)) == 2, "triangles that point either way"
     content = json.loads(charts["attribution-subjects"].content)
     assert "104" not in json.dumps(content["item"])

@@ -11,22 +11,23 @@ import numpy as np
 import pytest
 from synthetic_run import make_run
 
-from hyperval.products import ObjectScores, Observation, Prediction, RocCurve
+from hyperval.products import ObjectScores, ObservedProducts, PredictedProducts, RocCurve
 from hyperval.report.charts import (
+    MANY_OBJECTS,
     MOST_SUBJECTS,
+    chart_models,
     draw_charts,
+    map_objects,
+    objects_chart,
     roc_chart,
     spectra_chart,
 )
-from hyperval.report.charts_base import FIRST_CURVES, LABELS
-from hyperval.report.charts_objects import MANY_OBJECTS, map_objects, objects_chart
-from hyperval.report.figures_spectra import pair_figures
+from hyperval.report.charts_base import FIRST_CURVES
+from hyperval.report.figures import pair_figures
 from hyperval.report.netcdf import labelled_arrays
-from hyperval.report.plots_covariance import eigenvalue_plots
-from hyperval.report.run import ScoreMap
-from hyperval.report.sides import difference, eigenvalues
+from hyperval.report.plots_run import eigenvalue_plots
+from hyperval.report.run import ScoreMap, difference, eigenvalues
 from hyperval.report.style import house_style
-from hyperval.report.text_cache import chart_models
 from hyperval.results import Outcome, Result, Role
 from hyperval.spectra.axis import SpectralAxis
 
@@ -201,18 +202,6 @@ def test_eigenvalues_of_one_side_have_their_sampling_interval(run):
     assert eigenvalue_plots((dataclasses.replace(run.prediction, radiance={}), None)) == []
 
 
-def test_models_of_a_chart_are_kept_on_disk_and_damaged_ones_are_built_again(monkeypatch, tmp_path):
-    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path))
-    build = chart_models.__wrapped__
-    first = build("spectra", "chart-x", ("predicted",), False, "radiance", True, LABELS)
-    (kept,) = (tmp_path / "charts").iterdir()
-    monkeypatch.setattr("hyperval.report.bokeh_models.models_json", lambda *_: "built")
-    assert build("spectra", "chart-x", ("predicted",), False, "radiance", True, LABELS) == first
-    assert build("spectra", "chart-y", ("predicted",), False, "radiance", True, LABELS) == "built"
-    kept.write_bytes(kept.read_bytes()[:-1])
-    assert build("spectra", "chart-x", ("predicted",), False, "radiance", True, LABELS) == "built"
-
-
 @pytest.fixture(scope="module")
 def planks():
     """A map of 50 objects of two subjects in a row, the measured scores 0.1 above the predicted median."""
@@ -228,7 +217,7 @@ def planks():
         predicted[subject, "cem"] = ObjectScores(draws)
         measured[subject, "cem"] = ObjectScores(np.full(25, np.median(draws) + 0.1), names)
     axis_of = SpectralAxis(np.array([500.0, 600.0]), 10.0)
-    sides = (Prediction(axis_of, object_scores=predicted), Observation(axis_of, object_scores=measured))
+    sides = (PredictedProducts(axis_of, object_scores=predicted), ObservedProducts(axis_of, object_scores=measured))
     return {"planks-cem": ScoreMap(np.zeros((9, 120)), outlines=outlines)}, sides
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperval.report import style
-from hyperval.report.layout import lay_out
+from hyperval.report.style import lay_out
 
 
 @pytest.mark.parametrize(("rows", "columns", "bar"), [(1, 1, False), (1, 1, True), (2, 1, False), (4, 3, False)])

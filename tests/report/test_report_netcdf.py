@@ -13,15 +13,14 @@ from hyperval.products import (
     ClassificationError,
     ExceedanceCurve,
     ObjectScores,
-    Observation,
+    ObservedProducts,
     PixelDistribution,
-    Prediction,
+    PredictedProducts,
     RocCurve,
     ScoreDistribution,
     SpectralEstimate,
 )
-from hyperval.report.netcdf import write_products
-from hyperval.report.netcdf_detection import OBJECT_QUANTILES
+from hyperval.report.netcdf import OBJECT_QUANTILES, write_products
 from hyperval.spectra.axis import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0, 700.0]), np.full(3, 6.0), np.array([True, False, True]))
@@ -36,7 +35,7 @@ def _curve(points, **more):
 def _sides():
     spectrum = SpectralEstimate(np.array([1.0, 2.0, 3.0]), np.diag([0.01, 0.02, 0.03]), None, 5)
     key = ("plank", "cem")
-    predicted = Prediction(
+    predicted = PredictedProducts(
         AXIS, {"plank": spectrum}, roc={(*key, "pixel"): _curve(4, preset_pfa=np.logspace(-2, 0, 4))},
         scores={key: ScoreDistribution(1.0, 0.1, None, np.arange(5.0), np.full(5, 0.2))},
         abundance={key: Abundance(9.0, 0.4, None, 9.5)}, object_scores={key: ObjectScores(DRAWS)},
@@ -46,7 +45,7 @@ def _sides():
     areas = {"auc": AreaEstimate(0.97, 0.95, 0.99, "bounded")}
     tail = {"distance": np.array([1.0, 4.0]), "exceedance": np.array([0.5, 0.01])}
     alarms = AlarmsAtDetection(0.9, 0.31, 17, 1.7e-3, 1e-3, 3e-3, 1.1e-3, 2.7e-3)
-    observed = Observation(
+    observed = ObservedProducts(
         AXIS, {"plank": spectrum},
         roc={
             (*key, "pixel"): _curve(4, n_target=40, n_background=10_000, alarms=np.array([1, 20, 300, 10_000]),

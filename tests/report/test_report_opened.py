@@ -71,7 +71,7 @@ def test_a_notebook_shows_words_and_rows_escaped(opened):
 
 def test_products_have_a_short_repr(run):
     text = repr(run.prediction)
-    assert text.startswith("<Prediction of 8 bands, 400-2450 nm: 2 radiance, 2 snr")
+    assert text.startswith("<PredictedProducts of 8 bands, 400-2450 nm: 2 radiance, 2 snr")
     assert len(text) < 200
 
 

@@ -19,15 +19,13 @@ import rasterio
 import xarray as xr
 from synthetic_run import NASTY, axis, make_run
 
-from hyperval.products import Observation, Prediction, RocCurve
+from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report import verdict as v
-from hyperval.report.figures_spectra import pair_figures
+from hyperval.report.figures import drawings_of, pair_figures
 from hyperval.report.html import MAX_BYTES, index_page, report_page
 from hyperval.report.pictures import draw_pictures
-from hyperval.report.power import Planted, PowerTable
-from hyperval.report.printed import drawings_of
-from hyperval.report.sides import best_counted
+from hyperval.report.run import Planted, PowerTable, best_counted
 from hyperval.report.style import Drawing, Print, house_style, pages
 from hyperval.results import Outcome, Result, ResultTable, Role
 
@@ -244,7 +242,7 @@ def test_every_failure_is_on_the_page():
     for row in failures:
         assert row.reason in text
         assert row.subject in text
-    assert "Does not agree" in text
+    assert "Not met." in text
 
 
 def test_many_skips_are_named_and_do_not_fill_the_page():
@@ -264,7 +262,7 @@ def test_many_skips_are_named_and_do_not_fill_the_page():
     page = Page(report_page(make_run(rows=skips, curves=1), []))
     assert sum(tag == "tr" for tag, _ in page.tags) < 240  # all but 16 lines of the matrix are folded
     assert all(f"target {i} CEM pd" in page.text for i in range(200))
-    assert "201 model gates were skipped" in page.text
+    assert "201 acceptance criteria were not run" in page.text
 
 
 def test_disagreements_that_do_not_decide_come_first():
@@ -273,7 +271,7 @@ def test_disagreements_that_do_not_decide_come_first():
                outcome=Outcome.DISAGREES if i in (50, 70) else Outcome.AGREES) for i in range(90)
     ]  # fmt: skip
     text = Page(report_page(make_run(rows=rows, curves=1), [])).text
-    table = text[text.index("These do not decide") :]
+    table = text[text.index(" Informational ") :]
     assert table.index(" t50 ") < table.index(" t70 ") < table.index(" t0 ")
 
 
@@ -286,10 +284,10 @@ def test_every_cell_links_to_its_evidence(page):
 
 def test_cells_have_a_letter_and_a_class_for_each_outcome(page):
     text = page.text
-    assert "A agrees D disagrees U undecided: the data cannot tell S skipped E error · not planned" in text
+    assert "M met N not met I inconclusive S skipped: not run E error · not planned" in text
     classes = " ".join(a.get("class", "") for tag, a in page.tags if tag == "td")
     assert {"agrees", "skipped", "none"} <= set(classes.split())
-    assert " A d " in text
+    assert " M n " in text
 
 
 def test_pages_of_one_side_do_not_call_themselves_validations():
@@ -305,7 +303,7 @@ def test_pages_of_one_side_do_not_call_themselves_validations():
 def test_a_choice_after_the_data_is_printed_after_what_it_was_before():
     choices = [("radiance: at most 0.06", "at most 0.05"), ("snr: at most 0.1", "none")]
     text = Page(report_page(dataclasses.replace(make_run(curves=1), chosen_after=choices), [])).text
-    assert "Chosen after the data were seen. First: at most 0.05. Now: radiance: at most 0.06." in text
+    assert "Set after the data were seen. First: at most 0.05. Now: radiance: at most 0.06." in text
     assert "First: none. Now: snr: at most 0.1." in text
 
 
@@ -321,7 +319,7 @@ def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix()
     assert "Warning: the panels do not lie on one line" in before
     assert "1 more warning stands" in before
     assert "First: at most 0.05" in before
-    assert "the gates see 1. Unseen: sunlight x 1.05." in before
+    assert "detect 1 of 2 injected model errors. Undetected: sunlight x 1.05." in before
 
 
 def test_a_computed_reference_is_no_collected_imagery():
@@ -363,11 +361,11 @@ def test_falsified_result_turns_the_page(run):
     before = Page(report_page(run, []))
     after = Page(report_page(dataclasses.replace(run, table=ResultTable(rows)), []))
     assert (
-        "Agrees in part. 1 model gate was skipped (probability of detection: green planks), 5 agree ("
+        "Met in part. 1 acceptance criterion was not run (probability of detection: green planks), 5 are met ("
         in before.text
     )
     assert "Agrees" not in after.text
-    assert "Does not agree. 1 model gate disagrees (radiance: grass)" in after.text
+    assert "Not met. 1 acceptance criterion is not met (radiance: grass)" in after.text
 
 
 def test_page_numbers_are_those_of_the_table(page, run):
@@ -386,7 +384,9 @@ def test_per_band_rows_stay_out(page, run):
 
 def test_nothing_at_all_is_undecided(tmp_path):
     ax = axis(5)
-    for number, sides in enumerate([(None, None), (Prediction(ax), Observation(ax)), (Prediction(ax), None)]):
+    for number, sides in enumerate(
+        [(None, None), (PredictedProducts(ax), ObservedProducts(ax)), (PredictedProducts(ax), None)]
+    ):
         empty = RunReport("empty", "Empty", "", False, ResultTable(), *sides)
         files = written(empty, tmp_path / str(number))
         text = Page(files["report.html"].decode()).text
@@ -515,7 +515,7 @@ def test_index_joins_campaigns(run, tmp_path):
     links = [attributes["href"] for tag, attributes in page.tags if tag == "a"]
     pages = list(dict.fromkeys(link.partition("#")[0] for link in links))
     assert pages == ["second_b_/report.html", "invented/report.html"], "collected imagery before simulated"
-    assert "Does not agree" in page.text
+    assert "Not met." in page.text
     assert "SIMULATED: made by a computer" in page.text
     assert len(json.loads((tmp_path / "results.json").read_text())["rows"]) == len(run.table) + 1
     assert (tmp_path / "junit.xml").read_text().count("<testsuite ") == 2

@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 from test_report_charts import numbers
 
-from hyperval.products import Abundance, ClassificationError, Observation, Prediction
-from hyperval.report.charts_plots import chart_of
-from hyperval.report.figures_plots import drawing_of
-from hyperval.report.plots_covariance import sampled_eigenvalue_plots, tail_plots
-from hyperval.report.plots_errors import class_error_plots, unmixing_plots
-from hyperval.report.plots_run import every_plot
+from hyperval.products import Abundance, ClassificationError, ObservedProducts, PredictedProducts
+from hyperval.report.charts import chart_of
+from hyperval.report.figures import drawing_of
+from hyperval.report.plots_run import (
+    class_error_plots,
+    every_plot,
+    sampled_eigenvalue_plots,
+    tail_plots,
+    unmixing_plots,
+)
 from hyperval.report.run import EigenvalueSpectrum, TailCurve
 from hyperval.report.style import house_style
 from hyperval.results import Result, ResultTable
@@ -40,7 +44,7 @@ def classes():
     found = ClassificationError(0.1, 0.08, 0.13, 400, 300.0, 1.0, 0.09, 0.03, 0.2)
     none = ClassificationError(0.0, 0.0, 0.01, 400, 400.0, 9.0, 1e-9, 1e-14, 1e-7)
     held = {("a / b", "2 bands"): found, ("a / c", "2 bands"): none}
-    sides = Prediction(AXIS, classification=held), Observation(AXIS, classification=held)
+    sides = PredictedProducts(AXIS, classification=held), ObservedProducts(AXIS, classification=held)
     return class_error_plots(sides)
 
 
@@ -52,7 +56,7 @@ def areas():
         )
         for a in (1, 4) for side in ("predicted", "observed")
     ]  # fmt: skip
-    return unmixing_plots((Prediction(AXIS, abundance=held), Observation(AXIS, abundance=held)), rows)
+    return unmixing_plots((PredictedProducts(AXIS, abundance=held), ObservedProducts(AXIS, abundance=held)), rows)
 
 
 @pytest.mark.parametrize(
@@ -100,5 +104,5 @@ def test_charts_hold_the_numbers_and_a_subject_each():
 
 
 def test_nothing_to_draw():
-    nothing = Prediction(AXIS), Observation(AXIS)
+    nothing = PredictedProducts(AXIS), ObservedProducts(AXIS)
     assert every_plot(nothing, ResultTable(), {}, {}, None) == []

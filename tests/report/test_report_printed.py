@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from synthetic_run import make_run
 
-from hyperval.campaign.curves import spread_curves
+from hyperval.campaign.sides import spread_curves
 from hyperval.cli.main import run as command
 from hyperval.errors import InputError
-from hyperval.products import ObjectScores, Observation, PixelDistribution, Prediction
-from hyperval.report.netcdf import write_products
-from hyperval.report.netcdf_read import read_products
-from hyperval.report.printed import drawings_of
+from hyperval.products import ObjectScores, ObservedProducts, PixelDistribution, PredictedProducts
+from hyperval.report.figures import drawings_of
+from hyperval.report.netcdf import read_products, write_products
 from hyperval.report.style import Print
 from hyperval.spectra.axis import SpectralAxis
 
@@ -33,9 +32,7 @@ def folder(run, tmp_path_factory):
 
 
 def test_products_are_read_as_they_were_written(run, folder):
-    for side, original in zip(
-        read_products(folder / "products.nc"), (run.prediction, run.observation), strict=True
-    ):
+    for side, original in zip(read_products(folder / "products.nc"), (run.prediction, run.observation), strict=True):
         assert side.axis.matches(original.axis)
         for name in ("radiance", "snr", "reflectance"):
             estimate, before = getattr(side, name)["grass"], getattr(original, name)["grass"]
@@ -62,15 +59,13 @@ def test_spread_of_pixels_and_scores_of_objects_are_read_as_laws(tmp_path):
         np.linspace(0.9, 0.0, 7), 5,
     )  # fmt: skip
     draws = np.random.default_rng(3).normal(0.5, 0.1, (40, 50))
-    predicted = Prediction(
+    predicted = PredictedProducts(
         axis, distribution={"grass": PixelDistribution(5.0)}, object_scores={("a", "cem"): ObjectScores(draws)}
     )
-    measured = Observation(
+    measured = ObservedProducts(
         axis, distribution={"grass": law}, object_scores={("a", "cem"): ObjectScores(np.array([0.4]), ("a1",))}
     )
-    write_products(
-        tmp_path / "products.nc", {"predicted": predicted, "observed": measured}, title="", simulated=False
-    )
+    write_products(tmp_path / "products.nc", {"predicted": predicted, "observed": measured}, title="", simulated=False)
     first, second = read_products(tmp_path / "products.nc")
     assert second.distribution["grass"] == law
     for name in ("effective_n", "distance", "exceedance"):
@@ -85,9 +80,7 @@ def test_spread_of_pixels_and_scores_of_objects_are_read_as_laws(tmp_path):
     assert {"object-scores", "object-transforms", "pixel-tails"} <= names
 
 
-@pytest.mark.parametrize(
-    ("kind", "style"), [pytest.param("pdf", "journal", marks=pytest.mark.slow), ("png", "house")]
-)
+@pytest.mark.parametrize(("kind", "style"), [pytest.param("pdf", "journal", marks=pytest.mark.slow), ("png", "house")])
 def test_figures_are_drawn_in_each_format(folder, tmp_path, kind, style):
     assert command(["figures", str(folder), "-o", str(tmp_path / "out"), "--format", kind, "--style", style]) == 0
     files = {p.name: p.read_bytes() for p in (tmp_path / "out").glob(f"*.{kind}")}

@@ -21,9 +21,7 @@ def test_the_sample_has_the_accepted_numbers():
     accepted = yaml.safe_load((ROOT / "validation" / "baselines" / f"{NAME}.yaml").read_text())["metrics"]
     planned = {key: item for key, item in accepted.items() if item.get("outcome") not in (None, "none")}
     assert len(planned) > 20
-    assert {key: found[key]["outcome"] for key in planned} == {
-        key: item["outcome"] for key, item in planned.items()
-    }
+    assert {key: found[key]["outcome"] for key in planned} == {key: item["outcome"] for key, item in planned.items()}
     for key, item in planned.items():
         value = float(found[key]["value"])
         room = item["tolerance"] * (abs(item["accepted"]) if item["of"] == "value" else item.get("half_width", 1.0))

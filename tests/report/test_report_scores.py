@@ -11,17 +11,12 @@ import pytest
 from PIL import Image
 from scipy.stats import norm
 
-from hyperval.products import ExceedanceCurve, ObjectScores, Observation, Prediction, RocCurve
+from hyperval.products import ExceedanceCurve, ObjectScores, ObservedProducts, PredictedProducts, RocCurve
 from hyperval.report import Quicklook, ScoreMap
-from hyperval.report.charts_plots import chart_of
-from hyperval.report.figures_plots import drawing_of
+from hyperval.report.charts import chart_of
+from hyperval.report.figures import drawing_of
 from hyperval.report.pictures import quicklook_figure, score_map_figures
-from hyperval.report.plots_scores import (
-    exceedance_plots,
-    object_score_plots,
-    roc_difference_plots,
-    transform_plots,
-)
+from hyperval.report.plots_run import exceedance_plots, object_score_plots, roc_difference_plots, transform_plots
 from hyperval.report.style import house_style
 from hyperval.spectra.axis import SpectralAxis
 
@@ -32,9 +27,7 @@ def sides(objects=1):
     rng = np.random.default_rng(1)
     names = [f"target {i} & $x$" for i in range(6)]
     predicted = {(n, "cem"): ObjectScores(rng.normal(0.5, 0.1, (20, 50))) for n in names}
-    measured = {
-        (n, "cem"): ObjectScores(rng.normal(0.5, 0.1, objects), tuple(map(str, range(objects)))) for n in names
-    }
+    measured = {(n, "cem"): ObjectScores(rng.normal(0.5, 0.1, objects), tuple(map(str, range(objects)))) for n in names}
     measured[names[0], "cem"] = ObjectScores(np.full(objects, 0.95), ("far",) * objects)
     x = np.linspace(0.0, 4.0, 50)
     p = norm.sf(x)
@@ -44,9 +37,9 @@ def sides(objects=1):
         (pd, None, None), (np.clip(pd - 0.05, 0, 1), 40, 10_000))]  # fmt: skip
     key = (names[1], "cem", "object")
     return (
-        Prediction(AXIS, object_scores=predicted, exceedance={(names[1], "cem"): ExceedanceCurve(x, p, p, p)},
+        PredictedProducts(AXIS, object_scores=predicted, exceedance={(names[1], "cem"): ExceedanceCurve(x, p, p, p)},
                    roc={key: curves[0]}),
-        Observation(AXIS, object_scores=measured, roc={key: curves[1]},
+        ObservedProducts(AXIS, object_scores=measured, roc={key: curves[1]},
                     exceedance={(names[1], "cem"): ExceedanceCurve(
                         x[:30], p[:30], p[:30] / 2, np.full(30, np.nan), 9999)}),
     )  # fmt: skip

@@ -17,9 +17,7 @@ from hyperval.results import Outcome, Result, ResultTable, Role
 
 def _row(metric="bias_ratio", value=1.0, outcome=Outcome.AGREES, **more):
     interval = {"lower": value - 0.1, "upper": value + 0.1}
-    return Result(
-        "c", "radiance", "grass", "sixs", metric, value, role=Role.GATE, outcome=outcome, **interval, **more
-    )
+    return Result("c", "radiance", "grass", "sixs", metric, value, role=Role.GATE, outcome=outcome, **interval, **more)
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +48,7 @@ def test_a_table_of_the_version_before_is_read_too(folders, tmp_path):
         **now, "schema_version": 2, "rows": [dict(zip(now["columns"], row, strict=True)) for row in now["rows"]],
     }  # fmt: skip
     (tmp_path / "results.json").write_text(json.dumps(before))
-    assert (
-        read_results(tmp_path / "results.json").frame().equals(read_results(folders / "a" / "results.json").frame())
-    )
+    assert read_results(tmp_path / "results.json").frame().equals(read_results(folders / "a" / "results.json").frame())
 
 
 def test_a_verdict_that_turned_stands_first(folders):

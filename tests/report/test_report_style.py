@@ -27,9 +27,7 @@ def corners(path):
 def test_compact_path_is_the_same_line_to_a_twentieth_of_a_point():
     rng = np.random.default_rng(1)
     points = rng.normal(0, 40, (500, 2)).cumsum(axis=0)
-    text = (
-        " \n".join(f"{'M' if i in (0, 200) else 'L'} {x:.6f} {y:.6f}" for i, (x, y) in enumerate(points)) + " \nz"
-    )
+    text = " \n".join(f"{'M' if i in (0, 200) else 'L'} {x:.6f} {y:.6f}" for i, (x, y) in enumerate(points)) + " \nz"
     compact = compact_path(text)
     assert len(compact) < 0.6 * len(text)
     assert compact.endswith("z")

@@ -9,7 +9,7 @@ import pytest
 
 from hyperval import cli
 from hyperval.metrics import Evidence, explained, metric_of, plain_words
-from hyperval.report.matrix import same_background_once
+from hyperval.report.html import same_background_once
 from hyperval.report.verdict import (
     disagrees_without_gating,
     gate_fails,
@@ -47,36 +47,36 @@ def informing(outcome, subject="grass"):
 def test_tone_follows_the_outcomes(outcomes, tone):
     tone_now, words = verdict([row(o) for o in outcomes])
     assert tone_now is tone
-    assert words.startswith("Agrees.") == (tone is A)
-    assert ("Nothing was decided" in words) == bool(outcomes and not {A, D, E} & set(outcomes))
-    assert ("no comparison is a gate" in words) == (not outcomes)
+    assert words.startswith("Met.") == (tone is A)
+    assert words.startswith(("Inconclusive.", "Not run:")) == bool(outcomes and not {A, D, E} & set(outcomes))
+    assert ("has no acceptance criteria" in words) == (not outcomes)
 
 
 def test_checks_of_the_pipeline_are_counted_apart_and_are_no_agreement_of_the_model():
     checks = [row(A, evidence=Evidence.PIPELINE) for _ in range(18)]
-    assert "18 checks of the pipeline agree (mean level of the radiance: grass)." in verdict(checks)[1]
-    assert verdict(checks)[1].startswith("No comparison with the model was decided.")
+    assert "18 checks of the pipeline are met (mean level of the radiance: grass)." in verdict(checks)[1]
+    assert verdict(checks)[1].startswith("Inconclusive: no criterion of the model was decided.")
     assert verdict(checks)[0] is U
     both = verdict([row(A) for _ in range(12)] + checks)
     assert both == (
         A,
-        "Agrees. 12 model gates agree (mean level of the radiance: grass). "
-        "18 checks of the pipeline agree (mean level of the radiance: grass).",
+        "Met. 12 acceptance criteria are met (mean level of the radiance: grass). "
+        "18 checks of the pipeline are met (mean level of the radiance: grass).",
     )
 
 
 def test_what_disagrees_fails_and_was_skipped_is_named():
     _, words = verdict([row(D, "lawn"), row(E, "turf"), row(U, "lot"), row(A)])
     assert words == (
-        "Does not agree. 1 model gate disagrees (mean level of the radiance: lawn), 1 ended in an error "
-        "(mean level of the radiance: turf), 1 could not be decided (mean level of the radiance: lot), "
-        "1 agrees (mean level of the radiance: grass)."
+        "Not met. 1 acceptance criterion is not met (mean level of the radiance: lawn), 1 ended in an error "
+        "(mean level of the radiance: turf), 1 is inconclusive (mean level of the radiance: lot), "
+        "1 is met (mean level of the radiance: grass)."
     )
 
 
 def test_many_campaigns_are_counted_and_not_named():
     many = [replace(row(S), campaign=f"line-{i}") for i in range(10)]
-    assert "10 model gates were skipped (10 campaigns)" in verdict(many)[1]
+    assert "10 acceptance criteria were not run (10 campaigns)" in verdict(many)[1]
     assert "line-8" in verdict(many[:9])[1]
 
 
@@ -90,8 +90,8 @@ def test_one_falsified_gate_turns_the_verdict():
 def test_a_disagreement_that_does_not_decide_is_told_and_forbids_to_agree():
     tone, words = verdict([row(A), informing(D, "green planks")])
     assert tone is U
-    assert words.startswith("Agrees in part.")
-    assert "1 comparison that does not decide disagrees (mean level of the radiance: green planks)" in words
+    assert words.startswith("Met, with reservations.")
+    assert "1 informational comparison is not met (mean level of the radiance: green planks)" in words
 
 
 def test_the_reason_decides_nothing():
@@ -103,16 +103,16 @@ def test_the_reason_decides_nothing():
 def test_many_disagreements_are_counted_by_what_they_are_about_or_by_product():
     others = [informing(D, f"field {i}") for i in range(10)]
     told = plain_words(others[0].metric, "radiance")
-    assert f"10 comparisons that do not decide disagree ({told}: 10)" in verdict([row(A), *others])[1]
+    assert f"10 informational comparisons are not met ({told}: 10)" in verdict([row(A), *others])[1]
     parts = ("windows", "vnir", "swir1", "swir2", "absorption")
     metrics = ("p_value_full", *(f"median_difference_ratio_{part}" for part in parts))
     many = [replace(other, metric=metric) for metric in metrics for other in others]
-    assert "60 comparisons that do not decide disagree (60 of radiance)" in verdict([row(A), *many])[1]
+    assert "60 informational comparisons are not met (60 of radiance)" in verdict([row(A), *many])[1]
 
 
 def test_undecided_gates_are_counted_in_the_last_line():
-    assert last_line([row(A), row(U), row(U), informing(D)]) == "gates: 1 agree, 2 undecided"
-    assert last_line([informing(D)]) == "gates: none"
+    assert last_line([row(A), row(U), row(U), informing(D)]) == "acceptance criteria: 1 met, 2 inconclusive"
+    assert last_line([informing(D)]) == "acceptance criteria: none"
 
 
 def test_the_worst_outcome_counts_for_several_rows():
@@ -179,18 +179,22 @@ def test_the_sentence_of_a_page_says_what_the_table_says(small, tmp_path):
     with (tmp_path / "out" / "results.csv").open(newline="") as stream:
         gates = [r for r in csv.DictReader(stream) if r["role"] == "gate"]
     model = [r for r in gates if r["evidence"] == "model"]
-    words = {"agrees": r"agrees?", "disagrees": r"disagrees?", "undecided": "could not be decided"}
+    words = {
+        "agrees": r"(?:is|are) met",
+        "disagrees": r"(?:is|are) not met",
+        "undecided": r"(?:is|are) inconclusive",
+    }
     seen = {r["outcome"] for r in model}
     assert len(seen & set(words)) >= 2
-    said = re.search(r"\d+ model gates?.*?\)\.", sentence)[0]
+    said = re.search(r"\d+ acceptance criteri.*?\)\.", sentence)[0]
     for outcome, verb in words.items():
         own = [r for r in model if r["outcome"] == outcome]
-        told = re.search(rf"(\d+)(?: model gates?)? {verb} \((.*?)\)", said)
+        told = re.search(rf"(\d+)(?: acceptance criteri\w+)? {verb} \((.*?)\)", said)
         assert (int(told[1]) if told else 0) == len(own), outcome
         for product in {r["product"] for r in own}:
             in_words = {"roc": "probability of detection"}.get(product, product)
             assert in_words in told[2] or product in told[2], (outcome, product)
-    assert sentence.startswith("Does not agree.") == ("disagrees" in seen)
+    assert sentence.startswith("Not met.") == ("disagrees" in seen)
 
 
 def test_the_same_background_of_several_sizes_is_one_row():

@@ -13,7 +13,7 @@ from hyperval.scene.fill import (
     beta_fill,
     ranked_pixel_fill,
 )
-from hyperval.scene.mixture import average_reflectance
+from hyperval.scene.radiance import average_reflectance
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
 
@@ -108,9 +108,7 @@ def test_the_same_geometry_gives_the_same_fills():
     assert np.array_equal(a.values, b.values)
 
 
-@pytest.mark.parametrize(
-    "bad", [{"length_m": 0.0}, {"gsd_m": -1.0}, {"psf_fwhm_pixels": -0.1}, {"length_m": 1000.0}]
-)
+@pytest.mark.parametrize("bad", [{"length_m": 0.0}, {"gsd_m": -1.0}, {"psf_fwhm_pixels": -0.1}, {"length_m": 1000.0}])
 def test_impossible_geometry(bad):
     with pytest.raises(UsageError):
         TargetGeometry(**{"length_m": 1.0, "width_m": 1.0, "gsd_m": 1.0, **bad})

@@ -30,9 +30,7 @@ def test_halves_side_by_side_are_the_whole():
     # The pixel between the two, where the whole has its centre.
     at = pixel_fills(whole, [[0.0, 0.0]], [0.0])[0]
     centre = at[at.shape[0] // 2, at.shape[1] // 2]
-    left, right = shared_pixel_fills(
-        geometry(1.0, 1.0, 0.0, phase="centred"), 200, [Neighbour(half, (0.0, 1.0 / 0.7))]
-    )
+    left, right = shared_pixel_fills(geometry(1.0, 1.0, 0.0, phase="centred"), 200, [Neighbour(half, (0.0, 1.0 / 0.7))])
     assert middle[0, 0] == pytest.approx(left[0, 0])
     # Sampled at whole pixels from one half's centre: compare with the whole moved by half of its side.
     moved = pixel_fills(whole, [[0.5 / 0.7, 0.0]], [0.0])[0]

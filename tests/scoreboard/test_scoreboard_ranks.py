@@ -17,7 +17,9 @@ def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 200
     pairs = []
     for s in shift:
         t = s + common_t + 0.5 * rng.normal(size=objects)
-        background = AlarmBlocks(common_b + 0.5 * rng.normal(size=pixels), block, sparse.eye_array(20))
+        background = AlarmBlocks(
+            common_b + 0.5 * rng.normal(size=pixels), block, sparse.eye_array(20), np.zeros(20, dtype=np.int64)
+        )
         pairs.append(counts_by_block(t, background))
     over, tie = (np.stack([p[i] for p in pairs], axis=1) for i in (0, 1))
     names = tuple(f"d{i}" for i in range(len(shift)))

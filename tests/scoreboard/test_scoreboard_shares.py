@@ -7,10 +7,7 @@ import pytest
 from scipy import sparse
 
 from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.alarms import alarms_at_detection
-from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc import pd_at_pfa
-from hyperval.processing.roc_areas import AREAS, roc_area
+from hyperval.processing.roc import AREAS, alarms_at_detection, counts_of, pd_at_pfa, roc_area
 from hyperval.scoreboard.ranks import (
     LOG_AREA,
     MEASURES,
@@ -22,7 +19,9 @@ from hyperval.scoreboard.ranks import (
 
 
 def one_detector(targets: np.ndarray, background: np.ndarray, block: np.ndarray) -> BlockCounts:
-    over, tie = counts_by_block(targets, AlarmBlocks(background, block, sparse.eye_array(int(block.max()) + 1)))
+    blocks = int(block.max()) + 1
+    alike = np.zeros(blocks, dtype=np.int64)
+    over, tie = counts_by_block(targets, AlarmBlocks(background, block, sparse.eye_array(blocks), alike))
     return BlockCounts(
         ("a",),
         over[:, None],
@@ -43,7 +42,9 @@ def scores():
 
 def test_counts_are_those_of_every_pair(scores):
     targets, background, block = scores
-    over, tie = counts_by_block(targets, AlarmBlocks(background, block, sparse.eye_array(7)))
+    over, tie = counts_by_block(
+        targets, AlarmBlocks(background, block, sparse.eye_array(7), np.zeros(7, dtype=np.int64))
+    )
     for k in range(7):
         own = background[block == k]
         assert np.array_equal(over[:, k], (own[None] > targets[:, None]).sum(axis=1))

@@ -16,7 +16,7 @@ import pytest
 
 import hyperval
 from hyperval import cli
-from hyperval.collection_files import BandTable
+from hyperval.collection_files import BandTableFile
 from hyperval.errors import HypervalError, InputError, reader
 
 PACKAGE = Path(hyperval.__file__).parent
@@ -47,7 +47,7 @@ MORE: dict[str, dict[str, Any]] = {
     "open_cube": {"quantity": "other"},
     "open_lookup_table": {"shape": (2, 2)},
     "open_tiff": {"header": None, "root": None},
-    "read_band_table": {"table": BandTable(path="b.txt", wavelength_unit="nm")},
+    "read_band_table": {"table": BandTableFile(path="b.txt", wavelength_unit="nm")},
     "read_targets": {"shape": (2, 2)},
     "read_regions": {"cube_shape": (2, 2)},
 }
@@ -191,7 +191,7 @@ UNPACKABLE = gzip.compress(bytes(range(256)) * 9)[:40] + b"x" * 90
          "not valid GeoJSON: a number of 400 digits"),
         ("imagery.regions.read_regions", "a.json", MISNAMED, "unknown coordinate system 'EPSG:1,5'"),
         ("config.load_yaml", "a.yaml", b"schema: 1\nseed: " + b"9" * 4400, "a.yaml:2: a number of 4400 digits"),
-        ("atmosphere.modtran_read.read_chn_blocks", "a.chn.gz", UNPACKABLE, "cannot read: Error -3 while decomp"),
+        ("atmosphere.modtran.read_chn_blocks", "a.chn.gz", UNPACKABLE, "cannot read: Error -3 while decomp"),
     ],
 )  # fmt: skip
 def test_what_mutants_met_is_foreseen(function: str, name: str, content: bytes, message: str, tmp_path: Path):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hyperval.sensor.operation import SensorChanges, changed_noise
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor.specification import SensorChanges, changed_noise, load_sensor
 
 NAMES = ["prospectir-vs", "emit"]  # one by its parts, one by its measured noise
 
@@ -13,9 +12,7 @@ NAMES = ["prospectir-vs", "emit"]  # one by its parts, one by its measured noise
 def test_no_change_changes_nothing(name):
     noise = load_sensor(name).noise()
     level = np.full(noise.fixed_noise.size, 3.0)
-    np.testing.assert_allclose(
-        changed_noise(noise, SensorChanges()).variance(level), noise.variance(level), rtol=1e-13
-    )
+    np.testing.assert_allclose(changed_noise(noise, SensorChanges()).variance(level), noise.variance(level), rtol=1e-13)
 
 
 @pytest.mark.parametrize("name", NAMES)

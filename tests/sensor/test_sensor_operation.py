@@ -8,10 +8,16 @@ from test_sensor_library import arm, noise_of, specification
 
 from hyperval.errors import UsageError
 from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.operation import SensorOperation, binned_axis, binned_noise
-from hyperval.sensor.quantities import Blur
 from hyperval.sensor.response import psf_fwhm_from_mtf
-from hyperval.sensor.specification import Sensor, SensorSpecification, load_sensor
+from hyperval.sensor.specification import (
+    Blur,
+    Sensor,
+    SensorOperation,
+    SensorSpecification,
+    binned_axis,
+    binned_noise,
+    load_sensor,
+)
 from hyperval.spectra.axis import SpectralAxis
 
 FILES = {

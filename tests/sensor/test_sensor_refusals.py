@@ -7,10 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from hyperval.errors import UsageError
-from hyperval.sensor.published import PublishedSnr
-from hyperval.sensor.quantities import Bands, Blur, Quantity, SpectralShift, Throughput
 from hyperval.sensor.response import solid_angle
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor.specification import Bands, Blur, PublishedSnr, Quantity, SpectralShift, Throughput, load_sensor
 
 SOURCE = "assumed: for tests"
 ONE = {"value": 1.0, "source": SOURCE}

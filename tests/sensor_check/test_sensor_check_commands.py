@@ -29,7 +29,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "sensors.md"
 def here(tmp_path, monkeypatch, own_atmosphere) -> Path:
     """A working folder, and the stand-in atmosphere for the commands."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("hyperval.sensor_check.noise.atmospheric_terms", stand_in_atmosphere)
+    monkeypatch.setattr("hyperval.sensor_check.suite.atmospheric_terms", stand_in_atmosphere)
     return tmp_path
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from sensor_data import SHEET, changed, good_sensor, measured_sensor, sensor_of
 
-import hyperval.sensor_check.bands as bands_module
-import hyperval.sensor_check.noise as noise_module
-import hyperval.sensor_check.scenarios as scenarios_module
+import hyperval.sensor_check.suite as bands_module
+import hyperval.sensor_check.suite as noise_module
+import hyperval.sensor_check.suite as scenarios_module
 from hyperval.errors import UsageError
 from hyperval.results import Outcome
 from hyperval.sensor.noise import NoiseModel
@@ -175,7 +175,7 @@ def gain_constant(patch: Patch) -> None:
 
 
 def sigma_in_resampling(patch: Patch) -> None:
-    import hyperval.spectra.response as response
+    import hyperval.spectra.axis as response
 
     patch.setattr(response, "SIGMA_PER_FWHM", 1.0)
 
@@ -249,9 +249,7 @@ def test_a_defect_of_the_program_fails(name, monkeypatch):
 
 def test_every_gate_is_shown_to_fail(good):
     gates = {
-        f"{r.product}/{r.metric}"
-        for r in (*good.table, *run(measured_sensor()).table)
-        if r.outcome is Outcome.AGREES
+        f"{r.product}/{r.metric}" for r in (*good.table, *run(measured_sensor()).table) if r.outcome is Outcome.AGREES
     }
     shown = {expected for _, expected in (*FILE_DEFECTS.values(), *PROGRAM_DEFECTS.values())}
     assert gates - shown == set()

@@ -9,18 +9,20 @@ from solver_nodes import run_solver_at
 
 from hyperval.errors import UsageError
 from hyperval.results import Outcome, Role
-from hyperval.sensor.published import ReferenceScene
-from hyperval.sensor.specification import load_sensor
-from hyperval.sensor_check.bands import (
+from hyperval.sensor.specification import ReferenceScene, load_sensor
+from hyperval.sensor_check.suite import (
     applied_moments,
+    check_published,
+    check_sensor,
     electrons_from_energy,
     electrons_from_noise,
     neighbour_ratio,
+    numbers,
+    scaled,
+    scene_radiance,
+    sunlit_radiance,
     unseen_widths,
 )
-from hyperval.sensor_check.noise import check_published, scene_radiance, sunlit_radiance
-from hyperval.sensor_check.numbers import numbers, scaled
-from hyperval.sensor_check.suite import check_sensor
 from hyperval.spectra.axis import SpectralAxis
 from small_campaign import stand_in_atmosphere
 
@@ -92,7 +94,7 @@ def test_published_ratio_by_hand():
     ],
 )
 def test_how_published_ratios_are_judged(entry, status):
-    from hyperval.sensor_check.ledger import Ledger
+    from hyperval.sensor_check.suite import Ledger
 
     sensor = sensor_of(changed(good_sensor(), published_snr=[{**entry, **Q}]))
     ledger = Ledger("good")
@@ -138,9 +140,7 @@ def test_scaling_reaches_every_kind_of_number():
     for number in numbers(spec):
         if number.varies:
             again = numbers(scaled(spec, {number.name: 1.5}))
-            assert [n.name for n, m in zip(numbers(spec), again, strict=True) if n.value != m.value] == [
-                number.name
-            ]
+            assert [n.name for n, m in zip(numbers(spec), again, strict=True) if n.value != m.value] == [number.name]
     parts = changed(good_sensor())
     parts["bands"] = {"parts": [{"first_nm": 430, "step_nm": 8, "count": 60, "fwhm_nm": 9}], **Q}
     assert scaled(sensor_of(parts).specification, {"bands.fwhm": 2}).bands.fwhms == [18.0]
@@ -177,7 +177,7 @@ def test_bands_part_by_part_and_stated_gaps():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["enmap", "hymap", "hyperion"])
 def test_published_ratios_of_the_library_in_their_own_scene(name, tmp_path, monkeypatch):
-    from hyperval.sensor_check.ledger import Ledger
+    from hyperval.sensor_check.suite import Ledger
 
     monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path))
     # Half of the engine's nodes: bands between them move by less than 1 %, of the 20 % that are judged.

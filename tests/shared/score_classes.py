@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from hyperval.processing.roc_model import RocScores
-from hyperval.processing.thresholds import ClassScores, class_threshold, log_false_alarm, thresholds_at
+from hyperval.processing.roc_model import ClassScores, RocScores, class_threshold, log_false_alarm, thresholds_at
 
 
 def classes(*rows: tuple[float, ...]) -> ClassScores:
@@ -29,9 +28,7 @@ def thresholds(pfa, scores: ClassScores) -> np.ndarray:
     return thresholds_at(np.atleast_2d(np.asarray(pfa, dtype=float)), scores)[0]
 
 
-def printed_procedure(
-    mean: float, sd: float, scores: ClassScores, preset
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def printed_procedure(mean: float, sd: float, scores: ClassScores, preset) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """P_FA, P_D and threshold by (3.30)-(3.33) step by step: the least P_D over the classes at a preset P_FA."""
     lp = np.log(np.atleast_2d(np.asarray(preset, dtype=float)))
     x_m = np.concatenate(

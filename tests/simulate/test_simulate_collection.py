@@ -14,18 +14,17 @@ import spectral
 import yaml
 
 from hyperval.errors import UsageError
-from hyperval.files import sha256_of
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.regions import read_regions
 from hyperval.imagery.truth import read_targets
 from hyperval.scene.builtin import builtin_class
 from hyperval.simulate import collection, simulate, simulate_to_folder
-from hyperval.simulate.collection import average_reflectance
+from hyperval.simulate.collection import average_reflectance, detector
 from hyperval.simulate.inputs import SimulationInputs
 from hyperval.simulate.layout import lay_out
-from hyperval.simulate.radiometry import detector
 from hyperval.simulate.surface import SurfaceRenderer
 from hyperval.spectra.readers import read_spectrum
+from hyperval.storage import sha256_of
 
 
 def stored(found) -> np.ndarray:
@@ -164,9 +163,7 @@ def test_inputs_on_other_bands_are_refused(inputs, classes):
         SimulationInputs(inputs.sensor, inputs.terms, {"grass": few})
 
 
-def test_a_scene_file_becomes_a_folder_and_never_replaces_anything_else(
-    make_scene_data, inputs, tmp_path, monkeypatch
-):
+def test_a_scene_file_becomes_a_folder_and_never_replaces_anything_else(make_scene_data, inputs, tmp_path, monkeypatch):
     monkeypatch.setattr(collection, "load_inputs", lambda scene, beside: inputs)
     path = tmp_path / "scene.yaml"
     path.write_text(yaml.safe_dump(make_scene_data()), encoding="utf-8")

@@ -55,9 +55,7 @@ def test_random_planks_lie_and_turn_at_random_and_stay_apart(make_scene):
         layout=[{"surface": "asphalt", "lines": [0, 300], "samples": [0, 200]}],
         panels=[],
         regions=[],
-        targets=[
-            group(count=600, area={"lines": [5, 295], "samples": [5, 195]}, phase="random", heading_deg="random")
-        ],
+        targets=[group(count=600, area={"lines": [5, 295], "samples": [5, 195]}, phase="random", heading_deg="random")],
     )
     planks = lay_out(scene).planks
     phase = np.array([(p.centre_line % 1, p.centre_sample % 1) for p in planks])

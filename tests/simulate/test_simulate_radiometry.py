@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hyperval.sensor.specification import library_names, load_sensor
+from hyperval.simulate.collection import Detector, detector
 from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
-from hyperval.simulate.radiometry import Detector, detector
 
 BANDS = 12
 N = 40_000

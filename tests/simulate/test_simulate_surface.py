@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2, kurtosis
 
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.simulate import streams
+from hyperval.simulate import schema
 from hyperval.simulate.layout import lay_out
 from hyperval.simulate.surface import SurfaceRenderer, sampler
 
@@ -69,9 +69,7 @@ def test_a_multivariate_t_keeps_the_covariance_and_gains_tails(classes):
 
 
 def test_a_plank_pixel_is_the_mixture_of_its_plank_and_its_host(scene, classes):
-    still = {
-        name: ClassStatistics(name, c.axis, c.mean, 1e-16 * np.eye(len(c.axis))) for name, c in classes.items()
-    }
+    still = {name: ClassStatistics(name, c.axis, c.mean, 1e-16 * np.eye(len(c.axis))) for name, c in classes.items()}
     ground = lay_out(scene)
     renderer = SurfaceRenderer(scene, ground, still)
     host, target = still["asphalt"].mean, still["yellow-paint-plank"].mean
@@ -109,8 +107,8 @@ def test_a_line_is_the_same_however_often_and_in_whatever_order_it_is_drawn(scen
 
 
 def test_streams_are_independent():
-    a = streams.generator(1, streams.SURFACE, 0).standard_normal(20_000)
-    for other in ((1, streams.SURFACE, 1), (1, streams.NOISE, 0), (2, streams.SURFACE, 0)):
-        b = streams.generator(*other).standard_normal(20_000)
+    a = schema.generator(1, schema.SURFACE, 0).standard_normal(20_000)
+    for other in ((1, schema.SURFACE, 1), (1, schema.NOISE, 0), (2, schema.SURFACE, 0)):
+        b = schema.generator(*other).standard_normal(20_000)
         # 5 sigma of a correlation of 20,000 pairs.
         assert abs(np.corrcoef(a, b)[0, 1]) < 5 / np.sqrt(20_000)

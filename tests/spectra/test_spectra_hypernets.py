@@ -9,13 +9,11 @@ import pytest
 from spectra_shells import CORRELATION, NM, hypernets
 
 from hyperval.errors import InputError
-from hyperval.prediction.inputs import Sources
-from hyperval.prediction.replicates import covariance_in_bands
+from hyperval.prediction.inputs import Sources, covariance_in_bands
 from hyperval.scenario import SpectrumSource
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.hypernets import read_hypernets
+from hyperval.spectra.axis import SpectralAxis, band_average
+from hyperval.spectra.networks import read_hypernets
 from hyperval.spectra.readers import read_records, read_spectrum
-from hyperval.spectra.response import band_average
 
 REAL = "hypernets/HYPERNETS_L_GHNA_L2A_REF_20231103T0901_20240124T2246_v2.0.nc"
 
@@ -60,9 +58,7 @@ def test_errors_go_into_bands_as_the_mean_does(tmp_path):
     expected = covariance_in_bands(NM, covariance, axis)
     draws = np.random.default_rng(4).multivariate_normal(np.zeros(NM.size), covariance, 40_000)
     assert np.cov(band_average(NM, draws, axis).T) == pytest.approx(expected, rel=0.05)
-    surface = Sources(axis, {}, Path).spectrum(
-        SpectrumSource(file=str(written(tmp_path)), record="zenith 0"), "sand"
-    )
+    surface = Sources(axis, {}, Path).spectrum(SpectrumSource(file=str(written(tmp_path)), record="zenith 0"), "sand")
     assert surface.mean_error == pytest.approx(expected)
 
 

@@ -7,12 +7,11 @@ import pytest
 from pydantic import ValidationError
 
 from hyperval.collection import CalibrationUncertainty
-from hyperval.observe.uncertainty import calibration_covariance, detector_covariance
-from hyperval.prediction.forms import form_covariance
-from hyperval.scenario_uncertainty import SpectralForm
+from hyperval.observe.site_spectra import calibration_covariance, detector_covariance
+from hyperval.prediction.input import form_covariance
+from hyperval.scenario import SpectralForm
 from hyperval.sensor.specification import load_sensor
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.lag_kernel import lag_kernel
+from hyperval.spectra.axis import SpectralAxis, lag_kernel
 
 AXIS = SpectralAxis(np.arange(400.0, 2400.0, 5.0), np.full(400, 5.5))
 
@@ -90,6 +89,4 @@ def test_noise_of_a_mean_varies_from_band_to_band_as_the_detector_does():
     # 500 means of 10 drawn pixels; the mean over 398 correlated second differences is known to 0.5 %.
     drawn = np.random.default_rng(2).standard_normal((500, pixels, len(AXIS))) * np.sqrt(one)
     measured = np.mean(roughness(drawn.mean(axis=1)) ** 2)
-    assert band_scale_variance(detector_covariance(level, AXIS, sensor, pixels)) == pytest.approx(
-        measured, rel=0.03
-    )
+    assert band_scale_variance(detector_covariance(level, AXIS, sensor, pixels)) == pytest.approx(measured, rel=0.03)

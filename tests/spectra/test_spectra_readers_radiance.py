@@ -10,7 +10,7 @@ import pytest
 
 from hyperval.errors import InputError, UsageError
 from hyperval.spectra.readers import read_spectrum
-from hyperval.spectra.readers_text import power_unit_in, quantity_in
+from hyperval.spectra.text import power_unit_in, quantity_in
 from hyperval.units import irradiance_to_internal, radiance_to_internal
 
 WAVE = 800.0 + 100.0 * np.arange(8)  # detectors join at 1000 and 1200 nm
@@ -172,7 +172,7 @@ def test_units_in_words(text, unit):
 
 def test_quantities_in_titles():
     assert [quantity_in(t) for t in ("Radiance", "spectral irradiance", "Reflectance", "")] == [
-        "radiance", "irradiance", None, None,
+        "radiance", "irradiance", "reflectance", None,
     ]  # fmt: skip
 
 

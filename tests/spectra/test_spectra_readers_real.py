@@ -14,9 +14,10 @@ from hyperval.spectra.readers import read_records, read_spectrum
 pytestmark = pytest.mark.data
 
 
-def test_asd_agrees_with_its_own_text_export(data_dir):
-    binary = read_spectrum(data_dir("spectra/asd/ribb00001.asd"))
-    text = read_spectrum(data_dir("spectra/asd/ribb00001.asd.txt"), wavelength_unit="nm")
+@pytest.mark.parametrize("name", ["spectra/asd/ribb00001", "formats/ribb00003", "formats/ribb00007"])
+def test_asd_agrees_with_its_own_text_export(data_dir, name):
+    binary = read_spectrum(data_dir(f"{name}.asd"))
+    text = read_spectrum(data_dir(f"{name}.asd.txt"), wavelength_unit="nm")
     assert np.array_equal(binary.wavelength_nm, np.arange(350.0, 2501.0))
     assert np.array_equal(text.wavelength_nm, binary.wavelength_nm)
     assert np.allclose(binary.values, text.values, rtol=0, atol=1e-12)
@@ -85,9 +86,7 @@ def test_libraries_equal_spy(data_dir, name):
     assert np.allclose(own[0].wavelength_nm, np.array(spy.bands.centers) * 1000)
 
 
-@pytest.mark.parametrize(
-    ("name", "n"), [("BeckmanLawn", 68), ("AstroGreenBaseball", 25), ("DarkTarget_Trial1", 24)]
-)
+@pytest.mark.parametrize(("name", "n"), [("BeckmanLawn", 68), ("AstroGreenBaseball", 25), ("DarkTarget_Trial1", 24)])
 def test_field_means_with_spread(data_dir, name, n):
     path = data_dir(f"pasadena/insitu/{name}.txt")
     found = read_spectrum(path)

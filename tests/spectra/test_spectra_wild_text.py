@@ -101,7 +101,7 @@ def test_units_in_a_line_of_their_own_stand_behind_the_titles(tmp_path: Path):
         (f"{rows(WAVE, RHO)}>>>>>End Spectral Data<<<<<\n800 0.4\n", InputError, "not a row of numbers: '800"),
         ("##TITLE= gypsum\n##XYDATA= (X++(Y..Y))\n400 0.1 0.2\n", InputError, "JCAMP-DX(?s:.*)save it as text"),
         ("PE UV       SUBTECH     SPECTRUM    ASCII\n#DATA\n400 0.1\n", InputError, "PerkinElmer"),
-        (rows(WAVE, RHO, [0.01] * 4), UsageError, r"state columns: \[0, 1, 2\]"),
+        (rows(WAVE, RHO, [0.01] * 4), UsageError, r"wavelength, reflectance, sd"),
         (
             "id,Band_101,Band_102,Band_103,Band_104\nA,1,2,3,4\n",
             HypervalError,
@@ -111,4 +111,58 @@ def test_units_in_a_line_of_their_own_stand_behind_the_titles(tmp_path: Path):
 )
 def test_text_with_none_or_two_is_refused(tmp_path: Path, text: str, kind: type[Exception], words: str):
     with pytest.raises(kind, match=words):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("title", "quantity"),
+    [
+        ("Abs.", "absorbance"),
+        ("Abs (a.u.)", "absorbance"),
+        ("log(1/R)", "absorbance"),
+        ("-log10(R)", "absorbance"),
+        ("DN", "counts"),
+        ("target [DN]", "counts"),
+        ("Raw counts", "counts"),
+        ("std", "a standard deviation"),
+        ("grass_rdn", "radiance"),
+    ],
+)
+def test_a_column_that_is_titled_otherwise_is_no_reflectance(tmp_path: Path, title: str, quantity: str):
+    text = f"wavelength nm,{title}\n" + rows(WAVE, RHO, sep=",")
+    with pytest.raises(InputError, match=f"the file holds {quantity}, not reflectance"):
+        read(tmp_path, text)
+    assert read(tmp_path, text, quantity="other").values.tolist() == RHO.tolist()
+
+
+@pytest.mark.parametrize("title", ["ABS plastic", "Abs. reflectance", "grass_rfl", "gradient", "Edna"])
+def test_names_of_samples_say_no_quantity(tmp_path: Path, title: str):
+    assert read(tmp_path, f"wavelength nm,{title}\n" + rows(WAVE, RHO, sep=",")).values.tolist() == RHO.tolist()
+
+
+def test_a_spectrum_cut_out_of_a_radiance_image_is_known_by_the_name_of_its_file(tmp_path: Path):
+    name = "ang20171108t184227_rdn_v2p11_lawn.txt"
+    with pytest.raises(InputError, match="the file holds radiance, not reflectance"):
+        read(tmp_path, rows(WAVE, RHO), name)
+    assert (
+        read(tmp_path, rows(WAVE, RHO), name, quantity="radiance", unit="uW cm-2 sr-1 nm-1").values.tolist()
+        == RHO.tolist()
+    )
+    titled = "wavelength nm,reflectance\n" + rows(WAVE, RHO, sep=",")
+    assert read(tmp_path, titled, name).values.tolist() == RHO.tolist()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "X Units: Wavenumber (cm-1)\nY Units: Reflectance\n" + rows(WAVE, RHO),
+        "cm⁻¹\tR\n" + rows(WAVE, RHO),
+        "1/cm;R\n" + rows(WAVE, RHO, sep=";"),
+        "# wavenumber [cm^-1] and a reflectance factor\n" + rows(WAVE, RHO),
+        "ENVI ASCII Plot File [Thu Apr 26 2018]\nColumn 1: Wavenumber\nColumn 2: a~~1\n" + rows(WAVE, RHO),
+        "name,Wavelength Units,4000,5000,6000,7000\na,cm-1,0.1,0.2,0.3,0.4\n",
+    ],
+)
+def test_wavenumbers_are_not_taken_for_nanometres(tmp_path: Path, text: str):
+    with pytest.raises(InputError, match=r"(?s)wavenumbers.*1e7 over"):
         read(tmp_path, text)

@@ -10,7 +10,7 @@ import pytest
 from hyperval.atmosphere import AtmosphericTable, write_table
 from hyperval.config import parse_yaml, validate
 from hyperval.scenario import Scenario, load_scenario
-from hyperval.study.schema import Study
+from hyperval.study.schema import StudyFile
 
 SCENARIO = """
 schema: 1
@@ -63,12 +63,12 @@ def scenario(scenario_file) -> Scenario:
 def make_study(scenario_file):
     """From YAML text to a study of the small scenario, and the file that says it."""
 
-    def make(text: str) -> tuple[Study, Path]:
+    def make(text: str) -> tuple[StudyFile, Path]:
         path = scenario_file.parent / "study.yaml"
         whole = f"schema: 1\nname: trial\nscenario: small.yaml\n{text}"
         path.write_text(whole)
         data, lines = parse_yaml(whole)
-        study = validate(Study, data, lines, "study")
+        study = validate(StudyFile, data, lines, "study")
         study._folder = scenario_file.parent
         return study, path
 

@@ -68,7 +68,7 @@ def test_the_same_table_with_one_worker_killed_in_the_middle(make_study, tmp_pat
     monkeypatch.setattr(study_run, "_SMALLEST", 32)
     _, path = make_study(TEXT)
     study_to_folder(path, tmp_path / "here")
-    kept: Path = tmp_path / "there.partial" / "values.f64"
+    kept: Path = tmp_path / "there" / ".hyperval-partial" / "values.f64"
     seen = []
 
     def kill_one() -> None:

@@ -7,8 +7,7 @@ from hyperval.errors import UsageError
 from hyperval.predict import predict
 from hyperval.prediction.detection import detect
 from hyperval.settings import setting, with_settings
-from hyperval.study.evaluate import Evaluator, Sky, _tidy, make_ready
-from hyperval.study.metrics import of_batch
+from hyperval.study.evaluate import Evaluator, Sky, _tidy, make_ready, of_batch
 from hyperval.study.schema import Output
 
 EQUAL = 1e-9  # relative; P_D down to 1e-12
@@ -43,12 +42,8 @@ def difference_from_predict(scenario, changes) -> float:
         there = {p: DEFAULTS.get(p.rsplit(".", 1)[-1], stated[p]) if point == 0 else v for p, v in moved.items()}
         prediction = predict(with_settings(ready.setup.scenario, there))
         setting_number = batch.points.setting[point]
-        pairs = [
-            (batch.radiance(s)[setting_number], e.mean) for s, e in prediction.radiance.items() if s != "plank"
-        ]
-        pairs += [
-            (batch.snr(s)[setting_number], prediction.snr[s].mean) for s in batch.class_names if prediction.snr
-        ]
+        pairs = [(batch.radiance(s)[setting_number], e.mean) for s, e in prediction.radiance.items() if s != "plank"]
+        pairs += [(batch.snr(s)[setting_number], prediction.snr[s].mean) for s in batch.class_names if prediction.snr]
         for (subject, detector, unit), curve in prediction.roc.items():
             found = detect(batch, points=range(3))[point].roc[subject, detector, unit]
             pairs.append((found.pd, curve.pd))
@@ -74,6 +69,7 @@ def has(scenario, path) -> bool:
         {"sensor_operation.frames_averaged": 4, "sensor_operation.averaged": "before recording"},
         {"sensor_operation.spatial_binning": [2, 3]},
         {"scene.classes.asphalt.gain": 2.0, "scene.classes.grass.tail_dof": 3.0},
+        {"scene.classes.asphalt.tail_dof": 3.0, "scene.targets.plank.fill.fixed": 0.02},
         {"scene.classes.asphalt.fraction": 0.2, "scene.classes.grass.fraction": 0.6},
         {"scene.adjacency.effective_neighbours": 3.0},
         {"scene.targets.plank.gain": 3.0, "scene.targets.plank.fill.fixed": 0.4},

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import kstest, truncnorm
 
 from hyperval.errors import UsageError
-from hyperval.study.design import Points, moved
 from hyperval.study.schema import load_study
+from hyperval.study.tables import StudyPoints, moved
 
 OUT = "outputs: [{name: pd, kind: pd, subject: plank, pfa: 1.0e-3}]\n"
 FILL = "scene.targets.plank.fill.fixed"
@@ -21,7 +21,7 @@ design: {{count: 512, seed: 4}}
 
 
 def test_any_stretch_is_a_part_of_the_whole(make_study):
-    points = Points(make_study(RANDOM)[0])
+    points = StudyPoints(make_study(RANDOM)[0])
     assert len(points) == 3 * 512
     whole = points.stretch(0, len(points))
     for start, stop in ((0, 1), (1, 5), (100, 700), (1535, 1536)):
@@ -32,7 +32,7 @@ def test_any_stretch_is_a_part_of_the_whole(make_study):
 
 def test_draws_follow_their_distributions(make_study):
     """Sobol points are more even than random ones, of which Kolmogorov's distance has a 5 % limit of 0.06."""
-    points = Points(make_study(RANDOM)[0])
+    points = StudyPoints(make_study(RANDOM)[0])
     whole = points.stretch(0, len(points))
     assert kstest(whole["c"][::3] / 4.0, "uniform").statistic < 0.01
     assert kstest((np.log10(whole["s"][::3]) + 1.0) / 2.0, "uniform").statistic < 0.01
@@ -40,8 +40,8 @@ def test_draws_follow_their_distributions(make_study):
 
 
 def test_the_seed_decides_the_draws(make_study):
-    first = Points(make_study(RANDOM)[0]).stretch(0, 30)["c"]
-    other = Points(make_study(RANDOM.replace("seed: 4", "seed: 5"))[0]).stretch(0, 30)["c"]
+    first = StudyPoints(make_study(RANDOM)[0]).stretch(0, 30)["c"]
+    other = StudyPoints(make_study(RANDOM.replace("seed: 4", "seed: 5"))[0]).stretch(0, 30)["c"]
     assert not np.array_equal(first, other)
 
 
@@ -56,7 +56,7 @@ inputs:
   - {{name: way, moves: [{{path: a.b}}, {{path: c.d}}], values: [[1, x], [2, y]]}}
 {OUT}"""
     study, _ = make_study(text)
-    columns = moved({i.name: i for i in study.inputs}, Points(study).stretch(0, 4))
+    columns = moved({i.name: i for i in study.inputs}, StudyPoints(study).stretch(0, 4))
     np.testing.assert_allclose(columns["scene.classes.asphalt.fraction"], [0.7, 0.7, 0.5, 0.5])
     assert columns["a.b"].tolist() == [1, 2, 1, 2]
     assert columns["c.d"].tolist() == ["x", "y", "x", "y"]
@@ -69,7 +69,7 @@ inputs:
   - {{name: c, path: sensor_changes.calibration_error_percent, values: [3]}}
 design: {{kind: one-at-a-time}}
 {OUT}"""
-    points = Points(make_study(text)[0])
+    points = StudyPoints(make_study(text)[0])
     whole = points.stretch(0, len(points))
     assert whole["fill"].tolist() == [None, 0.1, 0.2, None]
     assert whole["c"].tolist() == [None, None, None, 3.0]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hyperval.study.summary import knee
+from hyperval.study.page import knee
 
 
 def test_exponential_saturation_by_hand():

@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from hyperval.predict import predict
 from hyperval.settings import with_settings
 from hyperval.study.evaluate import Evaluator, Sky, make_ready
-from hyperval.study.required import _bracket, answers, scan_values
+from hyperval.study.plan import _bracket, answers, scan_values
 from hyperval.study.schema import Output, Required
 
 FILL = "scene.targets.plank.fill.fixed"

@@ -59,7 +59,7 @@ def test_a_study_writes_everything(make_study, tmp_path, quick):
     assert "http://" not in page.replace("http://www.w3.org", "")
     assert (out / "provenance.json").is_file()
     assert (out / "products.nc").is_file()
-    assert not (tmp_path / "out.partial").exists()
+    assert not (tmp_path / "out" / ".hyperval-partial").exists()
 
 
 @pytest.mark.slow
@@ -101,8 +101,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(make_study, tmp_path, quic
     monkeypatch.setattr(study_run, "run_chunk", failing)
     with pytest.raises(KeyboardInterrupt):
         study_to_folder(path, tmp_path / "broken")
-    assert not (tmp_path / "broken").exists()
-    assert (tmp_path / "broken.partial" / "values.f64").stat().st_size == 2 * 32 * 3 * 8
+    assert all(p.name.startswith(".hyperval") for p in (tmp_path / "broken").iterdir())
+    assert (tmp_path / "broken" / ".hyperval-partial" / "values.f64").stat().st_size == 2 * 32 * 3 * 8
     monkeypatch.setattr(study_run, "run_chunk", right)
     study_to_folder(path, tmp_path / "broken")
     assert tables(tmp_path / "broken") == tables(tmp_path / "whole")

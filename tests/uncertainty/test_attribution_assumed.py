@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from hyperval.predict import Origins
-from hyperval.prediction.budget import given_of
+from hyperval.prediction.uncertainty import given_of
 from hyperval.scenario import Scenario
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.uncertainty.attribution.assumed import assumed_inputs
+from hyperval.uncertainty.attribution.ranking import assumed_inputs
 from small_campaign import ATMOSPHERE, stand_in_atmosphere
 
 AXIS = SpectralAxis(np.array([500.0, 600.0, 800.0]), np.full(3, 10.0))

@@ -12,15 +12,15 @@ from hyperval.compare.scores import compare_exceedance
 from hyperval.products import (
     ExceedanceCurve,
     ObjectScores,
-    Observation,
-    Prediction,
+    ObservedProducts,
+    PredictedProducts,
     RocCurve,
     ScoreDistribution,
 )
 from hyperval.results import Result
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.uncertainty.attribution.residuals import RATE_FLOOR, SCORE_FLOOR, stacked
-from hyperval.uncertainty.attribution.what_ifs import AlarmRatio, alarm_ratios, reason_for
+from hyperval.uncertainty.attribution.run import AlarmRatio, alarm_ratios, reason_for
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
 P = np.geomspace(0.5, 1e-5, 200)
@@ -35,8 +35,8 @@ def sides(dof=10.0, n=50_000):
     measured = curve(stats.t.isf(P, dof), P, n)
     told = curve(stats.norm.isf(P), P)
     return (
-        Prediction(axis=AXIS, exceedance={("roof", "cem"): told}),
-        Observation(axis=AXIS, exceedance={("roof", "cem"): measured}),
+        PredictedProducts(axis=AXIS, exceedance={("roof", "cem"): told}),
+        ObservedProducts(axis=AXIS, exceedance={("roof", "cem"): measured}),
     )
 
 
@@ -61,7 +61,7 @@ def test_ratios_are_those_of_the_comparison_and_of_the_two_laws():
 def test_too_few_alarms_give_no_ratio():
     predicted, observed = sides(n=5_000)
     assert [m for _, _, m in alarm_ratios(predicted, observed)] == ["pfa_ratio@1e-2"]
-    assert alarm_ratios(Prediction(axis=AXIS), observed) == {}
+    assert alarm_ratios(PredictedProducts(axis=AXIS), observed) == {}
 
 
 def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
@@ -73,13 +73,13 @@ def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
         side: {(*key, "pixel"): RocCurve(P[::-1], P[::-1], P[::-1], P[::-1], t, n_background=n)}
         for side, t in thresholds.items()
     }
-    predicted = Prediction(
+    predicted = PredictedProducts(
         AXIS,
         scores={key: ScoreDistribution(1.0, 0.3)},
         object_scores={key: ObjectScores(draws)},
         roc=roc["predicted"],
     )
-    observed = Observation(
+    observed = ObservedProducts(
         AXIS,
         scores={key: ScoreDistribution(0.9, 0.3, 40)},
         object_scores={key: ObjectScores(np.array([0.7, 0.9, np.nan]))},

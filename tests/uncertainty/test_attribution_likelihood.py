@@ -6,7 +6,7 @@ from scipy import optimize, stats
 
 from hyperval.errors import UsageError
 from hyperval.uncertainty.attribution.ranking import Candidate, Whitened, closing_change, explanation, rankings
-from hyperval.uncertainty.attribution.residuals import Block, Stack
+from hyperval.uncertainty.attribution.residuals import ResidualBlock, Stack
 
 
 def _world(rng, n=40, k=3):
@@ -105,7 +105,7 @@ def test_closing_change_of_an_input_that_moves_nothing_is_infinite():
 
 @pytest.mark.parametrize("name", ["a", "z"])
 def test_rounding_neither_orders_what_explains_the_same_nor_counts_as_an_effect(name):
-    blocks = [Block("scores", s, "cem", np.zeros(1), np.eye(1), lambda p: np.zeros(1)) for s in ("near", "far")]
+    blocks = [ResidualBlock("scores", s, "cem", np.zeros(1), np.eye(1), lambda p: np.zeros(1)) for s in ("near", "far")]
     columns = {
         Candidate(name, "", "", False): np.array([[0.3], [0.0]]),
         Candidate("m", "", "", False): np.array([[0.3 * (1.0 + 4e-16)], [0.0]]),

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperval.products import Observation, Prediction, RocCurve, ScoreDistribution, SpectralEstimate
+from hyperval.products import ObservedProducts, PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.uncertainty.attribution.residuals import (
     LEAST_ALARMS,
     LOG_FLOOR,
     SCORE_FLOOR,
-    Quantity,
+    ComparedQuantity,
     _false_alarms,
     _moments,
     _snr,
     quantities,
 )
-from hyperval.uncertainty.attribution.what_ifs import gaps_of
+from hyperval.uncertainty.attribution.run import gaps_of
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
 PFA = np.array([1e-4, 1e-3, 1e-2, 0.1, 1.0])
@@ -29,11 +29,11 @@ def curve(n: int | None = None) -> RocCurve:
 
 
 def test_curves_of_pixels_that_both_sides_have_are_compared():
-    observed = Observation(AXIS, roc={PIXEL: curve(10_000), OBJECT: curve(10_000), ALONE: curve(10_000)})
-    items = quantities(Prediction(AXIS, roc={PIXEL: curve(), OBJECT: curve()}), observed)
+    observed = ObservedProducts(AXIS, roc={PIXEL: curve(10_000), OBJECT: curve(10_000), ALONE: curve(10_000)})
+    items = quantities(PredictedProducts(AXIS, roc={PIXEL: curve(), OBJECT: curve()}), observed)
     assert {(i.product, i.subject) for i in items} == {("roc", "p")}
     assert len(items) == 2
-    assert quantities(Prediction(AXIS), observed) == []
+    assert quantities(PredictedProducts(AXIS), observed) == []
 
 
 def test_spectra_are_compared_where_both_have_bands_and_some_light():
@@ -43,33 +43,34 @@ def test_spectra_are_compared_where_both_have_bands_and_some_light():
     predicted = {"grass": spectrum(2.0, 4.0), "dark": spectrum(1.0, 1.0), "gaps": spectrum(np.nan, np.nan)}
     observed = {"grass": spectrum(1.0, 3.0), "dark": spectrum(0.0, 0.0), "gaps": spectrum(1.0, 1.0)}
     items = quantities(
-        Prediction(AXIS, radiance=predicted), Observation(AXIS, radiance=observed | {"x": observed["grass"]})
+        PredictedProducts(AXIS, radiance=predicted),
+        ObservedProducts(AXIS, radiance=observed | {"x": observed["grass"]}),
     )
     (item,) = items
     assert (item.product, item.subject, item.metric, item.observed) == ("radiance", "grass", "ratio_windows", 1.0)
-    assert item.read(Prediction(AXIS, radiance=predicted)) == pytest.approx(3.0 / 2.0)
+    assert item.read(PredictedProducts(AXIS, radiance=predicted)) == pytest.approx(3.0 / 2.0)
 
 
 def test_gaps_are_of_what_both_sides_have():
-    def quantity(product: str, metric: str, observed: float, value: float) -> Quantity:
-        return Quantity(product, "p", "", metric, observed, lambda products: value)
+    def quantity(product: str, metric: str, observed: float, value: float) -> ComparedQuantity:
+        return ComparedQuantity(product, "p", "", metric, observed, lambda products: value)
 
     radiance = [quantity("radiance", "r", 1.0, v) for v in (1.1, 0.6, 1.2, np.nan)]
     rates = [quantity("roc", "pd@1e-2", o, v) for o, v in ((0.5, 0.7), (0.9, 0.8), (np.nan, 0.5))]
-    gaps = gaps_of([*radiance, *rates, quantity("snr", "r", 0.0, 1.0)], Prediction(AXIS))
+    gaps = gaps_of([*radiance, *rates, quantity("snr", "r", 0.0, 1.0)], PredictedProducts(AXIS))
     assert gaps == pytest.approx({"median |radiance difference ratio|": 0.2, "mean |pd@1e-2 difference|": 0.15})
 
 
 def test_a_rate_counts_from_the_least_number_of_alarms_on():
-    predicted = Prediction(AXIS, roc={PIXEL: curve()})
+    predicted = PredictedProducts(AXIS, roc={PIXEL: curve()})
     just = 100 * LEAST_ALARMS
-    (block,) = _false_alarms(predicted, Observation(AXIS, roc={PIXEL: curve(just)}))
+    (block,) = _false_alarms(predicted, ObservedProducts(AXIS, roc={PIXEL: curve(just)}))
     assert block.observed.size == 1
-    assert _false_alarms(predicted, Observation(AXIS, roc={PIXEL: curve(just - 1)})) == []
+    assert _false_alarms(predicted, ObservedProducts(AXIS, roc={PIXEL: curve(just - 1)})) == []
 
 
 def test_the_error_of_a_measured_snr_is_relative_and_has_its_floor():
-    predicted = Prediction(AXIS, snr={"p": SpectralEstimate(np.array([90.0, 60.0]), np.zeros((2, 2)))})
+    predicted = PredictedProducts(AXIS, snr={"p": SpectralEstimate(np.array([90.0, 60.0]), np.zeros((2, 2)))})
     measured = SpectralEstimate(np.array([100.0, 50.0]), np.diag([9.0, 4.0]))
     (block,) = _snr("p", predicted, measured)
     np.testing.assert_allclose(block.observed, np.log([100.0, 50.0]))

@@ -13,8 +13,8 @@ from hyperval.uncertainty.attribution.ranking import (
     common_and_own,
     ranking,
 )
+from hyperval.uncertainty.attribution.run import changed_scenarios
 from hyperval.uncertainty.attribution.schema import AttributionOptions, WhatIf
-from hyperval.uncertainty.attribution.what_ifs import changed_scenarios
 
 N = 50
 X = np.linspace(0.0, 1.0, N)
@@ -31,9 +31,15 @@ def _ranking(residual, columns=None):
 
 
 def test_a_small_residual_needs_no_reason():
-    found = _ranking(0.05 * np.sin(40 * X))
+    found = _ranking(0.1 * np.sin(40 * X))
     assert found.p_value > 0.05
     assert found.conclusion.startswith("nothing to explain")
+
+
+def test_a_residual_far_below_its_uncertainty_says_so():
+    found = _ranking(0.05 * np.sin(40 * X))
+    assert found.too_wide
+    assert found.conclusion.startswith("stated uncertainty at least 2 times too wide")
 
 
 def test_the_reason_and_its_size_are_told():
@@ -66,9 +72,7 @@ def test_an_input_cannot_move_farther_than_it_may():
     found = _ranking(np.full(N, -14.0), {near: np.ones((N, 1))})
     assert found.ranked[0].units == pytest.approx(-10.0)
     assert found.ranked[0].chi_square == pytest.approx(N * (4.0 / 0.1) ** 2)  # what is left of 14 steps
-    assert (
-        "gain (-10 times its step of 1 %, as far as it can) explains most, but none is enough" in found.conclusion
-    )
+    assert "gain (-10 times its step of 1 %, as far as it can) explains most, but none is enough" in found.conclusion
 
 
 def _three_subjects():

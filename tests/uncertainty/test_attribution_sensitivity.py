@@ -9,7 +9,7 @@ from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure
 from hyperval.uncertainty.attribution import run
 from hyperval.uncertainty.attribution.ranking import Candidate
-from hyperval.uncertainty.attribution.sensitivity import quadratic_design, sensitivity_indices
+from hyperval.uncertainty.attribution.run import quadratic_design, sensitivity_indices
 
 
 def test_a_polynomial_of_degree_two_is_met_exactly():

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import base64
-import io
 import json
 import re
 import shutil
 import threading
-import zipfile
 
 import numpy as np
 import pytest
@@ -19,9 +17,9 @@ from web_server import serve
 import hyperval.predict
 from hyperval import api
 from hyperval.cli import app as command
-from hyperval.report.netcdf_read import read_products
+from hyperval.report.netcdf import read_products
 from hyperval.report.style import Drawing
-from hyperval.web.views import view_name
+from hyperval.web.store import view_name
 from small_campaign import SmallCampaign, scene_data, write_yaml
 
 PLANK = "scene.targets.[yellow plank].subjects"
@@ -258,13 +256,12 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
         patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
         patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
         patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
-        run = client.post(url, files={k: (None, v) for k, v in BROUGHT.items()}).json()
+        run = client.post(url, files={k: (None, v) for k, v in BROUGHT.items()}).json()["run"]
         told = client.get(f"{own.address}/api/v1/runs/{run['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
-    packed = client.get(f"{own.address}/api/v1/runs/{run['id']}/files/campaign.zip").content
-    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
-        assert all(not name.startswith(("/", "..")) for name in archive.namelist())
-        archive.extractall(tmp_path)
+    text = client.get(f"{own.address}/api/v1/runs/{run['id']}/files/campaign.yaml").content
+    (tmp_path / "campaign.yaml").write_bytes(text)
+    shutil.copytree(own.app.state.settings.data / "collection", tmp_path / "collection")
     with monkeypatch.context() as patch:
         patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
         patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])

@@ -10,8 +10,7 @@ import pytest
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
 pytest.importorskip("fastapi", reason="needs the extra web")
 
-from hyperval.web.cluster import Cluster
-from hyperval.web.workers import Cancelled, Full, Job, TaskFailed
+from hyperval.web.workers import Cancelled, Cluster, Full, TaskFailed, WorkerTask
 
 HERE = Path(__file__).parent
 pytestmark = pytest.mark.filterwarnings("default")  # of the libraries behind the scheduler
@@ -29,11 +28,11 @@ def crew():
         yield one
         one.close()
         with pytest.raises(Full):
-            one.submit(Job("add", {"a": 1, "b": 2}))
+            one.submit(WorkerTask("add", {"a": 1, "b": 2}))
 
 
 def result(crew, task, **arguments):
-    return crew.submit(Job(task, arguments)).future.result(30.0)
+    return crew.submit(WorkerTask(task, arguments)).future.result(30.0)
 
 
 def test_task_is_carried_out_or_fails_without_paths(crew):
@@ -48,16 +47,16 @@ def test_task_is_carried_out_or_fails_without_paths(crew):
 
 def test_task_tells_how_far_it_is_and_is_called_off(crew, tmp_path):
     begun = []
-    running = Job("count", {"folder": str(tmp_path), "seconds": 60.0}, begun=lambda: begun.append(True))
+    running = WorkerTask("count", {"folder": str(tmp_path), "seconds": 60.0}, begun=lambda: begun.append(True))
     crew.submit(running)
     end = time.monotonic() + 30.0
     while not running.progress[1] and time.monotonic() < end:
         time.sleep(0.02)
     assert running.progress[0] == "counting"
     assert begun == [True]
-    waiting = crew.submit(Job("add", {"a": 1, "b": 1}))
+    waiting = crew.submit(WorkerTask("add", {"a": 1, "b": 1}))
     with pytest.raises(Full):
-        crew.submit(Job("add", {"a": 1, "b": 1}))
+        crew.submit(WorkerTask("add", {"a": 1, "b": 1}))
     running.is_cancelled = True
     with pytest.raises(Cancelled):
         running.future.result(30.0)

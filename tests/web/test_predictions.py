@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import io
 import re
 from html.parser import HTMLParser
@@ -19,11 +18,9 @@ from hyperval.cli import app as command
 from hyperval.config import load_yaml
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.web.forms import Form
-from hyperval.web.inputs import from_link, link_text, plain, scenario_form, yaml_text
+from hyperval.web.inputs import needs, plain, predefined, scenario_form, yaml_text
 from hyperval.web.pages_predict import walk
-from hyperval.web.predefined import needs, predefined
-from hyperval.web.refusal import Refused
-from hyperval.web.views import view_name
+from hyperval.web.store import view_name
 
 EASY = {"name": "yellow-planks-asphalt"}
 
@@ -159,9 +156,9 @@ def test_scene_of_a_collection_needs_its_files(client, server, monkeypatch):
 
 
 def test_sensor_file_is_brought_and_used(client, server):
-    url = f"{server.address}/api/v1/uploads/sensors"
+    url = f"{server.address}/api/v1/uploads"
     text = (resources.files("hyperval.sensor") / "library" / "enmap.yaml").read_text()
-    assert client.post(url, files=[("sensors", ("mine.yaml", text))]).json() == ["mine.yaml"]
+    assert client.post(url, files=[("sensors", ("mine.yaml", text))]).json() == {"run": None, "kept": ["mine.yaml"]}
     assert "<option>mine.yaml</option>" in client.get(f"{server.address}/predict").text
     orders = [{"name": "panels", "settings": {"sensor": name}} for name in ("mine.yaml", "enmap")]
     mine, library = (client.post(f"{server.address}/api/v1/predictions", json=order).json() for order in orders)
@@ -231,9 +228,7 @@ def test_rows_are_added_and_removed(client, server):
     fields = dict(Fields(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text).sent)
     more = Fields(client.post(f"{server.address}/predict", data={**fields, "action": "add:scene.classes"}).text)
     assert dict(more.sent)["scene.classes#"] == "4"
-    fewer = Fields(
-        client.post(f"{server.address}/predict", data={**fields, "action": "remove:scene.classes.1"}).text
-    )
+    fewer = Fields(client.post(f"{server.address}/predict", data={**fields, "action": "remove:scene.classes.1"}).text)
     assert dict(fewer.sent)["scene.classes.1.name"] == "soil"
 
 
@@ -248,9 +243,7 @@ def test_scenario_file_of_a_run_gives_the_same_numbers_by_the_command(client, se
         patch.setattr("hyperval.report.pictures.draw_pictures", lambda run: [])
         patch.setattr("hyperval.report.html.draw_charts", lambda sides, rows: [])
         patch.setattr("hyperval.report.html.every_plot", lambda *_: [])
-        done = CliRunner().invoke(
-            command, ["predict", str(tmp_path / "scenario.yaml"), "-o", str(tmp_path / "out")]
-        )
+        done = CliRunner().invoke(command, ["predict", str(tmp_path / "scenario.yaml"), "-o", str(tmp_path / "out")])
     assert done.exit_code == 0
     assert (tmp_path / "out" / "results.csv").read_bytes() == client.get(f"{files}/results.csv").content
     table = pd.read_csv(io.BytesIO(client.get(f"{files}/results.csv").content))
@@ -278,7 +271,7 @@ def test_charts_of_two_runs_have_differences(client, server):
     assert {"chart-radiance", "chart-snr", "chart-reflectance", "chart-roc"} <= {c["name"] for c in alone}
     # Charts that were kept for other scripts are made again: after an update these could not draw them.
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.web.views._scripts", lambda: "others")
+        patch.setattr("hyperval.web.store._scripts", lambda: "others")
         assert client.get(f"{server.address}/runs/{runs[1]}/charts").json() == alone
     kept = server.app.state.store.place(runs[1])
     assert {view_name("charts"), "charts-others.json"} <= {path.name for path in kept.iterdir()}
@@ -290,37 +283,18 @@ def test_charts_of_two_runs_have_differences(client, server):
     assert "Difference" in page
 
 
-def test_link_holds_the_whole_scenario(client, server):
-    data = plain(load_scenario("green-planks-grass"))
-    assert from_link(link_text(data)) == data
-    page = client.get(f"{server.address}/predict", params={"s": link_text(data)})
-    assert "Sub-pixel planks painted green in grass" in page.text
-    for wrong in ("x", "////", link_text(data)[:-8]):
-        with pytest.raises(Refused):
-            from_link(wrong)
-
-
-def test_link_reproduces_the_page_in_any_session(client, server):
-    order = {**EASY, "settings": {"atmosphere.meteorological_range_km": 17.5}}
-    first, second = (client.post(f"{server.address}/api/v1/predictions", json=one).json() for one in (order, EASY))
-    page = client.get(f"{server.address}/runs/{first['id']}", params={"beside": second["id"]}).text
-    link = server.address + html.unescape(re.search(r'href="(/result\?[^"]+)" id="link"', page)[1])
-    assert client.get(link).url.endswith(f"/runs/{first['id']}?beside={second['id']}"), "the same runs"
-    other = server.session()
-    answer = other.get(link)
-    own = other.get(f"{server.address}/api/v1/runs").json()
-    assert len(own) == 2
-    assert [r["summary"]["detection"] for r in own if r["id"] in answer.url.split("?")[0]] == [
-        first["summary"]["detection"]
-    ]
-    assert answer.url.count("beside=") == 1
-    assert other.get(link, headers={"Sec-Fetch-Dest": "image"}).status_code == 403
-    assert other.get(f"{server.address}/result?s=x").status_code == 422
-
-
-def test_link_that_unpacks_to_too_much_is_refused():
-    with pytest.raises(Refused, match="too much"):
-        from_link(link_text({"title": "a" * 5_000_000}))
+def test_what_went_says_what_stands_in_its_place(client, server):
+    run = client.post(f"{server.address}/api/v1/predictions", json=EASY).json()["id"]
+    for method, path, words in (
+        ("GET", "/predict?s=eNo", "scenario.yaml"),
+        ("GET", f"/api/v1/runs/{run}/files/campaign.zip", "campaign.yaml"),
+        ("GET", "/api/v1/session", "cookie"),
+        ("POST", "/api/v1/uploads/spectra", "/uploads"),
+        ("POST", "/api/v1/uploads/sensors", "/uploads"),
+    ):
+        answer = client.request(method, server.address + path)
+        assert answer.status_code == 410, path
+        assert words in answer.json()["errors"][0]["message"], path
 
 
 def test_yaml_reads_as_it_was_written(tmp_path: Path):
@@ -332,10 +306,10 @@ def test_yaml_reads_as_it_was_written(tmp_path: Path):
     assert load_yaml(tmp_path / "a.yaml")[0] == data
 
 
-def test_api_needs_five_lines_as_its_page_has_them(server, no_figures, capsys):
+def test_api_needs_four_lines_as_its_page_has_them(server, no_figures, capsys):
     page = (Path(__file__).resolve().parents[2] / "docs" / "web.md").read_text("utf-8")
     code = page[page.index("    import requests") :].partition("\n\n")[0]
     lines = [line.removeprefix("    ") for line in code.splitlines()]
-    assert len(lines) == 5
+    assert len(lines) == 4
     exec("\n".join(lines).replace("http://127.0.0.1:8000", server.address), {})  # noqa: S102 - our own page
     assert capsys.readouterr().out.startswith("campaign,product,subject")

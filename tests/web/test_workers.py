@@ -14,8 +14,8 @@ from processes import awaited, is_at_work
 
 pytest.importorskip("fastapi", reason="needs the extra web")
 
-from hyperval.cli.serve import keep_caches
-from hyperval.web.workers import Cancelled, Job, Pool, TaskFailed
+from hyperval.cli.commands import keep_caches
+from hyperval.web.workers import Cancelled, TaskFailed, WorkerPool, WorkerTask
 
 HERE = Path(__file__).parent
 
@@ -24,13 +24,13 @@ HERE = Path(__file__).parent
 def pool():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(HERE))
-        one = Pool(1, 8, seconds=2.0, memory_bytes=1_500_000_000, module="web_tasks")
+        one = WorkerPool(1, 8, seconds=2.0, memory_bytes=1_500_000_000, module="web_tasks")
         yield one
         one.close()
 
 
 def result(pool, task, timeout=30.0, **arguments):
-    return pool.submit(Job(task, arguments)).future.result(timeout)
+    return pool.submit(WorkerTask(task, arguments)).future.result(timeout)
 
 
 def test_what_ends_a_process_ends_its_task_alone(pool):
@@ -44,7 +44,7 @@ def test_what_ends_a_process_ends_its_task_alone(pool):
 
 def test_task_that_takes_too_long_or_too_much_is_ended(pool):
     with pytest.raises(TaskFailed, match="longer than 2 s"):
-        pool.submit(Job("write", {"path": os.devnull})).future.result(30.0)
+        pool.submit(WorkerTask("write", {"path": os.devnull})).future.result(30.0)
     with pytest.raises(TaskFailed, match="more memory"):
         result(pool, "hoard")
     assert result(pool, "add", a=1, b=1) == 2
@@ -60,7 +60,7 @@ def test_failure_is_told_without_paths(pool, capfd):
 
 
 def test_task_is_called_off(pool):
-    running, waiting = Job("write", {"path": os.devnull}), Job("add", {"a": 1, "b": 1})
+    running, waiting = WorkerTask("write", {"path": os.devnull}), WorkerTask("add", {"a": 1, "b": 1})
     pool.submit(running)
     pool.submit(waiting)
     waiting.is_cancelled = True

@@ -17,22 +17,23 @@ from hyperval.errors import HypervalError
 from hyperval.progress import set_listener
 from hyperval.web import tasks
 from hyperval.web.app import make_app
-from hyperval.web.limits import Limits, Settings
+from hyperval.web.guard import connections_of
 from hyperval.web.refusal import said
-from hyperval.web.workers import Cancelled, Full, Job, TaskFailed
+from hyperval.web.store import Limits, ServerSettings
+from hyperval.web.workers import Cancelled, Full, TaskFailed, WorkerTask
 
 
 class Crew:
     """A thread in place of the processes."""
 
     def __init__(self, most: int = 64):
-        self.waiting: queue.Queue[Job | None] = queue.Queue(most)
+        self.waiting: queue.Queue[WorkerTask | None] = queue.Queue(most)
         self.gate = threading.Event()
         self.gate.set()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def submit(self, job: Job) -> Job:
+    def submit(self, job: WorkerTask) -> WorkerTask:
         try:
             self.waiting.put_nowait(job)
         except queue.Full:
@@ -66,7 +67,7 @@ class Crew:
                 set_listener(None)
 
     @staticmethod
-    def _report(job: Job, what: str, done: int, total: int | None) -> None:
+    def _report(job: WorkerTask, what: str, done: int, total: int | None) -> None:
         job.progress = (what, done, total)
         if job.is_cancelled:
             raise Cancelled("cancelled")
@@ -83,16 +84,18 @@ class Server:
     folder: Path
 
     def session(self) -> requests.Session:
-        """A program's session with its token."""
+        """A program's session with its cookie."""
         own = requests.Session()
-        own.headers["X-Hyperval-Token"] = own.get(f"{self.address}/api/v1/session", timeout=20).json()["token"]
+        own.get(f"{self.address}/api/v1/sensors", timeout=20)
         return own
 
 
 def serve(folder: Path, campaigns: Path | None = None, data: Path | None = None, **limits: Any) -> Iterator[Server]:
     quick, long = Crew(limits.get("queue", 64)), Crew(limits.get("queue", 64))
-    app = make_app(Settings(folder, campaigns, limits=Limits(**limits), data=data), (quick, long))
-    config = uvicorn.Config(app, host="127.0.0.1", port=0, log_level="error", server_header=False)
+    app = make_app(ServerSettings(folder, campaigns, limits=Limits(**limits), data=data), (quick, long))
+    config = uvicorn.Config(
+        app, host="127.0.0.1", port=0, log_level="error", server_header=False, ws="none", http=connections_of(256)
+    )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()

@@ -96,13 +96,10 @@ def verdicts(found: Differences) -> list[Verdict]:
         return Verdict(name, limit, float(np.median(values)), float(np.mean(np.abs(values) <= limit)))
 
     made = [
-        verdict(f"total radiance, {a}-{b} nm", found.total[found.window(a, b)], TOTAL_IN_WINDOWS)
-        for a, b in WINDOWS_NM
+        verdict(f"total radiance, {a}-{b} nm", found.total[found.window(a, b)], TOTAL_IN_WINDOWS) for a, b in WINDOWS_NM
     ]
     made.append(
-        verdict(
-            "total radiance, transmittance above 0.7", found.total[found.transmitting(0.7, 1.01)], TOTAL_ABOVE_07
-        )
+        verdict("total radiance, transmittance above 0.7", found.total[found.transmitting(0.7, 1.01)], TOTAL_ABOVE_07)
     )
     made += [
         verdict(

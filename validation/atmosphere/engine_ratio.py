@@ -27,7 +27,7 @@ from modtran_cases import Case, cases, matched
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.atmosphere.cache import cache_folder
-from hyperval.atmosphere.engine_ratio import FILE, EngineRatio, ways
+from hyperval.atmosphere.physics import FILE, EngineRatio, ways
 from hyperval.atmosphere.sixs import sixs_terms
 
 # Channels where gases absorb next to nothing in both codes: the continuum of the ratio goes through them.

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, read_chn
-from hyperval.atmosphere.modtran_read import read_chn_blocks
-from hyperval.atmosphere.modtran_solve import terms_from_blocks
+from hyperval.atmosphere.modtran import read_chn_blocks, terms_from_blocks
 from hyperval.spectra.axis import SpectralAxis
 
 ALBEDOS = (0.0, 0.1, 0.5)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms, build_table
-from hyperval.atmosphere.visibility import aot550_from_range
+from hyperval.atmosphere.state import aot550_from_range
 
 RHO = 0.3
 LEAST_GAS = 0.1

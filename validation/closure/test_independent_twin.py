@@ -17,8 +17,7 @@ from hyperval.atmosphere.solar import distance_on_day, extraterrestrial_irradian
 from hyperval.predict import Origins, predict
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import load_sensor
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.response import band_average
+from hyperval.spectra.axis import SpectralAxis, band_average
 
 FOLDER = Path(__file__).parents[2] / "campaigns" / "share2012-independent"
 AXIS = SpectralAxis(*np.array(plain.BANDS).T)
@@ -49,9 +48,7 @@ def response_difference(world: plain.World) -> float:
     """Root mean square over the bands, of the sun's spectrum as they see it."""
     model = band_average(plain.FINE_NM, extraterrestrial_irradiance("astm-g173", plain.FINE_NM), AXIS)
     return float(
-        np.sqrt(
-            np.mean((plain.band_means(plain.FINE_NM, plain.sun_at(plain.FINE_NM), world.shift) / model - 1) ** 2)
-        )
+        np.sqrt(np.mean((plain.band_means(plain.FINE_NM, plain.sun_at(plain.FINE_NM), world.shift) / model - 1) ** 2))
     )
 
 
@@ -143,9 +140,7 @@ def test_line_filter_and_scores_of_drawn_pixels(engine, tmp_path):
     gain, offset = plain.line_of(*panels, (0.1, 0.6))
     ground = (image(np.concatenate([drawn[0.1], drawn[0.3]])) - offset) / gain
     weights, constant = plain.filter_of(ground, ramp)
-    host = (
-        0.1 + rng.standard_normal((n, len(AXIS))) @ np.linalg.cholesky(16e-6 * kernel + 4e-6 * np.eye(len(AXIS))).T
-    )
+    host = 0.1 + rng.standard_normal((n, len(AXIS))) @ np.linalg.cholesky(16e-6 * kernel + 4e-6 * np.eye(len(AXIS))).T
     scores = ((image(0.12 * ramp + 0.88 * host) - offset) / gain) @ weights - constant
     # Means of 40,000 scores are known to 0.5 % of their spread, spreads to 0.4 %, P_D to 0.0025; the panels' means
     # and the filter of 80,000 pixels add as much.  The bounds are six of these.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from hyperval.campaign.references import SIMULATED
+from hyperval.campaign.job import SIMULATED
 from hyperval.campaign.schema import Campaign, load_campaign
 from hyperval.compare import compare_products
 from hyperval.observe import observe

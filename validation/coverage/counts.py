@@ -59,6 +59,8 @@ class Counts:
 
 Tally = dict[Key, Counts]
 COVERED, REJECTED, FOUND = (0.92, 0.98), (0.03, 0.07), (0.90, 1.0)
+# At most one right campaign in twenty finds its model wrong; an interval lies on either side of the truth in 2.5 %.
+NOT_MET = ONE_SIDE = (0.0, 0.05)
 
 
 @dataclass(frozen=True)
@@ -101,4 +103,5 @@ def outcomes(tallies: Iterable[Tally]) -> list[Outcome]:
 def _outcome(key: Key, counts: Counts) -> Outcome:
     what = key[2]
     wanted = FOUND if "tilt" in what else REJECTED if "rejects" in what else COVERED
+    wanted = NOT_MET if "not met" in what else ONE_SIDE if "its truth" in what else wanted
     return Outcome(*key, counts.share, *counts.limits(), int(counts.count), counts.worlds, wanted)

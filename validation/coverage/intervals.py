@@ -11,20 +11,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import optimize, stats
 from world import AXIS
 
 from hyperval.collection import AreaCheck, Detection
 from hyperval.compare.objects import judged_together
 from hyperval.imagery.truth import TargetObject, all_pixels
-from hyperval.observe.objects import target_areas
-from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.covariance_sampling import Directions, SamplingBand, sampling_band
-from hyperval.processing.exceedance import exceedance_curve
-from hyperval.processing.noise_part import noise_part
-from hyperval.processing.rank_counts import counts_of
-from hyperval.processing.roc import pd_at_pfa
-from hyperval.processing.roc_areas import AREAS, area_estimates
+from hyperval.observe.detection import target_areas
+from hyperval.processing.alarm_blocks import AlarmBlocks, exceedance_curve
+from hyperval.processing.roc import AREAS, area_estimates, counts_of, pd_at_pfa
+from hyperval.processing.sample import EigenDirections, SamplingBand, noise_part, sampling_band
 from hyperval.products import ObjectScores
 from hyperval.scene.builtin import builtin_class
 
@@ -112,7 +108,7 @@ def eigenvalues(rng: np.random.Generator, clustered: bool) -> Intervals:
         return
     pixels = rng.standard_normal((PIXELS, len(AXIS))) @ _ROOT.T
     measured = np.linalg.eigvalsh(np.cov(pixels.T))[::-1]
-    directions = Directions.of(_COVARIANCE)
+    directions = EigenDirections.of(_COVARIANCE)
     band = sampling_band(directions, float(PIXELS - 1), max(EIGENVALUES), (1,), rng)
     low, high = SamplingBand.limits(band.eigenvalues)
     for k in EIGENVALUES:
@@ -141,8 +137,42 @@ def object_spread(rng: np.random.Generator, together: bool) -> Intervals:
     yield "spread of the scores of objects", bool(low <= 1.0 <= high)
 
 
+LAYOUTS = {
+    "halves": lambda line, sample: line < SIDE // 2,
+    "stripes": lambda line, sample: line // 10 % 2 == 0,
+    "checkerboard": lambda line, sample: (line // 10 + sample // 10) % 2 == 0,
+}
+APART = 2.5  # one class above the other [standard deviations within a class]
+HOT, HEAT = 0.01, 4.0  # share of the tiles that are rare clusters, and how far they lie above the others
+
+
+def layouts(rng: np.random.Generator, clustered: bool) -> Intervals:
+    """P_FA and P_D of a background of two classes in halves, stripes or squares, or with rare hot tiles."""
+    grid = np.indices((SIDE, SIDE))
+    count = -(-SIDE // TILE)
+    hot = (rng.random((count, count)) < HOT).repeat(TILE, 0).repeat(TILE, 1)[:SIDE, :SIDE]
+    own = background(rng, clustered)
+    cases = [(name, own + APART * at(*grid), at(*grid), 0.5, APART) for name, at in LAYOUTS.items()]
+    cases += [] if clustered else [("rare clusters", own + HEAT * hot, None, HOT, HEAT)]
+    for name, scores, classes, share, apart in cases:
+        blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool), classes=classes)
+        curve = exceedance_curve(blocks)
+
+        def true(x: float, share: float = share, apart: float = apart) -> float:
+            return float((1.0 - share) * stats.norm.sf(x) + share * stats.norm.sf(x - apart))
+
+        for level in (1e-2, 1e-3):
+            at = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
+            if np.isfinite(curve.lower[at]):
+                inside = curve.lower[at] <= true(float(curve.threshold[at])) <= curve.upper[at]
+                yield f"P_FA near {level:g}, {name}", bool(inside)
+            threshold = optimize.brentq(lambda x, level=level: true(x) - level, -9.0, 30.0)
+            rate = pd_at_pfa(rng.normal(threshold, 1.0, 100), blocks.scores, level, blocks=blocks)
+            yield f"P_D at {level:g}, {name}", bool(rate.lower[0] <= 0.5 <= rate.upper[0])
+
+
 KINDS: tuple[Callable[[np.random.Generator, bool], Intervals], ...] = (
-    detection, areas, eigenvalues, noise, object_spread,
+    detection, layouts, areas, eigenvalues, noise, object_spread,
 )  # fmt: skip
 
 

@@ -1,10 +1,13 @@
 """Coverage: how often the 95 % intervals of a comparison hold, over collections whose budgets are known to be true.
 
-    python validation/coverage/study.py [--collections 1000] [--spectra 1000] [--maps 2000] [--output DIR]
+    python validation/coverage/study.py [--campaigns 200] [--collections 1000] [--spectra 1000] [--maps 2000]
+                                        [--output DIR]
 
-Writes coverage.csv and coverage.json: for every product the share of comparisons whose stated interval of predicted
-minus measured holds 0, and how often the consistency test rejects true cases and tilted ones.  Worlds are counted
-in batches, on every processor; counts of a batch are kept in DIR, so that a run goes on where the last one ended.
+Writes coverage.csv and coverage.json.  The first line is the share of whole campaigns without any error that find a
+criterion "not met" (campaigns.py).  Then, for every product, the share of comparisons whose stated interval of
+predicted minus measured holds 0, and how often the consistency test rejects true cases and tilted ones.  Worlds
+are counted in batches, on every processor; counts of a batch are kept in DIR, so that a run goes on where the last
+one ended.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
+import campaigns
 import numpy as np
 import numpy.typing as npt
 from counts import Counts, Key, Tally, outcomes
@@ -28,24 +32,23 @@ from world import B as BANDS
 import hyperval
 from hyperval.compare import compare_products, objects
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.files import files_within, sha256_of, write_text
-from hyperval.observe.uncertainty import spectral_estimate
+from hyperval.observe.site_spectra import spectral_estimate
 from hyperval.predict import Origins, predict
-from hyperval.processing.elm import PanelMeasurement, fit_elm
-from hyperval.processing.elm_error import PanelErrors, line_error
-from hyperval.processing.mean_error import (
+from hyperval.processing.elm import PanelErrors, PanelMeasurement, fit_elm, line_error
+from hyperval.processing.roc import empirical_roc, with_summary
+from hyperval.processing.sample import (
     components,
     independent_pixels,
     mean_error_covariance,
+    neighbour_shares,
     small_sample_factor,
 )
-from hyperval.processing.roc import empirical_roc, with_summary
 from hyperval.processing.snr import snr_decorrelated
-from hyperval.processing.spatial_correlation import neighbour_shares
-from hyperval.products import EstimatedPart, ObjectScores, Observation, Prediction
+from hyperval.products import EstimatedPart, ObjectScores, ObservedProducts, PredictedProducts
 from hyperval.progress import track
 from hyperval.results import Result
 from hyperval.scene.builtin import builtin_class
+from hyperval.storage import files_within, sha256_of, write_text
 
 Array = npt.NDArray[np.float64]
 
@@ -54,17 +57,17 @@ TILT = 0.03
 ALPHA = 0.05
 FALSE_ALARMS = (1e-2, 1e-3)
 METHODS = ("linear", "monte-carlo")
-BATCH = 50  # worlds
+BATCH = {"campaigns": 5, "collections": 50, "maps": 50}  # worlds
 LOOKED_FOR = builtin_class("yellow-paint-plank", AXIS).mean
 
 
 @cache
-def predictions(samples: int) -> dict[str, Prediction]:
+def predictions(samples: int) -> dict[str, PredictedProducts]:
     """What is predicted, by both ways of propagation."""
     return {m: predict(scenario(m, samples), Origins(axis=AXIS, engine=engine), objects=True) for m in METHODS}
 
 
-def observed(c: Collection) -> Observation:
+def observed(c: Collection) -> ObservedProducts:
     """What a campaign would measure on the pixels of a collection."""
     mean, spread = c.field.reshape(-1, BANDS).mean(axis=0), np.cov(c.field.reshape(-1, BANDS).T)
     sampling = _field_error(c.field, mean, spread)
@@ -73,9 +76,7 @@ def observed(c: Collection) -> Observation:
     by_pixel = np.cov(c.bright.T) / n
     radiance = {
         "field": spectral_estimate(mean, {"sampling": sampling.covariance}, n=SITE**2, estimated=[sampling]),
-        "bright": spectral_estimate(
-            bright, {"sampling": by_pixel}, n=n, estimated=[EstimatedPart(by_pixel, n - 1.0)]
-        ),
+        "bright": spectral_estimate(bright, {"sampling": by_pixel}, n=n, estimated=[EstimatedPart(by_pixel, n - 1.0)]),
     }
     panels, errors = [], []
     shape = np.exp(-0.5 * (np.subtract.outer(AXIS.centre_nm, AXIS.centre_nm) / ELM_NM) ** 2)
@@ -102,7 +103,7 @@ def observed(c: Collection) -> Observation:
         roc["plank", "cem", "pixel"] = with_summary(curve, *scores, draws=200)
         objects["plank", "cem"] = ObjectScores(scores[0], tuple(str(i) for i in range(scores[0].size)))
     snr = {"bright": snr_decorrelated(c.bright)}
-    return Observation(AXIS, radiance, snr, reflectance, roc=roc, object_scores=objects)
+    return ObservedProducts(AXIS, radiance, snr, reflectance, roc=roc, object_scores=objects)
 
 
 def _field_error(field: Array, mean: Array, covariance: Array) -> EstimatedPart:
@@ -111,9 +112,7 @@ def _field_error(field: Array, mean: Array, covariance: Array) -> EstimatedPart:
     inside = np.ones(field.shape[:2], bool)
     reach = min(field.shape[0] - 1, 24)
     shares = neighbour_shares(inside, reach, np.random.default_rng(0))
-    independent, of_variance = independent_pixels(
-        [(along.scores(field - mean), inside)], shares, inside.size, reach
-    )
+    independent, of_variance = independent_pixels([(along.scores(field - mean), inside)], shares, inside.size, reach)
     plain, widened = (
         mean_error_covariance(covariance, along, by)
         for by in (independent, independent / small_sample_factor(independent))
@@ -131,7 +130,7 @@ def _scores(x: Array, background: Array) -> Array:
 
 @dataclass(frozen=True)
 class Batch:
-    """Worlds ``first`` to ``last`` - 1: score maps, or collections, with pixels for the detectors or without."""
+    """Worlds ``first`` to ``last`` - 1: campaigns, score maps, or collections, with pixels to detect or without."""
 
     of: str
     first: int
@@ -145,10 +144,14 @@ class Batch:
         """Count the worlds of the batch."""
         out: Tally = {}
         for i in range(self.first, self.last):
-            world = self._of_map(i) if self.of == "maps" else self._of_collection(i)
-            for key, values in world:
+            for key, values in self._of(i):
                 out.setdefault(key, Counts()).add(values)
         return out
+
+    def _of(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
+        if self.of == "campaigns":
+            return campaigns.counted(campaigns.rows_of(i, self.seed))
+        return self._of_map(i) if self.of == "maps" else self._of_collection(i)
 
     def _of_map(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
         """Intervals of the background, of curves, areas and eigenvalues: :mod:`intervals`."""
@@ -188,7 +191,7 @@ class Batch:
         yield ("radiance", "bright", f"full test rejects {100 * TILT:g} % tilt", "linear"), _rejected(mine)
 
 
-def _compared(p: Prediction, o: Observation, method: str) -> list[Result]:
+def _compared(p: PredictedProducts, o: ObservedProducts, method: str) -> list[Result]:
     # P-values of the objects together are not looked at here; their sets of draws are most of the time.
     with patch.multiple(objects, REPLICATES=500, POWER_DRAWS=20):
         return compare_products(p, o, method=method)
@@ -196,15 +199,14 @@ def _compared(p: Prediction, o: Observation, method: str) -> list[Result]:
 
 def batches(whole: Batch) -> list[Batch]:
     """Cut many worlds into batches."""
-    starts = range(whole.first, whole.last, BATCH)
-    return [replace(whole, first=i, last=min(i + BATCH, whole.last)) for i in starts]
+    size = BATCH[whole.of]
+    starts = range(whole.first, whole.last, size)
+    return [replace(whole, first=i, last=min(i + size, whole.last)) for i in starts]
 
 
 def _ratio_held(rows: list[Result]) -> list[float]:
     """Whether 0 lies in the interval of the difference ratio, band by band."""
-    return [
-        float(r.lower <= 0.0 <= r.upper) for r in rows if r.metric == "difference_ratio" and np.isfinite(r.value)
-    ]
+    return [float(r.lower <= 0.0 <= r.upper) for r in rows if r.metric == "difference_ratio" and np.isfinite(r.value)]
 
 
 def _rejected(rows: list[Result]) -> list[float]:
@@ -241,6 +243,7 @@ class Kept:
 def main() -> int:
     """Run the study; 1 where a share is not where it is to lie."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--campaigns", type=int, default=200, help="whole ones, without any error")
     parser.add_argument("--collections", type=int, default=1000, help="with pixels for the detectors")
     parser.add_argument("--spectra", type=int, default=1000, help="collections in all")
     parser.add_argument("--maps", type=int, default=2000)
@@ -253,7 +256,8 @@ def main() -> int:
     with_pixels = Batch("collections", 0, args.collections, args.seed, detection=True, draws=args.draws)
     without = Batch("collections", args.collections, args.spectra, args.seed, draws=args.draws)
     maps = Batch("maps", 0, args.maps, args.seed)
-    pieces = [piece for whole in (maps, with_pixels, without) for piece in batches(whole)]
+    right = Batch("campaigns", 0, args.campaigns, args.seed)
+    pieces = [piece for whole in (right, maps, with_pixels, without) for piece in batches(whole)]
     with workers(worker_count(len(pieces))) as where:
         tallies = track(in_order(where, kept.tally, pieces), "batches of worlds", total=len(pieces))
         result = outcomes(tallies)

@@ -60,6 +60,14 @@ def test_consistency_test_rejects_tilted_collections_and_few_others(found):
             assert o.share <= MOST_REJECTED / 60, o
 
 
+def test_whole_campaigns_without_error_meet_their_criteria_and_stand_first():
+    # One in twenty may find its model wrong; these five, one of each layout, do not.
+    batch = study.Batch("campaigns", 0, 5, seed=5)
+    first, *rest = outcomes([batch.tally()])
+    assert (first.what, first.share, first.worlds) == ("any criterion not met", 0.0, 5)
+    assert {o.subject for o in rest} >= {"bhattacharyya_covariance_excess", "noise_ratio", "pfa_ratio@1e-2"}
+
+
 @pytest.mark.parametrize("together", [1, 40])
 def test_intervals_that_move_together_count_as_one(together):
     """Bands of a world that all hold or all miss say no more of the share than one of them."""

@@ -15,11 +15,10 @@ from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
 from hyperval.config import parse_yaml, validate
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import builtin_class
+from hyperval.simulate.collection import Detector
 from hyperval.simulate.inputs import SensorNumbers, sensor_numbers
-from hyperval.simulate.radiometry import Detector
 from hyperval.simulate.surface import correlated_field
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.windows import in_window
+from hyperval.spectra.axis import SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]
 
@@ -192,9 +191,7 @@ class Collection:
     targets: Array
 
 
-def collect(
-    t: Truth, rng: np.random.Generator, *, detection: bool = True, extra: Array | float = 1.0
-) -> Collection:
+def collect(t: Truth, rng: np.random.Generator, *, detection: bool = True, extra: Array | float = 1.0) -> Collection:
     """Make the pixels of one collection.
 
     ``extra`` (B,) is a factor on all recorded radiance that no budget knows.  Pixels are drawn class by class; the

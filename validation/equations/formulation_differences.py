@@ -9,8 +9,13 @@ import numpy as np
 
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.scene.builtin import builtin_class
-from hyperval.scene.mixture import average_reflectance, mixture_covariance
-from hyperval.scene.radiance import mean_radiance, radiance_covariance, target_pixel_covariance
+from hyperval.scene.radiance import (
+    average_reflectance,
+    mean_radiance,
+    mixture_covariance,
+    radiance_covariance,
+    target_pixel_covariance,
+)
 from hyperval.sensor.noise import bit_error_variance
 from hyperval.sensor.response import solid_angle
 from hyperval.spectra.axis import SpectralAxis

@@ -13,12 +13,25 @@ from hyperval.processing.ace_model import (
     ace_threshold,
     exceedance_at,
 )
-from hyperval.processing.classification import bhattacharyya_distance, classification_error
-from hyperval.processing.elm_model import darkest_level, retrieved_covariance, two_panel_line
-from hyperval.processing.features import feature_covariance, minimum_noise_fraction
+from hyperval.processing.classification import (
+    bhattacharyya_distance,
+    classification_error,
+    feature_covariance,
+    minimum_noise_fraction,
+)
+from hyperval.processing.elm import darkest_level, retrieved_covariance, two_panel_line
 from hyperval.processing.filters import matched_filter_weights, spectral_matched_filter
-from hyperval.processing.roc_model import RocScores, detection_probability, object_detection_probability
-from hyperval.processing.thresholds import ClassScores, log_false_alarm, score_density
+from hyperval.processing.roc_model import (
+    ClassScores,
+    Host,
+    RocScores,
+    detection_probability,
+    host_part,
+    log_false_alarm,
+    mixing,
+    object_detection_probability,
+    score_density,
+)
 from hyperval.scene.radiance import (
     illumination_factor,
     mean_radiance,
@@ -199,6 +212,25 @@ def test_densities_are_the_derivatives():
     assert target.background_density(x[None])[0] == pytest.approx(slope, rel=1e-6)
 
 
+def test_mixed_pixel_of_a_t_host_by_hand():
+    # f = 0.2 of a target, host of variance 4 (its class 3): total 2 + 0.64 (4 - 3), of it 0.64 * 4 with tails.
+    assert host_part(2.0, 0.8, 4.0, 3.0) == pytest.approx((2.64, 2.56))
+    # w of 4 degrees of freedom has density w exp(-w/2) / 4: E[(nu - 2) / w] = 1, E[2 / w > 2] = P(w < 1) = 0.0902.
+    factor, probability = (a[0] for a in mixing(np.array([4.0])))
+    assert probability.sum() == pytest.approx(1.0)
+    assert factor @ probability == pytest.approx(1.0, rel=1e-7)
+    assert factor**-1 @ probability == pytest.approx(2.0, rel=1e-7)  # E[w] / 2
+    # By the integral over w: host sd 0.9 of 5 degrees of freedom, normal variance 0.25, mean 0.1, x = 3.
+    law = stats.chi2(5.0)
+    expected = integrate.quad(
+        lambda w: law.pdf(w) * stats.norm.sf(3.0, 0.1, np.sqrt(0.25 + 0.81 * 3.0 / w)), 0.0, np.inf, epsrel=1e-10
+    )[0]
+    laws = ClassScores(*np.array([[[1.0]], [[0.0]], [[1.0]], [[5.0]]]))
+    host = Host(np.array([[0.9]]), np.zeros(1), np.ones(1), laws)
+    found = detection_probability(np.array([[3.0]]), np.array([[0.1]]), np.sqrt([[1.06]]), np.ones((1, 1)), host)
+    assert found[0, 0] == pytest.approx(expected, rel=1e-7)
+
+
 def test_bhattacharyya_by_hand():
     # Equal unit covariances two apart: B = 4/8 = 0.5, error Phi(-1) = 0.158655.
     eye = np.eye(2)
@@ -267,9 +299,7 @@ def test_3_31_objects_by_monte_carlo():
     at = rng.integers(0, 2, n)
     best = (means[at] + sds[at] * rng.standard_normal((n, 3))).max(axis=1)
     thresholds = np.array([0.2, 0.4, 0.6, 0.9])
-    for x, p in zip(
-        thresholds, object_detection_probability(thresholds[None], means[None], sds[None])[0], strict=True
-    ):
+    for x, p in zip(thresholds, object_detection_probability(thresholds[None], means[None], sds[None])[0], strict=True):
         assert abs((best > x).mean() - p) < 5 * np.sqrt(p * (1 - p) / n)
 
 

@@ -10,11 +10,18 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.prediction.background import Settings, ground_of, seen_classes
-from hyperval.prediction.filters import Designer, law_scores, noise_of
+from hyperval.prediction.background import Settings, View, ground_of, seen_classes, stacked, stacked_noise
+from hyperval.prediction.filters import (
+    FILL_NODES,
+    Designer,
+    Material,
+    law_scores,
+    lit_surface,
+    noise_of,
+    responses,
+    target_population,
+)
 from hyperval.prediction.inputs import SurfaceStatistics
-from hyperval.prediction.responses import FILL_NODES, Material, lit_surface, responses, target_population
-from hyperval.prediction.view import View, stacked, stacked_noise
 from hyperval.scenario import ElmPanels, Processing
 from hyperval.scene.fill import beta_fill
 from hyperval.sensor.noise import NoiseModel
@@ -43,9 +50,7 @@ def surface(name: str, mean: float, spread: float) -> SurfaceStatistics:
     return SurfaceStatistics(name, mean + 0.02 * np.arange(B), np.cov(x.T) + spread**2 * np.eye(B), "drawn")
 
 
-SURFACES = {
-    s.name: s for s in (surface("soil", 0.2, 0.02), surface("grass", 0.35, 0.03), surface("plank", 0.55, 0.02))
-}
+SURFACES = {s.name: s for s in (surface("soil", 0.2, 0.02), surface("grass", 0.35, 0.03), surface("plank", 0.55, 0.02))}
 TERMS, NOISE = (some_terms(3.0), some_terms(2.0)), (some_noise(1.0), some_noise(0.5))
 MATERIAL = Material("plank", 1, np.array([1.0, 0.4]), np.array([1.0, 0.8]))
 
@@ -80,9 +85,7 @@ class Plain:
 
     def level(self, rho: np.ndarray) -> np.ndarray:
         t = self.t
-        return t.path_radiance + (t.direct * rho + t.adjacency * self.average) / (
-            1 - t.spherical_albedo * self.average
-        )
+        return t.path_radiance + (t.direct * rho + t.adjacency * self.average) / (1 - t.spherical_albedo * self.average)
 
     def seen(self, rho: np.ndarray, under: np.ndarray, covariance: np.ndarray, gain: float):
         t, trapping = self.t, 1 - self.t.spherical_albedo * self.average

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 from score_classes import classes, log_alarms, printed_procedure, roc_of, thresholds
 
-from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance, two_panel_line
-from hyperval.processing.features import feature_covariance, features, principal_components
+from hyperval.processing.classification import feature_covariance, features, principal_components
+from hyperval.processing.elm import retrieved_covariance, retrieved_reflectance, two_panel_line
 from hyperval.processing.filters import (
     cem_correlation_weights,
     correlation_filter,
@@ -17,13 +17,14 @@ from hyperval.processing.filters import (
     solve_positive_definite,
     solved_filter,
 )
-from hyperval.processing.roc_model import detection_probability, object_detection_probability
-from hyperval.processing.roc_reading import detection_at
-from hyperval.processing.thresholds import (
+from hyperval.processing.roc_model import (
     class_threshold,
+    detection_at,
+    detection_probability,
     false_alarm_grid,
     greatest_class_false_alarm,
     log_false_alarm,
+    object_detection_probability,
     thresholds_at,
 )
 from hyperval.products import RocCurve
@@ -61,9 +62,7 @@ def test_3_22_to_3_25_matched_filter_by_hand():
     assert design_filter("cem", TARGET, MEAN, COVARIANCE).weights == pytest.approx(f.weights)
     d, solved = np.array([1.0, 2.0]), np.array([1.0, 0.5])
     assert solved_filter("cem", d, solved, np.array(MEAN)).weights == pytest.approx(f.weights)
-    assert solved_filter("smf", d, solved, np.array(MEAN)).weights == pytest.approx(
-        np.array([1.0, 0.5]) / np.sqrt(2)
-    )
+    assert solved_filter("smf", d, solved, np.array(MEAN)).weights == pytest.approx(np.array([1.0, 0.5]) / np.sqrt(2))
 
 
 def test_cem_with_the_correlation_matrix_by_hand():

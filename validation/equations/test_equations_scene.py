@@ -26,11 +26,12 @@ from hyperval.scene.fill import (
     touched_counts,
     touched_pixel_fill,
 )
-from hyperval.scene.mixture import average_reflectance, mixture_covariance
 from hyperval.scene.radiance import (
     adjacency_slope,
+    average_reflectance,
     direct_slope,
     mean_radiance,
+    mixture_covariance,
     radiance_covariance,
     target_pixel_covariance,
     target_pixel_reflectance,
@@ -83,12 +84,8 @@ def test_3_11_slopes_by_hand_and_by_differences():
     assert adjacency_slope(atmosphere(), [0.4], [0.25]) == pytest.approx([3.8 / 0.9025])
     assert adjacency_slope(atmosphere(), [0.4], [0.25], "thesis") == pytest.approx([3.75])
     h = 1e-6
-    own = (mean_radiance(atmosphere(), [0.4 + h], [0.25]) - mean_radiance(atmosphere(), [0.4 - h], [0.25])) / (
-        2 * h
-    )
-    around = (mean_radiance(atmosphere(), [0.4], [0.25 + h]) - mean_radiance(atmosphere(), [0.4], [0.25 - h])) / (
-        2 * h
-    )
+    own = (mean_radiance(atmosphere(), [0.4 + h], [0.25]) - mean_radiance(atmosphere(), [0.4 - h], [0.25])) / (2 * h)
+    around = (mean_radiance(atmosphere(), [0.4], [0.25 + h]) - mean_radiance(atmosphere(), [0.4], [0.25 - h])) / (2 * h)
     assert direct_slope(atmosphere(), [0.25]) == pytest.approx(own, rel=1e-8)
     assert adjacency_slope(atmosphere(), [0.4], [0.25]) == pytest.approx(around, rel=1e-8)
 
@@ -99,9 +96,7 @@ def test_3_11_covariance_by_hand():
     found = radiance_covariance(atmosphere(), [0.4], [[4e-4]], [0.25], [[2.5e-3]], adjacency_gain=2.0, kappa=0.01)
     assert found == pytest.approx(np.array([[0.04432133 + 8.864266e-4]]), rel=1e-6)
     # Printed: 12.5^2 * 4e-4 + 3.75^2 * 2.5e-3, whatever kappa is.
-    printed = radiance_covariance(
-        atmosphere(), [0.4], [[4e-4]], [0.25], [[2.5e-3]], kappa=0.01, formulation="thesis"
-    )
+    printed = radiance_covariance(atmosphere(), [0.4], [[4e-4]], [0.25], [[2.5e-3]], kappa=0.01, formulation="thesis")
     assert printed == pytest.approx(np.array([[0.0625 + 0.03515625]]), rel=1e-12)
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from hyperval.scene.fill import TargetGeometry, pixel_fills
 from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.operation import (
+from hyperval.sensor.response import modulation_transfer, mtf_at_nyquist, psf_fwhm_from_mtf
+from hyperval.sensor.specification import (
     SensorChanges,
     SensorOperation,
     averaged_noise,
@@ -15,7 +16,6 @@ from hyperval.sensor.operation import (
     binned_noise,
     changed_noise,
 )
-from hyperval.sensor.response import modulation_transfer, mtf_at_nyquist, psf_fwhm_from_mtf
 from hyperval.spectra.axis import SpectralAxis
 
 
@@ -78,9 +78,7 @@ def test_averaged_calibration_error_by_hand():
 
 
 def test_binned_bands_by_hand():
-    axis = SpectralAxis(
-        np.array([500.0, 510.0, 520.0, 530.0, 540.0]), np.full(5, 9.0), np.array([1, 1, 1, 0, 1]) > 0
-    )
+    axis = SpectralAxis(np.array([500.0, 510.0, 520.0, 530.0, 540.0]), np.full(5, 9.0), np.array([1, 1, 1, 0, 1]) > 0)
     found = binned_axis(axis, 2)
     # Two bands 10 nm apart: sigma^2 = (9 / 2.35482)^2 + 25 = 39.607, FWHM 14.820.
     assert found.centre_nm == pytest.approx([505.0, 525.0])

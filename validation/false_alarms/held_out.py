@@ -24,12 +24,11 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage, stats
 
-from hyperval.campaign.collected import Inputs
 from hyperval.campaign.job import jobs_of
+from hyperval.campaign.sides import Inputs
 from hyperval.observe import observe
-from hyperval.processing.component_moments import class_mixture
-from hyperval.processing.mixture_fit import fit_mixture
-from hyperval.processing.thresholds import ClassScores, log_false_alarm
+from hyperval.processing.laws import class_mixture, fit_mixture
+from hyperval.processing.roc_model import ClassScores, log_false_alarm
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml"
 MATERIALS = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric")

@@ -139,9 +139,7 @@ class Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         if name != self.module:
             return None
         inside = [str(self.path.parent)] if self.path.name == "__init__.py" else None
-        return importlib.util.spec_from_file_location(
-            name, self.path, loader=self, submodule_search_locations=inside
-        )
+        return importlib.util.spec_from_file_location(name, self.path, loader=self, submodule_search_locations=inside)
 
     def exec_module(self, module: ModuleType) -> None:
         """Run the changed code."""

@@ -16,16 +16,16 @@ import xarray as xr
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.atmosphere.modtran_read import RADIANCE_COLUMNS
+from hyperval.atmosphere.modtran import RADIANCE_COLUMNS
 from hyperval.atmosphere.table import QUANTITIES, AtmosphericTable
 from hyperval.atmosphere.table_files import write_table
-from hyperval.imagery.envi_write import write_cube
-from hyperval.products import Prediction, RocCurve, ScoreDistribution, SpectralEstimate
+from hyperval.imagery.envi import write_cube
+from hyperval.products import PredictedProducts, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.report.netcdf import write_products
 from hyperval.scene.builtin import builtin_class
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import write_statistics_library
-from hyperval.web.answer import write_answer
+from hyperval.web.tasks import write_answer
 
 SHAPE = (10, 12)
 NM = np.arange(400.0, 1000.0, 50.0)
@@ -107,9 +107,7 @@ def tape7() -> str:
         numbers = [nu, 0.9, 0.0, None, 0.0, 1e-7, 7e-8, 0.0, 0.0, 1e-7, None, None, 0.105, 1.0, 8e-6, 300.0]
         forms = ["8.2f", "11.8f", *["11.4E"] * 8, "9", "9", "8.3f", "7.4f", "11.4E", "11.3f"]
         lines.append(
-            "".join(
-                " " * w if v is None else f"{v:{form}}" for v, w, form in zip(numbers, widths, forms, strict=True)
-            )
+            "".join(" " * w if v is None else f"{v:{form}}" for v, w, form in zip(numbers, widths, forms, strict=True))
         )
     return "\n".join([*lines, " -9999."]) + "\n"
 
@@ -169,13 +167,13 @@ def radcalnet() -> str:
     )
 
 
-def prediction() -> Prediction:
+def prediction() -> PredictedProducts:
     """A prediction of two spectra, a curve and scores."""
     grid = np.linspace(-1.0, 2.0, 9)
     pfa = np.array([1e-3, 1e-2, 0.1, 1.0])
     curve = RocCurve(pfa, np.sqrt(pfa), 0.9 * np.sqrt(pfa), np.sqrt(pfa), np.array([3.0, 2.0, 1.0, -9.0]))
     estimate = SpectralEstimate(RHO, np.diag((0.01 * RHO) ** 2))
-    return Prediction(
+    return PredictedProducts(
         SpectralAxis(NM, np.full(NM.size, 20.0), np.ones(NM.size, bool)),
         radiance={"grass": estimate},
         reflectance={"grass": estimate},

@@ -14,7 +14,7 @@ import atheris
 sys.path.insert(0, str(Path(__file__).parent))
 
 with atheris.instrument_imports(include=["hyperval.spectra", "hyperval.imagery", "hyperval.envi_header",
-                                         "hyperval.atmosphere.modtran_read", "hyperval.config"]):  # fmt: skip
+                                         "hyperval.atmosphere.modtran", "hyperval.config"]):  # fmt: skip
     from samples import samples
 from mutation_study import DEFECTS, UNFORESEEN, outcome
 

@@ -29,7 +29,7 @@ from mutants import mutant
 from samples import ImplausibleError, Sample, samples
 
 from hyperval.errors import HypervalError
-from hyperval.files import write_text
+from hyperval.storage import write_text
 
 BATCH = 2000
 MEMORY_BYTES = 1 << 30  # beyond what the process has at its start

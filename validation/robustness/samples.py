@@ -35,23 +35,21 @@ from contents import (
     written,
 )
 
-from hyperval.atmosphere.modtran_read import read_chn_blocks, read_tape7
-from hyperval.atmosphere.modtran_solve import read_chn, terms_from_blocks
-from hyperval.atmosphere.modtran_template import read_modtran_json
+from hyperval.atmosphere.modtran import read_chn, read_chn_blocks, read_modtran_json, read_tape7, terms_from_blocks
 from hyperval.atmosphere.table_files import read_table
-from hyperval.baseline.schema import load_baseline
+from hyperval.baseline.accepted import load_baseline
 from hyperval.campaign.job import read_texts
 from hyperval.campaign.schema import load_campaigns
-from hyperval.collection_files import AbundanceTruth, BandTable, RegionSource
+from hyperval.collection_files import AbundanceTruth, BandTableFile, RegionSource
 from hyperval.config import load_yaml
 from hyperval.envi_header import read_header
 from hyperval.imagery.cube import Cube, open_cube
-from hyperval.imagery.lookup_table import open_lookup_table
+from hyperval.imagery.placing import open_lookup_table
 from hyperval.imagery.regions import read_regions
 from hyperval.imagery.truth import read_targets
 from hyperval.observe.site_spectra import read_band_table
 from hyperval.observe.truth_images import abundance_targets, material_regions
-from hyperval.report.netcdf_read import read_products
+from hyperval.report.netcdf import read_products
 from hyperval.report.stored import read_results
 from hyperval.report.tables import results_json
 from hyperval.results import Result
@@ -61,7 +59,7 @@ from hyperval.simulate.schema import load_scene
 from hyperval.spectra.readers import read_records, read_spectrum
 from hyperval.statistics_library import read_statistics_library
 from hyperval.study.schema import load_study
-from hyperval.web.answer import read_answer
+from hyperval.web.tasks import read_answer
 
 ROOT = Path(__file__).parents[2]
 
@@ -175,7 +173,7 @@ def _library(path: Path) -> None:
 
 
 def _band_table(path: Path) -> None:
-    increasing(read_band_table(path, BandTable(path="x", wavelength_unit="nm", fwhm_column=1)).centre_nm, "centre")
+    increasing(read_band_table(path, BandTableFile(path="x", wavelength_unit="nm", fwhm_column=1)).centre_nm, "centre")
 
 
 def _header(path: Path) -> None:

@@ -134,7 +134,7 @@ def test_each_change_of_the_program_is_another_program_and_words_stay(tmp_path: 
 
 
 def test_tests_of_a_module_are_those_of_its_room_and_those_that_import_it():
-    names = [Path(p).name for p in related_tests("hyperval.compare.gates")]
+    names = [Path(p).name for p in related_tests("hyperval.compare.outcomes")]
     assert "test_compare_gates.py" in names
-    assert not any("meta" in Path(p).parts for p in related_tests("hyperval.compare.gates"))
-    assert "test_equations_scene.py" in [Path(p).name for p in related_tests("hyperval.scene.mixture")]
+    assert not any("meta" in Path(p).parts for p in related_tests("hyperval.compare.outcomes"))
+    assert "test_equations_scene.py" in [Path(p).name for p in related_tests("hyperval.scene.radiance")]

@@ -13,14 +13,13 @@ import xarray as xr
 
 from hyperval import metrics as metrics_table
 from hyperval.api.objects import Collection, Metrics, Observation, Prediction, Results, Run, Study
+from hyperval.baseline.accepted import DEFAULT_FOLDER
 from hyperval.baseline.check import check as check_numbers
-from hyperval.baseline.store import DEFAULT_FOLDER
-from hyperval.campaign.collected import collected
 from hyperval.campaign.job import Job, job_of, jobs_of
 from hyperval.campaign.one import run_campaign
+from hyperval.campaign.sides import collected
 from hyperval.compare import compare_products
 from hyperval.errors import InputError
-from hyperval.folders import whole_folder
 from hyperval.hdf5 import check_hdf5
 from hyperval.predict import Origins
 from hyperval.predict import predict as predict_scenario
@@ -32,6 +31,7 @@ from hyperval.results import of_campaign
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.simulate import simulate as simulate_scene
 from hyperval.simulate.schema import SceneFile
+from hyperval.storage import whole_folder
 from hyperval.study.run import study_to_folder
 
 __all__ = [
@@ -114,9 +114,7 @@ def compare(
     return Results(of_campaign(compare_products(known, measured, method=method), name))
 
 
-def validate(
-    campaign: Job | Path | str, *, output: Path | str | None = None, show_progress: bool | None = None
-) -> Run:
+def validate(campaign: Job | Path | str, *, output: Path | str | None = None, show_progress: bool | None = None) -> Run:
     """Predict, observe and compare a campaign of one run; with ``output`` the folder of results is written, too.
 
     >>> run = validate("campaign.yaml")
@@ -137,9 +135,7 @@ def validate(
     return Run(
         name=report.campaign,
         results=Results(report.table),
-        sides={
-            name: labelled_arrays(products).to_xarray() for name, products in sides.items() if products is not None
-        },
+        sides={name: labelled_arrays(products).to_xarray() for name, products in sides.items() if products is not None},
         provenance=report.provenance,
         notes=tuple(report.notes),
         prediction=None if report.prediction is None else _side(Prediction, report.prediction),

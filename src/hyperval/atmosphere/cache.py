@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import platformdirs
 
-from hyperval.files import whole_file
+from hyperval.storage import whole_file
 
 Array = npt.NDArray[np.float64]
 Arrays = dict[str, Array]
@@ -68,9 +68,9 @@ def _load(path: Path, inputs: Mapping[str, Any]) -> Arrays | None:
     return arrays
 
 
-def content_digest(arrays: Mapping[str, Array], words: str = "") -> str:
-    """SHA-256 over words, and over names, shapes and values of arrays."""
-    digest = hashlib.sha256(words.encode())
+def content_digest(arrays: Mapping[str, Array]) -> str:
+    """SHA-256 over names, shapes and values of arrays."""
+    digest = hashlib.sha256()
     for name in sorted(arrays):
         values = np.ascontiguousarray(arrays[name], dtype="<f8")
         digest.update(f"{name}{np.shape(arrays[name])}\n".encode())

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from hyperval.atmosphere.cache import cache_folder
-from hyperval.atmosphere.modtran_run import modtran_terms
+from hyperval.atmosphere.modtran import modtran_terms
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.table_files import read_table
@@ -81,11 +81,4 @@ def atmospheric_terms(
     UsageError : a state outside the table, or that the engine cannot be told.
     """
     use = _Surroundings(cache_folder(cache_dir), show_progress, resolve or Path)
-    around, run = state.surroundings_altitude_km, ENGINES[state.engine]
-    if around is None or around == state.ground_altitude_km:
-        return run(state, use)
-    level = state.model_copy(update={"surroundings_altitude_km": None})
-    site, other = run(level, use), run(level.model_copy(update={"ground_altitude_km": around}), use)
-    # Light of the surroundings is lit and scattered above their own ground: both terms are of its height.
-    provenance = {**site.provenance, "surroundings_altitude_km": around}
-    return replace(site, adjacency=other.adjacency, spherical_albedo=other.spherical_albedo, provenance=provenance)
+    return ENGINES[state.engine](state, use)

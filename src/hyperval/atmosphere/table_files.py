@@ -1,29 +1,44 @@
-"""Tables in files: NetCDF, and folders of MODTRAN channel files named after their state."""
+"""Tables in files: NetCDF, and folders of MODTRAN channel files named after their state.
+
+A table computed from an engine over a grid of states.
+"""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.atmosphere import solar, state
+from hyperval.atmosphere.cache import cache_folder
+from hyperval.atmosphere.modtran import (
+    ChannelBlock,
+    read_chn,
+    read_chn_blocks,
+    read_modtran_json,
+    stated_albedo,
+    stated_fields,
+    terms_from_blocks,
+)
+from hyperval.atmosphere.sixs import sixs_terms
+from hyperval.atmosphere.state import AtmosphericState
+from hyperval.atmosphere.table import AXES, NAMED, OPTIONAL, QUANTITIES, AtmosphericTable, coordinates, leave_one_out
+from hyperval.errors import InputError, UsageError, reader
+from hyperval.hdf5 import check_hdf5
+from hyperval.progress import track
+from hyperval.storage import sha256_of, whole_file
+
 if TYPE_CHECKING:
     import xarray as xr
 
-from hyperval.atmosphere import solar, visibility
-from hyperval.atmosphere.cache import content_digest
-from hyperval.atmosphere.modtran_read import ChannelBlock, read_chn_blocks
-from hyperval.atmosphere.modtran_solve import read_chn, terms_from_blocks
-from hyperval.atmosphere.modtran_template import read_modtran_json, stated_albedo, stated_fields
-from hyperval.atmosphere.table import AXES, NAMED, OPTIONAL, QUANTITIES, AtmosphericTable, leave_one_out
-from hyperval.errors import InputError, UsageError, reader
-from hyperval.files import sha256_of, whole_file
-from hyperval.hdf5 import check_hdf5
 
 Array = npt.NDArray[np.float64]
 
@@ -71,7 +86,7 @@ def read_table(path: Path, template: Path | None = None) -> AtmosphericTable:
 
 
 def write_table(table: AtmosphericTable, path: Path) -> None:
-    """Write a table as NetCDF, whole or not at all and with a checksum; the same table gives the same bytes."""
+    """Write a table as NetCDF, whole or not at all; the same table gives the same bytes."""
     dims = (*table.axes, "wavelength_nm")
     import xarray as xr  # 80 MB with pandas, which most runs do not need
 
@@ -95,17 +110,10 @@ def write_table(table: AtmosphericTable, path: Path) -> None:
         data["solar_irradiance"] = ("wavelength_nm", table.solar_irradiance, {"units": "uW cm-2 nm-1"})
     if table.fwhm_nm is not None:
         data["fwhm_nm"] = ("wavelength_nm", table.fwhm_nm, {"units": "nm"})
-    encoding = {name: {"zlib": True, "complevel": 4, "shuffle": True} for name in present}
-    data.attrs["content_sha256"] = _checksum(data)
+    packed = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}  # the last: HDF5's own checksum
+    encoding = dict.fromkeys(map(str, data.variables), packed)
     with whole_file(Path(path)) as temporary:
         data.to_netcdf(temporary, mode="w", engine="h5netcdf", encoding=encoding)
-
-
-def _checksum(data: xr.Dataset) -> str:
-    """SHA-256 over every variable and the attributes that are read."""
-    words = [str(data.attrs.get(name)) for name in ("format", "fixed", "source", "leave_one_out_error")]
-    arrays = {f"{name}{values.dims}": _floats(values) for name, values in data.variables.items()}
-    return content_digest(arrays, "\n".join(words))
 
 
 _Stamp = tuple[str, int, int]
@@ -153,16 +161,6 @@ def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
         raise InputError(
             f"dimensions {dims}", where=path, expected="some of " + ", ".join(AXES) + ", and wavelength_nm last"
         )
-    checksum = data.attrs.get("content_sha256")
-    if checksum is not None and checksum != _checksum(data):
-        raise InputError(
-            "the table is not what was written: its checksum is another", where=path,
-            mend="copy the file again, or write it with write_table; a file changed by hand loses the attribute "
-            "content_sha256",
-        )  # fmt: skip
-    file = {"file": Path(path).name, "sha256": sha256_of(Path(path))}
-    if checksum is None:
-        file["note"] = "the file carries no checksum of its content"
     return AtmosphericTable(
         wavelength_nm=_floats(data["wavelength_nm"]),
         axes={name: _floats(data[name]) for name in dims[:-1]},
@@ -170,7 +168,7 @@ def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
         quantities={name: _floats(data[name].transpose(*dims)) for name in present},
         solar_irradiance=_floats(data["solar_irradiance"]) if "solar_irradiance" in data else None,
         fwhm_nm=_floats(data["fwhm_nm"]) if "fwhm_nm" in data else None,
-        source={**_record(data.attrs, "source"), **file},
+        source={**_record(data.attrs, "source"), "file": Path(path).name, "sha256": sha256_of(Path(path))},
         errors=_record(data.attrs, "leave_one_out_error"),
     )
 
@@ -227,15 +225,21 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
     grid = [tuple(c) for c in np.array(np.meshgrid(*nodes.values(), indexing="ij")).reshape(len(names), -1).T]
     absent = [c for c in grid if c not in at]
     if absent or len(at) != len(files):
-        lacking = (
-            ", ".join(f"{n} {v:g}" for n, v in zip(names, absent[0], strict=True)) if absent else "a node twice"
-        )
+        lacking = ", ".join(f"{n} {v:g}" for n, v in zip(names, absent[0], strict=True)) if absent else "a node twice"
         raise InputError(
             f"the grid is not complete: {lacking}",
             where=folder,
             expected=f"one file for each of {len(grid)} states",
         )
     stated, albedos = _stated(Path(template[0]))
+    slanted = stated.get("view_zenith_deg") != 0.0 or "view_zenith_deg" in names
+    if slanted and not {"view_zenith_deg", "relative_azimuth_deg"} <= set(names):
+        raise InputError(
+            "a slanted line of sight", where=template[0],
+            expected="OBSZEN: 180, or files that are named after the direction",
+            mend="name them ..._view_zenith_deg-30_relative_azimuth_deg-120.chn: the sensor's zenith seen from the "
+            "ground, and the angle between its azimuth and the sun's",
+        )  # fmt: skip
     axes = {name: n for name, n in nodes.items() if n.size > 1}
     fixed = {k: v for k, v in stated.items() if k in (*AXES, *NAMED) and k not in axes}
     fixed |= {name: float(n[0]) for name, n in nodes.items() if n.size == 1}
@@ -252,9 +256,7 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
     )
     irradiance = np.array([r["unit"] for r in rows]) * np.pi / np.cos(np.deg2rad(zenith.astype(float)))[:, None]
     if np.any(np.ptp(irradiance, axis=0) > 1e-3 * irradiance.max(axis=0)):
-        raise InputError(
-            "the runs have different suns", where=folder, expected="one solar spectrum, day and zenith"
-        )
+        raise InputError("the runs have different suns", where=folder, expected="one solar spectrum, day and zenith")
     shape = (*(n.size for n in axes.values()), first["wavelength_nm"].size)
     present = [name for name in (*QUANTITIES, *OPTIONAL) if all(r[name] is not None for r in rows)]
     table = AtmosphericTable(
@@ -292,7 +294,7 @@ def _stated(template: Path) -> tuple[dict[str, Any], list[float] | None]:
     stated = stated_fields(cases[0], str(template))
     if "meteorological_range_km" in stated:
         ground = stated.get("ground_altitude_km", 0.0)
-        stated["aot550"] = visibility.aot550_from_range(stated["meteorological_range_km"], ground)
+        stated["aot550"] = state.aot550_from_range(stated["meteorological_range_km"], ground)
     if "solar_azimuth_deg" in stated and stated.get("view_zenith_deg") == 0.0:
         stated["relative_azimuth_deg"] = stated["solar_azimuth_deg"] % 180.0  # means nothing at nadir
     albedos = [stated_albedo(c) for c in cases]
@@ -321,3 +323,93 @@ def _row(path: Path, albedos: list[float] | None) -> dict[str, Any]:
         "solved": solved,
         "diffuse": terms.diffuse_fraction,
     }
+
+
+_GREATEST_NODES = 20_000
+_BUILT = [name for name in AXES if name in AtmosphericState.model_fields]  # an azimuth between two is no field
+
+
+def build_table(
+    base: AtmosphericState,
+    axes: Mapping[str, Sequence[float]],
+    *,
+    cache_dir: Path | None = None,
+    show_progress: bool | None = None,
+) -> AtmosphericTable:
+    """Run the embedded engine at every node of a grid.
+
+    Parameters
+    ----------
+    base : the state that all nodes share but for the axes
+    axes : field of the state -> increasing nodes; fields of the sun need a ``base`` whose sun is given by angles
+    cache_dir, show_progress : of the engine; what it computed before is not computed again
+
+    Returns
+    -------
+    AtmosphericTable with its leave-one-node-out error.
+
+    Raises
+    ------
+    UsageError : an axis that a table cannot have, or a node that is no valid state.
+    EngineError : the engine failed.
+    """
+    if base.engine != "sixs":
+        raise UsageError(f"a table is built with engine: sixs, not {base.engine}")
+    order = [name for name in _BUILT if name in axes]
+    unknown = set(axes) - set(order)
+    if unknown or not order:
+        named = ", ".join(sorted(unknown)) or "no axis"
+        raise UsageError(f"{named} in a table", expected="axes among " + ", ".join(_BUILT))
+    nodes = {name: np.asarray(axes[name], dtype=float) for name in order}
+    shape = tuple(n.size for n in nodes.values())
+    if np.prod(shape) > _GREATEST_NODES:
+        raise UsageError(f"{np.prod(shape)} nodes", expected=f"at most {_GREATEST_NODES}")
+    combinations = list(product(*(n.tolist() for n in nodes.values())))
+    states = [_at_node(base, dict(zip(order, c, strict=True))) for c in combinations]
+    folder = cache_folder(cache_dir)
+    rows = [
+        _quantities(state, folder) for state in track(states, "atmosphere table", total=len(states), show=show_progress)
+    ]
+    wavelength = rows[0]["wavelength_nm"]
+    quantities = {
+        name: np.stack([row[name] for row in rows]).reshape((*shape, wavelength.size))
+        for name in (*QUANTITIES, *OPTIONAL)
+    }
+    engine = {k: v for k, v in rows[0]["provenance"].items() if k not in ("state", "solar_spectrum")}
+    table = AtmosphericTable(
+        wavelength, nodes, _fixed(base, order), quantities, source={"engine": engine, "nodes": len(rows)}
+    )
+    return replace(table, errors=leave_one_out(table))
+
+
+def _at_node(base: AtmosphericState, changes: dict[str, float]) -> AtmosphericState:
+    fields = base.model_dump(exclude_none=True)
+    if "aot550" in changes:
+        fields.pop("meteorological_range_km", None)
+    try:
+        return AtmosphericState(**{**fields, **changes})
+    except ValueError as error:
+        raise UsageError(f"no valid state at {changes}: {error}") from error
+
+
+def _quantities(state: AtmosphericState, folder: Path) -> dict[str, Any]:
+    terms = sixs_terms(state, folder, False)
+    mu0 = np.cos(np.deg2rad(state.sun[0]))
+    irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, terms.wavelength_nm, state.distance_au)
+    unit = mu0 * irradiance / np.pi
+    return {
+        "wavelength_nm": terms.wavelength_nm,
+        "path": terms.path_radiance / unit,
+        "direct": terms.direct / unit,
+        "adjacency": terms.adjacency / unit,
+        "spherical_albedo": terms.spherical_albedo,
+        "ground": terms.ground_irradiance / (np.pi * unit),
+        "gas": terms.gas_transmittance,
+        "diffuse": terms.diffuse_fraction,
+        "provenance": terms.provenance,
+    }
+
+
+def _fixed(base: AtmosphericState, axes: list[str]) -> dict[str, Any]:
+    fixed: dict[str, Any] = {n: base.model_dump(mode="json")[n] for n in ("model", "aerosol")}
+    return fixed | {name: round(value, 9) for name, value in coordinates(base).items() if name not in axes}

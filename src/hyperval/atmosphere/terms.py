@@ -1,16 +1,31 @@
-"""What every atmosphere engine returns: the terms of equation 3.7."""
+"""What every atmosphere engine returns: the terms of equation 3.7.
+
+Between states: the one place where anything of the atmosphere is interpolated.
+
+Tables, studies, Monte Carlo and the transport of a coarse table differ in where their nodes stand and in how a
+quantity runs along an input; what they have in common is here.  A :class:`Rule` says how it runs, on which scale of
+the input and of the quantity it is nearly a polynomial:
+
+    optical depth goes like 1/range, absorption like the root of the column (square-root regime of a band model),
+    the way of the sun's light like the secant of its zenith angle; terms that are transmittances or have them as
+    factors are taken as logarithms (Beer), the spherical albedo and the share of sky light as they are.
+
+Linear rules and splines are linear in the values at the nodes, so that many states are one product of matrices:
+``value(x) = sum_k w_k(x) value_k`` with weights that sum to 1.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import reduce
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.response import band_average
+from hyperval.spectra.axis import SpectralAxis, band_average
 
 Array = npt.NDArray[np.float64]
 
@@ -102,9 +117,7 @@ class AtmosphericTerms:
             return False
         alike = (ratio >= 1.0 / _ALIKE) & (ratio <= _ALIKE)
         reach = 0.1 * axis.fwhm_nm
-        inside = (axis.centre_nm >= self.wavelength_nm[0] - reach) & (
-            axis.centre_nm <= self.wavelength_nm[-1] + reach
-        )
+        inside = (axis.centre_nm >= self.wavelength_nm[0] - reach) & (axis.centre_nm <= self.wavelength_nm[-1] + reach)
         if not np.all(alike & inside):
             i = int(np.flatnonzero(~(alike & inside))[0])
             raise UsageError(
@@ -115,3 +128,216 @@ class AtmosphericTerms:
                 mend="run the engine for this sensor's channels, or give terms at full resolution",
             )
         return True
+
+
+Columns = Mapping[str, npt.NDArray[Any]]
+# Terms that are no transmittances.
+AS_THEY_ARE = ("spherical_albedo", "diffuse_fraction", "diffuse", "path_uncertainty")
+_AT_MOST_ONE = ("gas_transmittance", "diffuse_fraction")
+_LEAST = 1e-30  # below it a logarithm says nothing
+
+
+def _same(x: Array) -> Array:
+    return x
+
+
+def _reciprocal(x: Array) -> Array:
+    return np.asarray(1.0 / x)
+
+
+def _secant(degrees: Array) -> Array:
+    return np.asarray(1.0 / np.cos(np.deg2rad(degrees)))
+
+
+def _of_secant(secant: Array) -> Array:
+    return np.asarray(np.rad2deg(np.arccos(1.0 / secant)))
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How a quantity runs along an input.
+
+    Attributes
+    ----------
+    method : linear between the two nodes beside, a cubic spline (a parabola through three nodes), or monotone cubic
+        (Fritsch & Carlson, SIAM J. Numer. Anal. 17, 1980)
+    scale : of the input, monotone
+    back : from the scale to the input
+    logarithm : whether the logarithm of the quantity is interpolated
+    """
+
+    method: Literal["linear", "cubic", "monotone"]
+    scale: Callable[[Array], Array] = _same
+    back: Callable[[Array], Array] = _same
+    logarithm: bool = False
+
+
+# Cubic rules by field of the state, on its scale; any other field is its own scale.
+_SCALES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
+    "meteorological_range_km": (_reciprocal, _reciprocal),
+    "water_vapour_g_cm2": (np.sqrt, np.square),
+    "sensor_altitude_km": (np.log, np.exp),
+    "solar_zenith_deg": (_secant, _of_secant),
+}
+
+
+def smooth_rule(name: str) -> Rule:
+    """The rule of a field of the state that is run at a few nodes, for terms on bands."""
+    return Rule("cubic", *_SCALES.get(name, (_same, _same)))
+
+
+def spaced(name: str, low: float, high: float, count: int) -> Array:
+    """``count`` nodes from ``low`` to ``high``, evenly in the scale in which the input is interpolated."""
+    if name == "solar_zenith_deg":  # the secant runs away at a low sun: even angles leave fewer of them there
+        return np.linspace(low, high, count)
+    rule = smooth_rule(name)
+    ends = rule.scale(np.array([low, high]))
+    nodes = np.asarray(rule.back(np.linspace(ends[0], ends[1], count)))
+    nodes[[0, -1]] = low, high
+    return nodes
+
+
+def node_weights(nodes: Array, x: npt.ArrayLike, rule: Rule) -> Array:
+    """Weight (n, K) of each node (K,) at the points ``x`` (n,) by a rule that is linear in the values.
+
+    They sum to 1 at each point.  Beyond the nodes the outermost piece goes on.
+    """
+    at, points = rule.scale(np.asarray(nodes, float)), rule.scale(np.atleast_1d(np.asarray(x, float)))
+    order = np.argsort(at)
+    weights = np.zeros((points.size, at.size))
+    if rule.method == "linear":
+        i = np.clip(np.searchsorted(at[order], points) - 1, 0, at.size - 2)
+        low, high = order[i], order[i + 1]
+        w = (points - at[low]) / (at[high] - at[low])
+        rows = np.arange(points.size)
+        weights[rows, low], weights[rows, high] = 1.0 - w, w
+    elif rule.method == "cubic":
+        from scipy.interpolate import CubicSpline  # a quarter of a second, which terms of one state do not need
+
+        weights[:, order] = CubicSpline(at[order], np.eye(at.size))(points)
+    else:
+        raise ValueError(f"a {rule.method} rule has no weights")
+    return weights
+
+
+def along(nodes: Array, values: Array, x: float, rule: Rule) -> Array:
+    """Values (K, ...) of one quantity at ``x`` along their first dimension."""
+    ordinates = np.log(np.maximum(values, _LEAST)) if rule.logarithm else values
+    if rule.method == "monotone":
+        from scipy.interpolate import PchipInterpolator
+
+        between = np.asarray(PchipInterpolator(rule.scale(nodes), ordinates, axis=0)(rule.scale(np.asarray(x))))
+    else:
+        between = np.tensordot(node_weights(nodes, x, rule)[0], ordinates, axes=1)
+    return _lit(np.exp(between)) if rule.logarithm else between
+
+
+def _lit(values: Array) -> Array:
+    """0 where the logarithm was that of nothing."""
+    return np.where(values > 2.0 * _LEAST, values, 0.0)
+
+
+def inside(name: str, nodes: Array, x: npt.ArrayLike) -> Array:
+    """The points (n,), moved onto the ends where they miss them by rounding.
+
+    Raises
+    ------
+    UsageError : one of them lies outside: a table is never extrapolated.
+    """
+    points = np.asarray(x, dtype=float)
+    low, high = float(np.min(nodes)), float(np.max(nodes))
+    slack = 1e-6 * max(abs(high), 1e-6)
+    if not np.all((points >= low - slack) & (points <= high + slack)):
+        span = f"{points.min():g}" if points.size == 1 else f"{points.min():g} to {points.max():g}"
+        raise UsageError(
+            f"{name} {span} lies outside the table",
+            expected=f"{low:g} to {high:g}",
+            mend="change the state, or compute a larger table: a table is never extrapolated",
+        )
+    return np.asarray(np.clip(points, low, high))
+
+
+@dataclass(frozen=True)
+class Interpolator:
+    """Terms between runs of an engine.
+
+    Attributes
+    ----------
+    axes : input -> nodes.  On a grid they are all combined, the last input fastest; on a star each input moves
+        alone from its first node, and changes of several inputs add up
+    rules : input -> rule along it
+    values : quantity -> (runs, B) on the scale of its interpolation; on a star the run at all first nodes, then the
+        other nodes input by input
+    star : whether the runs are a star
+    bounded : whether a state outside the nodes is refused
+    logarithms : quantities whose values are logarithms
+    """
+
+    axes: Mapping[str, Array]
+    rules: Mapping[str, Rule]
+    values: Mapping[str, Array]
+    star: bool = False
+    bounded: bool = True
+    logarithms: frozenset[str] = frozenset()
+
+    def __call__(self, columns: Columns) -> dict[str, Array]:
+        """Quantity -> (n, B) at the values (n,) of each input.
+
+        Raises
+        ------
+        UsageError : a value outside the nodes of a bounded table.
+        """
+        parts = []
+        for name, nodes in self.axes.items():
+            x = np.atleast_1d(np.asarray(columns[name], dtype=float))
+            x = inside(f"atmosphere.{name}", nodes, x) if self.bounded else x
+            parts.append(node_weights(nodes, x, self.rules[name]))
+        joint = _star(parts) if self.star else reduce(_crossed, parts)
+        columns_of = {}
+        for name, values in self.values.items():
+            x = joint @ values
+            columns_of[name] = _lit(np.exp(x)) if name in self.logarithms else x
+            if name in _AT_MOST_ONE:
+                columns_of[name] = np.minimum(columns_of[name], 1.0)
+        return columns_of
+
+
+def _crossed(a: Array, b: Array) -> Array:
+    return (a[:, :, None] * b[:, None, :]).reshape(a.shape[0], -1)
+
+
+def _star(parts: Sequence[Array]) -> Array:
+    """Weights of the runs of a star: the middle has what the others leave of 1."""
+    rest = [w[:, 1:] for w in parts]
+    middle = 1.0 - np.sum([w.sum(axis=1) for w in rest], axis=0)
+    return np.concatenate([middle[:, None], *rest], axis=1)
+
+
+@dataclass(frozen=True)
+class InterpolatedTerms:
+    """Atmospheric terms on bands between runs of an engine; ``pattern`` gives what is not interpolated."""
+
+    between: Interpolator
+    pattern: AtmosphericTerms
+
+    def __call__(self, columns: Columns) -> AtmosphericTerms:
+        """Terms (n, B) at the values (n,) of each input."""
+        terms: dict[str, Any] = dict(self.between(columns))
+        return replace(self.pattern, **terms)
+
+
+def interpolated_terms(
+    axes: Mapping[str, Array], runs: Sequence[AtmosphericTerms], *, star: bool = False, bounded: bool = True
+) -> InterpolatedTerms:
+    """Interpolation between ``runs`` of an engine at the nodes of a grid or a star (see :class:`Interpolator`)."""
+    values = stacked_values(runs)
+    logarithms = frozenset(values) - frozenset(AS_THEY_ARE)
+    values |= {name: np.log(np.maximum(values[name], _LEAST)) for name in logarithms}
+    rules = {name: smooth_rule(name) for name in axes}
+    return InterpolatedTerms(Interpolator(axes, rules, values, star, bounded, logarithms), runs[0])
+
+
+def stacked_values(runs: Sequence[AtmosphericTerms]) -> dict[str, Array]:
+    """Term -> (runs, B), for every term that the engine gives."""
+    names = [f.name for f in fields(AtmosphericTerms) if f.name not in NOT_AVERAGED]
+    return {n: np.stack([getattr(t, n) for t in runs]) for n in names if getattr(runs[0], n) is not None}

@@ -1,6 +1,5 @@
 """Accepted numbers of campaigns and sensors, and whether the code still gives them."""
 
-from hyperval.baseline.accept import accept
-from hyperval.baseline.check import check
+from hyperval.baseline.check import accept, check
 
 __all__ = ["accept", "check"]

@@ -1,24 +1,280 @@
-"""Run, compare with what was accepted, write what moved."""
+"""Run, compare with what was accepted, write what moved.
+
+Accepted against measured: one row for each number of either.
+
+The runs that are compared or accepted: made now, or read from a finished folder.
+
+Taking the numbers of a run as those that later runs must give.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import nullcontext
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from hyperval.baseline.differences import Difference, compare
-from hyperval.baseline.runs import Run, all_runs
-from hyperval.baseline.store import accepted_of, baseline_path, candidate_path, stored, write_baseline
-from hyperval.campaign.provenance import command_without_output
-from hyperval.files import sha256_of, write_text
-from hyperval.folders import whole_folder
+from hyperval.baseline.accepted import (
+    DEFAULT_FOLDER,
+    Accepted,
+    Kind,
+    Measured,
+    accepted_of,
+    baseline_path,
+    campaign_metrics,
+    candidate_path,
+    rounded,
+    sensor_metrics,
+    skipped_reason,
+    split_key,
+    stored,
+    today,
+    versions,
+    write_baseline,
+)
+from hyperval.campaign.job import AnyJob, jobs_of
+from hyperval.campaign.provenance import command_without_output, source_revision
+from hyperval.campaign.run import validate
+from hyperval.errors import InputError, UsageError
+from hyperval.progress import track
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report.outputs import campaign_folders
+from hyperval.report.stored import read_run
 from hyperval.report.tables import junit_xml
 from hyperval.report.verdict import accepted_words
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
-from hyperval.sensor_check.noise import Engine
+from hyperval.sensor.specification import Sensor, library_names, load_sensor
+from hyperval.sensor_check.suite import Engine
+from hyperval.storage import scratch_folder, sha256_of, whole_folder, write_text
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One number, accepted and now.
+
+    Attributes
+    ----------
+    owner : campaign, or "sensor NAME"
+    key : name of the number
+    accepted, now : None where that side does not hold it
+    outcome : agrees, disagrees
+    words : what is wrong, empty when nothing is
+    """
+
+    owner: str
+    key: str
+    accepted: Accepted | None
+    now: Measured | None
+    outcome: Outcome
+    words: str = ""
+
+    @property
+    def change(self) -> float:
+        """Now minus accepted; NaN where a side has no value."""
+        if self.accepted is None or self.accepted.accepted is None or self.now is None:
+            return math.nan
+        return self.now.value - self.accepted.accepted
+
+    @property
+    def moved(self) -> bool:
+        """True where the number is not the same to the digits that a baseline keeps."""
+        if self.accepted is None or self.now is None:
+            return True
+        return rounded(self.now.value) != self.accepted.accepted
+
+    def row(self) -> Result:
+        """As a row of results: the value now, the tolerated range as its limits, and in words."""
+        product, subject, method, metric = split_key(self.key)
+        value = self.now.value if self.now else math.nan
+        unit = self.now.unit if self.now else "1"
+        low = high = math.nan
+        if self.accepted is not None and self.accepted.accepted is not None:
+            low, high = (self.accepted.accepted + sign * self.accepted.width for sign in (-1.0, 1.0))
+        return Result(
+            self.owner, product, subject, method, metric, value, unit,
+            limit_low=low, limit_high=high, role=Role.GATE, outcome=self.outcome, reason=self.words,
+        )  # fmt: skip
+
+
+def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Measured]) -> list[Difference]:
+    """One difference for each number of either side, by name.
+
+    It disagrees: beyond the tolerance, no longer there, not accepted yet, a value where there was none or none
+    where there was one, another outcome.  A number that was not accepted fails: until it is, nothing guards it.
+    """
+    out = []
+    for key in sorted({*accepted, *now}):
+        words = _objection(key, accepted.get(key), now.get(key))
+        outcome = Outcome.DISAGREES if words else Outcome.AGREES
+        out.append(Difference(owner, key, accepted.get(key), now.get(key), outcome, words))
+    return out
+
+
+def _objection(key: str, old: Accepted | None, new: Measured | None) -> str:
+    if old is None:
+        return f"{split_key(key)[-1]} is not accepted: the baseline does not hold this number"
+    if new is None:
+        return f"{split_key(key)[-1]} is missing: the run does not give this number (accepted {_text(old.accepted)})"
+    reason = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
+    value = new.value if math.isfinite(new.value) else None
+    words = ""
+    if (value is None) != (old.accepted is None):
+        words = f"moved from {_text(old.accepted)} to {_text(value)}"
+    elif value is not None and old.accepted is not None and not abs(value - old.accepted) <= old.width:
+        words = f"moved from {old.accepted:.6g} to {value:.6g}: {value - old.accepted:+.3g}, tolerance {old.width:.3g}"
+    if new.outcome.value != old.outcome:
+        verdict = f"the outcome changed from {old.outcome} to {new.outcome}{reason}"
+        words = f"{words}; {verdict}" if words else verdict
+    return f"{split_key(key)[-1]} {words}" if words else ""
+
+
+def _text(value: float | None) -> str:
+    return "no value" if value is None else f"{value:.6g}"
+
+
+ALL = "all"
+
+
+@dataclass(frozen=True)
+class RunNumbers:
+    """The numbers of one campaign or sensor.
+
+    Attributes
+    ----------
+    kind, name, title : what was run
+    metrics : its numbers
+    versions : what computed them
+    skipped : why nothing was run, None otherwise
+    simulated : True when the collection is simulated
+    reference : what a command names it by: the campaign file, or the sensor
+    """
+
+    kind: Kind
+    name: str
+    title: str
+    metrics: Mapping[str, Measured] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    skipped: str | None = None
+    simulated: bool = False
+    reference: str = ""
+
+    def acceptance(self, baselines: Path) -> str:
+        """The command that takes the numbers of this run for accepted, in the folder ``baselines``."""
+        named = self.reference if self.kind == "campaign" else f"--sensors {self.reference}"
+        where = "" if baselines == DEFAULT_FOLDER else f" --baselines {baselines}"
+        return f'hyperval baseline accept {named}{where} --reason "..."'
+
+    @property
+    def owner(self) -> str:
+        """How the run is named among others: sensors may bear the name of a campaign."""
+        return self.name if self.kind == "campaign" else f"sensor {self.name}"
+
+    @property
+    def broken(self) -> list[str]:
+        """Numbers that ended in an error: a disagreement is a result, an error is none."""
+        wrong = [(key, m) for key, m in self.metrics.items() if m.outcome is Outcome.ERROR]
+        return [f"{key} ({m.outcome}: {m.reason})" for key, m in wrong]
+
+
+def all_runs(
+    campaigns: Sequence[Path],
+    sensors: Sequence[str],
+    *,
+    source: Path | None = None,
+    keep: Path | None = None,
+    engine: Engine | None = None,
+    show_progress: bool | None = None,
+) -> list[RunNumbers]:
+    """The numbers of campaigns and sensors.
+
+    Parameters
+    ----------
+    campaigns : campaign files
+    sensors : names of the library, sensor files, or "all"
+    source : folder of a finished ``validate``, read instead of running the campaigns
+    keep : folder for the results of the campaigns, thrown away without
+    engine : stands in for the atmosphere engine of the sensors' scenarios
+
+    Raises
+    ------
+    UsageError : nothing named, or a finished run that was made with other files or another source.
+    InputError : a finished run that is not there.
+    """
+    if not campaigns and not sensors:
+        raise UsageError("nothing to run", expected="campaign files, or sensors")
+    chosen = [(name, load_sensor(name)) for name in _names(sensors)]
+    runs = _campaign_runs(campaigns, source, keep, show_progress) if campaigns else []
+    return [*runs, *(_sensor_run(*s, engine) for s in track(chosen, "sensors", len(chosen), show=show_progress))]
+
+
+def _names(sensors: Sequence[str]) -> list[str]:
+    given = [part for text in sensors for part in text.split(",") if part]
+    return list(dict.fromkeys(n for part in given for n in (library_names() if part == ALL else (part,))))
+
+
+def _sensor_run(reference: str, sensor: Sensor, engine: Engine | None) -> RunNumbers:
+    title = sensor.specification.title
+    return RunNumbers("sensor", sensor.name, title, sensor_metrics(sensor, engine), versions(), reference=reference)
+
+
+def _campaign_runs(
+    paths: Sequence[Path], source: Path | None, keep: Path | None, show_progress: bool | None
+) -> list[RunNumbers]:
+    jobs = jobs_of(*paths)
+    if source is not None:
+        return [_read(job, source, finished=True) for job in jobs]
+    with _folder(keep) as folder:
+        validate(paths, folder, show_progress=show_progress)
+        return [_read(job, folder, finished=False) for job in jobs]
+
+
+@contextmanager
+def _folder(keep: Path | None) -> Iterator[Path]:
+    if keep is not None:
+        yield keep
+        return
+    with scratch_folder("check") as scratch:
+        yield scratch / "runs"
+
+
+def _read(job: AnyJob, source: Path, *, finished: bool) -> RunNumbers:
+    name = job.campaign.name
+    inner = source / name
+    run = read_run(inner if (inner / "results.json").is_file() else source)
+    table = run.table.where(campaign=name)
+    if not len(table):
+        raise InputError(f"holds no run of campaign {name!r}", where=str(source), mend="run it with hyperval validate")
+    if finished and (why := _stale(job, run.provenance)):
+        raise UsageError(f"the run of {name!r} {why}", where=str(run.folder), mend="run hyperval validate again")
+    packages = run.provenance.get("packages")
+    return RunNumbers(
+        "campaign",
+        name,
+        job.campaign.title,
+        campaign_metrics(table),
+        versions(packages if isinstance(packages, dict) else None, run.provenance.get("python")),
+        skipped_reason(table),
+        bool(job.campaign.simulated),
+        str(job.path),
+    )
+
+
+def _stale(job: AnyJob, provenance: Mapping[str, Any]) -> str | None:
+    """Why a finished run does not tell what the files and the source of now would give; None when it may."""
+    then, now = provenance.get("source_revision"), source_revision()
+    if then and now and then.get("commit") != now["commit"]:
+        return f"was made by commit {str(then.get('commit'))[:12]}, the source is at {now['commit'][:12]}"
+    for item in provenance.get("inputs", ()):
+        reference = str(item.get("reference"))
+        path = job.path.parent / reference
+        if ":" in reference or not path.is_file():  # of a data set, or simulated
+            continue
+        if sha256_of(path) != item.get("sha256"):
+            return f"was made with another {reference}"
+    return None
+
 
 RUNS = "runs"
 
@@ -35,7 +291,7 @@ class Checked:
     baseline, candidate : the file it was compared with, and the one that was left where there is none
     """
 
-    run: Run
+    run: RunNumbers
     differences: list[Difference]
     rows: ResultTable
     baseline: Path
@@ -97,7 +353,7 @@ def check(
     return outcome
 
 
-def _against(run: Run, folder: Path) -> Checked:
+def _against(run: RunNumbers, folder: Path) -> Checked:
     path = baseline_path(folder, run.kind, run.name)
     if run.skipped is not None:
         return Checked(run, [], ResultTable([_one(run, Outcome.SKIPPED, run.skipped)]), path)
@@ -110,13 +366,11 @@ def _against(run: Run, folder: Path) -> Checked:
         return Checked(run, [], ResultTable([_one(run, Outcome.DISAGREES, words)]), path)
     candidate = candidate_path(folder, run.kind, run.name)
     write_baseline(candidate, run.kind, run.name, "", run.versions, accepted_of(run.metrics, {}), candidate=True)
-    words = (
-        f"no baseline ({path}); the numbers of this run are in {candidate}; {run.acceptance(folder)} makes them one"
-    )
+    words = f"no baseline ({path}); the numbers of this run are in {candidate}; {run.acceptance(folder)} makes them one"
     return Checked(run, [], ResultTable([_one(run, Outcome.DISAGREES, words)]), path, candidate)
 
 
-def _one(run: Run, outcome: Outcome, reason: str) -> Result:
+def _one(run: RunNumbers, outcome: Outcome, reason: str) -> Result:
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.NONE
     return Result(
         run.owner, "baseline", run.name, run.kind, "baseline", role=Role.GATE, outcome=outcome, cause=cause,
@@ -155,3 +409,94 @@ def _inputs(path: Path) -> list[dict[str, str | None]]:
     if not path.is_file():
         return []
     return [{"reference": path.name, "sha256": sha256_of(path), "licence": None, "citation": None}]
+
+
+@dataclass(frozen=True)
+class Change:
+    """One number before and after; None where it was not or is no more."""
+
+    owner: str
+    key: str
+    old: Accepted | None
+    new: Accepted | None
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What was accepted.
+
+    Attributes
+    ----------
+    written : the baselines that changed, by owner
+    unchanged, skipped : owners whose numbers are those of the baseline; owner -> why there was no run
+    changes : every number that changed
+    date : of the baselines that were written
+    """
+
+    written: Mapping[str, Path]
+    unchanged: Sequence[str]
+    skipped: Mapping[str, str]
+    changes: Sequence[Change]
+    date: str
+
+    @property
+    def exit_code(self) -> int:
+        """5 when there was no run to accept."""
+        return 0 if self.written or self.unchanged else 5
+
+
+def accept(
+    campaigns: Sequence[Path],
+    sensors: Sequence[str] = (),
+    *,
+    reason: str,
+    baselines: Path,
+    source: Path | None = None,
+    engine: Engine | None = None,
+    show_progress: bool | None = None,
+) -> Acceptance:
+    """Store the numbers of campaigns and sensors as accepted, with the reason.
+
+    Tolerances that stand in a baseline are kept; new numbers get the default of their kind.  A baseline whose
+    numbers are all the same is left as it is, with its reason and date.  Nothing is written unless every run is
+    sound.
+
+    Parameters as for :func:`hyperval.baseline.check.check`.
+
+    Raises
+    ------
+    UsageError : no reason, or a run that ended in an error.
+    """
+    words = " ".join(reason.split())
+    if not words:
+        raise UsageError("no reason", expected="why the new numbers are right", mend='give it: --reason "..."')
+    runs = all_runs(campaigns, sensors, source=source, engine=engine, show_progress=show_progress)
+    for run in runs:
+        if run.broken:
+            raise UsageError(
+                f"the run of {run.owner} is no baseline: {run.broken[0]}",
+                expected="a run without errors",
+                mend="mend the code or the campaign",
+            )
+    plans = []
+    for run in (run for run in runs if run.skipped is None):
+        before = stored(baselines, run.kind, run.name)
+        old = before.metrics if before else {}
+        plans.append((run, old, accepted_of(run.metrics, old)))
+    written, unchanged, changes = {}, [], []
+    for run, old, new in plans:
+        path, different = baseline_path(baselines, run.kind, run.name), _changes(run.owner, old, new)
+        if not different:
+            unchanged.append(run.owner)
+            continue
+        write_baseline(path, run.kind, run.name, words, run.versions or versions(), new)
+        candidate_path(baselines, run.kind, run.name).unlink(missing_ok=True)
+        written[run.owner] = path
+        changes += different
+    skipped = {run.owner: run.skipped for run in runs if run.skipped is not None}
+    return Acceptance(written, unchanged, skipped, changes, today())
+
+
+def _changes(owner: str, old: Mapping[str, Accepted], new: Mapping[str, Accepted]) -> list[Change]:
+    keys = sorted({*old, *new})
+    return [Change(owner, k, old.get(k), new.get(k)) for k in keys if old.get(k) != new.get(k)]

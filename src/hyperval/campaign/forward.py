@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from hyperval.campaign.provenance import record_of
-from hyperval.compare.one_side import product_rows
+from hyperval.compare.products import product_rows
 from hyperval.datasets import InputLog
-from hyperval.folders import whole_folder
 from hyperval.predict import Origins, predict
 from hyperval.report import RunReport, write_outputs
 from hyperval.results import ResultTable, of_campaign
 from hyperval.scenario import load_scenario
+from hyperval.storage import whole_folder
 
 
 def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | None = None) -> int:

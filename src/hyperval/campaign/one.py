@@ -1,27 +1,99 @@
-"""One campaign: observe, predict, compare, judge."""
+"""One campaign: observe, predict, compare, judge.
+
+Why a campaign's two sides differ: its model asked again with inputs moved and what-ifs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
+from typing import Any
 
-from hyperval.campaign.collected import Collected, collected
-from hyperval.campaign.job import Job, Waiting
+from hyperval.campaign.job import Job, Waiting, missing_sets
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.provenance import record_of
-from hyperval.campaign.references import missing_sets
-from hyperval.campaign.scenario_notes import header_notes, truth_notes
 from hyperval.campaign.schema import Outline
+from hyperval.campaign.sides import Collected, collected, header_notes, joined, truth_notes
 from hyperval.datasets import InputLog
 from hyperval.errors import MissingDataError
 from hyperval.observe import Observed
-from hyperval.products import Prediction
+from hyperval.observe import observe as observe_collection
+from hyperval.predict import predictions
+from hyperval.prediction.departure import Departure, departs
+from hyperval.prediction.uncertainty import given_of, inputs_of
+from hyperval.processing.ace_model import NUMERICAL_DETECTORS
+from hyperval.products import PredictedProducts, Products
 from hyperval.progress import step
 from hyperval.report import RunReport
-from hyperval.report.power import accepted_table
-from hyperval.report.run import EigenvalueSpectrum, TailCurve
+from hyperval.report.run import EigenvalueSpectrum, TailCurve, accepted_table
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
+from hyperval.scenario import Scenario
+from hyperval.settings import with_settings
+from hyperval.uncertainty.attribution.ranking import assumed_inputs
+from hyperval.uncertainty.attribution.residuals import few_objects
+from hyperval.uncertainty.attribution.run import ScenarioModel, Truth, attribute, attribution_rows
+
+# Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
+OBJECT_DRAWS = 1600
+
+
+def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bool | None = None) -> list[Result]:
+    """Rows of the reasons, none where the campaign does not ask for them; ``prediction`` as it was compared."""
+    if side.campaign.attribution is None:
+        return []
+    observation = side.observed.observation
+    # Where every object is one pixel, the scores of pixels say the same.
+    whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
+    draws = OBJECT_DRAWS if whole else False
+
+    def of_truths(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[PredictedProducts]:
+        # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects, and
+        # not what takes draws of its own for each of a hundred truths.
+        closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
+        processing = scenario.processing.model_copy(update={"detectors": closed})
+        lighter = scenario.model_copy(update={"processing": processing}) if closed else scenario
+        return predictions(lighter, truths, side.origins(scenario, show_progress), objects=draws, object_curves=False)
+
+    as_stated: list[tuple[Scenario, PredictedProducts]] = []  # predicted once, however often nothing is moved in it
+
+    def still(scenario: Scenario) -> PredictedProducts:
+        known = next((p for s, p in as_stated if s is scenario), None)
+        if known is None:
+            known = next(of_truths(scenario, [Departure()]))
+            as_stated.append((scenario, known))
+        return known
+
+    def moved_side(scenario: Scenario, truths: Sequence[Departure]) -> Iterator[PredictedProducts]:
+        moved = of_truths(scenario, [truth for truth in truths if departs(truth)])
+        for truth in truths:
+            yield next(moved) if departs(truth) else still(scenario)
+
+    def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truth]) -> Iterator[Products]:
+        sides = [moved_side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(scenarios)]
+        for parts in zip(*sides, strict=True):
+            yield joined(side, scenarios, parts)
+
+    def measured_again(changes: Mapping[str, Any]) -> Products:
+        changed, detection = with_settings(side.campaign, changes), None
+        if changed.detection is not None:  # no residual is an area
+            detection = changed.detection.model_copy(update={"unmixing": None})
+        before = side.observed.surfaces if changed.collection == side.campaign.collection else None
+        return observe_collection(
+            changed.collection, detection, side.inputs.resolve, before=before, show_progress=show_progress
+        ).observation
+
+    given = [given_of(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]
+    attribution = attribute(
+        ScenarioModel(side.scenarios, predicted, measured_again),
+        observation,
+        [inputs_of(g) for g in given],
+        [assumed_inputs(g) for g in given],
+        side.campaign.attribution,
+        budgeted=prediction,
+        show_progress=show_progress,
+    )
+    return attribution_rows(attribution)
 
 
 def run_campaign(
@@ -73,23 +145,23 @@ def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextM
     return step(campaign, steps.index(what) + 1, len(steps), what)
 
 
-def _report(side: Collected, predictions: Sequence[Prediction], show_progress: bool | None) -> RunReport:
+def _report(side: Collected, predictions: Sequence[PredictedProducts], show_progress: bool | None) -> RunReport:
     campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
     prediction = None
+    never: list[tuple[Result, str]] = []
     eigenvalues: dict[tuple[str, str], EigenvalueSpectrum] = {}
     tails: dict[str, TailCurve] = {}
     # What compares takes 30 MB: not before the imagery is done with.
     if predictions:
-        from hyperval.campaign.curves import spread_curves
-        from hyperval.campaign.predicted_side import predicted_side
-        from hyperval.campaign.reasons import reasons
+        from hyperval.campaign.sides import predicted_side, spread_curves
 
         prediction = predicted_side(side, predictions)
         rows = outcomes(side, prediction)
+        never = never_met(rows, prediction, observed.observation)
         rows += reasons(side, prediction, show_progress=show_progress)
         eigenvalues, tails = spread_curves(prediction, observed.observation)
     else:
-        from hyperval.compare.one_side import product_rows
+        from hyperval.compare.products import product_rows
 
         rows = product_rows(observed.observation, "observed")
     by_dirsig = ["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []
@@ -120,6 +192,7 @@ def _report(side: Collected, predictions: Sequence[Prediction], show_progress: b
         eigenvalues=eigenvalues,
         tails=tails,
         chosen_after=campaign.every_choice(),
+        never_met=never,
         power=accepted_table(campaign.name) if prediction else None,
         kind="Campaign" if prediction else "Collection of campaign",
     )
@@ -137,14 +210,14 @@ def report_of(campaign: Outline, rows: Iterable[Result]) -> RunReport:
     )
 
 
-def outcomes(side: Collected, prediction: Prediction) -> list[Result]:
+def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     """Every comparison of a campaign with its outcome.
 
     It needs no second look at the collection, so that it can be called for a prediction that was moved.
 
     Parameters
     ----------
-    prediction : of :func:`hyperval.campaign.predicted_side.predicted_side`
+    prediction : of :func:`hyperval.campaign.sides.predicted_side`
     """
     from hyperval.compare import compare_products, judged
 
@@ -158,13 +231,18 @@ def outcomes(side: Collected, prediction: Prediction) -> list[Result]:
     return judged(rows, side.campaign.comparisons)
 
 
+def never_met(rows: Iterable[Result], prediction: Products, observation: Products) -> list[tuple[Result, str]]:
+    """The criteria that can never be met, each with what would have to be known better for it."""
+    from hyperval.compare.spectral import would_take
+
+    return [(row, would_take(row, prediction, observation)) for row in rows if row.never_met]
+
+
 def unfinished(job: Job | Waiting, outcome: Outcome, reason: str) -> RunReport:
     """The planned comparisons of a campaign that could not be made, each as a row."""
     campaign = job.campaign
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
-    rows = [
-        gate.unmade(subject, outcome, cause, reason) for gate in campaign.comparisons for subject in gate.subjects
-    ]
+    rows = [gate.unmade(subject, outcome, cause, reason) for gate in campaign.comparisons for subject in gate.subjects]
     return replace(
         report_of(campaign, rows),
         provenance=record_of(InputLog.of_file(job.path), [], None, {"campaign": campaign}, []),

@@ -1,21 +1,86 @@
-"""What the report shows of the imagery: score maps and a picture of the scene."""
+"""What the report shows of the imagery: score maps and a picture of the scene.
+
+What lies in each pixel of a collection, as far as regions and truth say, and the score expected there.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.campaign.expected_maps import expected_maps
 from hyperval.collection import Detection
-from hyperval.imagery.array_raster import ArrayRaster
+from hyperval.imagery.arrays import ArrayRaster
 from hyperval.imagery.cube import Cube
 from hyperval.imagery.truth import all_pixels
 from hyperval.observe import Observed
-from hyperval.report import Quicklook, ScoreMap
+from hyperval.observe.detection import map_name, scored_pixels, target_groups
+from hyperval.observe.place import Place
+from hyperval.report import ExpectedScores, Quicklook, ScoreMap
+
+Expected = Mapping[tuple[str, str, str], float]
+# A region's name, or for each target that is looked for the subject that an object is in.
+Content = dict[str, str]
+ANY = ""
+
+
+def expected_maps(place: Place, detection: Detection, expected: Expected) -> dict[str, ExpectedScores]:
+    """Name of a score map -> expected scores, of the maps of which the model says anything.
+
+    Parameters
+    ----------
+    expected : (what lies there, target, detector) -> score [1]
+    """
+    if not expected:
+        return {}
+    numbers, contents = scene_content(place, detection, {subject for subject, _, _ in expected})
+    out = {}
+    for target in detection.targets:
+        for detector in detection.detectors:
+            scores = np.full(len(contents) + 1, np.nan, np.float32)
+            for i, content in enumerate(contents):
+                names = [content.get(target.name), *content.values()]
+                keys = [(name, target.name, detector) for name in names if name is not None]
+                scores[i] = next((expected[key] for key in keys if key in expected), np.nan)
+            if np.isfinite(scores).any():
+                out[map_name(target.name, detector)] = ExpectedScores(numbers, scores)
+    return out
+
+
+def scene_content(
+    place: Place, detection: Detection, subjects: Container[str]
+) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.int16]], list[Content]]:
+    """(lines, samples) number of what lies in a pixel, -1 where that is not known, and what the numbers mean.
+
+    A region inside another one stands before it.  Pixels near targets that are not scored, and those that two
+    targets share, hold an unknown part of them.
+    """
+    numbers, contents = np.full(place.cube.shape, -1, np.int16), list[Content]()
+    sizes = {name: np.count_nonzero(place.region(name)) for name in place.regions if name in subjects}
+    for name in sorted(sizes, key=lambda name: -sizes[name]):
+        numbers[place.pixels_of(name)] = len(contents)
+        contents.append({ANY: name})
+    kinds: dict[str, Content] = {}
+    for target in detection.targets:
+        for subject, members in target_groups(place.targets, target, detection.group).items():
+            for one in members:
+                kinds.setdefault(one.name, {})[target.name] = subject
+    of_targets = np.zeros(numbers.shape, bool)
+    for one in place.targets:
+        if one.name not in kinds:
+            continue
+        if kinds[one.name] not in contents:
+            contents.append(kinds[one.name])
+        (line, sample), part = scored_pixels(one, place)
+        window = slice(line, line + part.shape[0]), slice(sample, sample + part.shape[1])
+        shared = of_targets[window][part]
+        numbers[window][part] = np.where(shared, -1, contents.index(kinds[one.name]))
+        of_targets[window] |= part
+    return numbers, contents
+
 
 # Wavelength [nm] of red, green, blue and the solar irradiance there relative to green (ASTM G173, rounded).
 COLOURS = ((650.0, 0.84), (550.0, 1.0), (470.0, 1.07))

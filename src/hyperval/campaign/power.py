@@ -12,19 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import hyperval
-from hyperval.campaign.collected import collected
 from hyperval.campaign.job import AnyJob, Job, Waiting, jobs_of
 from hyperval.campaign.one import outcomes
-from hyperval.campaign.predicted_side import predicted_side
+from hyperval.campaign.sides import collected, predicted_side
 from hyperval.errors import MissingDataError
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.files import write_text
-from hyperval.folders import POWER, whole_folder
 from hyperval.metrics import Evidence
 from hyperval.predict import predict
 from hyperval.prediction.departure import Departure
 from hyperval.progress import track
-from hyperval.report.power import (
+from hyperval.report.run import (
     ACCEPTED,
     Planted,
     PowerTable,
@@ -35,6 +32,7 @@ from hyperval.report.power import (
     write_power_table,
 )
 from hyperval.results import Outcome, Result
+from hyperval.storage import POWER, whole_folder, write_text
 from hyperval.uncertainty.planted import NotPlantable, PlantedError, planted_errors, planted_prediction
 
 
@@ -102,9 +100,7 @@ def power(
     return tables
 
 
-def _tables(
-    jobs: Sequence[AnyJob], before: Mapping[str, PowerTable | None], show_progress: bool | None
-) -> list[Power]:
+def _tables(jobs: Sequence[AnyJob], before: Mapping[str, PowerTable | None], show_progress: bool | None) -> list[Power]:
     with workers(worker_count(len(jobs))) as where:
         results = track(in_order(where, _piece, jobs), "campaigns", len(jobs), show=show_progress)
         return [

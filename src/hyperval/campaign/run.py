@@ -1,18 +1,330 @@
-"""What the commands call: validate, observe into a folder."""
+"""What the commands call: validate, observe into a folder.
+
+Campaigns that need not run again: finished before a run was ended, or whole in the output of an earlier one.
+
+A campaign's folder bears a record (``.hyperval-made-of.json``) of what it was made of and of its own files.
+
+Several campaigns at once: each in a process of its own, each into a folder of its own.
+
+The command ``observe``: the empirical pipeline alone.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
+import platform
+import shutil
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
-from hyperval.campaign.job import AnyJob, Job, jobs_of
-from hyperval.campaign.jobs import UNCHANGED, run_jobs
-from hyperval.campaign.one import run_campaign, step_of
-from hyperval.campaign.resume import Finished, taken_over, write_record
-from hyperval.folders import partial_folder, whole_folder
-from hyperval.progress import working
-from hyperval.report import write_index, write_outputs
-from hyperval.results import ResultTable
+import hyperval
+from hyperval.campaign.job import SIMULATED, AnyJob, Job, jobs_of
+from hyperval.campaign.one import report_of, run_campaign, step_of, unfinished
+from hyperval.campaign.provenance import package_versions, source_revision
+from hyperval.datasets import InputLog
+from hyperval.errors import HypervalError, UsageError, internal_error
+from hyperval.executors import WorkersLostError, in_order, worker_count, workers
+from hyperval.progress import step, track, working
+from hyperval.report import RunReport, write_index, write_outputs
+from hyperval.report.run import accepted_table
+from hyperval.report.stored import read_results
+from hyperval.results import Outcome, ResultTable
+from hyperval.storage import RECORD, partial_folder, sha256_of, whole_folder, write_text
+
+if TYPE_CHECKING:
+    from hyperval.observe import Observed
+    from hyperval.report import RunReport
+
+
+class Finished:
+    """The campaigns of a run that need not run again: finished before it was ended, or in an earlier run's output.
+
+    Parameters
+    ----------
+    folder : holds a folder for each campaign until all of them are done
+    earlier : output of an earlier run, with a folder for each campaign; None: nothing is taken from there
+    """
+
+    def __init__(self, folder: Path, earlier: Path | None = None):
+        self.folder = folder / "campaigns"
+        self.earlier = earlier
+
+    def keep(self, job: Job, run: RunReport) -> None:
+        """Remember that the folder of a campaign is whole; not where something was skipped or went wrong."""
+        write_record(job, run, self.folder / job.campaign.name)
+
+    def load(self, job: Job) -> RunReport | None:
+        """The report of a campaign, without its arrays, where it is finished and would come out the same.
+
+        What is left of one that is not, or that was made of other files, settings or programs, is removed.
+        """
+        own = self.folder / job.campaign.name
+        run = as_before(job, own)
+        if run is None:
+            shutil.rmtree(own, ignore_errors=True)
+            if self.earlier is not None:
+                run = taken_over(job, self.earlier / job.campaign.name, own)
+        return run
+
+    def hand_over(self, names: Sequence[str], target: Path) -> None:
+        """Move the folders of these campaigns into ``target``."""
+        for name in names:
+            os.rename(self.folder / name, target / name)
+
+    def remove(self) -> None:
+        """Remove what is kept: the output is whole."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        with suppress(OSError):
+            self.folder.parent.rmdir()
+
+
+def write_record(job: Job, run: RunReport, folder: Path) -> None:
+    """Write into a campaign's folder what it was made of; not where something was skipped or went wrong."""
+    if any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
+        return
+    files = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
+    try:
+        beside = _beside(job, files)
+    except (OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
+        return
+    record = {
+        "identity": identity(job),
+        "files": files,
+        "beside": beside,
+        "outputs": {name: sha256_of(folder / name) for name in _written(folder)},
+    }
+    write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
+
+
+def as_before(job: Job, folder: Path) -> RunReport | None:
+    """The report that stands whole in ``folder``, without its arrays, where it would come out the same."""
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, HypervalError):
+        record = json.loads((folder / RECORD).read_bytes())
+        if (
+            record["identity"] == identity(job)
+            and _unchanged(job, record["files"])
+            and record["beside"] == _beside(job, record["files"])
+            and record["outputs"]
+            and all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
+        ):
+            return report_of(job.campaign, read_results(folder / "results.json"))
+    return None
+
+
+def taken_over(job: Job, source: Path, target: Path) -> RunReport | None:
+    """Give ``target`` the files of the finished campaign in ``source`` where it would come out the same.
+
+    Each file gets a second name; nothing is copied where the file system knows several names of a file.  What else
+    stands in ``source`` stays there.
+    """
+    run = as_before(job, source)
+    if run is None:
+        return None
+    for name in (*json.loads((source / RECORD).read_bytes())["outputs"], RECORD):
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.link(source / name, target / name)
+        except OSError:
+            shutil.copyfile(source / name, target / name)
+    return run
+
+
+def identity(job: Job) -> str:
+    """A digest of everything that a campaign's results follow from, but for the files that it reads.
+
+    What else stood on the command line is none of it: a campaign more does not make the others run again.
+    """
+    inner: dict[str, Any] = {
+        "campaign": job.campaign.model_dump(mode="json", by_alias=True),
+        "program": _program(),
+        "revision": source_revision(),
+        "packages": package_versions(),
+        "python": platform.python_version(),
+        "power": repr(accepted_table(job.campaign.name)),
+    }
+    return hashlib.sha256(json.dumps(inner, sort_keys=True, default=str).encode()).hexdigest()
+
+
+@cache
+def _program() -> str:
+    """A digest of the package's own files: a checkout may change under one version."""
+    digest, root = hashlib.sha256(), Path(hyperval.__file__).parent
+    for path in sorted(p for p in root.rglob("*") if p.is_file() and p.suffix != ".pyc"):
+        digest.update(f"{path.relative_to(root).as_posix()} {sha256_of(path)}\n".encode())
+    return digest.hexdigest()
+
+
+def _unchanged(job: Job, files: dict[str, str]) -> bool:
+    """Whether every file that was read is the same; simulated ones follow from the others."""
+    log = InputLog(job.folder)
+    read = {name: digest for name, digest in files.items() if not name.startswith(SIMULATED)}
+    return all(sha256_of(log.resolve(name)) == digest for name, digest in read.items())
+
+
+def _beside(job: Job, files: dict[str, str]) -> str:
+    """A digest of the names of all files in the folders that were read from: a header or a grid may come later."""
+    log = InputLog(job.folder)
+    folders = {log.resolve(name).parent for name in files if not name.startswith(SIMULATED)}
+    names = sorted(sorted(e.name for e in os.scandir(folder) if e.is_file()) for folder in folders)
+    return hashlib.sha256(json.dumps(names).encode()).hexdigest()
+
+
+def _written(folder: Path) -> list[str]:
+    """The files below a campaign's folder, but for the record."""
+    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file() and p.name != RECORD)
+
+
+INTERNAL_ERROR = 4
+UNCHANGED = "{}: nothing changed since the earlier run, taken from it (--again runs it)"
+Done = tuple[RunReport, int | None]
+
+
+def run_jobs(
+    jobs: Sequence[AnyJob],
+    finished: Finished,
+    *,
+    executor: Executor | None = None,
+    scheduler: str | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+    show_progress: bool | None = None,
+) -> list[Done]:
+    """Run every campaign into a folder of its name; the result does not depend on how many run at once, or where.
+
+    Parameters
+    ----------
+    finished : where the folders are made, and stay until the output is whole; those that an earlier run finished
+        are not run again
+    executor : what runs them; default: the workers of ``scheduler``, or one process for each processor
+    scheduler : address of a Dask scheduler, whose workers see that folder and the data under the same names
+    tell : is given a line on each campaign that is not run again
+
+    Returns
+    -------
+    For each campaign, in the order given, its report without the arrays (they are written), and the exit code of
+    the error that stopped it (None when nothing did).  What stops one campaign becomes its ERROR rows.
+    """
+    finished.folder.mkdir(parents=True, exist_ok=True)
+    ready = {i: (run, None) for i, job in enumerate(jobs) if isinstance(job, Job) and (run := finished.load(job))}
+    for run, _ in ready.values():
+        tell(UNCHANGED.format(run.campaign))
+    left = [job for i, job in enumerate(jobs) if i not in ready]
+    new = iter(_run_left(left, finished, executor, scheduler, show_progress) if left else [])
+    return [ready[i] if i in ready else next(new) for i in range(len(jobs))]
+
+
+def _run_left(
+    jobs: Sequence[AnyJob],
+    finished: Finished,
+    executor: Executor | None,
+    scheduler: str | None,
+    show_progress: bool | None,
+) -> list[Done]:
+    count = worker_count(len(jobs))
+    if executor is None and scheduler is None and count == 1:
+        return [_run_into(job, finished, show_progress) for job in jobs]
+    with ExitStack() as stack:
+        where = executor or stack.enter_context(workers(count, scheduler))
+        pieces = [(job, finished) for job in jobs]
+        done: list[Done] = []
+        try:
+            results = in_order(where, _piece, pieces, ahead=len(jobs))
+            done.extend(track(results, "campaigns", len(jobs), show=show_progress))
+        except WorkersLostError as error:  # the campaigns whose results are not there yet
+            done += [_stopped(job, finished.folder / job.campaign.name, error) for job in jobs[len(done) :]]
+        return done
+
+
+def _piece(piece: tuple[AnyJob, Finished]) -> Done:
+    return _run_into(*piece, False)
+
+
+def _run_into(job: AnyJob, finished: Finished, show_progress: bool | None) -> Done:
+    folder = finished.folder / job.campaign.name
+    try:
+        run = run_campaign(job, show_progress=show_progress)
+    except Exception as error:  # one broken campaign must not hide what the others say
+        return _stopped(job, folder, error)
+    folder.mkdir(exist_ok=True)
+    with step_of(run.campaign, "report"), working("figures and page", show=show_progress):
+        write_outputs(run, folder)
+    if isinstance(job, Job):
+        finished.keep(job, run)
+    return replace(run, prediction=None, observation=None, score_maps={}, quicklook=None), None
+
+
+def _stopped(job: AnyJob, folder: Path, error: Exception) -> Done:
+    known = isinstance(error, HypervalError)
+    words = str(error) if known else internal_error(error)
+    run = unfinished(job, Outcome.ERROR, words)
+    folder.mkdir(exist_ok=True)
+    write_outputs(run, folder)
+    return run, error.exit_code if isinstance(error, HypervalError) else INTERNAL_ERROR
+
+
+Form = Literal["envi", "cog"]
+
+
+def observe(
+    path: Path, output: Path, *, write_reflectance: Form | None = None, show_progress: bool | None = None
+) -> int:
+    """Run the empirical pipeline alone and write what the collection says.
+
+    Parameters
+    ----------
+    write_reflectance : write the cube after the empirical line as well, to ``reflectance/`` in the folder
+
+    Raises
+    ------
+    UsageError : a reflectance cube is asked for and the collection has no empirical line.
+    """
+    with whole_folder(output) as folder:
+        run = observed_report(Path(path), folder, write_reflectance, show_progress)
+        from hyperval.report.outputs import write_outputs
+
+        with step(run.campaign, 3, 3, "report"), working("figures and page", show=show_progress):
+            write_outputs(run, folder)
+    return 0
+
+
+def observed_report(path: Path, folder: Path, write_reflectance: Form | None, show_progress: bool | None) -> RunReport:
+    """What a collection says; the cube after the empirical line is written into ``folder`` where it is asked for.
+
+    Raises
+    ------
+    UsageError : as for :func:`observe`.
+    """
+    from hyperval.campaign.job import job_of
+    from hyperval.campaign.one import run_campaign
+    from hyperval.observe.reflectance_cube import write_reflectance as reflectance_cube
+
+    job = job_of(path)
+    if write_reflectance and job.campaign.collection.empirical_line is None:
+        raise UsageError(
+            "there is no empirical line that would make a reflectance cube",
+            where=str(path),
+            mend="add collection.empirical_line, or leave --write-reflectance out",
+        )
+    notes: list[str] = []
+
+    def cube(observed: Observed) -> None:
+        if observed.place is not None and write_reflectance:
+            written = reflectance_cube(
+                folder / "reflectance", "reflectance", observed.place.cube, observed.elm, write_reflectance,
+                show_progress=show_progress,
+            )  # fmt: skip
+            notes.append(written[1])
+
+    run = run_campaign(
+        job, predicts=False, show_progress=show_progress, with_observed=cube if write_reflectance else None
+    )
+    return replace(run, notes=[*run.notes, *notes])
 
 
 def validate(
@@ -40,8 +352,8 @@ def validate(
     The exit code of the contract.  A campaign whose data set is not at hand is SKIPPED in the table with the
     command that fetches it, or with who holds it.  An error in one of several campaigns becomes ERROR rows, the
     others are run, and the code is that of the first error; with a single campaign it is raised and nothing is
-    written.  Of several, those that are finished stand in ``OUTPUT.partial`` until the results are whole: the same
-    command goes on from there.
+    written.  Of several, those that are finished stand in ``OUTPUT/.hyperval-partial`` until the results are whole:
+    the same command goes on from there.
     """
     jobs = jobs_of(*paths)
     with whole_folder(output) as folder:

@@ -1,20 +1,183 @@
-"""What a campaign file says: the collection, the model of it, and what is to be compared."""
+"""What a campaign file says: the collection, the model of it, and what is to be compared.
+
+Campaigns of several runs, such as flight lines: one text, in which words in braces differ from run to run.
+
+The scenarios that a campaign names, among them one for each half hour of a RadCalNet day.
+
+For these, words in braces of one scenario file take what the day's file says.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+import scipy
+from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
 
-from hyperval.campaign.day_scenarios import ScenarioSource
-from hyperval.campaign.template import campaign_runs
-from hyperval.collection import Classification, Collection, Detection
-from hyperval.compare.gates import Gate
-from hyperval.config import Model, load_yaml, validate
-from hyperval.errors import UsageError, reader
+from hyperval.atmosphere.state import pressure_at, standard_profile
+from hyperval.collection import Classification, CollectionSection, Detection
+from hyperval.compare.outcomes import Gate
+from hyperval.config import Location, Model, load_yaml, validate
+from hyperval.errors import InputError, UsageError, reader
+from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.spectra.networks import SURFACE, RadCalNetDay, read_radcalnet
 from hyperval.uncertainty.attribution.schema import AttributionOptions
+
+MAX_RUNS = 100
+
+
+def campaign_runs(data: Any, lines: dict[Location, int], name: str) -> list[tuple[dict[str, str], Any]]:
+    """The words and the content of every run of a campaign file; one without words where it lists none.
+
+    ``runs`` is a list of mappings from a word to a text; ``{word}`` stands for the text wherever it occurs in the
+    file and in its scenario files.
+
+    Raises
+    ------
+    UsageError : runs that are no such list, or whose words differ or are not used.
+    """
+    if not isinstance(data, dict) or "runs" not in data:
+        return [({}, data)]
+    runs = data["runs"]
+    rest = {key: value for key, value in data.items() if key != "runs"}
+    where = f"{name}:{lines.get(('runs',), 1)}"
+    good = isinstance(runs, list) and 0 < len(runs) <= MAX_RUNS
+    if not good or not all(isinstance(run, dict) and run for run in runs):
+        raise UsageError("'runs' is no list of runs", where=where, expected="- {run: 0920-1631, start: ...}")
+    for i, run in enumerate(runs):
+        at = f"{name}:{lines.get(('runs', i), 1)}"
+        wrong = [key for key, text in run.items() if not re.fullmatch(r"\w+", key) or not isinstance(text, str)]
+        if wrong or run.keys() != runs[0].keys():
+            raise UsageError(
+                f"the run has {', '.join(wrong) if wrong else 'other words than the first'}",
+                where=at,
+                expected="the same words in every run, each with a text (in quotation marks where it is a number)",
+            )
+    return [(dict(run), with_words(rest, run)) for run in runs]
+
+
+def with_words(content: Any, words: Mapping[str, str]) -> Any:
+    """The content with ``{word}`` replaced in every text; other braces stay as they are."""
+    if isinstance(content, dict):
+        return {key: with_words(value, words) for key, value in content.items()}
+    if isinstance(content, list):
+        return [with_words(value, words) for value in content]
+    if isinstance(content, str):
+        for word, text in words.items():
+            content = content.replace(f"{{{word}}}", text)
+    return content
+
+
+HIGHEST_KM = 9.0
+
+
+class DayScenarios(Model):
+    """Scenarios of the half hours of one day."""
+
+    scenario: str = Field(description='scenario file with words in braces, such as aot550: "{aot550}"')
+    radcalnet: str = Field(description="daily file that ends in .input: surface and state")
+    times: list[str] = Field(default_factory=list, description="half hours, such as 04:00; empty: all with values")
+
+
+def _kind(entry: Any) -> str:
+    """Which of the three an entry of a campaign's list is; a mistake in it is told of that one alone."""
+    if isinstance(entry, DayScenarios) or (isinstance(entry, Mapping) and {*DayScenarios.model_fields} & {*entry}):
+        return "(day)"
+    return "(scenario)" if isinstance(entry, Scenario | Mapping) else "(name)"
+
+
+ScenarioSource = Annotated[
+    Annotated[DayScenarios, Tag("(day)")] | Annotated[Scenario, Tag("(scenario)")] | Annotated[str, Tag("(name)")],
+    Discriminator(_kind),
+]
+
+
+def scenarios_of(
+    source: DayScenarios | Scenario | str, resolve: Callable[[str], Path], base: Path, words: Mapping[str, str]
+) -> list[Scenario]:
+    """The scenarios that one entry of a campaign stands for; ``base`` is the campaign's folder.
+
+    Raises
+    ------
+    UsageError, InputError : mistakes in the scenario or in what it names.
+    """
+    if isinstance(source, DayScenarios):
+        return day_scenarios(source, resolve(source.scenario), resolve(source.radcalnet), words)
+    if isinstance(source, Scenario):
+        source._folder = base
+        return [source]
+    if source in builtin_scenarios():
+        return [load_scenario(source)]
+    path = resolve(source)
+    data, lines = load_yaml(path)
+    scenario = validate(Scenario, with_words(data, words), lines, str(path))
+    scenario._folder = path.resolve().parent
+    return [scenario]
+
+
+def day_scenarios(source: DayScenarios, scenario: Path, day: Path, words: Mapping[str, str]) -> list[Scenario]:
+    """The scenarios of a day; a word that is a value by itself stands for a number.
+
+    Words, besides those of the run: site, time, time_utc, latitude_deg, longitude_deg, station_km, file, the state
+    (pressure_hpa, temperature_k, water_vapour_g_cm2, ozone_atm_cm, aot550, angstrom_exponent), its uncertainties
+    (u_ and the same names), and ground_km: where the stated standard atmosphere has the rows pressure.
+
+    Raises
+    ------
+    UsageError : mistakes of the scenario with file and line, a half hour without values.
+    InputError : a day that is missing, corrupt, not of the surface, or without values.
+    """
+    rows = read_radcalnet(day)
+    if rows.quantity != SURFACE:
+        raise InputError(
+            "holds reflectance of the top of the atmosphere",
+            where=rows.source,
+            expected="a file that ends in .input",
+        )
+    times = tuple(source.times) or rows.valid
+    if not times:
+        raise InputError("no half hour has a value", where=rows.source, mend="take a day of better weather")
+    text, lines = load_yaml(scenario)
+    out = []
+    for time in times:
+        at = _words(rows, time, source.radcalnet, str((text.get("atmosphere") or {}).get("model", "")), scenario)
+        made = validate(Scenario, _with_numbers(with_words(text, dict(words)), at), lines, str(scenario))
+        made._folder = scenario.resolve().parent
+        out.append(made)
+    return out
+
+
+def _words(day: RadCalNetDay, time: str, file: str, model: str, where: Path) -> dict[str, Any]:
+    i = day.column(time)
+    state = day.at(time)
+    try:
+        profile = standard_profile(model)
+    except UsageError as error:
+        raise UsageError(error.what, where=f"{where}: atmosphere.model", expected=error.expected) from None
+    pressure = state["pressure_hpa"]
+    if not pressure_at(profile, HIGHEST_KM) < pressure <= pressure_at(profile, 0.0):
+        raise InputError(f"a pressure of {pressure:g} hPa", where=day.source, expected="that of a place on land")
+    ground = float(scipy.optimize.brentq(lambda z: pressure_at(profile, z) - pressure, 0.0, HIGHEST_KM, xtol=1e-6))
+    return {
+        **state, "site": day.site, "time": time, "time_utc": f"{day.times[i]:%Y-%m-%dT%H:%M:%SZ}", "file": file,
+        "latitude_deg": day.latitude_deg, "longitude_deg": day.longitude_deg, "ground_km": round(ground, 4),
+        "station_km": day.altitude_m / 1e3,
+    }  # fmt: skip
+
+
+def _with_numbers(content: Any, words: Mapping[str, Any]) -> Any:
+    if isinstance(content, dict):
+        return {key: _with_numbers(value, words) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_with_numbers(value, words) for value in content]
+    if isinstance(content, str):
+        if content[:1] == "{" and content[1:-1] in words:
+            return words[content[1:-1]]
+        return with_words(content, {name: str(value) for name, value in words.items()})
+    return content
 
 
 class Choice(Model):
@@ -41,9 +204,7 @@ class Outline(Model):
         default_factory=list,
         description="choices made after the data were seen, save those of comparisons, which say so themselves",
     )
-    comparisons: list[Gate] = Field(
-        default_factory=list, description="what validate judges; observe alone needs none"
-    )
+    comparisons: list[Gate] = Field(default_factory=list, description="what validate judges; observe alone needs none")
 
     @property
     def computed(self) -> bool:
@@ -63,7 +224,7 @@ class Outline(Model):
 class Campaign(Outline):
     """One campaign: a collection, a model of it, the comparisons."""
 
-    collection: Collection
+    collection: CollectionSection
     detection: Detection | None = None
     classification: Classification | None = None
     equivalence_margin: float | None = Field(

@@ -15,16 +15,7 @@ from typing import Any, NoReturn
 from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__
-from hyperval.cli import (  # noqa: F401  (each adds its commands to the application)
-    check,
-    data,
-    finished_runs,
-    init,
-    many_runs,
-    runs,
-    sensor,
-    serve,
-)
+from hyperval.cli import commands  # noqa: F401  (adds the commands to the application)
 from hyperval.cli.shared import app, settings
 from hyperval.errors import HypervalError, UsageError, internal_error
 

@@ -24,7 +24,7 @@ app = typer.Typer(
 
 
 @dataclass
-class Settings:
+class CommandSettings:
     """What the options before the command say."""
 
     quiet: bool = False
@@ -36,18 +36,14 @@ class Settings:
         return not self.quiet and sys.stderr.isatty()
 
 
-settings = Settings()
+settings = CommandSettings()
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
-AnyOutput = Annotated[
-    Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")
-]
+AnyOutput = Annotated[Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
 
 Scheduler = Annotated[
     str | None,
-    typer.Option(
-        "--scheduler", help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."
-    ),
+    typer.Option("--scheduler", help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
 ]
 
 

@@ -12,21 +12,20 @@ import numpy.typing as npt
 
 from hyperval.compare.rows import RowMaker
 from hyperval.processing.classification import bhattacharyya_distance
-from hyperval.processing.covariance_sampling import (
-    Directions,
+from hyperval.processing.sample import (
+    EigenDirections,
     SamplingBand,
     Statistics,
     full_rank,
     kurtosis_parameter,
+    noise_part,
     principal_angles_deg,
     sampling_band,
     statistics_of_covariance,
 )
-from hyperval.processing.noise_part import noise_part
 from hyperval.products import PixelDistribution, SpectralEstimate
 from hyperval.results import Cause, Result
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.windows import in_window
+from hyperval.spectra.axis import SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -168,12 +167,13 @@ def sampled(
         return f"{n} pixels and {int(bands.sum())} bands say nothing of a covariance"
     at = np.ix_(bands, bands)
     first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
+    first = first + np.diag(np.broadcast_to(observed.rounding, bands.shape)[bands])
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return "a covariance is not finite"
     kurtosis = 0.0 if predicted_distribution is None else kurtosis_parameter(predicted_distribution.tail_dof)
     if math.isinf(kurtosis):
         return "tails of 4 degrees of freedom or fewer: a sample covariance has no sampling band"
-    directions = Directions.of(first)
+    directions = EigenDirections.of(first)
     size = directions.values.size
     independent = independent_pixels(n, observed_distribution, size)
     drawn = max(min(MOST_EIGENVALUES, size, n - 1, int(independent.min())), 1)
@@ -188,12 +188,10 @@ def sampled(
 
 
 @lru_cache(maxsize=64)
-def _band(
-    variances: bytes, independent: bytes, count: int, spaces: tuple[int, ...], kurtosis: float
-) -> SamplingBand:
+def _band(variances: bytes, independent: bytes, count: int, spaces: tuple[int, ...], kurtosis: float) -> SamplingBand:
     """The draws that rows and figures of a subject share, whichever way its directions point."""
     values = np.frombuffer(variances)
-    directions = Directions(np.eye(values.size), values)
+    directions = EigenDirections(np.eye(values.size), values)
     rng = np.random.default_rng(_SEED)
     return sampling_band(directions, np.frombuffer(independent), count, spaces, rng, kurtosis=kurtosis)
 
@@ -239,14 +237,21 @@ def _noise_rows(
     samples: int,
     kurtosis: float,
 ) -> list[Result]:
-    """The noise in the measured covariance; nothing where the model has none."""
+    """The noise in the measured covariance; nothing where the model has none.
+
+    The sources are those at the mean of the class, and the calibration error follows the mean square of its pixels.
+    """
     total = np.sum(list(sources.values()), axis=0)
     bands = sample.bands & np.isfinite(total) & (total > 0)
     if not bands.any():
         return []
-    at, noise = np.ix_(bands, bands), total[bands]
+    at = np.ix_(bands, bands)
+    texture = np.asarray(predicted.pixel_covariance)[at] - np.diag(total[bands])
     calibration = sources.get("calibration", np.zeros_like(total))[bands]
-    first, second = np.asarray(predicted.pixel_covariance)[at], np.asarray(observed.pixel_covariance)[at]
+    more = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
+    calibration = calibration + more
+    noise = total[bands] + more + np.broadcast_to(observed.rounding, total.shape)[bands]
+    first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[at]
     part = noise_part(second, first, noise, sample.fewest - 1.0, kurtosis, calibration=calibration, samples=samples)
     low, high = (part.factor + sign * _NORMAL_95 * part.uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
@@ -257,9 +262,7 @@ def _noise_rows(
     return [make.row("noise_ratio", value, interval=interval, n=sample.n, reason=reason)]
 
 
-def _row(
-    make: RowMaker, metric: str, value: float, interval: tuple[float, float], n: int, reason: str = ""
-) -> Result:
+def _row(make: RowMaker, metric: str, value: float, interval: tuple[float, float], n: int, reason: str = "") -> Result:
     """A row whose band is that of sampling; the mean of skewed draws may lie beyond an end of it."""
     low, high = min(float(interval[0]), value), max(float(interval[1]), value)
     return make.row(metric, value, interval=(low, high), n=n, reason=reason)
@@ -307,9 +310,7 @@ def compare_distribution(
             )
         )  # fmt: skip
     if predicted is not None and not math.isnan(o.leading_tail_dof):
-        inverse = [
-            0.0 if math.isinf(x) else 1.0 / x for x in (o.leading_upper, o.leading_tail_dof, o.leading_lower)
-        ]
+        inverse = [0.0 if math.isinf(x) else 1.0 / x for x in (o.leading_upper, o.leading_tail_dof, o.leading_lower)]
         expected = 0.0 if math.isinf(predicted.tail_dof) else 1.0 / predicted.tail_dof
         low, value, high = (expected - x for x in reversed(inverse))
         rows.append(make.row("tail_inverse_dof_difference", value, interval=(low, high), n=o.n, reason=note))

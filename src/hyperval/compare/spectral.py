@@ -1,37 +1,350 @@
-"""Rows that every spectral product shares: radiance, SNR, reflectance."""
+"""Rows that every spectral product shares: radiance, SNR, reflectance.
+
+Do two spectra agree within their uncertainties?
+
+Where both radiances have the absorptions of the atmosphere: a shift of wavelengths that levels hardly show.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import optimize, stats
 
-from hyperval.compare.consistency import (
-    chi_square_diagonal,
-    chi_square_full,
-    chi_square_shape,
-    detectable_tilts,
-    share_inside,
-    spectral_angle_degrees,
-    whitening,
-    z_scores,
-)
-from hyperval.compare.difference import (
-    comparable_bands,
-    median_interval,
-    regions,
-    size_intervals,
-)
-from hyperval.compare.rows import RowMaker
-from hyperval.compare.wavelengths import wavelength_rows
-from hyperval.processing.difference import difference_ratio, difference_ratio_covariance
-from hyperval.processing.intervals import Z95
-from hyperval.products import SpectralEstimate
+from hyperval.compare.rows import RowMaker, comparable_bands, median_interval, regions, size_intervals
+from hyperval.errors import UsageError
+from hyperval.metrics import Kind, metric_of
+from hyperval.processing.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
+from hyperval.processing.wavelength_check import FEATURES, absorption_centre, centre_uncertainty
+from hyperval.products import EstimatedPart, Products, SpectralEstimate
 from hyperval.results import Cause, Result
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+Estimated = Sequence[EstimatedPart]
+
+# Directions whose variance, in the correlation matrix, is below this part of the greatest are rounding noise.
+EIGENVALUE_CUT = 1e-9
+# A full test is asked what it would have found at this level in both tails, with this probability.
+POWER_LEVEL, POWER = 1e-3, 0.8
+# Fewer degrees of freedom of an estimated covariance for each direction say little of the least of them.
+DOF_PER_DIRECTION = 3.0
+DOF_ROUNDING = 1e-6  # of degrees of freedom
+# Samples fewer than directions may hold this part of the variance in some direction without being seen in others.
+UNSEEN_PART = 0.2
+
+
+@dataclass(frozen=True)
+class ChiSquare:
+    """A chi-square statistic with its degrees of freedom; ``p_value`` = P(at least this large | consistent).
+
+    ``covariance_dof`` nu: degrees of freedom behind the covariance; below infinity the statistic is Hotelling's
+    T^2, and T^2 (nu - p + 1) / (nu p) follows F(p, nu - p + 1).
+    """
+
+    value: float
+    dof: int
+    covariance_dof: float = math.inf
+
+    @property
+    def reduced(self) -> float:
+        """Value over degrees of freedom; NaN without any."""
+        return self.value / self.dof if self.dof > 0 else float("nan")
+
+    @property
+    def p_value(self) -> float:
+        """Upper tail probability; NaN without degrees of freedom."""
+        p, nu = self.dof, self.covariance_dof
+        if p <= 0 or nu <= p:
+            return float("nan")
+        if math.isinf(nu):
+            return float(stats.chi2.sf(self.value, p))
+        return float(stats.f.sf(self.value * (nu - p + 1.0) / (nu * p), p, nu - p + 1.0))
+
+
+def z_scores(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
+    """(B,) difference over its standard uncertainty, sqrt(u_p^2 + u_c^2); NaN where that is 0.
+
+    Examples
+    --------
+    >>> z_scores([0.2, 0.0], [[0.01, 0], [0, 0.01]]).round(6).tolist()
+    [2.0, 0.0]
+    """
+    d = np.asarray(difference, dtype=float)
+    variance = np.diag(np.asarray(covariance, dtype=float))
+    return np.where(variance > 0, d, np.nan) / np.sqrt(np.where(variance > 0, variance, 1.0))
+
+
+def share_inside(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> tuple[float, tuple[float, float]]:
+    """Share of bands with |z| <= 1.96 and its 95 % interval, bands whose errors hang together counted as fewer.
+
+    Clopper and Pearson's limits for B^2 / sum rho^2 bands, rho being the correlation of the errors: whether two
+    bands lie inside hangs together by its square and higher powers, so that this counts too few, not too many.
+
+    Examples
+    --------
+    >>> share, (low, high) = share_inside([0.1, 0.1, 0.1, 0.3], 0.01 * np.eye(4))
+    >>> share, round(low, 3), round(high, 3)
+    (0.75, 0.194, 0.994)
+    """
+    c = np.asarray(covariance, dtype=float)
+    sd = np.sqrt(np.diag(c))
+    bands = float(sd.size**2 / np.sum((c / np.outer(sd, sd)) ** 2))
+    inside = float(np.mean(np.abs(z_scores(difference, c)) <= Z95))
+    low, high = clopper_pearson(inside * bands, bands)
+    return inside, (float(low), float(high))
+
+
+def chi_square_diagonal(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> ChiSquare:
+    """Sum of squared z: blind to errors that are common to bands, so it accepts too much."""
+    z = z_scores(difference, covariance)
+    z = z[np.isfinite(z)]
+    return ChiSquare(float(np.sum(z**2)), int(z.size))
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """The directions in which a covariance of B bands is tested; :func:`chi_square_full` says which.
+
+    Attributes
+    ----------
+    transform : (K, B), to a vector in units of its standard deviation in each direction
+    covariance_dof : degrees of freedom behind the covariance in them
+    """
+
+    transform: Array
+    covariance_dof: float
+
+    def of(self, vector: npt.ArrayLike) -> Array:
+        """(K, ...) of a vector (B,) or of vectors in columns; UsageError where a value is not finite."""
+        x = np.asarray(vector, dtype=float)
+        if not np.all(np.isfinite(x)):
+            raise UsageError("a consistency test got NaN or infinity", mend="leave bands without a value out")
+        return np.asarray(self.transform @ x)
+
+
+Covariance = npt.ArrayLike | Whitening
+
+
+def chi_square_full(difference: npt.ArrayLike, covariance: Covariance, estimated: Estimated = ()) -> ChiSquare:
+    """r^T C^-1 r with the whole covariance of both sides.
+
+    C is scaled to unit diagonal and eigen-decomposed; directions with less than ``EIGENVALUE_CUT`` of the
+    greatest eigenvalue are left out, and the degrees of freedom are the directions kept.  Where parts of C were
+    estimated from samples and there are fewer than three effective degrees of freedom for each direction
+    (:func:`covariance_dof`), the smoothest directions are tested alone: as many cosines over the bands as the
+    degrees of freedom allow, with the samples' own covariance.  They are chosen without the samples, so that
+    Hotelling's law holds; a sample overstates the variance of its own leading directions, where it does not.
+
+    Parameters
+    ----------
+    covariance : C (B, B), or what :func:`whitening` makes of it, once for several tests
+    estimated : parts of the covariance that were estimated
+    """
+    tested = _whitening_of(covariance, estimated)
+    r = tested.of(difference)
+    return ChiSquare(float(r @ r), int(r.size), tested.covariance_dof)
+
+
+def covariance_dof(parts: Sequence[tuple[Array, float]]) -> float:
+    """Effective degrees of freedom of a covariance C = I of which ``parts`` (p, p) were estimated.
+
+    nu = p (1 + p) / sum {tr(C_i^2) + tr(C_i)^2} / nu_i, the rest of C being known.  Source: Nel & van der Merwe,
+    Commun. Stat. Theory Methods 15, 3719-3735, 1986, in the invariant form of Krishnamoorthy & Yu, Stat. Probab.
+    Lett. 66, 161-169, 2004.
+    """
+    if not parts or parts[0][0].size == 0:
+        return math.inf
+    p = parts[0][0].shape[0]
+    total = sum((np.sum(c * c.T) + np.trace(c) ** 2) / nu for c, nu in parts)
+    return float(p * (1.0 + p) / total) if total > 0.0 else math.inf
+
+
+def _whitening_of(covariance: Covariance, estimated: Estimated) -> Whitening:
+    return covariance if isinstance(covariance, Whitening) else whitening(covariance, estimated)
+
+
+def whitening(covariance: npt.ArrayLike, estimated: Estimated = ()) -> Whitening:
+    """Directions of :func:`chi_square_full` for a covariance (B, B) and the parts of it that were estimated."""
+    stated = np.asarray(covariance, dtype=float)
+    models = [(p.covariance if p.model is None else p.model, p.dof) for p in estimated]
+    widened = sum((p.covariance for p in estimated), np.zeros_like(stated))
+    known = stated - widened
+    some, whiten = _unit_directions(known + sum((m for m, _ in models), np.zeros_like(stated)))
+    bands = np.ix_(some, some)
+    nu = covariance_dof([(whiten.T @ m[bands] @ whiten, v) for m, v in models])
+    if nu < DOF_PER_DIRECTION * whiten.shape[1]:
+        samples = [
+            (m, v) if p.sample is None else (p.sample, p.sample_dof)
+            for p, (m, v) in zip(estimated, models, strict=True)
+        ]
+        whiten, nu = _smooth(known[bands], [(s[bands], v) for s, v in samples])
+    transform = np.zeros((whiten.shape[1], some.size))
+    transform[:, some] = whiten.T
+    return Whitening(transform, nu)
+
+
+def _smooth(known: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
+    """Cosines over the bands, half a wave more in each, with three degrees of freedom for each."""
+    total = known + sum((s for s, _ in samples), np.zeros_like(known))
+    scale = np.sqrt(np.diag(total))
+    size = scale.size
+    waves = np.cos(np.pi * (np.arange(size)[:, None] + 0.5) * np.arange(size) / size) / scale[:, None]
+    within = waves.T @ total @ waves
+    parts = [(waves.T @ s @ waves, v) for s, v in samples]
+    kept = size
+    while True:
+        _, whiten = _unit_directions(within[:kept, :kept])
+        here = [(whiten.T @ s[:kept, :kept] @ whiten, v) for s, v in parts]
+        nu = covariance_dof(here)
+        # Directions that no sample reaches have the known part alone: too little where samples count.
+        nu = min([nu, *(v for s, v in here if v < kept and np.linalg.eigvalsh(s)[-1] > UNSEEN_PART)])
+        if kept == 1 or (whiten.shape[1] == kept and nu >= DOF_PER_DIRECTION * kept - DOF_ROUNDING):
+            return waves[:, :kept] @ whiten, nu
+        kept = max(min(kept - 1, int((nu + DOF_ROUNDING) / DOF_PER_DIRECTION)), 1)
+
+
+def chi_square_shape(
+    difference: npt.ArrayLike, reference: npt.ArrayLike, covariance: Covariance, estimated: Estimated = ()
+) -> ChiSquare:
+    """What is left of the full chi-square when a multiple s of the reference spectrum may go (least squares).
+
+    r^T C^-1 r - (s/sd)^2 with s = c^T C^-1 r/(c^T C^-1 c) and sd = (c^T C^-1 c)^-1/2, in the directions of
+    :func:`chi_square_full`.
+    """
+    tested = _whitening_of(covariance, estimated)
+    r, c, nu = tested.of(difference), tested.of(reference), tested.covariance_dof
+    weight = float(c @ c)
+    if weight <= 0.0:
+        return ChiSquare(float(r @ r), int(r.size), nu)
+    rest = r - float(c @ r) / weight * c
+    return ChiSquare(float(rest @ rest), int(r.size) - 1, nu)
+
+
+def detectable_tilts(
+    reference: npt.ArrayLike, wavelength_nm: npt.ArrayLike, covariance: Covariance, estimated: Estimated = ()
+) -> tuple[float, float]:
+    """Tilts that the full test and the test of shape would reject with 80 % probability.
+
+    A tilt of t multiplies the reference by 1 - t at one end of the bands and by 1 + t at the other.  The statistic
+    of the full test is then noncentral chi-square with t^2 d^T C^-1 d, d the reference times the tilt of 1 (F where
+    part of C was estimated); that of the shape has what of d is no multiple of the reference.  The level is 0.001
+    in both tails together.
+
+    Examples
+    --------
+    >>> full, shape = detectable_tilts([1.0, 1.0], [400.0, 500.0], [[1e-4, 0.0], [0.0, 1e-4]])
+    >>> round(full, 3), round(shape, 3)
+    (0.033, 0.031)
+    """
+    c, w = np.asarray(reference, dtype=float), np.asarray(wavelength_nm, dtype=float)
+    span = float(np.ptp(w))
+    if span == 0.0:
+        return math.nan, math.nan
+    tilt = c * (2.0 * (w - w.min()) / span - 1.0)
+    tested = _whitening_of(covariance, estimated)
+    whole, level, nu = tested.of(tilt), tested.of(c), tested.covariance_dof
+    rest = whole - level * float(level @ whole) / max(float(level @ level), 1e-300)
+    kept = whole.size
+    return _detectable(float(whole @ whole), kept, nu), _detectable(float(rest @ rest), kept - 1, nu)
+
+
+def _detectable(unit: float, dof: int, nu: float) -> float:
+    """Size of a departure of noncentrality ``unit`` at size 1 that is rejected in 80 % of cases; NaN without."""
+    if dof <= 0 or nu <= dof or not unit > 0.0:
+        return math.nan
+    if math.isinf(nu):
+        limit = float(stats.chi2.isf(POWER_LEVEL / 2.0, dof))
+
+        def power(x: float) -> float:
+            return float(stats.ncx2.sf(limit, dof, x))
+    else:
+        limit = float(stats.f.isf(POWER_LEVEL / 2.0, dof, nu - dof + 1.0))
+
+        def power(x: float) -> float:
+            return float(stats.ncf.sf(limit, dof, nu - dof + 1.0, x))
+
+    high = 10.0
+    while power(high) < POWER:
+        high *= 4.0
+        if high > 1e9:
+            return math.nan
+    return math.sqrt(float(optimize.brentq(lambda x: power(x) - POWER, 1e-9, high, rtol=1e-6)) / unit)
+
+
+def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
+    """Angle between two spectra [degrees], exact for small angles: 2 atan2(|u - v|, |u + v|) of unit vectors.
+
+    Source of the measure: Kruse et al., Remote Sens. Environ. 44, 145-163, 1993; of the form: Kahan 2006.
+
+    Examples
+    --------
+    >>> round(spectral_angle_degrees([1, 0], [1, 1]), 6)
+    45.0
+    """
+    u, v = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    lengths = float(np.linalg.norm(u)), float(np.linalg.norm(v))
+    if min(lengths) == 0.0:
+        return float("nan")
+    u, v = u / lengths[0], v / lengths[1]
+    return float(np.degrees(2.0 * np.arctan2(np.linalg.norm(u - v), np.linalg.norm(u + v))))
+
+
+def _unit_directions(covariance: npt.ArrayLike) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Bands with a variance, and (bands, K) directions of unit variance and no covariance, the least first."""
+    cov = np.asarray(covariance, dtype=float)
+    sd = np.sqrt(np.diag(cov))
+    if not np.all(np.isfinite(cov)):
+        raise UsageError("a consistency test got NaN or infinity", mend="leave bands without a value out")
+    some = np.asarray(sd > 0)
+    if not np.any(some):
+        return some, np.zeros((0, 0))
+    scaled = cov[np.ix_(some, some)] / np.outer(sd[some], sd[some])
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2.0)
+    keep = values > EIGENVALUE_CUT * values[-1]
+    return some, vectors[:, keep] / sd[some][:, None] / np.sqrt(values[keep])
+
+
+def wavelength_rows(
+    make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis
+) -> list[Result]:
+    """Rows ``absorption_centre_difference@FEATURE`` [nm], predicted less measured, of what both sides show.
+
+    Both centres come from the same bands in the same way, so that what a band set does to a centre falls out.  The
+    interval holds the stated errors of both spectra within the absorption; where none is stated there is none.
+
+    Examples
+    --------
+    >>> w = np.arange(700.0, 830.0, 2.5)
+    >>> def side(centre_nm):
+    ...     depth = 0.5 * np.exp(-0.5 * ((w - centre_nm) / 4.0) ** 2)
+    ...     return SpectralEstimate(1.0 - depth, 1e-6 * np.eye(w.size))
+    >>> make, axis = RowMaker("radiance", "lawn", "sixs"), SpectralAxis(w, np.full(w.size, 5.0))
+    >>> [(row.metric, round(row.value, 1)) for row in wavelength_rows(make, side(764.0), side(763.0), axis)]
+    [('absorption_centre_difference@oxygen-763', 1.0)]
+    """
+    rows = []
+    use = axis.good & np.isfinite(predicted.mean) & np.isfinite(observed.mean)
+    at = np.flatnonzero(use)[np.argsort(axis.centre_nm[use], kind="stable")]
+    w = axis.centre_nm[at]
+    for feature in FEATURES:
+        centres = []
+        for side in (predicted, observed):
+            y, c = side.mean[at], side.error_covariance[np.ix_(at, at)]
+            centre, _ = absorption_centre(w, y, feature)
+            centres.append((centre, centre_uncertainty(w, y, c, feature, centre)))
+        (p, up), (o, uo) = centres
+        if math.isnan(p) or math.isnan(o):
+            continue
+        half = Z95 * math.hypot(up, uo) or math.nan
+        name = f"absorption_centre_difference@{feature.key}"
+        rows.append(make.row(name, p - o, half=half, unit="nm", n=observed.n))
+    return rows
+
 
 # Two measurements never meet to this part of their level.
 ROUNDING = 1e-9
@@ -39,6 +352,7 @@ ROUNDING = 1e-9
 NUMERICAL = 6e-8
 # Of what a source states of its values: about 95 % of a normal law.
 STATED_COVERAGE = 2.0
+_BETTER = 10.0  # a source that would have to be known more times better is helped by the next one
 
 
 def compare_spectra(
@@ -57,7 +371,7 @@ def compare_spectra(
     ``max_abs_difference_ratio_R``.  Over the windows: ``chi2_reduced_diagonal``, ``p_value_diagonal``,
     ``chi2_reduced_full``, ``p_value_full``, ``bias_ratio`` (mean difference ratio), ``chi2_reduced_shape``,
     ``p_value_shape``, ``fraction_inside_95`` (bands with |z| <= 1.96) and ``spectral_angle``; of radiance
-    :func:`hyperval.compare.wavelengths.wavelength_rows` where both sides have the absorptions of the atmosphere.
+    :func:`hyperval.compare.spectral.wavelength_rows` where both sides have the absorptions of the atmosphere.
     A region without a comparable band gives SKIPPED rows; one that the sensor does not see gives none.  A measured
     spectrum that is no evidence, since the prediction's own input made it, gives one SKIPPED row.  Where the source
     of the observation states more than its error in the comparison, besides ``fraction_inside_stated`` and
@@ -73,9 +387,7 @@ def compare_spectra(
     return make.compared(predicted, observed, rows)
 
 
-def _rows(
-    make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis
-) -> list[Result]:
+def _rows(make: RowMaker, predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> list[Result]:
     usable = comparable_bands(predicted, observed, axis)
     ratio = difference_ratio(predicted.mean, observed.mean)
     ratio_covariance = difference_ratio_covariance(predicted, observed)
@@ -125,9 +437,46 @@ def leading_source(predicted: SpectralEstimate, observed: SpectralEstimate, band
     return f"{100.0 * most / total:.0f} % of the variance: {name}" if most > 0.5 * total else ""
 
 
-def _summary(
-    make: RowMaker, name: str, ratio: Array, covariance: Array, bands: npt.NDArray[np.bool_]
-) -> list[Result]:
+def would_take(row: Result, predicted: Products, observed: Products) -> str:
+    """What would have to be known better, and how well, for a criterion that can never be met; in words.
+
+    Of a level of a spectrum the least number of sources, the largest first, that make the interval as narrow as its
+    range when they alone are known so many times better.  The variance of each side over the bands is shared out
+    among its sources by their budget.
+    """
+    times, metric = row.shortfall, metric_of(row.metric)
+    if metric.kind is Kind.TEST:
+        return f"all that is stated known {times:.2g} times better, to detect {metric.departure or 'what it is for'}"
+    if not math.isfinite(times):
+        return f"more than {row.n} rows"
+    left, right = (getattr(side, row.product, {}).get(row.subject) for side in (predicted, observed))
+    if not isinstance(left, SpectralEstimate) or not isinstance(right, SpectralEstimate):
+        return f"an interval {times:.2g} times narrower"
+    parts = regions(observed.axis)
+    bands = parts.get(row.metric.rpartition("_")[2], parts["windows"]) & comparable_bands(left, right, observed.axis)
+    shares = _shares(left, right, bands)
+    for count in range(1, len(shares) + 1):
+        share = sum(part for _, part in shares[:count])
+        if (rest := 1.0 / times**2 - (1.0 - share)) > share / _BETTER**2:
+            names = " and ".join(name for name, _ in shares[:count])
+            return f"{names} known {math.sqrt(share / rest):.2g} times better ({share:.0%} of the variance)"
+    return f"every source known {times:.2g} times better"
+
+
+def _shares(left: SpectralEstimate, right: SpectralEstimate, bands: npt.NDArray[np.bool_]) -> list[tuple[str, float]]:
+    """Sources of both sides with their parts of the variance of the mean difference ratio, the largest first."""
+    p, o = left.mean[bands], right.mean[bands]
+    found: dict[str, float] = {}
+    for side, slope in ((left, 1.0 / o), (right, p / o**2)):
+        whole = float(slope @ side.error_covariance[np.ix_(bands, bands)] @ slope)
+        by_source = {name: float(np.nansum((slope * u[bands]) ** 2)) for name, u in side.budget.items()}
+        for name, part in by_source.items():
+            found[name] = found.get(name, 0.0) + whole * part / max(sum(by_source.values()), 1e-300)
+    total = sum(found.values())
+    return sorted(((name, part / total) for name, part in found.items()), key=lambda item: -item[1])
+
+
+def _summary(make: RowMaker, name: str, ratio: Array, covariance: Array, bands: npt.NDArray[np.bool_]) -> list[Result]:
     metrics = [f"{m}_{name}" for m in ("median_difference_ratio", "median_abs_difference_ratio")]
     metrics.append(f"max_abs_difference_ratio_{name}")
     count = int(bands.sum())

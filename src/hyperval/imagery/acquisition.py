@@ -37,9 +37,7 @@ def acquisition_notes(
     quantity : what the campaign takes the cube for, against which the processing level is held
     """
     notes: list[str] = []
-    sensor = _listed(
-        entries, r"^(sensor|instrument)( (type|name|id|model|serial number))?$|^(sensor|instrument)id$"
-    )
+    sensor = _listed(entries, r"^(sensor|instrument)( (type|name|id|model|serial number))?$|^(sensor|instrument)id$")
     if sensor:
         notes.append(f"header: {sensor}")
     notes += _level(entries, quantity)

@@ -14,14 +14,12 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.imagery import band_table as bands_of
-from hyperval.imagery.array_raster import ArrayRaster
-from hyperval.imagery.band_table import Bands, BandTable
-from hyperval.imagery.description import Scaling
-from hyperval.imagery.georeference import pixel_area_m2
+from hyperval.imagery import description as bands_of
+from hyperval.imagery.arrays import ArrayRaster
+from hyperval.imagery.description import Bands, BandTable, Scaling, check_values_of, equals, usable_pixels
+from hyperval.imagery.envi import pixel_area_m2
 from hyperval.imagery.rasters import Raster, file_scaling, open_raster, stated_ignore_value
-from hyperval.imagery.tiff_raster import TiffRaster
-from hyperval.imagery.validity import check_values_of, equals, usable_pixels
+from hyperval.imagery.tiff import TiffRaster
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
@@ -178,16 +176,16 @@ class Cube:
             yield self.read(first, min(step, self.lines - first), dtype)
 
     def to_spy(self) -> Any:
-        """As an image of SPy: :func:`hyperval.imagery.interchange.cube_to_spy`."""
-        from hyperval.imagery import interchange  # SPy and xarray take 70 MB, which most runs need not
+        """As an image of SPy: :func:`hyperval.imagery.rasters.cube_to_spy`."""
+        from hyperval.imagery import rasters  # SPy and xarray take 70 MB, which most runs need not
 
-        return interchange.cube_to_spy(self)
+        return rasters.cube_to_spy(self)
 
     def to_xarray(self) -> Any:
-        """As a lazy array of xarray: :func:`hyperval.imagery.interchange.cube_to_xarray`."""
-        from hyperval.imagery import interchange
+        """As a lazy array of xarray: :func:`hyperval.imagery.rasters.cube_to_xarray`."""
+        from hyperval.imagery import rasters
 
-        return interchange.cube_to_xarray(self)
+        return rasters.cube_to_xarray(self)
 
     def kept_open(self) -> AbstractContextManager[object]:
         """Inside, an ENVI file is opened once for all reads."""
@@ -204,9 +202,7 @@ class Cube:
         stored = self.raster.read_bands(first_line, count, buffer)
         if self._reordered:
             stored = stored[self.stored_band]
-        usable = usable_pixels(
-            stored, ignore=self.ignore_value, zero_is_fill=self.quantity != "other", needed=needed
-        )
+        usable = usable_pixels(stored, ignore=self.ignore_value, zero_is_fill=self.quantity != "other", needed=needed)
         return stored, usable
 
     def pixels(self, where: Where) -> Array:
@@ -309,9 +305,9 @@ def open_cube(
     UsageError : a unit that is not stated, or paths that may not be opened.
     """
     if not isinstance(path, Path | str):
-        from hyperval.imagery import interchange
+        from hyperval.imagery import rasters
 
-        raster = interchange.raster_of(path, variable)
+        raster = rasters.raster_of(path, variable)
     else:
         raster = open_raster(path, header=header, root=root, variable=variable, engine=engine)
     table = _table(raster, axis, wavelength_unit, sort_bands)

@@ -140,8 +140,7 @@ def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where
         why = ""
     if placed is None or not np.all(np.isfinite(placed)):
         raise InputError(
-            f"coordinates from {_pair(xy.min(axis=0))} to {_pair(xy.max(axis=0))} cannot be places in "
-            f"{source}{why}",
+            f"coordinates from {_pair(xy.min(axis=0))} to {_pair(xy.max(axis=0))} cannot be places in {source}{why}",
             where=where,
             mend="check which coordinate system they are in",
         )
@@ -149,7 +148,7 @@ def reprojected(points: npt.ArrayLike, source: CRS, target: CRS | None, *, where
 
 
 @dataclass(frozen=True)
-class Grid:
+class ImageGrid:
     """The image that the drawings of a file lie on, and what is said of their coordinates and names.
 
     Attributes
@@ -176,9 +175,7 @@ class Grid:
         """
         means, crs = self.coordinates, self.crs
         if means == "map" and stated is not None and crs is not None and stated != crs:
-            raise InputError(
-                f"the file is in {stated}, the cube in {crs}", where=where, mend="leave coordinates out"
-            )
+            raise InputError(f"the file is in {stated}, the cube in {crs}", where=where, mend="leave coordinates out")
         if means == "lonlat" and stated is not None and not stated.is_geographic:
             raise InputError(
                 f"the file is in {stated}, not in longitude and latitude", where=where, mend="leave coordinates out"
@@ -250,7 +247,7 @@ def outside_error(
 
 
 @dataclass(eq=False)
-class Drawing:
+class RegionDrawing:
     """The polygons, points and pixels of one region on the grid of an image.
 
     Attributes
@@ -329,9 +326,7 @@ class Drawing:
             sign = "" if part < _SMALL else WARNING
             out.append(f"{sign}leaves the image: {_percent(part)} of its area is outside, {left}")
         if self.points_outside:
-            out.append(
-                f"{WARNING}leaves the image: {self.points_outside} of {self.points} points are outside, {left}"
-            )
+            out.append(f"{WARNING}leaves the image: {self.points_outside} of {self.points} points are outside, {left}")
         drawn = int(self.mask.sum())
         if self.stated_pixels not in (None, drawn):
             out.append(f"has {self.stated_pixels} pixels as its file says; {drawn} have their centre inside")

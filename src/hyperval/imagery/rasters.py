@@ -1,21 +1,37 @@
-"""Stored numbers of a raster, by lines or by pixels, whatever the file format."""
+"""Stored numbers of a raster, by lines or by pixels, whatever the file format.
+
+Cubes and maps as objects of ``spectral`` (SPy) and xarray, and theirs as ours.
+"""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import spectral
+import xarray as xr
+from affine import Affine
+from rasterio.crs import CRS
+from spectral.io.bilfile import BilFile
+from spectral.io.bipfile import BipFile
+from spectral.io.bsqfile import BsqFile
+from spectral.io.spyfile import SpyFile
+from xarray.backends import BackendArray
+from xarray.core import indexing
 
-from hyperval.envi_header import read_header
+from hyperval.envi_header import header_beside, read_header
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.imagery.array_raster import ArrayRaster
-from hyperval.imagery.description import Scaling, divided, gain_file_beside, header_scaling, scaled
-from hyperval.imagery.envi_raster import EnviRaster, check_size, header_beside
-from hyperval.imagery.sidecars import image_of
-from hyperval.imagery.stores import check_own_values
-from hyperval.imagery.tiff_raster import TIFF_SUFFIXES, TiffRaster, open_tiff
-from hyperval.imagery.trees import open_tree
+from hyperval.imagery.arrays import ArrayRaster, MemoryStore, Piece, Term, check_own_values
+from hyperval.imagery.description import Description, Scaling, divided, gain_file_beside, header_scaling, scaled
+from hyperval.imagery.envi import EnviRaster, check_size
+from hyperval.imagery.products import labelled_array, open_tree
+from hyperval.imagery.tiff import TIFF_SUFFIXES, TiffRaster, image_of, open_tiff
 from hyperval.paths import checked_file, checked_folder
+from hyperval.spectra.axis import SpectralAxis
 
 _HDF5 = "HDF5 or NetCDF-4"
 _ARRAYS = (_HDF5, "NetCDF-3")
@@ -83,7 +99,7 @@ def open_raster(
                 f"a {container} file, which is not read as a cube",
                 where=str(data),
                 expected="an ENVI cube with its header, or a GeoTIFF",
-                mend="save its array as an ENVI cube, wavelengths in the header (docs/formats.md, Other formats)",
+                mend="save its array as an ENVI cube, wavelengths in the header (docs/formats.md, Cubes)",
             )
         raise InputError(
             "no header beside the data file",
@@ -92,9 +108,7 @@ def open_raster(
         )
     parsed = read_header(checked_file(beside, root=root, what="ENVI header"))
     check_size(data, parsed)
-    whole = (
-        parsed.dtype.kind in "iu" and not {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
-    )
+    whole = parsed.dtype.kind in "iu" and not {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
     divisors = gain_file_beside(data) if whole else None
     if divisors is not None:
         divisors = checked_file(divisors, root=root, what="gain file")
@@ -102,7 +116,7 @@ def open_raster(
 
 
 def _labelled(path: Path, variable: str | None, engine: str | None) -> ArrayRaster:
-    from hyperval.imagery.labelled import open_labelled  # xarray takes 70 MB, which most runs need not
+    from hyperval.imagery.products import open_labelled  # xarray takes 70 MB, which most runs need not
 
     return open_labelled(path, variable, engine)
 
@@ -127,9 +141,7 @@ def _data_beside(header: Path) -> Path:
     candidates = [p for p in candidates if p.is_file()]
     if len(candidates) != 1:
         names = ", ".join(p.name for p in candidates) or "none"
-        raise InputError(
-            f"data files beside the header: {names}", where=str(header), mend="name the data file instead"
-        )
+        raise InputError(f"data files beside the header: {names}", where=str(header), mend="name the data file instead")
     return candidates[0]
 
 
@@ -181,3 +193,161 @@ def file_scaling(raster: Raster, *, quantity: str, unit: str | None, scale: floa
             )
         (gain, offset), note = own, of_file
     return scaled(gain, offset, note, quantity=quantity, unit=unit, scale=scale)
+
+
+_SPY_FILES = {"bil": BilFile, "bip": BipFile, "bsq": BsqFile}
+_SPY_METADATA = ("map info", "coordinate system string", "data ignore value", "default bands")
+
+
+def cube_to_spy(cube: Any) -> SpyFile | spectral.image.ImageArray:
+    """A ``Cube`` as an image of SPy: memory-mapped where it is an ENVI file of one scale, else loaded as float32.
+
+    SPy divides stored values by ``scale_factor``, which is 1/gain here; of ignore values it knows nothing, so that
+    they come as numbers (``metadata["data ignore value"]``) from a mapped file and as NaN from a loaded one.
+    """
+    gain, raster = cube.gain, cube.raster
+    bands = _band_info(cube.axis)
+    whole = np.array_equal(cube.stored_band, np.arange(raster.bands))
+    if isinstance(raster, EnviRaster) and whole and np.all(gain == gain[0]) and not np.any(cube.offset):
+        header = raster.header
+        metadata = {key: header.entries[key] for key in _SPY_METADATA if key in header.entries}
+        shape = raster.lines, raster.samples, raster.bands
+        params = _params(shape, str(raster.path), header.dtype, header.header_offset, header.byte_order)
+        image = _SPY_FILES[header.interleave](params, metadata)
+        image.scale_factor = 1.0 / float(gain[0])
+        image.bands = bands
+        return image
+    values = np.concatenate([block.values for block in cube.blocks(dtype=np.float32)])
+    return _image_array(values, bands, str(raster.path))
+
+
+def cube_to_xarray(cube: Any) -> xr.DataArray:
+    """A ``Cube`` as a lazy array (line, sample, wavelength) in its unit, NaN where there is no data.
+
+    Parts are read when they are asked for; ``fwhm`` and ``good`` stand beside the wavelengths, and the position as
+    ``spatial_ref`` with ``GeoTransform``, as rioxarray has it.
+    """
+    lazy = indexing.LazilyIndexedArray(_LazyCube(cube))
+    coords: dict[str, Any] = {
+        "wavelength": ("wavelength", cube.axis.centre_nm, {"units": "nm", "standard_name": "radiation_wavelength"}),
+        "fwhm": ("wavelength", cube.axis.fwhm_nm, {"units": "nm"}),
+        "good": ("wavelength", cube.axis.good),
+    }
+    array = xr.DataArray(
+        xr.Variable(("line", "sample", "wavelength"), lazy, {"units": cube.unit, "quantity": cube.quantity}),
+        coords=coords,
+        name=cube.quantity,
+    )
+    return _placed(array, cube.transform, cube.crs)
+
+
+def map_to_xarray(values: npt.NDArray[Any], transform: Any, crs: str | None, name: str) -> xr.DataArray:
+    """A map (line, sample), such as a detector's score, with its position."""
+    array = xr.DataArray(values, dims=("line", "sample"), name=name)
+    place = None if transform is None else Affine(*tuple(transform)[:6])
+    return _placed(array, place, None if crs is None else CRS.from_user_input(crs))
+
+
+def map_to_spy(values: npt.NDArray[Any], name: str) -> spectral.image.ImageArray:
+    """A map (line, sample) as an image of SPy with one band."""
+    return _image_array(np.asarray(values)[:, :, None], spectral.BandInfo(), name)
+
+
+def raster_of(image: Any, variable: str | None = None) -> Raster:
+    """The raster of an object of SPy or xarray, read by parts where it is lazy.
+
+    Raises
+    ------
+    UsageError : another kind of object, or an image without wavelengths.
+    """
+    if isinstance(image, xr.DataArray | xr.Dataset):
+        return labelled_array(image, variable)
+    if isinstance(image, SpyFile) and Path(f"{image.filename}").is_file():
+        headers = [Path(image.filename).with_suffix(".hdr"), Path(f"{image.filename}.hdr")]
+        if any(h.is_file() for h in headers):
+            return open_raster(image.filename)
+    if isinstance(image, SpyFile | spectral.image.ImageArray):
+        if image.bands.centers is None:
+            raise UsageError("the image of SPy has no wavelengths", mend="set its bands.centers and bands.band_unit")
+        widths = image.bands.bandwidths
+        unit = image.bands.band_unit
+        about = Description(
+            product="image of SPy",
+            wavelength=np.asarray(image.bands.centers, float),
+            fwhm=None if widths is None else np.asarray(widths, float),
+            wavelength_unit=None if unit in (None, "<unspecified>") else str(unit),
+        )
+        dtype = np.dtype(np.float32 if isinstance(image, SpyFile) else image.dtype)
+        piece = Piece((Term("image"),), "lsb", tuple(image.shape), dtype)
+        path = Path(str(image.filename or "SPy image"))
+        return ArrayRaster(path, MemoryStore(_plain(image), path), (piece,), description=about)
+    raise UsageError(
+        f"an object of type {type(image).__name__} is no cube",
+        expected="a path, an array of xarray, or an image of SPy (spectral)",
+    )
+
+
+def _plain(image: Any) -> Any:
+    return np.asarray(image) if isinstance(image, np.ndarray) else image
+
+
+class _LazyCube(BackendArray):
+    """The values of a cube, read by lines when xarray asks for them."""
+
+    def __init__(self, cube: Any) -> None:
+        self.cube = cube
+        self.shape = (cube.lines, cube.samples, cube.bands)
+        self.dtype = np.dtype(np.float64)
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> npt.NDArray[Any]:
+        part = indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
+        return np.asarray(part)
+
+    def _read(self, key: tuple[Any, ...]) -> npt.NDArray[Any]:
+        lines = np.arange(self.cube.lines)[key[0]]
+        wanted = np.atleast_1d(lines)
+        if not wanted.size:
+            values = np.empty((0, *self.shape[1:]))[:, key[1], key[2]]
+        elif np.ptp(wanted) + 1 <= 4 * wanted.size:
+            first = int(wanted.min())
+            values = self.cube.read(first, int(np.ptp(wanted)) + 1).values[wanted - first][:, key[1], key[2]]
+        else:
+            values = np.concatenate([self.cube.read(int(n), 1).values[:, key[1], key[2]] for n in wanted])
+        return values if np.ndim(lines) else values[0]
+
+
+def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> xr.DataArray:
+    if transform is None and crs is None:
+        return array
+    attrs: dict[str, Any] = {}
+    if crs is not None:
+        attrs |= {"crs_wkt": crs.to_wkt(), "spatial_ref": crs.to_wkt()}
+    if transform is not None:
+        attrs["GeoTransform"] = " ".join(repr(float(v)) for v in transform.to_gdal())
+    array = array.assign_coords(spatial_ref=((), 0, attrs))
+    array.attrs["grid_mapping"] = "spatial_ref"
+    return array
+
+
+def _band_info(axis: SpectralAxis) -> spectral.BandInfo:
+    bands = spectral.BandInfo()
+    bands.centers, bands.bandwidths = axis.centre_nm.tolist(), axis.fwhm_nm.tolist()
+    bands.band_unit, bands.band_quantity = "nm", "Wavelength"
+    return bands
+
+
+def _params(
+    shape: tuple[int, int, int], filename: str, dtype: np.dtype, offset: int = 0, byte_order: int | None = None
+) -> SimpleNamespace:
+    """What SPy knows of an image (lines, samples, bands); its byte order is the machine's where none is given."""
+    lines, samples, bands = shape
+    return SimpleNamespace(
+        nbands=bands, nrows=lines, ncols=samples, offset=offset, dtype=dtype.str, filename=filename,
+        byte_order=int(sys.byteorder == "big") if byte_order is None else byte_order,
+    )  # fmt: skip
+
+
+def _image_array(values: npt.NDArray[Any], bands: spectral.BandInfo, filename: str) -> spectral.image.ImageArray:
+    params = _params(values.shape, filename, values.dtype)
+    source = SimpleNamespace(params=lambda: params, metadata={}, bands=bands, filename=filename)
+    return spectral.image.ImageArray(values, source)

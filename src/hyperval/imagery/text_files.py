@@ -12,7 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from hyperval.errors import InputError, reader
-from hyperval.files import decoded
+from hyperval.storage import decoded
 
 MAX_TEXT_BYTES = 32 << 20
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")

@@ -9,13 +9,13 @@ from hyperval.metrics.metric import Evidence, Kind, Metric, Move, of_unit, of_va
 _SCORES = "compare.scores.compare_scores"
 _OBJECTS = "compare.objects.judged_together"
 _ROC = "compare.roc.compare_roc"
-_ALARMS = "compare.roc_alarms.far_at_detection_rows"
-_JOINT = "compare.roc_alarms.joint_rows"
-_AREAS = "compare.abundance.compare_abundance"
-_ERRORS = "compare.abundance.compare_area_errors"
+_ALARMS = "compare.roc.far_at_detection_rows"
+_JOINT = "compare.roc.joint_rows"
+_AREAS = "compare.objects.compare_abundance"
+_ERRORS = "compare.objects.compare_area_errors"
 _PIPELINE = Evidence.PIPELINE
 _NEWCOMBE = "Newcombe, Stat. Med. 17, 873, 1998; Zou & Donner, Stat. Med. 27, 1693, 2008"
-_DIFFERENCE = "compare.difference.difference_interval"
+_DIFFERENCE = "compare.rows.difference_interval"
 _AREA_FORMULA = "int P_D dx / int dx, x = P_FA or ln P_FA"
 _COUNT: tuple[Move, Move] = ((0.8, "interval"), (0.005, "unit"))
 _ALARM_COUNT: tuple[Move, Move] = ((0.8, "interval"), (0.01, "value"))
@@ -31,15 +31,15 @@ _PER_KM2 = "km-2"
 _MODEL = "(3.26)-(3.33), docs/model.md#processing"
 _MOMENTS = "NIST/SEMATECH, e-Handbook of Statistical Methods, "
 _TOGETHER = "defined here, docs/statistics.md#scores-and-areas"
-_JUDGED = "defined here, docs/statistics.md#outcomes-comparegatespy-compareoutcomespy"
-_CURVES = "defined here, docs/statistics.md#roc-processingrocpy-processingroc_areaspy"
-_TWO_CURVES = "defined here, docs/statistics.md#predicted-against-measured-roc-comparerocpy"
+_JUDGED = "defined here, docs/statistics.md#outcomes"
+_CURVES = "defined here, docs/statistics.md#roc"
+_TWO_CURVES = "defined here, docs/statistics.md#predicted-against-measured-roc"
 _SCHUIRMANN = "Schuirmann, J. Pharmacokinet. Biopharm. 15, 657, 1987"
 _BINOMIAL = "Lancaster, J. Am. Stat. Assoc. 56, 223, 1961"
 _REGION = "Kerekes, IEEE Geosci. Remote Sens. Lett. 5, 251, 2008"
 _DELONG = "DeLong et al., Biometrics 44, 837, 1988"
 _UNMIXED = "Heinz & Chang, IEEE Trans. Geosci. Remote Sens. 39, 529, 2001"
-_UNMIXING = "defined here, docs/statistics.md#unmixing-processingunmixingpy"
+_UNMIXING = "defined here, docs/statistics.md#unmixing"
 _GUM = "JCGM 100:2008, 5.2"
 
 
@@ -50,7 +50,7 @@ def _flag(name: str, words: str, function: str, **more: object) -> Metric:
 
 def _areas(prefix: str, words: str, reference: str) -> tuple[Metric, ...]:
     """Predicted, measured and difference of one kind of area under the ROC."""
-    function = "compare.roc_areas.area_rows"
+    function = "compare.roc.area_rows"
     return (
         Metric(f"{prefix}_predicted", f"{words}, predicted", function, _AREA_FORMULA, low=0.0, high=1.0,
                interval="band of the curve", tolerance=_AUC, reference=reference),
@@ -121,30 +121,30 @@ METRICS = (
            "predicted distribution; above 1 the prediction is too wide", _OBJECTS, low=0.0, agreement=1.0,
            interval="draws of the model", formula="sd(z drawn) / sd(z), z = Phi^-1(u)",
            short="spread of object scores", reference=_TOGETHER),
-    Metric("mean", "mean of one side alone", "compare.one_side.product_rows", unit="", interval="normal",
+    Metric("mean", "mean of one side alone", "compare.products.product_rows", unit="", interval="normal",
            formula="m", reference="JCGM 100:2008, 4.2"),
-    Metric("sd", "standard deviation of one side alone", "compare.one_side.product_rows", low=0.0, formula="s",
+    Metric("sd", "standard deviation of one side alone", "compare.products.product_rows", low=0.0, formula="s",
            reference="JCGM 100:2008, 4.2"),
     Metric("pfa_ratio", "predicted over measured false-alarm probability at one threshold; the number after @ is "
-           "the measured one aimed at", "processing.exceedance.false_alarm_ratio", "P_p(x) / P_o(x)", low=0.0,
+           "the measured one aimed at", "processing.alarm_blocks.false_alarm_ratio", "P_p(x) / P_o(x)", low=0.0,
            agreement=1.0, interval="blocks of the image; parts of it left out of a fitted law",
            tolerance=_ALARM_COUNT, usual=(0.5, 2.0),
            short="false-alarm rate", reference=_TOGETHER),
     Metric("pfa_repeatability", "factor by which the false-alarm probability of one half of the image misses that "
            "of the other, at one threshold; the number after @ is the measured one aimed at",
-           "processing.exceedance.exceedance_curve", "median over halves of max(P_1/P_2, P_2/P_1)", low=1.0,
+           "processing.alarm_blocks.exceedance_curve", "median over halves of max(P_1/P_2, P_2/P_1)", low=1.0,
            better="low", tolerance=_ALARM_COUNT, evidence=_PIPELINE, reference=_TOGETHER),
     Metric("anomaly_threshold", "score that a part of the background exceeds, where no target is looked for; "
-           "after @ that part", "processing.exceedance.exceedance_curve", low=0.0, tolerance=of_value(0.01),
+           "after @ that part", "processing.alarm_blocks.exceedance_curve", low=0.0, tolerance=of_value(0.01),
            evidence=_PIPELINE, formula="(1 - P_FA) quantile of the background's scores", reference=_TOGETHER),
     # ROC.
-    Metric("pd", "detection probability of one side alone" + _AFTER, "compare.one_side.product_rows", low=0.0,
+    Metric("pd", "detection probability of one side alone" + _AFTER, "compare.products.product_rows", low=0.0,
            high=1.0, better="high", interval=_MID_P, tolerance=_PROBABILITY,
            formula="P(score > t), t at the P_FA", reference=_MODEL),
-    Metric("pd_predicted", "predicted detection probability" + _AFTER, "processing.roc_reading.detection_at",
+    Metric("pd_predicted", "predicted detection probability" + _AFTER, "processing.roc_model.detection_at",
            low=0.0, high=1.0, interval="draws of the inputs", tolerance=_PROBABILITY,
            formula="sum_k w_k Phi((m_k - t) / s_k) (3.31)", reference=_MODEL),
-    Metric("pd_measured", "measured detection probability" + _AFTER, "processing.roc_reading.detection_at", low=0.0,
+    Metric("pd_measured", "measured detection probability" + _AFTER, "processing.roc_model.detection_at", low=0.0,
            high=1.0, interval=_MID_P, tolerance=_COUNT, evidence=_PIPELINE,
            formula="k / m above the threshold of the P_FA", reference=_BINOMIAL),
     Metric("pd_difference", "difference of these (predicted − measured)" + _AFTER, _DIFFERENCE, "P_p - P_o",
@@ -172,20 +172,16 @@ METRICS = (
            "compare.roc.equivalence", low=-1.0, high=1.0, kind=Kind.EQUIVALENCE, tolerance=_PROBABILITY,
            example="equivalence((0.05, 0.2), 0.1)[0]", gives=-1.0, usual=(1.0, math.inf),
            formula="1 within the margin, -1 beyond it, else 0", reference=_SCHUIRMANN),
-    Metric("pd_mean_abs_difference", "mean over curves of |P_D predicted − measured|" + _AFTER,
-           "scoreboard.variants.mean_gap", low=0.0, high=1.0, agreement=0.0, better="low", interval="bootstrap",
-           tolerance=_PROBABILITY, formula="mean |P_p - P_o|",
-           reference="defined here, docs/benchmark.md#engines-and-formulations"),
     *_areas("auc", "area under the ROC curve: mean detection probability over all false-alarm probabilities",
             _DELONG),
     *_areas("partial_auc", "mean detection probability over the range of false-alarm probabilities after @",
             "Dodd & Pepe, Biometrics 59, 614, 2003"),
     *_areas("log_auc", "mean detection probability over the logarithm of the range after @", _CURVES),
-    Metric("auc", "area under the ROC curve", "processing.roc_areas.roc_area", low=0.0, high=1.0, better="high",
+    Metric("auc", "area under the ROC curve", "processing.roc.roc_area", low=0.0, high=1.0, better="high",
            interval="bootstrap of objects and blocks", tolerance=_AUC, evidence=_PIPELINE,
            formula="mean_i V_i, V_i the share of background below target i", reference=_DELONG),
     Metric("log_auc", "mean detection probability over the logarithm of a range of false-alarm probabilities",
-           "processing.roc_areas.roc_area", low=0.0, high=1.0, better="high",
+           "processing.roc.roc_area", low=0.0, high=1.0, better="high",
            interval="bootstrap of objects and blocks", tolerance=_AUC, evidence=_PIPELINE,
            formula="mean of P_D over ln P_FA", reference=_CURVES),
     Metric("far", "false alarms per km² at the detection probability after @",
@@ -193,7 +189,7 @@ METRICS = (
            interval="bootstrap of objects and blocks", evidence=_PIPELINE,
            formula="P_FA times background pixels per km2", reference=_CURVES),
     Metric("far_measured", "measured false alarms per km²; after @ the false-alarm or the detection probability",
-           "compare.roc_alarms.far_row", unit=_PER_KM2, low=0.0, interval="exact binomial", evidence=_PIPELINE,
+           "compare.roc.far_row", unit=_PER_KM2, low=0.0, interval="exact binomial", evidence=_PIPELINE,
            formula="alarms / area", reference=_CURVES),
     Metric("far_predicted", "predicted false alarms per km² at the detection probability after @", _ALARMS,
            unit=_PER_KM2, low=0.0, interval="band of the curve", formula="P_FA times background pixels per km2",
@@ -201,7 +197,7 @@ METRICS = (
     Metric("far_difference", "difference of these (predicted − measured)", _ALARMS, unit=_PER_KM2, agreement=0.0,
            interval="Newcombe", reference=_NEWCOMBE, formula="far_p - far_o"),
     Metric("alarms_before_first", "background pixels declared before the first pixel of any object, "
-           "by the rule of RIT's self-test", "processing.alarms.alarms_before_first", low=0.0, better="low",
+           "by the rule of RIT's self-test", "processing.roc.alarms_before_first", low=0.0, better="low",
            tolerance=_ALARM_COUNT, evidence=_PIPELINE, formula="number of background scores >= max of target",
            reference="Snyder et al., IGARSS 2008, II-915"),
     Metric("joint_pfa", "false-alarm probability of a point, its interval part of a region of 95 %", _JOINT,
@@ -212,7 +208,7 @@ METRICS = (
     _flag("pd_inside_joint_region", "1 where the predicted curve passes through that region" + _AFTER, _JOINT,
            formula="[P_p(P_FA) passes through the rectangle]", reference=_REGION),
     # Areas of targets.
-    Metric("area", "area of a target, one side alone", "compare.one_side.product_rows", unit="m2",
+    Metric("area", "area of a target, one side alone", "compare.products.product_rows", unit="m2",
            interval="normal", tolerance=_AREA, formula="sum of abundances times the pixel's area",
            reference=_UNMIXED),
     Metric("area_predicted", "predicted area of a target", _AREAS, unit="m2", interval="normal", tolerance=_AREA,

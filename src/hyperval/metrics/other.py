@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from hyperval.metrics.metric import Evidence, Kind, Metric, of_unit
 
-_ATTRIBUTION = "uncertainty.attribution.rows.attribution_rows"
+_ATTRIBUTION = "uncertainty.attribution.run.attribution_rows"
 _TEST = "uncertainty.attribution.ranking.Whitened"
 _FREED = "uncertainty.attribution.ranking.explanation"
-_WHAT_IF = "uncertainty.attribution.what_ifs.Outcome"
-_VARIANTS = "scoreboard.variants.variant_rows"
+_WHAT_IF = "uncertainty.attribution.run.WhatIfOutcome"
 _RANKS = "scoreboard.ranks.ranked"
-_STUDY = "study.summary.result_rows"
-_EXTREMES = "study.summary.extremes"
+_STUDY = "study.page.result_rows"
+_EXTREMES = "study.page.extremes"
 _WITH_WHAT_IFS = "hyperval validate campaigns/hysu-2018/campaign.yaml"
 _CAMPAIGN = "hyperval validate campaigns/share2012-twin/campaign.yaml"
 _BENCHMARK = "hyperval benchmark campaigns/hysu-2018/campaign.yaml"
@@ -23,13 +22,12 @@ _COMPONENTS = "Patterson & Thompson, Biometrika 58, 545, 1971; docs/attribution.
 _MOVES = "defined here, docs/attribution.md#sensitivity-to-the-inputs"
 _WHAT_IFS = "defined here, docs/attribution.md#what-ifs"
 _DETECTORS = "defined here, docs/benchmark.md#detectors"
-_ENGINES = "defined here, docs/benchmark.md#engines-and-formulations"
 _QUESTIONS = "defined here, docs/studies.md#what-is-asked"
 
 METRICS = (
     Metric("comparison", "a whole comparison that could not be made", "compare.products.compare_products", unit="",
            example=_CAMPAIGN,
-           reference="defined here, docs/statistics.md#outcomes-comparegatespy-compareoutcomespy"),
+           reference="defined here, docs/statistics.md#outcomes"),
     Metric("*_fraction", "share of the rows of a pooled gate that meet its limit",
            "processing.intervals.clopper_pearson", "k / n", low=0.0, high=1.0, agreement=1.0,
            interval="exact binomial", tolerance=of_unit(0.02), short="share of the {product} inside its range",
@@ -39,7 +37,7 @@ METRICS = (
     Metric("reduced_chi_square", "squared difference in units of its uncertainty over all products that the "
            "attribution joins, with the model's numerical error added: not the number of a single spectrum",
            _TEST, "r^T C^-1 r / n", low=0.0, agreement=1.0, kind=Kind.STATISTIC,
-           short="what the budget leaves unexplained", reference=_VECTOR),
+           short="residuals against their budget", reference=_VECTOR),
     Metric("p_value", "its p-value", _TEST, "P(chi2_n >= r^T C^-1 r)", low=0.0, high=1.0,
            kind=Kind.TEST, tolerance=of_unit(0.05), reference=_VECTOR),
     Metric("p_value_explained", "its p-value with the leading inputs freed", _FREED, low=0.0, high=1.0,
@@ -50,7 +48,7 @@ METRICS = (
     Metric("needed_uncertainty",
            "uncertainty that one input would need, in units of its stated one or of a usual step", _FREED,
            "sqrt(1 + tau^2) where stated, else tau", low=0.0, reference=_COMPONENTS),
-    Metric("*_change", "change of a number by one input, one variant or one run", _ATTRIBUTION, unit="",
+    Metric("*_change", "change of a number by one input or one run", _ATTRIBUTION, unit="",
            agreement=0.0, example=_CAMPAIGN, formula="x(z = 1) - x(z = 0)", reference=_MOVES),
     Metric("median_*_difference_ratio", "median difference ratio after a what-if", _WHAT_IF, agreement=0.0,
            tolerance=_RATIO, example=_WITH_WHAT_IFS, formula="median_b (p - c) / c", reference=_WHAT_IFS),
@@ -59,7 +57,6 @@ METRICS = (
     # Benchmark.
     Metric("benchmark", "a campaign of a benchmark that did not run", "scoreboard.one.benchmark_campaign",
            example=_BENCHMARK, reference=_DETECTORS),
-    Metric("agreement", "a variant that could not be compared", _VARIANTS, example=_BENCHMARK, reference=_ENGINES),
     Metric("rank", "detectors that could not be ranked", _RANKS, evidence=_PIPELINE, reference=_DETECTORS),
     Metric("rank_*",
            "rank of a detector by one metric; the interval is the set that the data do not refute at 95 %", _RANKS,
@@ -69,19 +66,8 @@ METRICS = (
            better="high", evidence=_PIPELINE, formula="share of draws in which none is better",
            reference=_DETECTORS),
     Metric("score_rank_correlation", "Spearman's correlation of a peer's score map with ours",
-           "scoreboard.peers.peer_rows", low=-1.0, high=1.0, better="high", evidence=_PIPELINE, example=_BENCHMARK,
+           "scoreboard.looks.peer_rows", low=-1.0, high=1.0, better="high", evidence=_PIPELINE, example=_BENCHMARK,
            formula="Pearson's correlation of the ranks", reference="Spearman, Am. J. Psychol. 15, 72, 1904"),
-    Metric("*_median_abs_difference_ratio", "median over bands and subjects of |predicted − collected| / collected",
-           "scoreboard.variants.median_abs", low=0.0, agreement=0.0, better="low", tolerance=_RATIO,
-           interval="bootstrap of subjects and blocks of bands", formula="median_s median_b |p - c| / c",
-           reference=_ENGINES),
-    Metric("*_median_abs_difference_ratio_change", "the same less that of the campaign as it stands",
-           "scoreboard.variants.median_abs", agreement=0.0, better="low", tolerance=_RATIO,
-           interval="bootstrap of subjects and blocks of bands", formula="the same less that of the campaign",
-           reference=_ENGINES),
-    Metric("*_chi2_reduced", "median over subjects of the reduced chi-square of the full test",
-           "scoreboard.variants.median_chi2", low=0.0, agreement=1.0, better="low",
-           interval="bootstrap of subjects", formula="median_s r^T C^-1 r / n", reference=_ENGINES),
     # Studies.
     Metric("least", "least value over the points of a study", _EXTREMES, unit="", formula="min x",
            reference=_QUESTIONS),
@@ -91,13 +77,13 @@ METRICS = (
            reference=_QUESTIONS),
     Metric("output", "value of an output of a study, the subject, at one point, the method", _STUDY, unit="",
            example=_OF_STUDY, formula="x", reference=_QUESTIONS),
-    Metric("knee", "where a curve of a study bends most", "study.summary.knee", unit="",
+    Metric("knee", "where a curve of a study bends most", "study.page.knee", unit="",
            formula="argmax |v''| / (1 + v'^2)^(3/2)", reference="Satopaa et al., ICDCS Workshops, 166, 2011"),
     Metric("error_at_held_out_states", "relative error of interpolated atmospheric terms at states left out",
            _STUDY, low=0.0, example=_OF_STUDY, formula="max |L / L_engine - 1|, of an output |x - x_engine|",
            reference="defined here, docs/studies.md#how-it-is-evaluated"),
     # Accepted numbers.
     Metric("baseline", "the accepted numbers of a campaign or sensor as a whole", "baseline.check.check",
-           kind=Kind.EXACT, example="hyperval check hyperion",
+           kind=Kind.EXACT, example="hyperval check --sensors hyperion",
            reference="defined here, docs/regression.md#what-is-kept"),
 )  # fmt: skip

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from hyperval.metrics.metric import Kind, Metric, Move, of_unit, of_value
 
-_BANDS = "sensor_check.bands.check_bands"
-_THROUGHPUT = "sensor_check.bands.check_throughput"
-_NOISE = "sensor_check.noise.check_noise"
-_SCENARIO = "sensor_check.scenarios.run_scenarios"
-_NUMBERS = "baseline.sensors.sensor_metrics"
-_SENSITIVITY = "sensor_check.sensitivity.sensitivities"
+_BANDS = "sensor_check.suite.check_bands"
+_THROUGHPUT = "sensor_check.suite.check_throughput"
+_NOISE = "sensor_check.suite.check_noise"
+_SCENARIO = "sensor_check.suite.run_scenarios"
+_NUMBERS = "baseline.accepted.sensor_metrics"
+_SENSITIVITY = "sensor_check.suite.sensitivities"
 # Rows of whole runs; the other functions have an example of their own.
 _OF_RUNS = {
-    _NUMBERS: "hyperval check hyperion",
+    _NUMBERS: "hyperval check --sensors hyperion",
     **dict.fromkeys(
-        (_SCENARIO, _SENSITIVITY, "sensor_check.ledger.Ledger", "sensor_check.suite.check_sensor"),
+        (_SCENARIO, _SENSITIVITY, "sensor_check.suite.Ledger", "sensor_check.suite.check_sensor"),
         "hyperval sensor check hyperion",
     ),
 }
@@ -61,7 +61,7 @@ METRICS = (
            of_value(0.001), formula="rho E_0 cos(45 deg) / pi"),
     _exact("white_panel_radiance", "radiance of a white panel in the oxygen band", _NUMBERS, "uW cm-2 sr-1 nm-1",
            of_value(0.001), formula="L of (3.7)", reference="(3.7), docs/model.md#scene-and-atmosphere"),
-    _exact("pd_at_pfa_*", "detection probability in a standard scenario", "processing.roc_reading.detection_at",
+    _exact("pd_at_pfa_*", "detection probability in a standard scenario", "processing.roc_model.detection_at",
            tolerance=of_unit(0.005), formula="P_D at the P_FA (3.33)",
            reference="(3.33), docs/model.md#processing"),
     _exact("runs", "a standard scenario that does not run with this sensor", _NUMBERS),
@@ -75,10 +75,10 @@ METRICS = (
     _exact("widest_gap_fwhm", "widest gap between neighbours, in widths", _BANDS, "FWHM",
            formula="max ((w_(b+1) - w_b) / FWHM - 1), FWHM the mean of both"),
     _exact("integral_error", "departure of the integral of a response from 1",
-           "sensor_check.bands.applied_moments", formula="max |int h - 1|"),
+           "sensor_check.suite.applied_moments", formula="max |int h - 1|"),
     _exact("centroid_error_fwhm", "departure of its centre of mass, in widths",
-           "sensor_check.bands.applied_moments", "FWHM", formula="max |int w h - w_b| / FWHM"),
-    _exact("width_error", "departure of its width from the stated one", "sensor_check.bands.applied_moments",
+           "sensor_check.suite.applied_moments", "FWHM", formula="max |int w h - w_b| / FWHM"),
+    _exact("width_error", "departure of its width from the stated one", "sensor_check.suite.applied_moments",
            formula="max |FWHM of h / FWHM - 1|"),
     _exact("bands_outside_arms", "bands beyond every arm", _THROUGHPUT, formula="count"),
     _exact("bands_of_arm", "bands of an arm", _THROUGHPUT, formula="count"),
@@ -103,7 +103,7 @@ METRICS = (
     _exact("lowest_relative_growth_of_snr", "least growth of the ratio as an input grows", _NOISE,
            formula="min SNR(x_2) / SNR(x_1) - 1"),
     _exact("computed_over_published", "computed over published signal-to-noise ratio",
-           "sensor_check.noise.check_published", formula="SNR / SNR_published"),
+           "sensor_check.suite.check_published", formula="SNR / SNR_published"),
     _exact("values_not_positive", "radiances or ratios that are not positive", _SCENARIO,
            formula="count [not x > 0]"),
     _exact("highest_snr_over_cap_of_c_r", "greatest ratio over its cap by calibration", _SCENARIO,
@@ -115,6 +115,6 @@ METRICS = (
            _SENSITIVITY, formula="SNR' / SNR - 1"),
     _exact("change_of_pd", "change of a detection probability as one assumed number is varied",
            _SENSITIVITY, formula="P_D' - P_D"),
-    _exact("known_discrepancy", "a stated discrepancy that no check shows", "sensor_check.ledger.Ledger"),
+    _exact("known_discrepancy", "a stated discrepancy that no check shows", "sensor_check.suite.Ledger"),
     _exact("sensor_check", "a check that could not be made", "sensor_check.suite.check_sensor"),
 )  # fmt: skip

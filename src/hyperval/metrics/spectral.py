@@ -9,8 +9,8 @@ from hyperval.metrics.metric import Evidence, Kind, Metric, of_unit, of_value
 _SPECTRA = "compare.spectral.compare_spectra"
 _SPREAD = "compare.covariance.compare_covariance"
 _TAILS = "compare.covariance.compare_distribution"
-_CLASSES = "compare.classification.compare_classification"
-_DIFFERENCE = "processing.difference.difference_ratio"
+_CLASSES = "compare.scores.compare_classification"
+_DIFFERENCE = "processing.intervals.difference_ratio"
 _REGION = "; the ending names the bands: windows, their part in vnir, swir1, swir2, or absorption"
 _GUM = "JCGM 100:2008, 5.2"
 _RATIO = of_unit(0.002)
@@ -20,12 +20,12 @@ _TILT = "a tilt of ±3 % from end to end of the windows"
 _PIPELINE = Evidence.PIPELINE
 _DRAWS = "draws of the error of both sides"
 _BAND = "draws of covariances of as many pixels from the prediction"
-_COVARIANCES = "defined here, docs/statistics.md#covariances-comparecovariancepy-processingcovariance_samplingpy"
-_CLASSIFICATION = "defined here, docs/statistics.md#classification-processinggaussian_classifierpy"
-_SIZE = "defined here, docs/statistics.md#outcomes-comparegatespy-compareoutcomespy"
-_HERE = "defined here, docs/statistics.md#spectra-compare"
+_COVARIANCES = "defined here, docs/statistics.md#covariances"
+_CLASSIFICATION = "defined here, docs/statistics.md#classification"
+_SIZE = "defined here, docs/statistics.md#outcomes"
+_HERE = "defined here, docs/statistics.md#spectra"
 _CHI_SQUARE = "Press et al., Numerical Recipes, 3rd ed., 2007, 15.1"
-_HOTELLING = "Nel & van der Merwe, Commun. Stat. Theory Methods 15, 3719, 1986; docs/statistics.md#spectra-compare"
+_HOTELLING = "Nel & van der Merwe, Commun. Stat. Theory Methods 15, 3719, 1986; docs/statistics.md#spectra"
 _T_LAW = "Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 881, 1989"
 _FUKUNAGA = "Fukunaga 1990, 3.4"
 
@@ -34,21 +34,21 @@ METRICS = (
            agreement=0.0, interval="normal, first order, both sides", tolerance=_RATIO, reference=_GUM,
            example="difference_ratio([1.1], [1.0])[0]", gives=0.1,
            short="{product} band by band"),
-    Metric("z", "difference in one band over its standard uncertainty", "compare.consistency.z_scores",
+    Metric("z", "difference in one band over its standard uncertainty", "compare.spectral.z_scores",
            "(p - c) / sqrt(u_p^2 + u_c^2)", agreement=0.0, kind=Kind.STATISTIC, tolerance=of_unit(0.1),
            reference=_GUM, example="z_scores([0.2], [[0.01]])[0]", gives=2.0),
     Metric("median_difference_ratio_*", "median over bands of (predicted − collected) / collected" + _REGION,
-           "compare.difference.median_interval", "median_b (p - c) / c", agreement=0.0,
+           "compare.rows.median_interval", "median_b (p - c) / c", agreement=0.0,
            interval="normal, of the mean over the same bands", tolerance=_RATIO, reference=_GUM,
            example="median_interval(np.array([0.1, 0.2, 0.3]), np.eye(3) * 0.0003)[0]", gives=0.18040036,
            short="level of the {product}{part}"),
     Metric("median_abs_difference_ratio_*", "median over bands of |predicted − collected| / collected" + _REGION,
-           "compare.difference.size_intervals", "median_b |p - c| / c", low=0.0, agreement=0.0, interval=_DRAWS,
+           "compare.rows.size_intervals", "median_b |p - c| / c", low=0.0, agreement=0.0, interval=_DRAWS,
            tolerance=_RATIO, example="size_intervals(np.array([0.1, -0.2, 0.3]), np.eye(3) * 1e-18)[0][0]",
            gives=0.2,
            short="{product}{part}", reference=_SIZE),
     Metric("max_abs_difference_ratio_*", "largest over bands of |predicted − collected| / collected" + _REGION,
-           "compare.difference.size_intervals", "max_b |p - c| / c", low=0.0, agreement=0.0, interval=_DRAWS,
+           "compare.rows.size_intervals", "max_b |p - c| / c", low=0.0, agreement=0.0, interval=_DRAWS,
            tolerance=_RATIO, example="size_intervals(np.array([0.1, -0.2, 0.3]), np.eye(3) * 1e-18)[1][0]",
            gives=0.3,
            short="worst band of the {product}{part}", reference=_SIZE),
@@ -58,44 +58,44 @@ METRICS = (
            short="mean level of the {product}"),
     Metric("absorption_centre_difference",
            "centre of an absorption of the atmosphere (predicted − measured); after @ which one",
-           "compare.wavelengths.wavelength_rows", "c_p - c_o, c = sum d w dw / sum d dw", unit="nm", agreement=0.0,
+           "compare.spectral.wavelength_rows", "c_p - c_o, c = sum d w dw / sum d dw", unit="nm", agreement=0.0,
            interval="normal, first order, both sides", tolerance=of_unit(0.1), reference=_GUM,
            short="wavelengths"),
     Metric("spectral_angle", "angle between the two spectra in the windows",
-           "compare.consistency.spectral_angle_degrees", "2 atan2(|u - v|, |u + v|)", unit="degree", low=0.0,
+           "compare.spectral.spectral_angle_degrees", "2 atan2(|u - v|, |u + v|)", unit="degree", low=0.0,
            high=90.0, agreement=0.0, tolerance=of_value(0.01),
            reference="Kruse et al., Remote Sens. Environ. 44, 145, 1993",
            example="spectral_angle_degrees([1, 0], [1, 1])", gives=45.0),
     Metric("chi2_reduced_diagonal", "squared z per band, correlation left out",
-           "compare.consistency.chi_square_diagonal", "sum z^2 / n", low=0.0, agreement=1.0, kind=Kind.STATISTIC,
+           "compare.spectral.chi_square_diagonal", "sum z^2 / n", low=0.0, agreement=1.0, kind=Kind.STATISTIC,
            tolerance=of_value(0.02), example="chi_square_diagonal([0.2, 0.0], np.eye(2) * 0.01).reduced",
            gives=2.0, reference=_CHI_SQUARE),
     Metric("chi2_reduced_full", "squared difference in units of its uncertainty, per degree of freedom, "
-           "correlation counted; about 1 when uncertainties explain it", "compare.consistency.chi_square_full",
+           "correlation counted; about 1 when uncertainties explain it", "compare.spectral.chi_square_full",
            "r^T C^-1 r / n", low=0.0, agreement=1.0, kind=Kind.STATISTIC, tolerance=of_value(0.02),
            example="chi_square_full([0.2, 0.0], np.eye(2) * 0.01).reduced", gives=2.0, reference=_HOTELLING),
     Metric("chi2_reduced_shape", "the same after a common factor is taken out",
-           "compare.consistency.chi_square_shape", "(r^T C^-1 r - (s/sd)^2) / (n - 1)", low=0.0, agreement=1.0,
+           "compare.spectral.chi_square_shape", "(r^T C^-1 r - (s/sd)^2) / (n - 1)", low=0.0, agreement=1.0,
            kind=Kind.STATISTIC, tolerance=of_value(0.02),
            example="chi_square_shape([0.1, -0.1], [1.0, 1.0], np.eye(2) * 0.01).reduced", gives=2.0,
            reference=_HERE),
     Metric("p_value_diagonal",
            "probability of a squared difference as large, correlation left out: accepts too much",
-           "compare.consistency.chi_square_diagonal", "P(chi2_n >= sum z^2)", low=0.0, high=1.0, kind=Kind.TEST,
+           "compare.spectral.chi_square_diagonal", "P(chi2_n >= sum z^2)", low=0.0, high=1.0, kind=Kind.TEST,
            tolerance=_P, example="chi_square_diagonal([0.2, 0.0], np.eye(2) * 0.01).p_value", gives=0.13533528,
            alternative=0.03, departure=_TILT, two_sided=True, reference=_CHI_SQUARE),
     Metric("p_value_full", "probability, were both sides right, of a difference as large, all stated errors and "
            "their correlation counted; near 1 the stated errors are too wide",
-           "compare.consistency.chi_square_full", "P(chi2_n >= r^T C^-1 r)", low=0.0, high=1.0, kind=Kind.TEST,
+           "compare.spectral.chi_square_full", "P(chi2_n >= r^T C^-1 r)", low=0.0, high=1.0, kind=Kind.TEST,
            tolerance=_P, example="chi_square_full([0.2, 0.0], np.eye(2) * 0.01).p_value", gives=0.13533528,
            usual=(1e-3, math.inf), alternative=0.03, departure=_TILT, two_sided=True,
            short="{product} within its budget", reference=_HOTELLING),
     Metric("p_value_shape", "the same of the shape, a common factor taken out",
-           "compare.consistency.chi_square_shape", "P(chi2_(n-1) >= shape)", low=0.0, high=1.0, kind=Kind.TEST,
+           "compare.spectral.chi_square_shape", "P(chi2_(n-1) >= shape)", low=0.0, high=1.0, kind=Kind.TEST,
            tolerance=_P, example="chi_square_shape([0.1, -0.1], [1.0, 1.0], np.eye(2) * 0.01).p_value",
            gives=0.15729921, alternative=0.03, departure=_TILT, two_sided=True,
            short="shape of the {product}", reference=_HERE),
-    Metric("fraction_inside_95", "share of the bands with |z| <= 1.96", "compare.consistency.share_inside",
+    Metric("fraction_inside_95", "share of the bands with |z| <= 1.96", "compare.spectral.share_inside",
            "mean_b [|z| <= 1.96]", low=0.0, high=1.0, agreement=0.95, kind=Kind.STATISTIC, tolerance=of_unit(0.02),
            interval="exact binomial of B^2 / sum rho^2 bands",
            example="share_inside([0.2, 0.0], np.eye(2) * 0.01)[0]", gives=0.5,
@@ -134,7 +134,7 @@ METRICS = (
            "beyond what sampling makes; 0 is the same", _SPREAD, "B - E[B]", agreement=0.0, interval=_BAND,
            short="shape of the spread", reference=_COVARIANCES),
     Metric("noise_ratio", "predicted over measured standard deviation of the noise among the pixels of a class, "
-           "all bands together, the size of the class's own spread left free", "processing.noise_part.noise_part",
+           "all bands together, the size of the class's own spread left free", "processing.sample.noise_part",
            "a^-1/2 of S = a N + g T", low=0.0, agreement=1.0, interval="normal, of a", tolerance=of_value(0.005),
            example="noise_part(4 * np.eye(2), np.eye(2), [1, 1], 100).factor", gives=4.0,
            short="noise", reference="Rao, J. Multivariate Anal. 1, 257, 1971"),
@@ -165,7 +165,7 @@ METRICS = (
            tolerance=((0.8, "interval"), (0.01, "value")), evidence=_PIPELINE,
            formula="wrong pixels over all, classes weighted alike", reference=_CLASSIFICATION),
     Metric("error_difference", "difference of these (predicted − measured)",
-           "compare.difference.difference_interval", "p - o", low=-1.0, high=1.0, agreement=0.0,
+           "compare.rows.difference_interval", "p - o", low=-1.0, high=1.0, agreement=0.0,
            interval="Newcombe", tolerance=((0.8, "interval"), (0.01, "value")),
            reference="Newcombe, Stat. Med. 17, 873, 1998",
            example="difference_interval(0.8, (0.7, 0.9), 0.5, (0.5, 0.5))[0]", gives=0.2,

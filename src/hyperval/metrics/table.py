@@ -1,16 +1,23 @@
-"""The table: every metric by name, the row that a name means, and the table as lines of a page."""
+"""The table: every metric by name, the row that a name means, and the table as lines of a page.
+
+How far a number may move before it counts as another number.
+
+Two machines, or two builds of the linear-algebra library, differ in the last digits; a change of the science moves
+a number by more.  The defaults stand between the two (docs/regression.md has both as measured).
+"""
 
 from __future__ import annotations
 
 import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
 
 from hyperval.errors import UsageError
 from hyperval.metrics import detection, other, sensors, spectral
-from hyperval.metrics.metric import Metric, Move
+from hyperval.metrics.metric import Metric, Move, Of
 
 
 def base_name(metric: str) -> str:
@@ -94,13 +101,7 @@ def plain_words(metric: str, product: str) -> str:
     return short.format(product=product, part=_PART_WORDS.get(base.rpartition("_")[2], "")) or f"{product} {base}"
 
 
-_OF_SPECTRA = (
-    "processing.difference",
-    "compare.difference",
-    "compare.consistency",
-    "compare.spectral",
-    "compare.wavelengths",
-)
+_OF_SPECTRA = ("processing.intervals.difference_ratio", "compare.rows", "compare.spectral")
 _SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
 _SPREAD = ("covariance", "classification")
 _PARTS = ("windows", "vnir", "swir1", "swir2", "absorption")
@@ -166,9 +167,7 @@ def tolerance_text(metric: Metric) -> str:
 
 def _move(move: Move) -> str:
     size, of = move
-    return {"value": f"{size:g} of the value", "interval": f"{size:g} of half the interval", "unit": f"{size:g}"}[
-        of
-    ]
+    return {"value": f"{size:g} of the value", "interval": f"{size:g} of half the interval", "unit": f"{size:g}"}[of]
 
 
 def listed() -> Iterator[tuple[str, ...]]:
@@ -215,3 +214,27 @@ def _example(m: Metric) -> str:
     if not m.example:
         return f"in the docstring of `hyperval.{m.function}`"
     return f"`{m.example}`" if math.isnan(m.gives) else f"`{m.example}` is {m.gives:.6g}"
+
+
+DIGITS = 6  # significant digits that are kept
+_ROUNDING = 0.51 * 10.0 ** (1 - DIGITS)
+_SMALLEST = 1e-9  # below this a difference of numbers of order 1 is rounding
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """A tolerance: of the accepted value, of the half width of its 95 % interval, or in the metric's own unit."""
+
+    tolerance: float
+    of: Of
+
+    def width(self, accepted: float, half_width: float | None = None) -> float:
+        """Largest difference from ``accepted`` that is tolerated, in the metric's unit."""
+        scale = {"value": abs(accepted), "interval": half_width or 0.0, "unit": 1.0}[self.of]
+        return max(self.tolerance * scale, _ROUNDING * abs(accepted), _SMALLEST)
+
+
+def default_tolerance(metric: str, half_width: float | None = None) -> Tolerance:
+    """The tolerance of a metric whose baseline does not name one, as the table of metrics has it."""
+    with_interval, without = metric_of(metric).tolerance
+    return Tolerance(*(with_interval if half_width or with_interval[1] != "interval" else without))

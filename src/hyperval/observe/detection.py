@@ -1,36 +1,72 @@
-"""Filters, scores and detection curves of one collection; anomalies where no target is looked for."""
+"""Filters, scores and detection curves of one collection; anomalies where no target is looked for.
+
+The filters of a collection: each detector and target on the background's statistics, in the bands they use.
+
+The objects of the truth: which subject holds them, their curves, and their areas by the sum of their scores.
+
+Areas of the target objects by unmixing their pixels: endmembers are the target and the background around it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
-from hyperval.collection import Detection, DetectionTarget
+from hyperval.collection import AreaCheck, Bootstrap, Detection, DetectionTarget, UnmixedTarget, Unmixing
 from hyperval.errors import InputError, UsageError
+from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects
-from hyperval.imagery.truth import TargetMasks, TargetObject
-from hyperval.observe.filter_bank import FilterBank, filter_bank, map_name, spectrum_by_number
-from hyperval.observe.objects import object_curve, scored_pixels, target_areas, target_groups
+from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels
 from hyperval.observe.place import IMAGE, SCENE, Place
 from hyperval.prediction.inputs import Sources
-from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.alarms import alarms_before_first
-from hyperval.processing.elm import EmpiricalLine
-from hyperval.processing.exceedance import (
+from hyperval.prediction.unmixing import UnmixedSubject, labelled
+from hyperval.processing.alarm_blocks import (
     ANOMALY_LEVELS,
     FEWEST_FOR_A_CURVE,
     LEAST_EXPECTED_ALARMS,
+    AlarmBlocks,
+    block_side,
     exceedance_curve,
 )
-from hyperval.processing.local_scores import LocalWindow, score_cube_locally
-from hyperval.processing.objects import object_scores, values_on
-from hyperval.processing.pixel_scores import PixelDetector, score_cube
-from hyperval.processing.roc import PresetThresholds, empirical_roc, pooled_roc, preset_thresholds, with_summary
-from hyperval.processing.sample import SampleStatistics
+from hyperval.processing.detectors import (
+    ANOMALY_DETECTORS,
+    WITHOUT_COVARIANCE,
+    LocalWindow,
+    PixelDetector,
+    Whitener,
+    pixel_detector,
+    score_cube,
+    score_cube_locally,
+    whitener_of,
+)
+from hyperval.processing.elm import EmpiricalLine
+from hyperval.processing.filters import PositiveDefinite, fully_constrained, whitened
+from hyperval.processing.objects import (
+    Placed,
+    footprint,
+    footprint_maxima,
+    footprint_sums,
+    object_scores,
+    placed_with_halo,
+    values_on,
+)
+from hyperval.processing.roc import (
+    PresetThresholds,
+    alarms_before_first,
+    empirical_roc,
+    pooled_roc,
+    preset_thresholds,
+    with_summary,
+)
+from hyperval.processing.sample import SampleStatistics, statistics_of
+from hyperval.processing.snr import snr_from_moments
 from hyperval.products import (
     ANOMALIES,
     Abundance,
@@ -40,12 +76,592 @@ from hyperval.products import (
     ScoreDistribution,
     background_of,
 )
-from hyperval.progress import watch_lines
+from hyperval.progress import track, watch_lines
+from hyperval.spectra.axis import SpectralAxis, in_window
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+BACKGROUND = "detector background"
+# Below this many pixels for each band a sample covariance is shrunk (Ledoit & Wolf 2004).
+FEW_PIXELS_PER_BAND = 3
+
+
+@dataclass(frozen=True, eq=False)
+class FilterBank:
+    """What scores the pixels.
+
+    Attributes
+    ----------
+    detectors : by the names of the score maps
+    forms : the same by the detector's name and the target's spectrum (F,), None for anomalies
+    bands : (B,) those that the filters use, F of them
+    whitener : of the background, where a detector needs it
+    shrinkage : of the background's covariance, 0 where there were pixels enough
+    """
+
+    detectors: Mapping[str, PixelDetector]
+    forms: Mapping[str, tuple[str, Array | None]]
+    bands: Mask
+    whitener: Whitener | None
+    shrinkage: float
+    notes: tuple[str, ...]
+
+
+def map_name(target: str, detector: str) -> str:
+    """Name of the score map of a target; anomalies have one map for all targets."""
+    return detector if detector in ANOMALY_DETECTORS else f"{target}-{detector}"
+
+
+def filter_bank(
+    place: Place,
+    detection: Detection,
+    measured: Mapping[str, SampleStatistics],
+    elm: EmpiricalLine | None,
+    spectra: Mapping[str, Array],
+) -> FilterBank:
+    """Every detector for every target.
+
+    Parameters
+    ----------
+    measured : statistics of the regions and of :data:`BACKGROUND` in the cube's values
+    spectra : (B,) reflectance by target
+
+    Raises
+    ------
+    UsageError : names that no region has, a singular background, no band left.
+    """
+    background, shrinkage = measured[BACKGROUND], 0.0
+    bands, left_out = usable_bands(detection, place.cube.axis, list(spectra.values()), elm, background)
+    notes = [f"detectors use {int(bands.sum())} of {len(place.cube.axis)} bands", *left_out]
+    if background.n < FEW_PIXELS_PER_BAND * int(bands.sum()):
+        # Few, so they fit in memory; the pass has not summed the fourth moment.
+        few = statistics_of(_complete(place.cube.pixels(place.background(detection.background))))
+        background, shrinkage = replace(background, covariance=few.shrunk_covariance), few.shrinkage
+        notes.append(f"{background.n} background pixels are few: covariance shrunk by {shrinkage:.3g}")
+    mean, covariance = in_reflectance(background, elm)
+    for name in detection.undesired:
+        place.region(name)  # refuses a name that no region has
+    undesired = np.array([in_reflectance(measured[name], elm)[0][bands] for name in detection.undesired])
+    detectors: dict[str, PixelDetector] = {}
+    forms: dict[str, tuple[str, Array | None]] = {}
+    whitener = None
+    with single_blas_thread():  # small matrices: more threads only wait for each other
+        inverted = None
+        if not set(detection.detectors) <= set(WITHOUT_COVARIANCE):
+            inverted = PositiveDefinite(covariance[np.ix_(bands, bands)])
+            notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
+        for target in detection.targets:
+            spectrum = spectra[target.name][bands]
+            for name in detection.detectors:
+                key = map_name(target.name, name)
+                if key not in detectors:
+                    forms[key] = name, None if name in ANOMALY_DETECTORS else spectrum
+                    detectors[key] = pixel_detector(name, spectrum, mean[bands], inverted, undesired)
+        for name in detection.detectors if not detection.targets else ():  # anomalies, which need no target
+            forms[name] = name, None
+            detectors[name] = pixel_detector(name, None, mean[bands], inverted, undesired)
+        by_distance = any(d.quadratic == "distance" for d in detectors.values())
+        if inverted is not None and (detection.local_window or by_distance):
+            whitener = whitener_of(mean[bands], inverted)
+    return FilterBank(detectors, forms, bands, whitener, shrinkage, tuple(notes))
+
+
+def in_reflectance(statistics: SampleStatistics, elm: EmpiricalLine | None) -> tuple[Array, Array]:
+    """Mean (B,) and covariance (B, B) after the empirical line; as they stand without one."""
+    if elm is None:
+        return statistics.mean, statistics.covariance
+    return elm.reflectance(statistics.mean), statistics.covariance / np.outer(elm.gain, elm.gain)
+
+
+def _complete(pixels: Array) -> Array:
+    """The pixels (n, B) that are finite in every band, as the statistics of regions take them."""
+    return pixels[np.isfinite(pixels).all(axis=1)]
+
+
+def spectrum_by_number(path: Path, count: int) -> Array:
+    """(B,) values of a text file with one row for each of ``count`` bands; the last number of a row counts.
+
+    Raises
+    ------
+    InputError : a row without a number, or another number of rows.
+    """
+    values = []
+    for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), start=1):
+        words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
+        try:
+            values += [float(words[-1])] if words else []
+        except ValueError as error:
+            raise InputError(
+                "not a row of numbers", where=f"{path}:{number}", expected="a number; a heading begins with #"
+            ) from error
+    if len(values) != count or not np.all(np.isfinite(values)):
+        raise InputError(f"{len(values)} values for {count} bands", where=str(path), expected="one row a band")
+    return np.array(values)
+
+
+def usable_bands(
+    detection: Detection,
+    axis: SpectralAxis,
+    spectra: Sequence[Array],
+    elm: EmpiricalLine | None,
+    background: SampleStatistics,
+) -> tuple[Mask, list[str]]:
+    """Bands (B,) that detectors use, and the others with the first rule that leaves them out, in words.
+
+    Parameters
+    ----------
+    spectra : (B,) of the targets, NaN where they are not known
+    background : in the cube's own values; its noise tells the SNR of a band
+
+    Raises
+    ------
+    UsageError : no band is left.
+    """
+    left, parts = np.ones(len(axis), bool), []
+    for reason, keep in _rules(detection, axis, spectra, elm):
+        parts += _words(left & ~keep, axis, reason)
+        left &= keep
+    if detection.least_snr is not None and np.count_nonzero(left) >= 3:
+        at = np.flatnonzero(left)
+        snr = snr_from_moments(background.mean[at], background.covariance[np.ix_(at, at)])
+        noisy = np.zeros_like(left)
+        noisy[at] = ~(snr >= detection.least_snr)
+        parts += _words(noisy, axis, f"with an SNR below {detection.least_snr:g} in the background")
+        left &= ~noisy
+    if not left.any():
+        raise UsageError(
+            f"no band is left for the detectors: {'; '.join(parts)}",
+            mend="look at the bad-band list, the target spectra and detection.least_snr",
+        )
+    return left, [f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else []
+
+
+def _rules(
+    detection: Detection, axis: SpectralAxis, spectra: Sequence[Array], elm: EmpiricalLine | None
+) -> Iterator[tuple[str, Mask]]:
+    """Why bands may be left out, and which (B,) each rule keeps."""
+    if detection.bands in ("good", "windows"):
+        yield "bad in the band list", axis.good
+    if detection.bands == "windows":
+        yield "in absorption bands", np.asarray(in_window(axis.centre_nm))
+    if len(spectra):
+        yield "not in the target spectra", np.asarray(np.isfinite(spectra).all(axis=0))
+    if elm is not None:
+        yield "without a gain of the empirical line", elm.usable
+
+
+def _words(lost: Mask, axis: SpectralAxis, reason: str) -> list[str]:
+    at = np.flatnonzero(lost)
+    if not at.size:
+        return []
+    runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
+    ends = [sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs]
+    return [f"{at.size} {reason} ({', '.join('-'.join(e) for e in ends)} nm)"]
+
+
+# Names in braces are replaced as they stand: str.format would take widths that fill the memory.
+_BRACES = re.compile(r"\{([^{}]*)\}")
+
+
+Areas = dict[tuple[str, str], Abundance]
+Nominal = dict[tuple[str, str], float]
+
+
+def scored_pixels(target: TargetObject, place: Place) -> Placed:
+    """The pixels of an object that are scored, in their window."""
+    if place.target_pixels == "touched" or target.centre_pixel is None:
+        return target.placed
+    return target.centre_pixel, np.ones((1, 1), bool)
+
+
+def target_groups(objects: Sequence[TargetObject], target: DetectionTarget, form: str) -> dict[str, list[TargetObject]]:
+    """Objects of the target's material by subject name, in the order of the truth."""
+    out: dict[str, list[TargetObject]] = {}
+    for item in objects:
+        if item.material != target.material:
+            continue
+        words = {"name": item.name, "material": item.material, **item.attributes, "target": target.name}
+        subject = _subject(form, words)
+        out.setdefault(subject, []).append(item)
+    if not out:
+        known = sorted({o.material for o in objects})
+        raise UsageError(
+            f"target {target.name!r}: the truth has no object of material {target.material!r}",
+            expected="one of " + ", ".join(known) if known else "a truth with targets",
+        )
+    return out
+
+
+def _subject(form: str, words: Mapping[str, str]) -> str:
+    unknown = [word for word in _BRACES.findall(form) if word not in words]
+    if unknown:
+        raise UsageError(
+            f"detection.group {form!r} does not fit the truth: no {unknown[0]!r}",
+            expected="names in braces out of " + ", ".join(sorted(words)),
+        )
+    return _BRACES.sub(lambda match: words[match[1]], form)
+
+
+def object_curve(
+    scores: Array,
+    objects: Mapping[str, Placed],
+    alarms: Mask,
+    classes: npt.NDArray[np.int32],
+    blocks: AlarmBlocks,
+    thresholds: PresetThresholds,
+    halo: int,
+    pixel_area_m2: float | None,
+    bootstrap: Bootstrap,
+    *,
+    by_pixel: bool = False,
+) -> RocCurve:
+    """ROC of objects, each with the greatest score over its pixels and ``halo`` pixels around them.
+
+    Without a halo a false alarm is a background pixel.  With one it is a placement of an object's footprint on
+    the background, where noise has as many chances as it has on the object; objects of different shapes each
+    bring their own placements, objects of one shape the same.
+
+    ``by_pixel``: a false alarm is every pixel outside the halos.  This is how the MUUFL Gulfport collection is
+    scored (Bullwinkle).  It favours detection: an object has as many chances as its halo has pixels, a false
+    alarm one.
+
+    Parameters
+    ----------
+    scores : (lines, samples), NaN where invalid
+    objects : the pixels that are scored, each object in its window
+    alarms, classes : (lines, samples) True on the background; number of the class of each pixel
+    blocks, thresholds : the scores of its valid pixels with their places, and what they say of every curve
+    bootstrap : over objects
+
+    Raises
+    ------
+    UsageError : the footprint fits nowhere on the background.
+    """
+    best = np.array(list(object_scores(scores, objects, halo).values()))
+    best = best[np.isfinite(best)]
+    pixels = int(np.count_nonzero(alarms))
+    if by_pixel:
+        alarms = alarms.copy()
+        for placed in objects.values():
+            (line, sample), grown = placed_with_halo(placed, halo, scores.shape)
+            alarms[line : line + grown.shape[0], sample : sample + grown.shape[1]] &= ~grown
+        blocks = AlarmBlocks.of_map(scores, alarms, classes=classes)
+        pixels = int(np.count_nonzero(alarms))
+    elif halo:
+        blocks, pixels = _placements(scores, objects, alarms, classes, halo)
+    if by_pixel or halo:
+        thresholds = preset_thresholds(blocks.scores, blocks=blocks)
+    area = None if pixel_area_m2 is None else pixels * pixel_area_m2 / 1e6
+    curve = empirical_roc(best, thresholds, unit="object", background_area_km2=area)
+    rng = np.random.default_rng(bootstrap.seed)
+    return with_summary(curve, best, blocks.scores, draws=bootstrap.draws, rng=rng, blocks=blocks)
+
+
+def _placements(
+    scores: Array, objects: Mapping[str, Placed], alarms: Mask, classes: npt.NDArray[np.int32], halo: int
+) -> tuple[AlarmBlocks, int]:
+    """Greatest score of every placement of the objects' footprints on the background, and the pixels looked at."""
+    parts, looked_at = [], 0
+    shapes = []
+    for name, (_, part) in objects.items():
+        shapes.append(footprint(part, halo))
+        if any(np.greater(shapes[-1].shape, scores.shape)):
+            raise UsageError(
+                f"the object {name!r} with a halo of {halo} pixels is larger than the image, {scores.shape}",
+                where="detection.halo_pixels",
+                expected="a halo that leaves background around the object",
+            )
+    # The placements of one shape count once, however many objects have it: they are the same pixels.
+    for shape in {(s.shape, s.tobytes()): s for s in shapes}.values():
+        parts.append(footprint_maxima(scores, shape, ~alarms))
+        looked_at += parts[-1][0].size * shape.size
+    maxima, lines, samples = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if maxima.size == 0:
+        names = ", ".join(objects)
+        raise UsageError(
+            f"with a halo of {halo} pixels no footprint of the targets fits on the background ({names})",
+            where="detection.halo_pixels",
+        )
+    # Blocks as large on the ground as those of the pixels.
+    side = block_side(int(np.count_nonzero(alarms)))
+    return AlarmBlocks.of_places(maxima, lines, samples, side, classes[lines, samples]), looked_at
+
+
+def target_areas(place: Place, detection: Detection, maps: Mapping[str, Array]) -> tuple[Areas, Nominal]:
+    """Areas of every check that is asked for, and those that the truth states [m2], by subject and detector."""
+    areas: Areas = {}
+    nominal: Nominal = {}
+    for check in detection.areas:
+        _add_areas(place, detection, check, maps, areas, nominal)
+    return areas, nominal
+
+
+def _add_areas(
+    place: Place, detection: Detection, check: AreaCheck, maps: Mapping[str, Array], areas: Areas, nominal: Nominal
+) -> None:
+    """Sum of scores over each object times the pixel area, and the area that the truth states.
+
+    The uncertainty is the spread of the same sum over background that has the object's footprint.  Both are
+    means over the objects of a subject.
+    """
+    if place.pixel_area_m2 is None:
+        raise UsageError("areas need the ground area of a pixel; the cube is not georeferenced")
+    target = next((t for t in detection.targets if t.name == check.target), None)
+    if target is None or check.detector not in detection.detectors:
+        raise UsageError(f"areas: no score map of target {check.target!r} with detector {check.detector!r}")
+    scores = maps[f"{check.target}-{check.detector}"]
+    everything = all_pixels(place.targets, place.cube.shape)
+    # A background of "image" holds the targets too; their sums say nothing of the error.
+    counted = place.background(detection.background) & ~place.near_targets
+    spread: dict[tuple[tuple[int, ...], bytes], float] = {}  # variance of the sum, by shape of the footprint
+    for subject, members in target_groups(place.targets, target, detection.group).items():
+        total = 0.0
+        pixels = 0
+        variance = 0.0
+        for item in members:
+            corner, grown = placed_with_halo(item.placed, check.margin_pixels, scores.shape)
+            summed = grown & (~_window(everything, corner, grown) | _window(item.mask, corner, grown))
+            total += float(np.nansum(_window(scores, corner, grown)[summed]))
+            pixels += int(summed.sum())
+            shape = footprint(summed)
+            key = shape.shape, shape.tobytes()
+            if key not in spread:
+                elsewhere = footprint_sums(scores, shape, ~counted)
+                spread[key] = float(np.var(elsewhere, ddof=1)) if elsewhere.size > 1 else float("nan")
+            variance += spread[key]
+        area = place.pixel_area_m2
+        areas[subject, check.detector] = Abundance(
+            total / len(members) * area, float(np.sqrt(variance)) / len(members) * area, pixels
+        )
+        stated = float(np.mean([o.area_m2 for o in members]))
+        if np.isfinite(stated):  # a truth may say where the objects are and not how large
+            nominal[subject, check.detector] = stated
+
+
+def _window(image: npt.NDArray[Any], corner: tuple[int, int], like: Mask) -> npt.NDArray[Any]:
+    """The part of an image under a window of the size of ``like``."""
+    return image[corner[0] : corner[0] + like.shape[0], corner[1] : corner[1] + like.shape[1]]
+
+
+Pixels = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]  # lines and samples
+
+METHODS = {"equal": "fcls", "background": "fcls-weighted"}
+PLACES = 60  # of the background, at which the same sum is taken for its error
+
+
+@dataclass(frozen=True, eq=False)
+class Unmixed:
+    """Areas by (subject, method), and what the prediction needs for each subject.
+
+    ``bands`` (B,) were used; ``covariances``: method -> (F, F) weights of the fit, None for equal ones.
+    """
+
+    areas: Mapping[tuple[str, str], Abundance]
+    subjects: tuple[UnmixedSubject, ...]
+    bands: Mask
+    covariances: Mapping[str, Array | None]
+    pixel_area_m2: float
+    notes: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True, eq=False)
+class _ObjectSurroundings:
+    """An object, and the places of the background at which its footprint was laid too.
+
+    Attributes
+    ----------
+    pixels : (N, F) reflectance of the pixels of all footprints, the object's first
+    place : (N,) footprint that each belongs to
+    background : (P, F) mean reflectance around each footprint
+    ring : pixels around the object
+    """
+
+    pixels: Array
+    place: npt.NDArray[np.intp]
+    background: Array
+    ring: int
+
+
+def unmix(
+    place: Place,
+    detection: Detection,
+    measured: Mapping[str, SampleStatistics],
+    elm: EmpiricalLine | None,
+    bands: Mask,
+    resolve: Callable[[str], Path],
+    *,
+    show_progress: bool | None = None,
+) -> Unmixed:
+    """Area of every target object from the sum of its abundances over the pixels that may hold a part of it.
+
+    The uncertainty is the spread of the same sum over footprints laid at random on the background, which have
+    their own surroundings as endmember: it holds the background's spread with its correlation on the ground.
+
+    Raises
+    ------
+    UsageError : names that do not fit, or a cube without ground size of its pixels.
+    InputError : an object without background around it.
+    """
+    task = detection.unmixing
+    if task is None:
+        raise UsageError("the detection has no 'unmixing'")
+    if place.pixel_area_m2 is None:
+        raise UsageError("unmixing: areas need the ground area of a pixel; the cube is not georeferenced")
+    region = place.pixels_of(task.background)
+    covariances: dict[str, Array | None] = {}
+    for weights in task.weights:
+        _, covariance = in_reflectance(measured[task.background], elm)
+        covariances[METHODS[weights]] = None if weights == "equal" else covariance[np.ix_(bands, bands)]
+    noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
+    chosen = [(item, _named(detection, item.target)) for item in task.targets]
+    sources = Sources(place.cube.axis, {}, resolve)
+    spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for _, t in chosen}
+    rng = np.random.default_rng(task.seed)
+    surroundings_of: dict[str, _ObjectSurroundings] = {}
+    areas: dict[tuple[str, str], Abundance] = {}
+    subjects: list[UnmixedSubject] = []
+    work = [(item, target, *parts) for item, target in chosen for parts in _subjects(place, detection, item, target)]
+    for item, target, subject, population, members in track(work, "unmixing", show=show_progress):
+        nominal = float(np.mean([o.area_m2 for o in members]))
+        if not np.isfinite(nominal):
+            raise UsageError(
+                f"the truth does not say how large the targets of {subject!r} are, which unmixing is compared with",
+                where="detection.unmixing",
+                mend="state side_m in collection.targets, or leave unmixing out",
+            )
+        for o in members:
+            if o.name not in surroundings_of:
+                surroundings_of[o.name] = _surroundings(place, o, region, task, elm, bands, rng)
+        around = [surroundings_of[o.name] for o in members]
+        spectrum = spectra[target.name][bands]
+        for method, factor in noise.items():
+            areas[subject, labelled(method, item.endmembers)] = _area(
+                around, spectrum, factor, place.pixel_area_m2, nominal
+            )
+        subjects.append(
+            UnmixedSubject(
+                subject, population, item.scenario_target or item.target, spectra[target.name],
+                item.relative_uncertainty, item.correlation_nm, item.endmembers, len(members), nominal,
+                int(np.mean([s.ring for s in around])),
+            )
+        )  # fmt: skip
+    return Unmixed(areas, tuple(subjects), bands, covariances, place.pixel_area_m2)
+
+
+def _area(
+    around: list[_ObjectSurroundings],
+    spectrum: Array,
+    noise: PositiveDefinite | None,
+    pixel_area: float,
+    nominal: float,
+) -> Abundance:
+    total, variance, n = 0.0, 0.0, 0
+    for s in around:
+        between = np.stack([np.broadcast_to(spectrum, s.background.shape), s.background], axis=1)
+        parts = fully_constrained(whitened(s.pixels, noise), whitened(between, noise)[s.place])[:, 0]
+        own, *elsewhere = np.bincount(s.place, parts, minlength=len(s.background)).tolist()
+        total += own
+        n += int(np.count_nonzero(s.place == 0))
+        variance += float(np.var(elsewhere, ddof=1)) if len(elsewhere) > 1 else float("nan")
+    count = len(around)
+    return Abundance(total / count * pixel_area, float(np.sqrt(variance)) / count * pixel_area, n, nominal)
+
+
+def _named(detection: Detection, name: str) -> DetectionTarget:
+    for target in detection.targets:
+        if target.name == name:
+            return target
+    raise UsageError(
+        f"unmixing: no detection target {name!r}", expected="one of " + ", ".join(t.name for t in detection.targets)
+    )
+
+
+def _subjects(
+    place: Place, detection: Detection, item: UnmixedTarget, target: DetectionTarget
+) -> Iterator[tuple[str, str, list[TargetObject]]]:
+    """Subject, the scenario's population that stands for it, and the objects."""
+    stands = target.model_copy(update={"name": item.scenario_target or item.target})
+    names = target_groups(place.targets, stands, detection.group)
+    for (subject, members), population in zip(
+        target_groups(place.targets, target, detection.group).items(), names, strict=True
+    ):
+        yield subject, population, members
+
+
+def _surroundings(
+    place: Place,
+    target: TargetObject,
+    region: Mask,
+    task: Unmixing,
+    elm: EmpiricalLine | None,
+    bands: Mask,
+    rng: np.random.Generator,
+) -> _ObjectSurroundings:
+    lines, samples = np.nonzero(target.part)
+    corners = [target.corner, *_free_places(region, lines, samples, rng)]
+    parts: list[Pixels] = []
+    for line, sample in corners:
+        own = lines + line, samples + sample
+        parts += [own, _ring(own, region, task.ring_pixels)]
+    read = _reflectance(place, parts, elm, bands)
+    blocks = list(zip(read[::2], read[1::2], strict=True))
+    ring = len(blocks[0][1])
+    if not ring:
+        raise InputError(
+            f"target {target.name!r} has no pixel of {task.background!r} within {task.ring_pixels} pixels",
+            expected="background around every target",
+        )
+    whole = [blocks[0], *((x, r) for x, r in blocks[1:] if len(r) and len(x) == lines.size)]
+    pixels = np.concatenate([x for x, _ in whole])
+    place_of = np.repeat(np.arange(len(whole)), [len(x) for x, _ in whole])
+    return _ObjectSurroundings(pixels, place_of, np.array([r.mean(axis=0) for _, r in whole]), ring)
+
+
+def _ring(own: Pixels, region: Mask, reach: int) -> Pixels:
+    """The pixels of the region within ``reach`` pixels of some pixels, these left out."""
+    first = np.maximum([own[0].min() - reach, own[1].min() - reach], 0)
+    last = np.minimum([own[0].max() + reach + 1, own[1].max() + reach + 1], region.shape)
+    inside = np.zeros(tuple(last - first), bool)
+    inside[own[0] - first[0], own[1] - first[1]] = True
+    near = ndimage.distance_transform_edt(~inside) <= reach
+    lines, samples = np.nonzero(near & ~inside & region[first[0] : last[0], first[1] : last[1]])
+    return lines + first[0], samples + first[1]
+
+
+def _reflectance(place: Place, parts: list[Pixels], elm: EmpiricalLine | None, bands: Mask) -> list[Array]:
+    """(n, F) reflectance of the valid ones among several sets of pixels, all read at once: each line once."""
+    flat = [lines * place.cube.samples + samples for lines, samples in parts]
+    every, index = np.unique(np.concatenate(flat), return_inverse=True)
+    at = np.divmod(every, place.cube.samples)
+    values, usable = place.cube.marked_pixels(at)
+    reflectance = (values if elm is None else elm.reflectance(values))[:, bands]
+    valid = usable & np.isfinite(reflectance).all(axis=1)
+    ends = np.cumsum([f.size for f in flat])[:-1]
+    return [reflectance[i[valid[i]]] for i in np.split(index, ends)]
+
+
+def _free_places(
+    region: Mask, lines: npt.NDArray[np.intp], samples: npt.NDArray[np.intp], rng: np.random.Generator
+) -> list[tuple[int, int]]:
+    """Places at random at which a footprint, given by its pixels, lies on the region as a whole."""
+    height, width = int(lines.max()) + 1, int(samples.max()) + 1
+    if height > region.shape[0] or width > region.shape[1]:
+        return []
+    free = np.ones((region.shape[0] - height + 1, region.shape[1] - width + 1), bool)
+    for line, sample in zip(lines.tolist(), samples.tolist(), strict=True):
+        free &= region[line : line + free.shape[0], sample : sample + free.shape[1]]
+    places = np.argwhere(free)
+    if not len(places):
+        return []
+    chosen = rng.choice(len(places), min(PLACES, len(places)), replace=False)
+    return [(int(a), int(b)) for a, b in places[chosen]]
+
 
 BY_PIXEL = "object-by-pixel"  # objects by their halos, alarms by pixel
 _MOST_SCORES = 500  # that a product keeps of one population: the exact ends of a curve
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+
+
 MOST_NAMED = 10
 
 
@@ -114,7 +730,8 @@ def detect(
             scored.add(target, detector, groups)
     if not detection.targets:
         for name, scores in maps.items():
-            moments, curves = anomaly_products(name, scores, scored.alarms)
+            noise = AlarmBlocks.of_map(scores, scored.alarms, classes=place.classes)
+            moments, curves = anomaly_products(name, noise)
             scored.scores |= moments
             scored.exceedance |= curves
             remarks.append(anomaly_note(place, name, scores, scored.alarms))
@@ -199,7 +816,7 @@ class _Curves:
         key = map_name(target.name, detector)
         scores = self.maps[key]
         self.outlined.setdefault(key, {}).update({o.name: o for members in groups.values() for o in members})
-        noise = AlarmBlocks.of_map(scores, self.alarms)
+        noise = AlarmBlocks.of_map(scores, self.alarms, classes=self.place.classes)
         if noise.scores.size >= FEWEST_FOR_A_CURVE:
             self.exceedance[target.name, detector] = exceedance_curve(noise)
         thresholds = preset_thresholds(noise.scores, blocks=noise)
@@ -235,7 +852,7 @@ class _Curves:
             best = object_scores(scores, objects)
             self.of_objects[subject, detector] = ObjectScores(np.array(list(best.values())), tuple(best))
         area, bootstrap = self.place.pixel_area_m2, self.detection.bootstrap
-        shared = scores, objects, self.alarms, noise, thresholds, halo, area, bootstrap
+        shared = scores, objects, self.alarms, self.place.classes, noise, thresholds, halo, area, bootstrap
         by_object = object_curve(*shared)
         if self.detection.first_detection:
             by_object = replace(by_object, alarms_before_first=alarms_before_first(pixels, noise.scores))
@@ -261,23 +878,14 @@ class _Curves:
 
 def _moments(values: Array) -> ScoreDistribution:
     sd = float(np.std(values, ddof=1)) if values.size > 1 else float("nan")
-    tail = (
-        np.partition(values, values.size - _MOST_SCORES)[-_MOST_SCORES:] if values.size > _MOST_SCORES else values
-    )
+    tail = np.partition(values, values.size - _MOST_SCORES)[-_MOST_SCORES:] if values.size > _MOST_SCORES else values
     return ScoreDistribution(float(np.mean(values)), sd, int(values.size), greatest=np.sort(tail)[::-1])
 
 
 def anomaly_products(
-    detector: str, scores: Array, background: Mask
+    detector: str, noise: AlarmBlocks
 ) -> tuple[dict[tuple[str, str], ScoreDistribution], dict[tuple[str, str], ExceedanceCurve]]:
-    """Moments of the background's score and how often it lies above a threshold, by their keys of the products.
-
-    Parameters
-    ----------
-    scores : (lines, samples), NaN where invalid
-    background : (lines, samples) True where pixels count for false alarms
-    """
-    noise = AlarmBlocks.of_map(scores, background)
+    """Moments of the background's score and how often it lies above a threshold, by their keys of the products."""
     sd = float(np.std(noise.scores, ddof=1)) if noise.scores.size > 1 else float("nan")
     moments = ScoreDistribution(float(np.mean(noise.scores)), sd, int(noise.scores.size))
     curves = {}

@@ -12,13 +12,11 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.observe.pipeline import Observed
 from hyperval.processing.alarm_blocks import block_side
-from hyperval.processing.component_moments import ClassMixture, class_mixture
-from hyperval.processing.law_jackknife import compact_parts, leading_tail_dof, moments_without_each
-from hyperval.processing.spatial_correlation import drawn_pixels
+from hyperval.processing.laws import ClassMixture, class_mixture, compact_parts, leading_tail_dof, moments_without_each
+from hyperval.processing.sample import drawn_pixels
 from hyperval.scenario import BackgroundClass, Scenario
-from hyperval.scene.components import Components
-from hyperval.scene.statistics import ClassStatistics
-from hyperval.spectra.windows import in_window
+from hyperval.scene.statistics import ClassStatistics, Components
+from hyperval.spectra.axis import in_window
 
 MOST_PIXELS = 20_000  # of a region, drawn at random
 MOST_NUMBERS = 8_000_000  # pixels times bands that memory holds

@@ -10,32 +10,36 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.apart import give_back_freed
-from hyperval.collection import Classification, Collection, Detection
-from hyperval.observe.classification import classification_errors
-from hyperval.observe.detection import Detected, detect
-from hyperval.observe.empirical_line import empirical_line, line_notes, refuse_saturated
-from hyperval.observe.filter_bank import BACKGROUND, in_reflectance
-from hyperval.observe.objects import scored_pixels, target_groups
+from hyperval.collection import Classification, CollectionSection, Detection
+from hyperval.observe.detection import (
+    BACKGROUND,
+    Detected,
+    Unmixed,
+    detect,
+    in_reflectance,
+    scored_pixels,
+    target_groups,
+    unmix,
+)
 from hyperval.observe.place import IMAGE, Place, check_line_for_detection, open_place
-from hyperval.observe.site_spectra import observe_radcalnet, observe_spectra
-from hyperval.observe.spread import mean_error, pixel_distances
-from hyperval.observe.uncertainty import (
+from hyperval.observe.site_spectra import (
     calibration_covariance,
+    empirical_line,
+    line_notes,
+    observe_radcalnet,
+    observe_spectra,
+    refuse_saturated,
     rounding_variance,
     spectral_estimate,
     wavelength_notes,
 )
-from hyperval.observe.unmixing import Unmixed, unmix
-from hyperval.processing.elm import EmpiricalLine
-from hyperval.processing.elm_error import LineError
-from hyperval.processing.mask_bits import PackedMasks
-from hyperval.processing.region_statistics import region_statistics
-from hyperval.processing.sample import SCENE, SampleStatistics
+from hyperval.observe.spread import classification_errors, mean_error, pixel_distances
+from hyperval.processing.elm import EmpiricalLine, LineError
+from hyperval.processing.laws import LEAST_DOF
+from hyperval.processing.region_statistics import PackedMasks, region_statistics
+from hyperval.processing.sample import SCENE, SampleStatistics, nth_pixels
 from hyperval.processing.snr import snr_decorrelated
-from hyperval.processing.spatial_correlation import nth_pixels
-from hyperval.processing.tails import LEAST_DOF
-from hyperval.products import EstimatedPart, Observation, PixelDistribution, SpectralEstimate
+from hyperval.products import EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.scene.statistics import ClassStatistics
 from hyperval.spectra.axis import SpectralAxis
@@ -82,7 +86,7 @@ class Observed:
     unmixed : areas by unmixing with what a prediction of them needs, None where they are not asked for
     """
 
-    observation: Observation
+    observation: ObservedProducts
     statistics: Mapping[str, ClassStatistics] = attribute(default_factory=dict)
     surfaces: Surfaces = attribute(default_factory=Surfaces)
     detected: Detected | None = None
@@ -100,7 +104,7 @@ class Observed:
 
 
 def observe(
-    collection: Collection,
+    collection: CollectionSection,
     detection: Detection | None,
     resolve: Resolve,
     *,
@@ -139,33 +143,29 @@ def observe(
     known = before.masks.same(masks)
     refuse_saturated(collection.empirical_line, masks, cube)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
-    measured = region_statistics(cube, masks, place.left_out, precision=collection.precision, watch=watch)
-    give_back_freed()  # a long pass leaves 30 MB free between what stays
+    measured = region_statistics(cube, masks, place.left_out, watch=watch)
     regions = {name: measured[name] for name in place.regions}
     subjects = regions | {name: measured[name] for name in populations}
     sampling = {
-        name: before.sampling[name]
-        if name in known
-        else _with_rounding(place, s, mean_error(place, masks[name], s))
+        name: before.sampling[name] if name in known else _with_rounding(place, s, mean_error(place, masks[name], s))
         for name, s in track(list(subjects.items()), "sampling", show=show_progress)
     }
     line = before.line or empirical_line(collection.empirical_line, measured, sampling, cube, resolve)
     elm = None if line is None else line.line
 
+    rounding = cube.gain**2 / 12.0 if cube.dtype.kind in "iu" else 0.0
     radiance: dict[str, SpectralEstimate] = {}
     reflectance: dict[str, SpectralEstimate] = {}
     if cube.quantity == "radiance":
         radiance = {
-            n: _sampled(s, sampling[n], _calibration(s.mean, collection, cube.axis, resolve))
+            n: _sampled(s, sampling[n], _calibration(s.mean, collection, cube.axis, resolve), rounding)
             for n, s in subjects.items()
         }
         if line is not None:
-            reflectance = {n: _reflectance(n, s, sampling[n], line) for n, s in subjects.items()}
+            reflectance = {n: _reflectance(n, s, sampling[n], line, rounding) for n, s in subjects.items()}
     else:
-        reflectance = {n: _sampled(s, sampling[n], {}) for n, s in subjects.items()}
-    give_back_freed()
+        reflectance = {n: _sampled(s, sampling[n], {}, rounding) for n, s in subjects.items()}
     snr = {name: snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
-    give_back_freed()
 
     detected = None
     if detection is not None:
@@ -179,7 +179,6 @@ def observe(
     left = [] if place.by_number else [name for name in place.regions if name not in known]
     for name in track(left, "tails", show=show_progress):
         distances[name] = pixel_distances(place, masks[name], measured[name])
-        give_back_freed()
     distribution = {name: d for name, d in before.distribution.items() if name in known}
     distribution |= {name: d.distribution() for name, d in distances.items() if d is not None}
     reflects = cube.quantity == "reflectance"
@@ -194,7 +193,7 @@ def observe(
     ]
     if elm is not None:
         notes += line_notes(elm, cube.axis)
-    observation = Observation(
+    observation = ObservedProducts(
         axis=cube.axis,
         radiance=radiance,
         snr=snr,
@@ -207,7 +206,7 @@ def observe(
         distribution=distribution,
         classification=classification_errors(place, classification) if classification else {},
         notes=(*notes, *(detected.notes if detected else ())),
-        provenance={"quantity": cube.quantity, "description": cube.description, **_rounding(measured)},
+        provenance={"quantity": cube.quantity, "description": cube.description},
     )
     # Of the surface itself: over all bands noise dilutes what makes false alarms.
     tails = {n: d.leading_tail_dof for n, d in observation.distribution.items() if np.isfinite(d.leading_tail_dof)}
@@ -249,9 +248,7 @@ def _population_notes(place: Place, detection: Detection, masks: Mapping[str, Ma
         )
     if IMAGE in detection.background:
         within = int((filters & place.near_targets).sum())
-        notes.append(
-            f"{within} pixels of targets and their guard are in the filters' statistics, and in no class's"
-        )
+        notes.append(f"{within} pixels of targets and their guard are in the filters' statistics, and in no class's")
     return notes
 
 
@@ -274,7 +271,7 @@ def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> Itera
                 yield subject, union
 
 
-def _calibration(mean: Array, collection: Collection, axis: SpectralAxis, resolve: Resolve) -> dict[str, Array]:
+def _calibration(mean: Array, collection: CollectionSection, axis: SpectralAxis, resolve: Resolve) -> dict[str, Array]:
     """The error of the calibration by its name, where the collection states one."""
     stated = collection.calibration
     return {} if stated is None else {"calibration": calibration_covariance(mean, axis, stated, resolve)}
@@ -288,7 +285,7 @@ def _sampling_part(
 
 
 def _reflectance(
-    name: str, sample: SampleStatistics, sampling: EstimatedPart, error: LineError
+    name: str, sample: SampleStatistics, sampling: EstimatedPart, error: LineError, rounding: Array | float
 ) -> SpectralEstimate:
     """After the empirical line, whose error is common to all pixels and hangs together between bands.
 
@@ -298,24 +295,27 @@ def _reflectance(
     others = error.without(name) if name in error.line.panels else error
     elm = (others or error).line
     mean, covariance = in_reflectance(sample, elm)
-    spread = covariance if sample.n > 1 else None
+    spread, rounding = covariance if sample.n > 1 else None, rounding / elm.gain**2
     if others is None:
         own = {"empirical line": error.covariance(sample.mean, own=name)}
-        return spectral_estimate(mean, own, pixel_covariance=spread, n=sample.n, circular=CIRCULAR)
+        return spectral_estimate(mean, own, pixel_covariance=spread, n=sample.n, circular=CIRCULAR, rounding=rounding)
     gains = np.outer(elm.gain, elm.gain)
     parts, estimated = _sampling_part(sample, sampling.of_each(lambda c: c / gains))
     parts["empirical line"] = others.covariance(sample.mean)
     estimated += others.estimated(sample.mean)
-    return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, estimated=estimated)
+    return spectral_estimate(mean, parts, pixel_covariance=spread, n=sample.n, estimated=estimated, rounding=rounding)
 
 
-def _sampled(sample: SampleStatistics, sampling: EstimatedPart, others: Mapping[str, Array]) -> SpectralEstimate:
+def _sampled(
+    sample: SampleStatistics, sampling: EstimatedPart, others: Mapping[str, Array], rounding: Array | float
+) -> SpectralEstimate:
     """A mean in the cube's own values, with the error of its sampling and those that are stated besides."""
     parts, estimated = _sampling_part(sample, sampling)
     spread = sample.covariance if sample.n > 1 else None
     return spectral_estimate(
-        sample.mean, {**parts, **others}, pixel_covariance=spread, n=sample.n, estimated=estimated
-    )
+        sample.mean, {**parts, **others}, pixel_covariance=spread, n=sample.n, estimated=estimated,
+        rounding=rounding,
+    )  # fmt: skip
 
 
 def _some_pixels(place: Place, name: str) -> Array:
@@ -357,9 +357,3 @@ def _classes(
         source = f"{sample.n} pixels of region {name}"
         out[name] = ClassStatistics(name, axis, mean, (covariance + covariance.T) / 2.0, sample.n, source, tail)
     return out
-
-
-def _rounding(measured: Mapping[str, SampleStatistics]) -> dict[str, str]:
-    """What sums in single precision may have changed, where there were any."""
-    most = max((s.rounding for s in measured.values()), default=0.0)
-    return {"rounding_of_variances": f"at most {most:.1e} of each (float32 sums)"} if most else {}

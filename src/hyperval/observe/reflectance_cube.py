@@ -16,13 +16,12 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
 from hyperval.errors import UsageError
-from hyperval.files import whole_file
 from hyperval.imagery.cube import Cube
-from hyperval.imagery.envi_raster import EnviRaster
-from hyperval.imagery.envi_write import envi_writer
+from hyperval.imagery.envi import EnviRaster, envi_writer
 from hyperval.processing.elm import EmpiricalLine
 from hyperval.progress import watch_lines
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.storage import whole_file
 
 Array = npt.NDArray[np.float64]
 Stored = npt.NDArray[np.int16]
@@ -70,9 +69,7 @@ def write_reflectance(
             mend="add collection.empirical_line with two panels",
         )
     axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & elm.usable)
-    what = (
-        f"reflectance by the empirical line through {', '.join(elm.panels)}; stored value = {SCALE} x reflectance"
-    )
+    what = f"reflectance by the empirical line through {', '.join(elm.panels)}; stored value = {SCALE} x reflectance"
     path = folder / f"{name}.{'img' if form == 'envi' else 'tif'}"
     watch = watch_lines("reflectance", cube.bytes_per_line, cube.lines, show=show_progress)
     outside = 0
@@ -93,9 +90,7 @@ def quantised(reflectance: npt.ArrayLike) -> Stored:
     return np.where(fits, scaled, NO_DATA).astype(np.int16)
 
 
-def _blocks(
-    cube: Cube, elm: EmpiricalLine, good: npt.NDArray[np.bool_]
-) -> Iterator[tuple[range, tuple[Stored, int]]]:
+def _blocks(cube: Cube, elm: EmpiricalLine, good: npt.NDArray[np.bool_]) -> Iterator[tuple[range, tuple[Stored, int]]]:
     """Stored numbers (lines, samples, B) of the blocks in order, and how many good values did not fit."""
     step = max(1, _BLOCK_VALUES // (cube.samples * cube.bands))
     for first in range(0, cube.lines, step):

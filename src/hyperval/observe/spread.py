@@ -1,33 +1,23 @@
-"""How the pixels of a region are distributed: tails, how many of them are independent, the error of their mean."""
+"""How the pixels of a region are distributed: tails, how many of them are independent, the error of their mean.
+
+Measured error of a Gaussian maximum-likelihood classifier, trained on some lines and tried on others.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.collection import Classification
+from hyperval.errors import UsageError
 from hyperval.observe.place import Place
-from hyperval.processing.covariance_sampling import Directions
-from hyperval.processing.few_pixels import factor_covariance
-from hyperval.processing.mean_error import (
-    components,
-    independent_pixels,
-    mean_error_covariance,
-    small_sample_factor,
-)
-from hyperval.processing.sample import SampleStatistics
-from hyperval.processing.spatial_correlation import (
-    drawn_pixels,
-    independent_for_mean,
-    independent_for_variance,
-    lag_correlation,
-    neighbour_shares,
-    nth_pixels,
-)
-from hyperval.processing.tails import (
+from hyperval.processing.classification import ClassLaw, class_features, feature_bands, measured_error
+from hyperval.processing.laws import (
     FEWEST_LEADING,
     TailFit,
     fit_tail_dof,
@@ -35,11 +25,118 @@ from hyperval.processing.tails import (
     left_out_distances,
     squared_mahalanobis,
 )
-from hyperval.products import EstimatedPart, PixelDistribution
-from hyperval.spectra.windows import in_window
+from hyperval.processing.sample import (
+    EigenDirections,
+    SampleStatistics,
+    components,
+    drawn_pixels,
+    factor_covariance,
+    independent_for_mean,
+    independent_for_variance,
+    independent_pixels,
+    lag_correlation,
+    mean_error_covariance,
+    neighbour_shares,
+    nth_pixels,
+    small_sample_factor,
+    statistics_of,
+)
+from hyperval.products import ClassificationError, EstimatedPart, PixelDistribution
+from hyperval.spectra.axis import in_window
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+# Fewer training pixels for each feature, and the classifier's own error is that of its training.
+PIXELS_PER_FEATURE = 3
+
+
+@dataclass(frozen=True, eq=False)
+class _Half:
+    """Pixels (n, B) of one class and the block that each lies in."""
+
+    pixels: Array
+    blocks: npt.NDArray[np.intp]
+
+
+def classification_errors(place: Place, task: Classification) -> dict[tuple[str, str], ClassificationError]:
+    """Errors by (classes, features); classes joined by " / ".
+
+    Blocks of whole lines are dealt out at random (the campaign's seed) to training and test.
+
+    Raises
+    ------
+    UsageError : a region that is none, or one with too few pixels in either half.
+    """
+    axis = place.cube.axis
+    usable = in_window(axis.centre_nm) & axis.good
+    halves = {name: _halves(place, name, task) for name in task.classes}
+    out = {}
+    for chosen in class_sets(task):
+        for choice in task.features:
+            bands = feature_bands(axis.centre_nm, usable, choice.bands_nm)
+            trained = [statistics_of(halves[name][0].pixels[:, bands]) for name in chosen]
+            laws = [ClassLaw(s.mean, s.covariance) for s in trained]
+            psi = class_features(laws, choice.pca)
+            for name, law_n in zip(chosen, (s.n for s in trained), strict=True):
+                if law_n < PIXELS_PER_FEATURE * psi.shape[0]:
+                    raise UsageError(
+                        f"classification: {law_n} training pixels of {name!r} for {psi.shape[0]} features",
+                        expected=f"{PIXELS_PER_FEATURE} for each",
+                        mend="use fewer bands, or pca",
+                    )
+            out[" / ".join(chosen), choice.name] = measured_error(
+                [law.project(psi) for law in laws],
+                [halves[name][1].pixels[:, bands] @ psi.T for name in chosen],
+                [halves[name][1].blocks for name in chosen],
+            )
+    return out
+
+
+def class_sets(task: Classification) -> list[tuple[str, ...]]:
+    """All classes together, and every pair of them where the campaign asks for pairs."""
+    sets = [tuple(task.classes)]
+    if task.pairs and len(task.classes) > 2:
+        sets += list(combinations(task.classes, 2))
+    return sets
+
+
+def _halves(place: Place, name: str, task: Classification) -> tuple[_Half, _Half]:
+    mask = place.pixels_of(name)
+    lines, samples = np.nonzero(mask)
+    block = lines // task.block_lines
+    blocks = np.unique(block)
+    if blocks.size < 2:
+        raise UsageError(
+            f"classification: region {name!r} lies in one block of {task.block_lines} lines",
+            mend="make classification.block_lines smaller: training and test take whole blocks",
+        )
+    rng = np.random.default_rng([task.seed, place.cube.lines])
+    # Half of the blocks that hold the class train.
+    order = rng.permutation(int(-(-place.cube.lines // task.block_lines)))
+    dealt = order[np.isin(order, blocks)]
+    trains = np.isin(block, dealt[: dealt.size // 2])
+    return (
+        _half(place, lines[trains], samples[trains], block[trains], task.pixels, name),
+        _half(place, lines[~trains], samples[~trains], block[~trains], task.pixels, name),
+    )
+
+
+def _half(
+    place: Place,
+    lines: npt.NDArray[np.intp],
+    samples: npt.NDArray[np.intp],
+    block: npt.NDArray[np.intp],
+    most: int,
+    name: str,
+) -> _Half:
+    step = max(-(-lines.size // most), 1)  # evenly thinned
+    at = lines[::step], samples[::step]
+    pixels, valid = place.cube.marked_pixels(at)
+    if np.count_nonzero(valid) < 2:
+        raise UsageError(f"classification: region {name!r} has fewer than two valid pixels in one of the halves")
+    return _Half(pixels if valid.all() else pixels[valid], block[::step][valid])
+
 
 MOST_PIXELS = 20_000  # of a region, drawn at random: what memory should hold
 MOST_NUMBERS = 8_000_000  # pixels times bands held at once
@@ -48,6 +145,7 @@ PIXELS_PER_BAND = 10  # fewer, and distances are taken in fewer components
 COMPONENTS = 6  # leading ones whose correlation on the ground is measured
 TOGETHER = 2048  # pixels that are held at once
 WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
+_TRIES = 16  # pixels drawn for each window
 QUANTILES = 160
 _SEED = 31
 FEWEST_FOR_CORRELATION = 50  # below it a correlation on the ground is not told from chance
@@ -107,9 +205,9 @@ def pixel_distances(place: Place, region: Mask, statistics: SampleStatistics) ->
     if bands.size < FEWEST_LEADING:
         return None
     rng = np.random.default_rng(_SEED)
-    directions = Directions.of(statistics.covariance[np.ix_(bands, bands)])
+    directions = EigenDirections.of(statistics.covariance[np.ix_(bands, bands)])
     dimension = min(directions.values.size, statistics.n // PIXELS_PER_BAND)
-    directions = Directions(directions.vectors[:, :dimension], directions.values[:dimension])
+    directions = EigenDirections(directions.vectors[:, :dimension], directions.values[:dimension])
     mean = statistics.mean[bands]
     leading = leading_count(directions.values, float(np.trace(statistics.covariance[np.ix_(bands, bands)])))
 
@@ -155,7 +253,7 @@ def _independence(
     n: int,
     bands: npt.NDArray[np.intp],
     mean: Array,
-    directions: Directions,
+    directions: EigenDirections,
     leading: int,
     rng: np.random.Generator,
 ) -> tuple[Array, tuple[float, float]]:
@@ -211,21 +309,15 @@ def _window(place: Place, region: Mask, bands: npt.NDArray[Any], corner: tuple[i
 
 
 def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Corners of windows about pixels of the region drawn at random; one where they hold the whole image."""
-    lines, samples = region.shape
-    if lines <= WINDOW and samples <= WINDOW:
-        return [(0, 0)]
+    """Corners of windows that pixels of the region drawn at random lie in; windows of a grid, none over another.
+
+    Where windows lie over each other, pairs of pixels count several times, chance passes for correlation, and
+    independent pixels for fewer than they are.
+    """
     count = int(np.count_nonzero(region))
-    chosen = nth_pixels(region, rng.choice(count, min(WINDOWS, count), replace=False))
-    corners = []
-    for line, sample in zip(*(part.tolist() for part in chosen), strict=True):
-        corners.append(
-            (
-                int(np.clip(line - WINDOW // 2, 0, max(lines - WINDOW, 0))),
-                int(np.clip(sample - WINDOW // 2, 0, max(samples - WINDOW, 0))),
-            )
-        )
-    return corners
+    lines, samples = nth_pixels(region, rng.choice(count, min(_TRIES * WINDOWS, count), replace=False))
+    corners = zip((lines // WINDOW * WINDOW).tolist(), (samples // WINDOW * WINDOW).tolist(), strict=True)
+    return list(dict.fromkeys(corners))[:WINDOWS]
 
 
 def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> EstimatedPart:
@@ -233,9 +325,9 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
 
     Correlation on the ground is measured along the leading components, and the rest together, in windows of the
     image, at lags of up to 24 pixels, and few independent pixels widen the error
-    (:func:`~hyperval.processing.mean_error.small_sample_factor`); regions of fewer than 50 pixels count as
+    (:func:`~hyperval.processing.sample.small_sample_factor`); regions of fewer than 50 pixels count as
     independent ones.  Pixels that are fewer than the bands have few common factors and independent bands
-    (:func:`~hyperval.processing.few_pixels.factor_covariance`); the samples' own covariance stands beside it, and
+    (:func:`~hyperval.processing.sample.factor_covariance`); the samples' own covariance stands beside it, and
     both without the widening, which a test makes by its degrees of freedom.
     """
     n, covariance = statistics.n, statistics.covariance

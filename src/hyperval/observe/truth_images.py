@@ -28,7 +28,7 @@ from hyperval.imagery.rasters import Raster, open_raster, raster_of_size
 from hyperval.imagery.regions import Region, patches
 from hyperval.imagery.truth import TargetObject, cut_out
 from hyperval.scene.fill import aperture_weights
-from hyperval.spectra.response import SIGMA_PER_FWHM
+from hyperval.spectra.axis import SIGMA_PER_FWHM
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -111,9 +111,7 @@ def finer_targets(
     path = resolve(truth.image)
     raster = open_raster(path)
     if raster.lines * raster.samples > MAX_CELLS:
-        raise InputError(
-            f"{raster.lines} x {raster.samples} cells", where=str(path), expected=f"at most {MAX_CELLS}"
-        )
+        raise InputError(f"{raster.lines} x {raster.samples} cells", where=str(path), expected=f"at most {MAX_CELLS}")
     grid = _grid(truth, raster, cube, str(path))
     pixel_m = None if pixel_area_m2 is None else math.sqrt(pixel_area_m2)
     error = truth.registration_pixels or 0.0
@@ -145,9 +143,7 @@ def finer_targets(
             out.append(_object(name, material, inside, there, cube, both, shifts, area, truth, str(path)))
     fills = np.concatenate([o.fills.mean(axis=0)[o.part] for o in out if o.fills is not None])
     spread = np.concatenate([o.fills.std(axis=0)[o.part] for o in out if o.fills is not None])
-    note = (
-        f"{len(out)} targets from {path.name}, {1 / grid.sample_step:.3g} times finer: {fills.size} pixels of fill "
-    )
+    note = f"{len(out)} targets from {path.name}, {1 / grid.sample_step:.3g} times finer: {fills.size} pixels of fill "
     note += f"{fills.min():.3g} to {fills.max():.3g}, mean {fills.mean():.3g}"
     if error:
         note += f"; registration of {error:.3g} pixels makes {float(np.sqrt(np.mean(spread**2))):.2g} (RMS) of it"
@@ -288,9 +284,7 @@ def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, 
         mask = values == number
         if not mask.any():
             present = ", ".join(f"{v:g}" for v in np.unique(values[np.isfinite(values)])[:20])
-            raise InputError(
-                f"no pixel of material {number} ({name!r})", where=str(path), expected=f"one of {present}"
-            )
+            raise InputError(f"no pixel of material {number} ({name!r})", where=str(path), expected=f"one of {present}")
         regions[name] = Region(name, mask, str(path))
     return regions
 
@@ -322,9 +316,7 @@ def abundance_targets(
         fill = np.clip(fill, 0.0, 1.0)
         mask = fill >= truth.least_fill
         if not mask.any():
-            raise InputError(
-                f"no pixel is filled by {material!r}", where=str(path), expected=f"{truth.least_fill:g}"
-            )
+            raise InputError(f"no pixel is filled by {material!r}", where=str(path), expected=f"{truth.least_fill:g}")
         for name, window, inside in patches(mask, material, whole=truth.objects == "bands"):
             part = np.where(inside, fill[window], 0.0)
             area = math.nan if pixel_area_m2 is None else float(part.sum()) * pixel_area_m2
@@ -344,7 +336,7 @@ def abundance_targets(
 
 def _band(raster: Raster, wanted: int | str, path: Path) -> int:
     """Number from 0 of a band that is named or numbered (from 1)."""
-    names = (raster.header.strings("band names") if raster.header is not None else None) or ()
+    names = raster.header.band_names if raster.header is not None else ()
     if isinstance(wanted, int):
         if not 1 <= wanted <= raster.bands:
             raise InputError(f"no band {wanted}", where=str(path), expected=f"1 to {raster.bands}")
@@ -355,7 +347,9 @@ def _band(raster: Raster, wanted: int | str, path: Path) -> int:
         raise InputError(
             f"{len(fits)} bands are called {wanted!r}",
             where=str(path),
-            expected="one of " + ", ".join(names) if names else f"a number, 1 to {raster.bands}",
+            expected="one of " + ", ".join(names)
+            if names
+            else f"a number, 1 to {raster.bands}: its header has no name for each band",
         )
     return fits[0]
 

@@ -16,18 +16,24 @@ import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.prediction.background import Seen, Settings, seen_classes
-from hyperval.prediction.fills import Fills, object_fills_of, pixel_fills
-from hyperval.prediction.filters import Designer, Filters, Population, law_scores
+from hyperval.prediction.departure import Fills, object_fills_of, pixel_fills
+from hyperval.prediction.filters import (
+    Designer,
+    Filters,
+    Material,
+    Population,
+    Responses,
+    law_scores,
+    responses,
+    target_population,
+)
 from hyperval.prediction.inputs import cut
-from hyperval.prediction.responses import Material, Responses, responses, target_population
-from hyperval.processing.elm_model import retrieved_reflectance
+from hyperval.processing.elm import retrieved_reflectance
 from hyperval.processing.filters import LINEAR_DETECTORS
-from hyperval.processing.roc_model import RocScores
-from hyperval.processing.thresholds import ClassScores
+from hyperval.processing.roc_model import ClassScores, Host, RocScores
 from hyperval.scenario import Scenario, Target, TargetSubject
 from hyperval.scene.fill import FillDistribution
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.windows import in_window
+from hyperval.spectra.axis import SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]
 Made = TypeVar("Made")
@@ -42,7 +48,8 @@ class Points:
     ----------
     setting : (n,) number of it
     dof : (n or 1, M) degrees of freedom of the classes; infinity: Gaussian
-    law_dof : (n or 1, J) of the laws that the classes are made of; None: of each class its own
+    laws : (J,) number of the class of each law that the classes are made of, and (n or 1, J) degrees of freedom of
+        its own, NaN for those of its class; None: a law for each class
     gain, beam, sky : (n or 1, T) g_T and the parts of the light in the open that reach each target
     fills : (number of the target, of its population) -> fills, where they are not those of the scenario
     shift : (n,) by how many standard deviations of the score the targets depart from their spectra
@@ -55,7 +62,15 @@ class Points:
     sky: Array
     fills: Callable[[int, int, bool], Fills | None] = lambda target, population, objects: None
     shift: Array | float = 0.0
-    law_dof: Array | None = None
+    laws: tuple[Index, Array] | None = None
+
+    @property
+    def law_dof(self) -> Array:
+        """(n or 1, J) degrees of freedom of the laws."""
+        if self.laws is None:
+            return self.dof
+        owner, own = self.laws
+        return np.where(np.isnan(own), self.dof[:, owner], own)
 
     def __len__(self) -> int:
         return self.setting.size
@@ -181,9 +196,7 @@ class Batch:
         _, first, which = np.unique(self.alike()[numbers], return_index=True, return_inverse=True)
         one, of_one = at.rows(first), seen.rows(first)
         spectra = [(detector, spectrum[first]) for detector, spectrum in wanted]
-        filters, problems = designer.design(
-            one, of_one, spectra, lambda u: self.filter_populations(group, first[u])
-        )
+        filters, problems = designer.design(one, of_one, spectra, lambda u: self.filter_populations(group, first[u]))
         made = {}
         for n, f in zip(names, filters, strict=True):
             means, sds = law_scores(one, of_one, f)
@@ -269,17 +282,38 @@ class Batch:
         number, subject, _ = self.population(population)
         fills, points = self.fills(number, subject, objects), self.points
         means, sds = (np.full((len(self), fills.values.shape[1]), np.nan) for _ in range(2))
+        bare = np.full((2, len(self)), np.nan)
         shift = np.broadcast_to(points.shift, (len(self),))
         for g in self.groups:
             here = np.flatnonzero(np.isin(points.setting, g.numbers))
             rows, response = self.responses(g, number, detector, here)
             own = fills.values if fills.values.shape[0] == 1 else fills.values[here]
-            means[here], sds[here] = response.at(own, points.of(points.gain, number)[here], rows, shift[here])
+            gain = points.of(points.gain, number)[here]
+            means[here], sds[here] = response.at(own, gain, rows, shift[here])
+            bare[:, here] = response.means[rows, 0], response.variances(gain, rows)[:, 0]
         classes, which = self.once(("classes", number, detector), lambda: self._classes(number, detector))
+        host = self.host(number, detector, np.arange(len(self)), 1.0 - fills.values, *bare)
         if fills.shape is None:
-            return RocScores(classes, which, means, sds, np.broadcast_to(fills.weights, means.shape))
+            return RocScores(classes, which, means, sds, np.broadcast_to(fills.weights, means.shape), None, host)
         each = (means.reshape(len(self), *fills.shape), sds.reshape(len(self), *fills.shape))
-        return RocScores(classes, which, means, sds, np.full(means.shape, np.nan), each)
+        return RocScores(classes, which, means, sds, np.full(means.shape, np.nan), each, host)
+
+    def host(
+        self, number: int, detector: str, points: Index, share: Array, mean: Array, variance: Array
+    ) -> Host | None:
+        """The host of a target in some evaluations, as :class:`Host` has it; None: one normal law in all."""
+        laws, parts, _ = self.host_laws(number)
+        classes, which = self.once(("classes", number, detector), lambda: self._classes(number, detector))
+        scores = classes.rows(which[points]).of(laws)
+        host = Host(share, mean, variance, replace(scores, fraction=np.broadcast_to(parts, scores.mean.shape)))
+        return None if host.normal.all() else host
+
+    def host_laws(self, number: int) -> tuple[Index, Array, Array]:
+        """(C,) which of the background's laws a target's host is made of, their parts, and (n or 1, C) dof."""
+        owner = self.class_names.index(self.targets[number].host)
+        laws = [j for j, law in enumerate(self.settings.grounds[0].laws) if law.owner == owner]
+        parts = [self.settings.grounds[0].laws[j].weight for j in laws]
+        return np.array(laws), np.array(parts), self.points.law_dof[:, laws]
 
     def _classes(self, number: int, detector: str) -> tuple[ClassScores, Index]:
         """Scores of the background's laws for each different combination of setting and tails."""
@@ -288,8 +322,7 @@ class Batch:
         means, sds = np.full(size, np.nan), np.full(size, np.nan)
         for g in self.groups:
             _, means[g.numbers], sds[g.numbers] = g.filters[self.targets[number].name, detector]
-        points = self.points
-        dof = points.dof if points.law_dof is None else points.law_dof
+        points, dof = self.points, self.points.law_dof
         alike = self.alike()[points.setting]
         first, which = distinct([alike, *(dof.T if dof.shape[0] > 1 else ())], len(self))
         settings = points.setting[first]

@@ -1,8 +1,10 @@
 """One uncertain input: a dotted path into scenario, sensor or state, what stands there, how far it may be off.
 
 An input has K independent directions with factors of mean 0 and variance 1; its value follows from any set of
-factors, and the truth from its value (:mod:`hyperval.prediction.input_paths`).  Budgets, Monte Carlo,
+factors, and the truth from its value (:mod:`hyperval.prediction.departure`).  Budgets, Monte Carlo,
 linearisation, attribution, what-ifs and planted errors are designs over inputs.
+
+Errors over wavelength: directions of a correlation form, draws, and the errors of field spectra.
 """
 
 from __future__ import annotations
@@ -14,26 +16,178 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.prediction.departure import Departure, combined
-from hyperval.prediction.forms import directions, form_in_words, number_directions, standardised, value_along
-from hyperval.prediction.input_paths import Given, input_path
-from hyperval.scenario_uncertainty import Distribution, SpectralForm, Spread
+from hyperval.errors import UsageError
+from hyperval.prediction.departure import Departure, Given, combined, input_path
+from hyperval.prediction.inputs import SurfaceStatistics, correlation
+from hyperval.scenario import Distribution, SpectralForm, SpectrumUncertainty, Spread
+from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts
+from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+
+# Directions that hold less than this part of the variance, all together, are left out.
+_LEFT_OUT = 1e-6
+
+
+def directions(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None = None) -> Array:
+    """(K, B) independent directions of an error with standard deviation ``sd`` (B,), the greatest first.
+
+    The error is the sum of the rows, each with a factor of mean 0 and variance 1: its covariance is D^T D.
+    """
+    u = np.nan_to_num(np.asarray(sd, dtype=float))
+    if form.kernel is not None:
+        return covariance_directions(form_covariance(u, form, axis))
+    if form.correlation == "random":
+        return np.asarray(np.diag(u)[u > 0])
+    if form.correlation in ("groups", "arms"):
+        rows = np.array([np.where(group, u, 0.0) for group in _groups(form, axis, sensor)])
+        rows = rows[np.any(rows > 0, axis=1)]
+        return np.asarray(rows[np.argsort(-(rows**2).sum(axis=1), kind="stable")])
+    return np.asarray(u[None, :])
+
+
+def covariance_directions(covariance: Array) -> Array:
+    """(K, B) rows sqrt(lambda) v of a covariance (B, B), the greatest first, each with a positive sum."""
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    values, vectors = np.clip(values[::-1], 0.0, None), vectors[:, ::-1]
+    if values[0] <= 0.0:
+        return np.zeros((0, covariance.shape[0]))
+    rest = 1.0 - np.cumsum(values) / values.sum()
+    keep = int(np.searchsorted(-rest, -_LEFT_OUT)) + 1
+    rows = (np.sqrt(values[:keep]) * vectors[:, :keep]).T
+    return np.asarray(rows * np.where(rows.sum(axis=1) < 0, -1.0, 1.0)[:, None])
+
+
+def form_covariance(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None = None) -> Array:
+    """(B, B) covariance of an error with standard deviation ``sd`` (B,)."""
+    u = np.asarray(sd, dtype=float)
+    if form.correlation is None:
+        nugget, length = form.kernel or (0.0, None)
+        smooth = np.outer(u, u) * correlation(axis, length)
+        return np.asarray(smooth if nugget == 0.0 else (1.0 - nugget) * smooth + nugget * np.diag(u**2))
+    rows = directions(u, form, axis, sensor)
+    return rows.T @ rows
+
+
+def form_in_words(form: SpectralForm) -> str:
+    """The correlation form for people."""
+    if (kernel := form.kernel) is not None:
+        own = f", {100 * kernel.nugget:.3g} % of the variance each band's own" if kernel.nugget else ""
+        return f"correlation length {kernel.length_nm:.4g} nm{own}"
+    return {
+        None: "systematic: one error for all bands",
+        "systematic": "systematic: one error for all bands",
+        "random": "random by band",
+        "groups": f"one error for each of {len(form.groups_nm)} groups of bands",
+        "arms": "one error for each arm of the sensor",
+    }[form.correlation]
+
+
+def standardised(distribution: Distribution, rng: np.random.Generator, size: int) -> Array:
+    """(size,) draws of mean 0 and variance 1; those of the logarithm for log-normal (JCGM 101:2008, 6.4)."""
+    if distribution == "uniform":
+        return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), size)
+    if distribution == "triangular":
+        return rng.triangular(-np.sqrt(6.0), 0.0, np.sqrt(6.0), size)
+    return rng.standard_normal(size)
+
+
+def number_directions(value: float | Array, spread: Spread | Array) -> Array:
+    """(1, n) direction of a number, or of several that move together, with standard uncertainty ``spread``.
+
+    A log-normal error has its median at the value and the factor exp(s z) with s^2 = ln(1 + (u / value)^2), which
+    gives it the coefficient of variation u / value.
+
+    Raises
+    ------
+    UsageError : a log-normal error of a value that is not positive.
+    """
+    at = np.atleast_1d(np.asarray(value, dtype=float))
+    u = np.broadcast_to(np.asarray(spread, dtype=float), at.shape)
+    if getattr(spread, "distribution", "normal") != "log-normal":
+        return u[None, :]
+    if np.any(at <= 0.0):
+        raise UsageError(f"a log-normal error of the value {at.min():g}", expected="a positive value")
+    return np.asarray(at * np.sqrt(np.log1p((u / at) ** 2)))[None, :]
+
+
+def value_along(nominal: float | Array, rows: Array, distribution: Distribution, c: Array) -> Array:
+    """(n,) value v + c D with directions D (K, n) and factors c (K,); v exp(c D / v) where it is log-normal."""
+    if distribution != "log-normal":
+        return np.asarray(nominal + c @ rows)
+    v = np.broadcast_to(np.asarray(nominal, dtype=float), rows.shape[1:])
+    relative = np.divide(rows, v, out=np.zeros_like(rows), where=v > 0)
+    return np.asarray(v * np.exp(c @ relative))
+
+
+def _groups(form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None) -> list[npt.NDArray[np.bool_]]:
+    w = axis.centre_nm
+    if form.correlation == "groups":
+        ranges = form.groups_nm
+    else:
+        arms = sensor.specification.arms if sensor is not None else ()
+        if not arms:
+            raise UsageError("uncertainty: correlation: arms needs a sensor with arms", mend="use groups")
+        ranges = [arm.range_nm for arm in arms]
+    groups, taken = [], np.zeros(w.shape, bool)
+    for low, high in ranges:
+        here = (w >= low) & (w <= high) & ~taken
+        taken |= here
+        groups.append(here)
+    return [*groups, ~taken] if not taken.all() else groups  # bands beside all groups share one error
+
+
+def spectrum_error_covariance(
+    item: SpectrumUncertainty, surface: SurfaceStatistics, axis: SpectralAxis, sensor: Sensor | None = None
+) -> Array:
+    """Error covariance (B, B) of the field spectrum of one subject [1].
+
+    Raises
+    ------
+    UsageError : as :func:`spectrum_error_sd`, or arms without a sensor.
+    """
+    return form_covariance(spectrum_error_sd(item, surface, axis), item, axis, sensor)
+
+
+def spectrum_error_sd(item: SpectrumUncertainty, surface: SurfaceStatistics, axis: SpectralAxis) -> Array:
+    """Standard uncertainty (B,) of the field spectrum of one subject [1].
+
+    Raises
+    ------
+    UsageError : the file carries no standard deviation, or no n for a standard error.
+    """
+    if item.from_file:
+        if surface.standard_deviation is None:
+            raise UsageError(f"uncertainty of {item.subject!r}: its spectrum's file carries no standard deviation")
+        sd = np.nan_to_num(surface.standard_deviation)
+        if item.divisor == "standard_error":
+            if not surface.n:
+                raise UsageError(
+                    f"uncertainty of {item.subject!r}: the file does not say how many spectra it averages",
+                    mend="use divisor: spread",
+                )
+            sd = sd / np.sqrt(surface.n)
+    else:
+        sd = (
+            np.full(len(axis), item.absolute) if item.absolute else (item.relative or 0.0) * np.nan_to_num(surface.mean)
+        )
+    return np.asarray(sd)
+
+
 Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine", "sampling"]
 Source = Literal["stated", "usual"]
 
 
 @dataclass(frozen=True, eq=False)
-class Input:
+class UncertainInput:
     """An uncertain input.
 
     Attributes
     ----------
     name : for users; one budget has each name once
     kind : what sort of input
-    path : where it stands (:func:`hyperval.prediction.input_paths.input_path`)
+    path : where it stands (:func:`hyperval.prediction.departure.input_path`)
     nominal : the value as stated: a number, or (n,) over wavelength or over the things that it moves
     rows : (K, n) change of the value per unit along each direction, the leading one first; one unit is one standard
         uncertainty
@@ -94,7 +248,7 @@ class Input:
 def number_input(
     given: Given, name: str, kind: Kind, path: str, spread: Spread | Array, *, source: Source = "stated",
     words: str = "one number",
-) -> Input:  # fmt: skip
+) -> UncertainInput:  # fmt: skip
     """An input of one number, or of several that move together.
 
     ``spread`` : standard uncertainty of each; an array is that of a normal error.
@@ -102,21 +256,23 @@ def number_input(
     at = input_path(given, path)
     law: Distribution = getattr(spread, "distribution", "normal")
     rows = number_directions(at.nominal, spread)
-    return Input(name, kind, path, at.nominal, rows, at.to, law, words, source)
+    return UncertainInput(name, kind, path, at.nominal, rows, at.to, law, words, source)
 
 
-def spectral_input(given: Given, name: str, kind: Kind, path: str, sd: Array | float, form: SpectralForm) -> Input:
+def spectral_input(
+    given: Given, name: str, kind: Kind, path: str, sd: Array | float, form: SpectralForm
+) -> UncertainInput:
     """An input over wavelength with standard uncertainty ``sd`` (B,) and the correlation of ``form``."""
     at = input_path(given, path)
     rows = directions(np.broadcast_to(sd, len(given.axis)), form, given.axis, given.sensor)
-    return Input(name, kind, path, at.nominal, rows, at.to, form.distribution, form_in_words(form))
+    return UncertainInput(name, kind, path, at.nominal, rows, at.to, form.distribution, form_in_words(form))
 
 
 @dataclass(frozen=True)
 class Step:
     """One direction of one input, one unit up and down, everything else as stated."""
 
-    item: Input
+    item: UncertainInput
     direction: int
 
     @property
@@ -125,12 +281,12 @@ class Step:
         return self.item.direction(self.direction, 1.0), self.item.direction(self.direction, -1.0)
 
 
-def one_at_a_time(inputs: Sequence[Input], most: int) -> list[Step]:
-    """Every input by itself, along its ``most`` leading directions."""
-    return [Step(item, k) for item in inputs for k in range(min(item.size, most))]
+def one_at_a_time(inputs: Sequence[UncertainInput]) -> list[Step]:
+    """Every input by itself, along each of its directions."""
+    return [Step(item, k) for item in inputs for k in range(item.size)]
 
 
-def drawn_truths(inputs: Sequence[Input], count: int, seed: int) -> list[Departure]:
+def drawn_truths(inputs: Sequence[UncertainInput], count: int, seed: int) -> list[Departure]:
     """Truths with every input drawn from its distribution, independently of the others."""
     rng = np.random.default_rng(seed)
     return [combined(*(item.drawn(rng) for item in inputs)) for _ in range(count)]

@@ -2,35 +2,131 @@
 
 The score of a pixel follows from its fills by (3.26) and (3.28); which fills the pixels of an object have, from its
 place on the pixel grid; and what all objects have in common, from draws of the uncertain inputs.
+
+Draws of the uncertain inputs that all objects share.
+
+What whole objects score in many truths, each with all inputs certain (3.26, 3.28 for objects).
+
+All truths see the same drawn numbers, so that their differences are free of scatter; and an object whose scores
+follow from the same response in two truths has the same draws in both.
+
+The score that the model expects of a pixel of which it is known what lies there (means of 3.26 and 3.27).
+
+Mean spectrum of the pixels of one object: what lies beside it, and what its place leaves open (f of 3.10).
+
+A subject with a place is one object among others.  Its n pixels hold shares f_j of its own surface and of those
+beside it, and of its host the rest.  Over places on the pixel grid (and the stated error of positions) the shares
+have a mean and a covariance: the mean gives the mean spectrum, the covariance an error of it.
 """
 
 from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtri
 
 from hyperval.prediction.batch import Batch, Group
-from hyperval.prediction.fills import fill_distribution, fills_of_objects, geometry_of, moments, pixels_of_object
-from hyperval.prediction.input_draws import ROWS, InputDraws, input_draws
-from hyperval.prediction.responses import FILL_NODES, Responses
+from hyperval.prediction.cases import Setup
+from hyperval.prediction.departure import fill_distribution, fills_of_objects, geometry_of, moments, pixels_of_object
+from hyperval.prediction.filters import FILL_NODES, Responses, lit_surface
+from hyperval.prediction.inputs import correlation, cut
+from hyperval.processing.elm import retrieved_reflectance
 from hyperval.processing.filters import LINEAR_DETECTORS
+from hyperval.processing.roc_model import Host
 from hyperval.products import ObjectScores
-from hyperval.scenario import Geometry, Target, TargetSubject
+from hyperval.scenario import Geometry, Target, TargetSubject, Uncertainty
 from hyperval.scene.fill import PHASES, Neighbour, shared_pixel_fills
+from hyperval.scene.radiance import target_pixel_reflectance
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
+
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+
+ROWS = 1600
+# The blur's distribution stands on this many equally likely widths.
+_WIDTHS = 5
+
+
+@dataclass(frozen=True)
+class InputDraws:
+    """Draws of the uncertain inputs that all objects share.
+
+    Attributes
+    ----------
+    spectra : target -> (S, F) departure of its reflectance from the field spectrum
+    collected : target -> (S, F) departure of its reflectance as the collection holds it
+    steps : (S, K) scalar inputs of the view, in standard uncertainties
+    blur : (S,) width, in standard uncertainties, one of few values
+    """
+
+    spectra: Mapping[str, Array]
+    collected: Mapping[str, Array]
+    steps: Array
+    blur: Array
+
+    @property
+    def rows(self) -> int:
+        """S."""
+        return int(self.blur.size)
+
+
+def input_draws(batch: Batch, uncertainty: Uncertainty, bands: Index, steps: int) -> InputDraws:
+    """Draws of what the scenario calls uncertain; one row of zeros when nothing is.
+
+    Rows come in pairs of opposite sign, so that means carry no sampling error to first order.
+
+    Parameters
+    ----------
+    bands : of the detector
+    steps : scalar inputs of light and sensor
+    """
+    error = uncertainty.collected_reflectance
+    spectrum_error = {t.name: cut(batch.errors[t.name], bands) for t in batch.targets if t.name in batch.errors}
+    uncertain = steps or spectrum_error or error or uncertainty.psf_fwhm_pixels or uncertainty.position_m
+    if not uncertain:
+        return InputDraws({}, {}, np.zeros((1, 0)), np.zeros(1))
+    rng = np.random.default_rng([batch.scenario.processing.seed, 7])
+    spectra = {name: _normal(rng, covariance) for name, covariance in spectrum_error.items()}
+    collected = {}
+    if error is not None:
+        shape = correlation(batch.axis.select(bands), error.correlation_nm)
+        scaled, shifted = _normal(rng, shape), _normal(rng, shape)
+        surfaces = batch.settings.grounds[0].surfaces
+        collected = {
+            t.name: error.relative * scaled * surfaces[t.name].mean[bands] + error.absolute * shifted
+            for t in batch.targets
+        }
+    widths = ndtri((np.arange(_WIDTHS) + 0.5) / _WIDTHS)
+    blur = rng.permutation(np.resize(widths / widths.std(), ROWS))
+    if uncertainty.psf_fwhm_pixels is None:
+        blur = np.zeros(ROWS)
+    return InputDraws(spectra, collected, _pairs(rng, steps), blur)
+
+
+def _pairs(rng: np.random.Generator, columns: int) -> Array:
+    """(ROWS, columns) standard normal numbers in pairs of opposite sign."""
+    half = rng.standard_normal((ROWS // 2, columns))
+    return np.concatenate([half, -half])
+
+
+def _normal(rng: np.random.Generator, covariance: Array) -> Array:
+    """(ROWS, F) draws of a normal vector."""
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    return np.asarray(_pairs(rng, values.size) @ (vectors * np.sqrt(np.clip(values, 0.0, None))).T)
+
+
 Key = tuple[str, str]
+Laws = tuple[tuple[float, float], ...]
 
 COLUMNS = 24  # draws of objects at each of those of the inputs
 _TOGETHER = 32  # draws of the inputs at once: what a cache holds
@@ -136,23 +232,30 @@ def predicted_object_scores(
     drawn = input_draws(batch, uncertainty, here.group.bands, (points.size - 1) // 2)
     thesis, seed = batch.scenario.formulation == "thesis", batch.scenario.processing.seed
     linear = [d for d in batch.scenario.processing.detectors if d in LINEAR_DETECTORS]
-    dof = np.broadcast_to(batch.points.dof, (len(batch), len(batch.class_names)))[points[0]]
     out: dict[Key, ObjectScores] = {}
     for target in targets:
-        tail = float(dof[batch.class_names.index(target.host)])
+        number = here.number(target.name)
+        laws = host_laws(batch, number, points[0])
         for population in target.populations:
             beside = [] if thesis else neighbours_of(target, population, targets)
             wanted = Objects(
                 population, tuple(s for _, s in beside), uncertainty.psf_fwhm_pixels or 0.0, uncertainty.position_m,
-                COLUMNS if drawn.rows > 1 else draws or ROWS * COLUMNS, thesis, None if np.isinf(tail) else tail,
-                len(linear), seed,
+                COLUMNS if drawn.rows > 1 else draws or ROWS * COLUMNS, thesis, laws, len(linear), seed,
             )  # fmt: skip
             numbers = drawn_numbers(wanted, drawn.blur)
             for name, more in zip(linear, numbers.more, strict=True):
                 mean, sd = _pixel_scores(here, target.name, [t.name for t, _ in beside], name, drawn, numbers)
-                host_sd = here.responses(target.name, name, target.name)[0].at(0.0)[1]
-                out[population.name, name] = greatest_scores(mean, sd, host_sd, numbers, more)
+                host_mean, host_sd = here.responses(target.name, name, target.name)[0].at(np.zeros(1))
+                host = batch.host(number, name, points[:1], numbers.rest.reshape(1, -1), host_mean, host_sd**2)
+                out[population.name, name] = greatest_scores(mean, sd, host, numbers, more)
     return out
+
+
+def host_laws(batch: Batch, number: int, point: int) -> Laws:
+    """Parts and degrees of freedom of the laws of a target's host in one evaluation; none: one normal law."""
+    _, parts, dof = batch.host_laws(number)
+    laws = tuple(zip(parts.tolist(), dof[point if dof.shape[0] > 1 else 0].tolist(), strict=True))
+    return () if laws == ((1.0, math.inf),) else laws
 
 
 @dataclass(frozen=True)
@@ -165,7 +268,7 @@ class Objects:
     position_m: float | None
     columns: int
     thesis: bool
-    dof: float | None
+    host: Laws
     detectors: int
     seed: int
 
@@ -180,6 +283,7 @@ class Numbers:
     places : (S, R) which of them a draw has
     host : (S, R, n) departures of the host in a pixel, of variance 1
     more : for each detector the normal numbers of what is not of the host, None where all of it is normal
+    law : (S, R, n) which of its laws the host in a pixel is of, None where it has one
     """
 
     fills: Array
@@ -187,6 +291,7 @@ class Numbers:
     places: Index
     host: Array
     more: tuple[Array | None, ...]
+    law: Index | None = None
 
     @cached_property
     def weights(self) -> Array:
@@ -212,11 +317,16 @@ def drawn_numbers(objects: Objects, blur: Array) -> Numbers:
     rng = np.random.default_rng([objects.seed, 11, zlib.crc32(objects.population.name.encode())])
     fills, others, places = _drawn_fills(objects, blur, rng)
     shape = (*places.shape, fills.shape[1])
-    host, dof = rng.standard_normal(shape), objects.dof
-    if dof is not None:  # normal departures of the host become those of a t of the same variance
-        host *= np.sqrt((dof - 2.0) / rng.chisquare(dof, shape))
-    more = [None if dof is None else rng.standard_normal(shape) for _ in range(objects.detectors)]
-    return Numbers(fills, others, places, host, tuple(more))
+    host, law = rng.standard_normal(shape), None
+    if objects.host:
+        parts, dof = np.array(objects.host).T
+        law = rng.choice(dof.size, shape, p=parts) if dof.size > 1 else None
+        own = np.broadcast_to(dof if law is None else dof[law], shape)
+        # Normal departures of the host become those of a t of the same variance.
+        tailed = np.isfinite(own)
+        host[tailed] *= np.sqrt((own[tailed] - 2.0) / rng.chisquare(own[tailed]))
+    more = [rng.standard_normal(shape) if objects.host else None for _ in range(objects.detectors)]
+    return Numbers(fills, others, places, host, tuple(more), law)
 
 
 def neighbours_of(
@@ -292,9 +402,7 @@ def _pixel_scores(
     mean, sd = own.at(fills)
     steps, weights = len(moved) // 2, here.weights(target, name)
     # What the inputs and the neighbours add to the mean is linear in what they are by.
-    parts = [
-        0.5 * (up.at(fills)[0] - down.at(fills)[0]) for up, down in zip(moved[:steps], moved[steps:], strict=True)
-    ]
+    parts = [0.5 * (up.at(fills)[0] - down.at(fills)[0]) for up, down in zip(moved[:steps], moved[steps:], strict=True)]
     by = [*drawn.steps.T, _departure(here, weights, target, drawn)]
     parts.append(fills)
     if beside:
@@ -314,19 +422,28 @@ def _mean_draws(mean: Array, parts: Array, by: Array, places: Index) -> Array:
     for start in range(0, len(by), _TOGETHER):
         rows = slice(start, start + _TOGETHER)
         some = parts[places[rows]]  # (s, R, n, F)
-        out[rows] += np.matmul(some.reshape(len(some), -1, some.shape[-1]), by[rows, :, None]).reshape(
-            some.shape[:-1]
-        )
+        out[rows] += np.matmul(some.reshape(len(some), -1, some.shape[-1]), by[rows, :, None]).reshape(some.shape[:-1])
     return out
 
 
-def greatest_scores(mean: Array, sd: Array, host_sd: Array, numbers: Numbers, more: Array | None) -> ObjectScores:
-    """Draws (S, R) of the greatest score over the pixels of an object, from their moments (S, R, n) and (L, n)."""
-    if more is None:
+def greatest_scores(mean: Array, sd: Array, host: Host | None, numbers: Numbers, more: Array | None) -> ObjectScores:
+    """Draws (S, R) of the greatest score over the pixels of an object, from their moments (S, R, n) and (L, n).
+
+    ``host`` : with its share in the L n pixels; None: one normal law
+    """
+    if more is None or host is None:
         return ObjectScores((mean + sd[numbers.places] * numbers.host).max(axis=2))
-    part = np.minimum(np.abs(numbers.rest * host_sd), sd)
-    left = np.sqrt(sd**2 - part**2)
-    return ObjectScores((mean + part[numbers.places] * numbers.host + left[numbers.places] * more).max(axis=2))
+    flat, places = sd.reshape(1, -1), numbers.places
+    by_law = [
+        [a.reshape(sd.shape) for a in (part.mean, np.sqrt(part.tailed), np.sqrt(part.normal))]
+        for part in host.parts(np.zeros(flat.shape), flat)
+    ]
+    if numbers.law is None:
+        away, own, left = (a[places] for a in by_law[0])
+    else:
+        at = numbers.law, places[..., None], np.arange(sd.shape[1])
+        away, own, left = (np.array(a)[at] for a in zip(*by_law, strict=True))
+    return ObjectScores((mean + away + own * numbers.host + left * more).max(axis=2))
 
 
 def _departure(here: Evaluations, weights: Array, target: str, drawn: InputDraws) -> Array:
@@ -337,3 +454,193 @@ def _departure(here: Evaluations, weights: Array, target: str, drawn: InputDraws
     if target in drawn.collected:
         out = out + drawn.collected[target] @ weights
     return out
+
+
+def object_scores_of_truths(
+    batch: Batch, setups: Sequence[Setup], draws: int | None = None
+) -> list[dict[Key, ObjectScores]]:
+    """The draws of :func:`predicted_object_scores` for each evaluation of a batch; ``setups`` are its truths.
+
+    Where replicates leave the spectrum of a target uncertain, each has draws of that too.
+    """
+    points: npt.NDArray[np.intp] = np.arange(len(setups))
+    if any(target.name in batch.errors for target in batch.targets):
+        each = enumerate(setups)
+        return [predicted_object_scores(batch, np.array([p]), s.scenario.scene.targets, draws) for p, s in each]
+
+    @cache
+    def nodes(target: str, detector: str, holds: int) -> tuple[Array, Array]:
+        return response_nodes(batch, points, target, detector, holds)
+
+    numbers_of = {target.name: i for i, target in enumerate(batch.targets)}
+    linear = [d for d in batch.scenario.processing.detectors if d in LINEAR_DETECTORS]
+    out: list[dict[Key, ObjectScores]] = [{} for _ in setups]
+    for number, target in enumerate(batch.targets):
+        alike: dict[tuple[int, Laws], list[int]] = {}
+        for point, setup in enumerate(setups):
+            alike.setdefault((id(setup.room), host_laws(batch, number, point)), []).append(point)
+        for (_, laws), members in alike.items():
+            setup = setups[members[0]]
+            for population in setup.scenario.scene.targets[number].populations:
+                beside = _beside(setup, setup.scenario.scene.targets[number], population)
+                wanted = _objects(setup, population, beside, laws, len(linear), draws)
+                numbers = _few_numbers(wanted) if draws else drawn_numbers(wanted, np.zeros(1))
+                for name, more in zip(linear, numbers.more, strict=True):
+                    own = [moments[members] for moments in nodes(target.name, name, number)]
+                    share, bare = numbers.rest.reshape(1, -1), [moments[:, 0] for moments in own]
+                    host = batch.host(number, name, np.array(members), share, *bare)
+                    full = [nodes(target.name, name, numbers_of[t.name]) for t, _ in beside]
+                    beside_them = [(m[members], v[members]) for m, v in full]
+                    scores = _scores(own[0], own[1], beside_them, host, numbers, more)
+                    for point, one in zip(members, scores, strict=True):
+                        out[point][population.name, name] = one
+    return out
+
+
+def _scores(
+    means: Array, variances: Array, beside: Sequence[tuple[Array, Array]], host: Host | None, numbers: Numbers,
+    more: Array | None,
+) -> Iterator[ObjectScores]:  # fmt: skip
+    """Draws of an object in P truths, by (P, 9) moments of pixels with parts of itself, and of each neighbour."""
+    rows, nodes = numbers.weights.reshape(-1, means.shape[1]), np.concatenate([means, variances])
+    moments = (nodes @ rows.T).reshape(2, len(means), *numbers.fills.shape)
+    made: dict[bytes, ObjectScores] = {}
+    for p, (mean, variance) in enumerate(moments.swapaxes(0, 1)):
+        full = np.array([(level[p, -1], spread[p, -1]) for level, spread in beside]).reshape(-1, 2)
+        of_host = None if host is None else host.rows(np.array([p]))
+        laws = b"" if of_host is None else b"".join(a.tobytes() for a in vars(of_host.laws).values())
+        key = nodes[[p, len(means) + p]].tobytes() + full.tobytes() + laws
+        if key not in made:
+            full_sd, host_sd = (np.sqrt(np.clip(v, 0.0, None)) for v in (full[:, 1], variances[p, 0]))
+            mean = mean + numbers.others @ (full[:, 0] - means[p, 0])
+            sd = numbers.shared_sd(np.clip(variance, 0.0, None), host_sd, full_sd)
+            made[key] = greatest_scores(mean[numbers.places], sd, of_host, numbers, more)
+        yield made[key]
+
+
+def _beside(setup: Setup, target: Target, population: TargetSubject) -> list[tuple[Target, TargetSubject]]:
+    key, scenario = ("beside", population.name), setup.scenario
+    if scenario.formulation == "thesis":
+        return []
+    if key not in setup.room:
+        setup.room[key] = neighbours_of(target, population, scenario.scene.targets)
+    beside: list[tuple[Target, TargetSubject]] = setup.room[key]
+    return beside
+
+
+def _objects(
+    setup: Setup, population: TargetSubject, beside: Sequence[tuple[Target, TargetSubject]], laws: Laws,
+    detectors: int, draws: int | None,
+) -> Objects:  # fmt: skip
+    scenario = setup.scenario
+    return Objects(
+        population, tuple(s for _, s in beside), 0.0, None, draws or ROWS * COLUMNS,
+        scenario.formulation == "thesis", laws, detectors, scenario.processing.seed,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=64)  # populations; those of few draws, some 0.1 to 1 MB each
+def _few_numbers(objects: Objects) -> Numbers:
+    """The same numbers each time that a population is asked for."""
+    return drawn_numbers(objects, np.zeros(1))
+
+
+def expected_scores(batch: Batch, points: Index) -> dict[tuple[str, str, str], float]:
+    """(what lies there, target, detector) -> expected score [1], of linear detectors in the first of ``points``.
+
+    What lies there is a class, a panel, a site or a population of any target, whichever target the filter looks
+    for.  The score is linear in what the detector sees, and that in the reflectance: the mean score of a population
+    is that of its mean fill.  A surface whose spectrum lacks bands of the detector has none.
+    """
+    here, point = Evaluations(batch, points[:1]), int(points[0])
+    group, row = here.group, here.row
+    at, setting = group.at.rows(np.array([row])), batch.points.setting[point]
+    surfaces = batch.settings.grounds[batch.settings.which[setting]].surfaces
+    scene = batch.scenario.scene
+    means = {s.name: surfaces[s.name].mean[group.bands] for s in (*scene.classes, *scene.panels, *scene.sites)}
+    for number, target in enumerate(batch.targets):
+        beam, sky = (batch.points.of(part, number)[points[:1]] for part in (batch.points.beam, batch.points.sky))
+        lit = lit_surface(at, batch.material(number, beam, sky, group.bands))[0][0, 0]
+        for p, population in enumerate(target.populations):
+            fill = batch.fill_of(point, number, p).mean
+            means[population.name] = target_pixel_reflectance(fill, lit, means[target.host])
+    seen = retrieved_reflectance(at.view.line(), at.levels(np.array(list(means.values()))))[0]
+    out: dict[tuple[str, str, str], float] = {}
+    for (looks_for, detector), (filters, _, _) in group.filters.items():
+        scores = seen @ filters.weights[row] - filters.offset[row]
+        expected = zip(means, scores.tolist(), strict=True)
+        out |= {(name, looks_for, detector): score for name, score in expected if np.isfinite(score)}
+    return out
+
+
+# Names of the sources in the budget.
+PLACE = "place of the targets on the pixel grid"
+HOST = "background at the target's place"
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """Shares of an object's pixels, all of them together.
+
+    Attributes
+    ----------
+    names : (J,) targets whose surfaces they are, the object's own first; a material may stand there more than once
+    mean : (J,) expected shares
+    covariance : (J, J) over places on the pixel grid and the errors of positions
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
+
+    @property
+    def rest(self) -> float:
+        """Share of the host."""
+        return float(1.0 - self.mean.sum())
+
+
+def shares_of(
+    target: Target, population: TargetSubject, targets: Sequence[Target], position_m: float | None, seed: int
+) -> Shares | None:
+    """Shares of one object's pixels; None where the scenario does not say where the object lies.
+
+    Parameters
+    ----------
+    position_m : standard uncertainty of the places of neighbours in line and sample [m], None: known
+    """
+    geometry = population.fill.geometry
+    if geometry is None or population.position_m is None:
+        return None
+    beside = neighbours_of(target, population, targets)
+    placed = [placed_beside(population, subject) for _, subject in beside]
+    shifts = None
+    if position_m is not None and placed:
+        rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
+        count = 1 if geometry.phase == "centred" else PHASES
+        shifts = rng.normal(0.0, position_m / geometry.gsd_m, (count, len(placed), 2))
+    own, others = shared_pixel_fills(geometry_of(population.fill), pixels_of_object(population.fill), placed, shifts)
+    each = np.concatenate([own.mean(axis=1)[:, None], others.mean(axis=1)], axis=1)  # (K, J)
+    mean = each.mean(axis=0)
+    away = each - mean
+    return Shares((target.name, *(t.name for t, _ in beside)), mean, away.T @ away / len(each))
+
+
+def mixed(shares: Shares, full: Mapping[str, Array], host: Array) -> Array:
+    """(B,) mean reflectance: sum_j f_j rho_j + (1 - sum_j f_j) rho_host (3.10 for several surfaces)."""
+    contrast = np.array([full[name] - host for name in shares.names])
+    return np.asarray(host + shares.mean @ contrast)
+
+
+def place_covariance(shares: Shares, full: Mapping[str, Array], host: Array) -> Array:
+    """(B, B) error of that mean by the shares: D^T cov(f) D with the contrasts D (J, B) to the host."""
+    contrast = np.array([full[name] - host for name in shares.names])
+    return np.asarray(contrast.T @ shares.covariance @ contrast)
+
+
+def host_covariance(shares: Shares, host: Array, gain: float) -> Array:
+    """(B, B) error of that mean by the ground that happens to lie there: (1 - sum f_j)^2 of the host's own spread.
+
+    The pixels of one object are near each other, so the host in them counts as one draw of its class and not as n:
+    an upper limit.  It overstates what is independent from pixel to pixel, noise above all.
+    """
+    return np.asarray(shares.rest**2 * gain * host)

@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.prediction.background import Ground
-from hyperval.prediction.cases import Case
-from hyperval.prediction.fills import fill_distribution
+from hyperval.prediction.background import Ground, View
+from hyperval.prediction.cases import Case, Setup, settings_of
+from hyperval.prediction.departure import fill_distribution
 from hyperval.prediction.inputs import SurfaceStatistics
-from hyperval.prediction.placed_target import (
-    HOST,
-    PLACE,
-    Shares,
-    host_covariance,
-    mixed,
-    place_covariance,
-    shares_of,
-    spectra_covariance,
-)
-from hyperval.prediction.setup import Setup
+from hyperval.prediction.object_scores import HOST, PLACE, Shares, host_covariance, mixed, place_covariance, shares_of
 from hyperval.prediction.uncertainty import Steps, combined, interpolation_errors, known, spectral_errors
-from hyperval.prediction.view import View
-from hyperval.processing.elm_model import retrieved_covariance, retrieved_reflectance
+from hyperval.processing.elm import retrieved_covariance, retrieved_reflectance
 from hyperval.products import SpectralEstimate
-from hyperval.scenario import Target, TargetSubject
-from hyperval.scenario_uncertainty import EngineUncertainty
+from hyperval.scenario import EngineUncertainty, Target, TargetSubject
 from hyperval.scene.radiance import target_pixel_covariance, target_pixel_reflectance, toa_reflectance
 
 Array = npt.NDArray[np.float64]
+_STEP = 1e-4  # of reflectance [1], for derivatives by a spectrum: their error goes by its square
+_NO_SLOPE = 1e-9  # relative to a slope of 1: what rounding leaves where nothing follows
 
 
 def without_calibration_error(subject: str) -> str:
@@ -55,7 +45,7 @@ class SpectralProducts:
 class _Subject:
     """What is seen of one subject: what it reflects, what meets light of the surroundings, its spread.
 
-    ``error`` is that of its field spectra, ``others`` are error covariances (B, B) of its reflectance by source.
+    ``others`` are error covariances (B, B) of its reflectance by source, those of surfaces' spectra apart.
     """
 
     name: str
@@ -63,7 +53,6 @@ class _Subject:
     under_sky: Array
     covariance: Array
     gain: float
-    error: Array | None
     pure: bool  # a class, panel or site; target pixels have no SNR of their own
     others: Mapping[str, Array] = field(default_factory=dict)
 
@@ -73,7 +62,7 @@ def spectral_products(
     ground: Ground,
     view: View,
     steps: Steps,
-    errors: Mapping[str, Array],
+    errors: Sequence[MeanError],
     engine: EngineUncertainty | None,
 ) -> SpectralProducts:
     """All spectra of a case with their errors.
@@ -82,11 +71,11 @@ def spectral_products(
     ----------
     ground, view : of the case, its arrays (B,)
     steps : the light and sensor one standard uncertainty up and down
-    errors : subject -> (B, B) error covariance of its field spectrum
+    errors : of the spectra of surfaces
     engine : what is stated of the error of the atmosphere engine
     """
     out, setup = SpectralProducts(), case.setup
-    axis, subjects = setup.used.axis, _subjects(setup, view, errors)
+    axis, subjects, moved = setup.used.axis, _subjects(setup, view), _moved(case, errors)
     # One piece of memory for all: new pages for each matrix take longer than the numbers in it.
     *room, scratch = np.empty((1 + 2 * len(subjects), len(axis), len(axis)))
     for number, subject in enumerate(subjects):
@@ -95,7 +84,8 @@ def spectral_products(
         seen = view.seen(level, subject.under_sky, subject.covariance, around, subject.gain, of_radiance, scratch)
         if view.terms is not None:
             changes = steps.changes(lambda v, rho=subject.rho: v.level(rho))  # type: ignore[misc]
-            shapes = spectral_errors(view, subject.rho, axis, engine, subject.error, setup.used.sensor)
+            shapes = spectral_errors(view, subject.rho, axis, engine, setup.used.sensor)
+            shapes |= _of_spectra(moved, subject.name, lambda v, rho: v.level(rho))
             shapes |= _through(view, subject.others) | interpolation_errors(view, axis)
             total, budget = combined(changes, shapes, len(axis))
             out.radiance[subject.name] = SpectralEstimate(level, total, known(seen), None, budget)
@@ -108,9 +98,12 @@ def spectral_products(
             changes = steps.changes(
                 lambda v, rho=subject.rho: retrieved_reflectance(v.library_line(), v.level(rho))  # type: ignore[misc]
             )
-            shapes = spectral_errors(view, subject.rho, axis, None, subject.error) | _through(view, subject.others)
+            shapes = _through(view, subject.others)
             if view.terms is not None:
                 shapes = {source: retrieved_covariance(line, c) for source, c in shapes.items()}
+            shapes |= _of_spectra(
+                moved, subject.name, lambda v, rho: retrieved_reflectance(v.library_line(), v.level(rho))
+            )
             total, budget = combined(changes, shapes, len(axis))
             pixel = known(seen if view.terms is None else retrieved_covariance(line, seen, of_reflectance))
             mean = retrieved_reflectance(line, level)
@@ -171,18 +164,100 @@ def _through(view: View, errors: Mapping[str, Array]) -> dict[str, Array]:
     return {source: view.through(c) for source, c in errors.items()}
 
 
-def _subjects(setup: Setup, view: View, errors: Mapping[str, Array]) -> list[_Subject]:
-    scenario, surfaces, subjects = setup.scenario, setup.surfaces, []
-    scene = scenario.scene
+@dataclass(frozen=True)
+class MeanError:
+    """Error covariance (B, B) of the mean reflectance of a surface, under the name of its source in budgets."""
+
+    source: str
+    surface: str
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class _MovedSpectrum:
+    """An error of a spectrum, and views and reflectances of the subjects with that spectrum higher and lower."""
+
+    error: MeanError
+    ends: tuple[tuple[View, Mapping[str, tuple[Array, Array]]], ...]
+
+
+def _moved(case: Case, errors: Sequence[MeanError]) -> list[_MovedSpectrum]:
+    """Spectra that are in error, moved up and down with what follows them: surroundings, light, darkest pixel."""
+    if not errors:
+        return []
+    setup, names = case.setup, list(dict.fromkeys(e.surface for e in errors))
+
+    def with_mean(name: str, step: float) -> Case:
+        surface = setup.surfaces[name]
+        surfaces = {**setup.surfaces, name: replace(surface, mean=surface.mean + step)}
+        return replace(case, setup=replace(setup, surfaces=surfaces))
+
+    cases = [with_mean(name, step) for name in names for step in (_STEP, -_STEP)]
+    views = settings_of(cases).view
+    ends = [(row, _reflectances(c.setup, row)) for c, row in ((c, views.row(i)) for i, c in enumerate(cases))]
+    return [_MovedSpectrum(e, tuple(ends[2 * names.index(e.surface) :][:2])) for e in errors]
+
+
+def _of_spectra(moved: Sequence[_MovedSpectrum], subject: str, of: Callable[[View, Array], Array]) -> dict[str, Array]:
+    """Errors (B, B) of what ``of`` makes of a subject, by those of spectra; each band follows its own alone."""
+    out: dict[str, Array] = {}
+    for m in moved:
+        up, down = (of(view, rho[subject][0]) for view, rho in m.ends)
+        slope = (up - down) / (2.0 * _STEP)
+        if np.nanmax(np.abs(slope), initial=0.0) > _NO_SLOPE:
+            error = m.error.covariance * np.outer(slope, slope)
+            out[m.error.source] = out[m.error.source] + error if m.error.source in out else error
+    return out
+
+
+def _reflectances(setup: Setup, view: View) -> dict[str, tuple[Array, Array]]:
+    """Subject -> (B,) what it reflects, as a surface in the open would have to, and what meets light of the
+    surroundings (3.10).
+    """
+    scene, surfaces = setup.scenario.scene, setup.surfaces
+    out = {s.name: 2 * (surfaces[s.name].mean,) for s in (*scene.classes, *scene.panels, *scene.sites)}
+    lit = {t.name: _lit(t, surfaces[t.name], view) for t in scene.targets}
+    for t in scene.targets:
+        host = surfaces[t.host].mean
+        for population in t.populations:
+            shares = _shares(setup, t, population)
+            if shares is None:
+                fill = fill_distribution(population.fill).mean
+                one, other = (
+                    target_pixel_reflectance(fill, x, host) for x in (lit[t.name].mean, lit[t.name].under_sky)
+                )
+            else:
+                one = mixed(shares, {n: x.mean for n, x in lit.items()}, host)
+                other = mixed(shares, {n: x.under_sky for n, x in lit.items()}, host)
+            out[population.name] = one, other
+    return out
+
+
+def _shares(setup: Setup, t: Target, population: TargetSubject) -> Shares | None:
+    """Shares of an object at its place; None where there is no place, or the printed form."""
+    scenario, key = setup.scenario, ("shares", population.name)
+    if scenario.formulation == "thesis":
+        return None
+    if key not in setup.room:
+        position, targets = scenario.uncertainty.position_m, scenario.scene.targets
+        setup.room[key] = shares_of(t, population, targets, position, scenario.processing.seed)
+    shares: Shares | None = setup.room[key]
+    return shares
+
+
+def _subjects(setup: Setup, view: View) -> list[_Subject]:
+    scene, surfaces, subjects = setup.scenario.scene, setup.surfaces, []
+    reflectances = _reflectances(setup, view)
     for c in scene.classes:
         s = surfaces[c.name]
         covariance = s.covariance if c.gain == 1.0 else c.gain * s.covariance
-        subjects.append(_Subject(c.name, s.mean, s.mean, covariance, c.gain, errors.get(c.name), True))
+        subjects.append(_Subject(c.name, s.mean, s.mean, covariance, c.gain, True))
     for surface in (*scene.panels, *scene.sites):
         s = surfaces[surface.name]
-        subjects.append(_Subject(surface.name, s.mean, s.mean, s.covariance, 1.0, errors.get(surface.name), True))
+        subjects.append(_Subject(surface.name, s.mean, s.mean, s.covariance, 1.0, True))
     for t in scene.targets:
-        subjects += [_mixed(setup, view, errors, t, population) for population in t.populations]
+        for population in t.populations:
+            subjects.append(_mixed(setup, view, t, population, *reflectances[population.name]))
     return subjects
 
 
@@ -190,78 +265,40 @@ def _subjects(setup: Setup, view: View, errors: Mapping[str, Array]) -> list[_Su
 class _Lit:
     """A target under its own light, as a surface in the open would have to be to look like it (ground term of 3.7).
 
-    ``under_sky`` : reflectance times sky view, what the light from the surroundings meets (D_B of 3.11); ``error``
-    of its field spectrum, None without
+    ``under_sky`` : reflectance times sky view, what the light from the surroundings meets (D_B of 3.11); ``shade``
+    (B,) or 1 is its light over that in the open
     """
 
     mean: Array
-    covariance: Array
+    shade: Array | float
     under_sky: Array
-    error: Array | None
 
 
-def _lit(t: Target, own: SurfaceStatistics, view: View, error: Array | None) -> _Lit:
+def _lit(t: Target, own: SurfaceStatistics, view: View) -> _Lit:
     light = t.illumination
     factor = view.light(light.beam, light.sky_view) if light else 1.0
-    if np.ndim(factor) == 0:
-        return _Lit(own.mean, own.covariance, own.mean, error)
-    shade = np.outer(factor, factor)
-    sky = light.sky_view if light else 1.0
-    return _Lit(own.mean * factor, own.covariance * shade, own.mean * sky, None if error is None else error * shade)
+    if light is None or np.ndim(factor) == 0:
+        return _Lit(own.mean, 1.0, own.mean)
+    return _Lit(own.mean * factor, factor, own.mean * light.sky_view)
 
 
-def _mixed(setup: Setup, view: View, errors: Mapping[str, Array], t: Target, population: TargetSubject) -> _Subject:
-    """Target pixels of one population (3.10, 3.12)."""
-    scenario, surfaces = setup.scenario, setup.surfaces
-    scene, host = scenario.scene, surfaces[t.host]
-    lit = _lit(t, surfaces[t.name], view, errors.get(t.name))
+def _mixed(setup: Setup, view: View, t: Target, population: TargetSubject, rho: Array, under_sky: Array) -> _Subject:
+    """Target pixels of one population (3.10, 3.12); of one object at its place with what lies beside it."""
+    scene, surfaces, host = setup.scenario.scene, setup.surfaces, setup.surfaces[t.host]
+    lit = {o.name: _lit(o, surfaces[o.name], view) for o in scene.targets}
+    own, shade = surfaces[t.name], lit[t.name].shade
     gain = next(c.gain for c in scene.classes if c.name == t.host)
     fill = fill_distribution(population.fill)
     covariance = target_pixel_covariance(
-        fill.mean, fill.variance, lit.mean, lit.covariance, host.mean, host.covariance,
-        target_gain=t.gain, host_gain=gain, fine_texture=surfaces[t.name].fine_texture,
-        formulation=scenario.formulation,
+        fill.mean, fill.variance, lit[t.name].mean,
+        own.covariance if np.ndim(shade) == 0 else own.covariance * np.outer(shade, shade),
+        host.mean, host.covariance, target_gain=t.gain, host_gain=gain, fine_texture=own.fine_texture,
+        formulation=setup.scenario.formulation,
     )  # fmt: skip
-    if scenario.formulation != "thesis":
-        position, key = scenario.uncertainty.position_m, ("shares", population.name)
-        if key not in setup.room:
-            setup.room[key] = shares_of(t, population, scene.targets, position, scenario.processing.seed)
-        shares = setup.room[key]
-        if shares is not None:
-            return _placed(population.name, shares, setup, view, errors, t.host, covariance)
-    parts = [] if lit.error is None else [fill.mean**2 * lit.error]
-    if t.host in errors and fill.mean < 1.0:
-        parts.append((1.0 - fill.mean) ** 2 * errors[t.host])  # the rest of the pixel
-    error = np.sum(parts, axis=0) if parts else None
-    rho = target_pixel_reflectance(fill.mean, lit.mean, host.mean)
-    under_sky = target_pixel_reflectance(fill.mean, lit.under_sky, host.mean)
-    return _Subject(population.name, rho, under_sky, covariance, gain, error, False)
-
-
-def _placed(
-    name: str, shares: Shares, setup: Setup, view: View, errors: Mapping[str, Array], host: str, covariance: Array
-) -> _Subject:
-    """One object at its place, with what lies beside it."""
-    scene, surfaces = setup.scenario.scene, setup.surfaces
-    lit = {
-        t.name: _lit(t, surfaces[t.name], view, errors.get(t.name)) for t in scene.targets if t.name in shares.names
-    }
-    full, under_sky = {n: x.mean for n, x in lit.items()}, {n: x.under_sky for n, x in lit.items()}
-    own = {n: x.error for n, x in lit.items() if x.error is not None}
-    ground, gain = surfaces[host], next(c.gain for c in scene.classes if c.name == host)
-    spectra = spectra_covariance(shares, own, ground.mean.size)
-    if host in errors:
-        spectra = spectra + shares.rest**2 * errors[host]
-    return _Subject(
-        name,
-        mixed(shares, full, ground.mean),
-        mixed(shares, under_sky, ground.mean),
-        covariance,
-        gain,
-        spectra,
-        False,
-        {
-            PLACE: place_covariance(shares, full, ground.mean),
-            HOST: host_covariance(shares, ground.covariance, gain),
-        },
-    )
+    others = {}
+    if (shares := _shares(setup, t, population)) is not None:
+        others = {
+            PLACE: place_covariance(shares, {n: x.mean for n, x in lit.items()}, host.mean),
+            HOST: host_covariance(shares, host.covariance, gain),
+        }
+    return _Subject(population.name, rho, under_sky, covariance, gain, False, others)

@@ -10,17 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.prediction.departure import Departure, true_scenario
-from hyperval.prediction.fills import fills_of_objects
+from hyperval.prediction.departure import Departure, fills_of_objects, true_scenario
 from hyperval.prediction.inputs import Sources, correlation, cut
-from hyperval.processing.class_features import class_features, feature_bands
-from hyperval.processing.filters import PositiveDefinite
-from hyperval.processing.gaussian_classifier import ClassLaw, predicted_error
-from hyperval.processing.unmixing import fully_constrained
-from hyperval.products import Abundance, ClassificationError, Prediction
+from hyperval.processing.classification import ClassLaw, class_features, feature_bands, predicted_error
+from hyperval.processing.filters import PositiveDefinite, fully_constrained
+from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
 from hyperval.scenario import Scenario, Target, TargetSubject
-from hyperval.spectra.axis import SpectralAxis
-from hyperval.spectra.windows import in_window
+from hyperval.spectra.axis import SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]
 
@@ -63,7 +59,7 @@ def labelled(method: str, endmembers: str) -> str:
 
 def predicted_areas(
     scenario: Scenario,
-    prediction: Prediction,
+    prediction: PredictedProducts,
     subjects: Iterable[UnmixedSubject],
     bands: npt.NDArray[np.bool_],
     covariances: Mapping[str, Array | None],
@@ -76,11 +72,12 @@ def predicted_areas(
 ) -> dict[tuple[str, str], Abundance]:
     """Mean and spread of the area that unmixing would find, by (subject, method).
 
-    A pixel is f t + (1 - f) b (3.10): fills of a whole object from the geometry, background pixels b from the host
-    class as predicted, target pixels t about the endmember, whose error is common to all pixels of an object. The
-    background endmember is the mean of as many pixels as lie around the object. Background pixels are drawn
-    independent of each other. Subjects that the scenario does not hold are left out; so are all where light is
-    computed (a scenario with an atmosphere), since noise would have to be drawn for each fill.
+    A pixel is f t + (1 - f) b (3.10): fills of a whole object from the geometry, background pixels b by the
+    laws of the host class as predicted, target pixels t about the endmember, whose error is common to all
+    pixels of an object. The background endmember is the mean of as many pixels as lie around the object.
+    Background pixels are drawn independent of each other. Subjects that the scenario does not hold are left
+    out; so are all where light is computed (a scenario with an atmosphere), since noise would have to be
+    drawn for each fill.
 
     Parameters
     ----------
@@ -117,7 +114,7 @@ def _objects(
     target: Target,
     population: TargetSubject,
     item: UnmixedSubject,
-    prediction: Prediction,
+    prediction: PredictedProducts,
     sources: Sources,
     index: npt.NDArray[np.intp],
     draws: int,
@@ -129,16 +126,18 @@ def _objects(
     ``other`` : (B,) by how much the target's reflectance truly differs from its endmember.
     """
     host = prediction.reflectance[target.host]
-    known = prediction.distribution.get(target.host)
-    law = ClassLaw(
-        host.mean[index], _full_rank(cut(host.pixel_covariance, index)), np.inf if known is None else known.tail_dof
-    )
+    known = prediction.distribution.get(target.host, PixelDistribution())
+    law = ClassLaw(host.mean[index], _full_rank(cut(host.pixel_covariance, index)), known.tail_dof)
+    laws = [
+        (part, ClassLaw((host.mean + offset)[index], _full_rank(cut(covariance, index)), dof))
+        for part, offset, covariance, dof in known.clusters
+    ]
     spectrum = item.spectrum[index]
     spread = ClassLaw(np.zeros(index.size), _full_rank(cut(sources.surface(target).covariance, index)))
     fills = fills_of_objects(population.fill)
     f = fills[rng.integers(fills.shape[0], size=draws)][..., None]
     shape = f.shape[:2]
-    background = _from_pool(law, shape, rng)
+    background = _of_host(laws or [(1.0, law)], shape, rng)
     material = _from_pool(spread, shape, rng)
     material += spectrum + other[index]
     if item.relative_uncertainty > 0:
@@ -149,6 +148,18 @@ def _objects(
     material *= f
     material += background
     return material, endmembers
+
+
+def _of_host(laws: Sequence[tuple[float, ClassLaw]], shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """(*shape, F) pixels of a class that is made of some laws."""
+    if len(laws) == 1:
+        return _from_pool(laws[0][1], shape, rng)
+    which = rng.choice(len(laws), shape, p=[part for part, _ in laws])
+    out = np.empty((*shape, laws[0][1].mean.size))
+    for k, (_, law) in enumerate(laws):
+        here = which == k
+        out[here] = _from_pool(law, (int(here.sum()),), rng)
+    return out
 
 
 def _from_pool(law: ClassLaw, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
@@ -190,7 +201,7 @@ class FeatureChoice(Protocol):
 
 
 def predicted_classification(
-    prediction: Prediction,
+    prediction: PredictedProducts,
     sets: Sequence[Sequence[str]],
     features: Sequence[FeatureChoice],
     quantity: str,

@@ -82,6 +82,7 @@ def ace_exceedance(
     tail_dof: float | None = None,
     scores: npt.ArrayLike = _SCORES,
     decades: Sequence[float] = (0.0,),
+    normal: npt.ArrayLike | None = None,
 ) -> Exceedance:
     """P(ACE > eta) of a population (in the place of 3.26-3.29 and 3.31, 3.33).
 
@@ -92,33 +93,43 @@ def ace_exceedance(
     tail_dof : degrees of freedom of a multivariate t with this mean and covariance; None: Gaussian
     scores : (S,) values eta in 0-1
     decades : -log10 of the probabilities of interest; the draws are shared out among them
+    normal : (F, F) added to ``covariance``, of a normal law whatever the tails; None: nothing
     """
     eta = np.asarray(scores, dtype=float)
     cov = np.asarray(covariance, dtype=float)
     # A population without any spread in some direction still has a factor.
     floor = 1e-12 * np.diag(space.background.matrix)
-    g = space.background.whiten(np.linalg.cholesky(cov + np.diag(floor)))
+    roots = [np.linalg.cholesky(cov + np.diag(floor))]
+    if normal is not None:
+        values, vectors = np.linalg.eigh(np.asarray(normal, dtype=float))
+        roots.append(vectors * np.sqrt(np.maximum(values, 0.0)))
+    each = [space.background.whiten(root) for root in roots]
     m = space.background.whiten(np.asarray(mean, dtype=float) - space.mean)
-    along = g.T @ space.axis
-    length = float(np.linalg.norm(along))
-    unit = along / length
-    z = rng.standard_normal((draws, m.size))
-    z -= (z @ unit)[:, None] * unit  # the direction that is integrated exactly
-    weight = _drawn_closer(z, decades)
-    scale = np.ones(draws)
+    z = rng.standard_normal((draws, m.size * len(each)))
+    scales = np.ones((len(each), draws))  # of the parts of a draw: those with tails are stretched together
     if tail_dof is not None:
-        scale = np.sqrt((tail_dof - 2.0) / rng.chisquare(tail_dof, draws))
-    y0 = m + scale[:, None] * (z @ g.T)
-    step = g @ unit  # y = y0 + scale xi step
+        scales[0] = np.sqrt((tail_dof - 2.0) / rng.chisquare(tail_dof, draws))
+    along = [g.T @ space.axis for g in each]
+    length = np.sqrt(sum(s**2 * float(a @ a) for s, a in zip(scales, along, strict=True)))
+    parts = np.split(z, len(each), axis=1)  # views
+    # The direction that is integrated exactly: y = y0 + xi step, along which the cosine rises most.
+    out = sum(s * (x @ a) for s, x, a in zip(scales, parts, along, strict=True)) / length
+    for s, x, a in zip(scales, parts, along, strict=True):
+        x -= (out * s / length)[:, None] * a
+    weight = _drawn_closer(z, decades)
+    y0 = m + sum(s[:, None] * (x @ g.T) for s, x, g in zip(scales, parts, each, strict=True))
+    ahead = np.array([g @ a for g, a in zip(each, along, strict=True)])  # step = sum of s^2 / length of these
+    by = scales**2 / length
     # ACE > eta: (u.y)^2 - eta y.y = a xi^2 + b xi + c > 0
     u0 = y0 @ space.axis
-    cross, square = y0 @ step, (y0**2).sum(axis=1)
+    cross, square = np.einsum("pn,np->n", by, y0 @ ahead.T), (y0**2).sum(axis=1)
+    step = np.einsum("pn,pq,qn->n", by, ahead @ ahead.T, by)
     probability, error = np.empty((2, eta.size))
     for k, e in enumerate(eta):
-        a = scale**2 * (length**2 - e * float(step @ step))
-        b = 2.0 * scale * (u0 * length - e * cross)
+        a = length**2 - e * step
+        b = 2.0 * (u0 * length - e * cross)
         c = u0**2 - e * square
-        p = weight * _positive(a, b, c, length**2 >= e * float(step @ step))
+        p = weight * _positive(a, b, c)
         probability[k], error[k] = p.mean(), p.std() / np.sqrt(draws)
     return Exceedance(eta, probability, error)
 
@@ -154,17 +165,19 @@ def _drawn_closer(z: Array, decades: Sequence[float]) -> Array:
     return np.asarray(np.exp(-logsumexp(log_density, axis=1, b=1.0 / scale.size)))
 
 
-def _positive(a: Array, b: Array, c: Array, opens_upwards: bool) -> Array:
-    """P(a xi^2 + b xi + c > 0) for standard normal xi, where no ``a`` is below 0, or none above."""
+def _positive(a: Array, b: Array, c: Array) -> Array:
+    """P(a xi^2 + b xi + c > 0) for standard normal xi."""
+    opens_upwards = a >= 0
     inside = b**2 - 4.0 * a * c
     root = np.sqrt(np.maximum(inside, 0.0))
     # The stable pair of roots: q / a and c / q.
     q = -0.5 * (b + np.where(b >= 0, root, -root))
     a, q = np.where(np.abs(a) < 1e-300, 1e-300, a), np.where(np.abs(q) < 1e-300, 1e-300, q)
     low, high = np.minimum(q / a, c / q), np.maximum(q / a, c / q)
-    if opens_upwards:
-        return np.where(inside <= 0, 1.0, ndtr(low) + ndtr(-high))
+    outside = np.where(inside <= 0, 1.0, ndtr(low) + ndtr(-high)) if opens_upwards.any() else np.zeros(a.shape)
+    if opens_upwards.all():
+        return outside
     # Between two roots on one side of zero, the difference is taken where it keeps its digits.
     flip = low > 0
     between = ndtr(np.where(flip, -low, high)) - ndtr(np.where(flip, -high, low))
-    return np.where(inside <= 0, 0.0, between)
+    return np.where(opens_upwards, outside, np.where(inside <= 0, 0.0, between))

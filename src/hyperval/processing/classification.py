@@ -1,15 +1,85 @@
 """How well two classes can be told apart: Bhattacharyya distance and the classification error it bounds.
 
 The FASSP lineage of (3.26-3.33) uses it where the task is classification instead of detection.
+
+Linear features of spectra (3.21): F = Psi X.
+
+Gaussian maximum-likelihood classification: of pixels, and its error as statistics alone predict it.
+
+What a classifier sees of a spectrum: bands, or principal components of the classes taken together (3.21).
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
+from hyperval.errors import UsageError
 from hyperval.processing.filters import PositiveDefinite
+from hyperval.processing.intervals import clopper_pearson
+from hyperval.products import ClassificationError
+
+Array = npt.NDArray[np.float64]
+
+
+def principal_components(covariance: npt.ArrayLike, count: int) -> Array:
+    """Psi (count, B) whose rows are the leading eigenvectors of a covariance (B, B), largest first (3.21).
+
+    Raises
+    ------
+    UsageError : more components than bands, or none.
+    """
+    cov = np.asarray(covariance, dtype=float)
+    if not 1 <= count <= cov.shape[0]:
+        raise UsageError(f"{count} principal components of {cov.shape[0]} bands", expected="1 to the number of bands")
+    return _signed(np.linalg.eigh(cov)[1][:, ::-1][:, :count].T)
+
+
+def minimum_noise_fraction(covariance: npt.ArrayLike, noise_variance: npt.ArrayLike, count: int) -> Array:
+    """Psi (count, B) of minimum-noise-fraction components, largest signal-to-noise first (3.21).
+
+    Rows e^T N^-1/2 with e the leading eigenvectors of N^-1/2 Sigma N^-1/2 and N = diag(noise): in these features
+    the noise has unit covariance and Sigma is diagonal (Green et al. 1988; noise-adjusted principal components).
+
+    Parameters
+    ----------
+    covariance : (B, B) of signal and noise together
+    noise_variance : (B,)
+
+    Raises
+    ------
+    UsageError : more components than bands, or a band without noise.
+    """
+    noise = np.asarray(noise_variance, dtype=float)
+    if not np.all(noise > 0):
+        raise UsageError(
+            f"minimum noise fractions need noise in every band; {int(np.sum(~(noise > 0)))} of {noise.size} have none",
+            mend="use pca, or a scenario with a sensor and an atmosphere",
+        )
+    scale = 1.0 / np.sqrt(noise)
+    return np.asarray(principal_components(np.asarray(covariance, dtype=float) * scale[:, None] * scale, count) * scale)
+
+
+def _signed(vectors: Array) -> Array:
+    # The sign of an eigenvector is arbitrary: the largest entry is made positive, so that runs agree.
+    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=1)[:, None], axis=1)
+    return np.asarray(vectors * np.sign(largest))
+
+
+def features(psi: npt.ArrayLike, spectra: npt.ArrayLike) -> Array:
+    """F = Psi X of spectra (..., B) -> (..., F) (3.21)."""
+    return np.asarray(np.asarray(spectra, dtype=float) @ np.asarray(psi, dtype=float).T)
+
+
+def feature_covariance(psi: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
+    """Psi Sigma Psi^T, (F, F) (3.21)."""
+    p = np.asarray(psi, dtype=float)
+    return np.asarray(p @ np.asarray(covariance, dtype=float) @ p.T)
 
 
 def bhattacharyya_distance(
@@ -48,3 +118,165 @@ def classification_error(distance: float, prior_1: float = 0.5) -> tuple[float, 
     lower = 0.5 - 0.5 * np.sqrt(max(1.0 - 4.0 * product * np.exp(-2.0 * distance), 0.0))
     upper = min(np.sqrt(product) * np.exp(-distance), prior_1, 1.0 - prior_1)
     return float(ndtr(-np.sqrt(2.0 * max(distance, 0.0)))), float(lower), float(upper)
+
+
+Labels = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class ClassLaw:
+    """Mean (F,) and covariance (F, F) of one class, with the degrees of freedom of its tails (inf: normal)."""
+
+    mean: Array
+    covariance: Array
+    tail_dof: float = np.inf
+
+    def project(self, psi: Array) -> ClassLaw:
+        """The law of the features psi x (3.21); a linear map keeps a t what it is."""
+        return ClassLaw(psi @ self.mean, psi @ self.covariance @ psi.T, self.tail_dof)
+
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """(n, F) pixels."""
+        return self.pixels(self.standard_draw(n, rng))
+
+    def standard_draw(self, n: int, rng: np.random.Generator) -> Array:
+        """(n, F) pixels of the law of the same tails with mean 0 and covariance I."""
+        z = rng.standard_normal((n, self.mean.size))
+        if np.isfinite(self.tail_dof):  # a normal over sqrt(chi2/nu), scaled to the same covariance
+            z *= np.sqrt((self.tail_dof - 2.0) / rng.chisquare(self.tail_dof, n))[:, None]
+        return z
+
+    def pixels(self, standard: Array) -> Array:
+        """(n, F) pixels of :meth:`standard_draw`."""
+        return np.asarray(self.mean + standard @ np.linalg.cholesky(self.covariance).T)
+
+
+class GaussianClassifier:
+    """Assigns a pixel to the class of greatest normal likelihood, all classes equally likely beforehand.
+
+    ln f = -1/2 (x - m)^T C^-1 (x - m) - 1/2 ln |C| (Fukunaga 1990, section 4.1).
+
+    Raises
+    ------
+    UsageError : a covariance that cannot be inverted.
+    """
+
+    def __init__(self, laws: Sequence[ClassLaw]):
+        self._laws = [(law.mean, PositiveDefinite(law.covariance)) for law in laws]
+        self._offsets = [-0.5 * float(np.linalg.slogdet(law.covariance)[1]) for law in laws]
+
+    def classify(self, pixels: npt.ArrayLike) -> Labels:
+        """Index (n,) of the class of each pixel (n, F)."""
+        x = np.asarray(pixels, dtype=float)
+        likelihoods = [
+            offset - 0.5 * np.sum(factor.whiten((x - mean).T) ** 2, axis=0)
+            for (mean, factor), offset in zip(self._laws, self._offsets, strict=True)
+        ]
+        return np.asarray(np.argmax(likelihoods, axis=0))
+
+
+def predicted_error(laws: Sequence[ClassLaw], rng: np.random.Generator, draws: int = 20_000) -> ClassificationError:
+    """Error of the classifier that knows the laws, on pixels drawn from them; with distance, estimate and bounds.
+
+    The interval is that of the draws.
+    """
+    classifier = GaussianClassifier(laws)
+    wrong = sum(int(np.count_nonzero(classifier.classify(law.draw(draws, rng)) != i)) for i, law in enumerate(laws))
+    n = draws * len(laws)
+    lower, upper = clopper_pearson(wrong, n)
+    return with_distances(ClassificationError(wrong / n, float(lower), float(upper), n), laws)
+
+
+def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Sequence[Labels]) -> ClassificationError:
+    """Error of the classifier trained on ``laws`` on pixels that had no part in them.
+
+    Neighbours err together, so the binomial interval is that of as many independent pixels as give the spread of
+    the error from block to block (Kish 1965, section 5.4); without any error all pixels count.
+
+    Parameters
+    ----------
+    pixels : by class, (n, F)
+    blocks : by class, (n,) the block of the image that each pixel lies in
+    """
+    classifier = GaussianClassifier(laws)
+    errors, variances, n = [], [], 0
+    for i, (x, block) in enumerate(zip(pixels, blocks, strict=True)):
+        wrong = classifier.classify(x) != i
+        rate = float(np.mean(wrong))
+        _, index = np.unique(block, return_inverse=True)
+        excess = np.bincount(index, wrong) - rate * np.bincount(index)
+        count = excess.size
+        correction = count / (count - 1.0) if count > 1 else 1.0
+        between = correction * float(excess @ excess) / wrong.size**2
+        errors.append(rate)
+        variances.append(max(between, rate * (1.0 - rate) / wrong.size))
+        n += int(wrong.size)
+    error = float(np.mean(errors))
+    variance = float(np.sum(variances)) / len(errors) ** 2
+    effective = float(n)
+    if variance > 0 and 0 < error < 1:
+        effective = float(np.clip(error * (1.0 - error) / variance, 1.0, n))
+    lower, upper = clopper_pearson(error * effective, effective)
+    return with_distances(ClassificationError(error, float(lower), float(upper), n, effective), laws)
+
+
+def with_distances(error: ClassificationError, laws: Sequence[ClassLaw]) -> ClassificationError:
+    """The same with the least distance of two classes, and estimate and bounds of the best error from distances.
+
+    Of M equally likely classes a pair makes up 2/M: the estimate is the sum of (2/M) Phi(-sqrt(2 B)) over pairs
+    (Whitsitt & Landgrebe 1977; Kerekes & Landgrebe 1989), the upper bound that of (1/M) exp(-B), the lower bound
+    the greatest single one. The bounds hold for normal classes.
+    """
+    if len(laws) < 2:
+        raise UsageError("classification needs two classes")
+    pairs = [bhattacharyya_distance(a.mean, a.covariance, b.mean, b.covariance) for a, b in combinations(laws, 2)]
+    part = 2.0 / len(laws)
+    each = [classification_error(distance) for distance in pairs]
+    return ClassificationError(
+        error.error,
+        error.lower,
+        error.upper,
+        error.n,
+        error.effective_n,
+        min(pairs),
+        part * sum(estimate for estimate, _, _ in each),
+        part * max(low for _, low, _ in each),
+        min(part * sum(high for _, _, high in each), 1.0 - 1.0 / len(laws)),
+    )
+
+
+def feature_bands(
+    centre_nm: Array, usable: npt.NDArray[np.bool_], wavelengths_nm: Sequence[float]
+) -> npt.NDArray[np.intp]:
+    """Indices of the usable bands nearest to some wavelengths, or of all usable bands where none is named.
+
+    Raises
+    ------
+    UsageError : no usable band, or two wavelengths that share the nearest one.
+    """
+    indices = np.flatnonzero(usable)
+    if indices.size == 0:
+        raise UsageError("no usable band for classification")
+    if not wavelengths_nm:
+        return indices
+    nearest = indices[np.abs(centre_nm[indices][None, :] - np.asarray(wavelengths_nm)[:, None]).argmin(axis=1)]
+    bands, count = np.unique(nearest, return_counts=True)
+    if np.any(count > 1):
+        raise UsageError(
+            f"two wavelengths share the band at {centre_nm[bands[count > 1][0]]:g} nm",
+            where="classification.features.bands_nm",
+        )
+    return bands
+
+
+def class_features(laws: Sequence[ClassLaw], components: int | None) -> Array:
+    """Psi (K, F): the leading components of the mixture of equally likely classes, or the identity.
+
+    The covariance of the mixture is the mean of the classes' covariances and the spread of their means.
+    """
+    size = laws[0].mean.size
+    if components is None:
+        return np.eye(size)
+    means = np.stack([law.mean for law in laws])
+    between = np.cov(means.T, bias=True).reshape(size, size)
+    return principal_components(np.mean([law.covariance for law in laws], axis=0) + between, components)

@@ -4,6 +4,8 @@ The names collide in the literature.  The source of the equations calls the filt
 "CEM" although it removes the background mean and uses the background covariance; most of the
 field calls that the normalised (unit-response) matched filter and keeps CEM for the form with the
 correlation matrix and no mean removal (Harsanyi 1993).  Both are here, under both names.
+
+Abundances of endmembers in a pixel by fully constrained least squares, and their error.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from typing import Any, Union
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 from scipy.linalg.lapack import dpocon
 
@@ -94,8 +97,8 @@ def solved_filter(
     energy = float(difference @ solved)
     if not energy > 0:
         raise UsageError("the target spectrum equals the background mean: no filter can tell them apart")
-    w = solved / (np.sqrt(energy) if detector == "smf" else energy)  # (3.23)-(3.25)
-    return LinearFilter(w, 0.0 if detector == "cem-correlation" else float(w @ mean), condition)
+    w = solved / (np.sqrt(energy) if detector == "smf" else energy)  # (3.23), (3.24): the target itself scores 1
+    return LinearFilter(w, 0.0 if detector == "cem-correlation" else float(w @ mean), condition)  # (3.25)
 
 
 def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
@@ -146,9 +149,7 @@ LINEAR_DETECTORS: Mapping[str, FilterDesign] = {
 }
 
 
-def design_filter(
-    detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance
-) -> LinearFilter:
+def design_filter(detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
     """The filter that ``detector`` names in :data:`LINEAR_DETECTORS` (3.22-3.25); UsageError when unknown."""
     if detector not in LINEAR_DETECTORS:
         raise UsageError(f"unknown detector {detector!r}", expected="one of " + ", ".join(LINEAR_DETECTORS))
@@ -237,3 +238,65 @@ def _checked(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance)
     if t.ndim != 1 or mu.shape != t.shape or cov.shape != (t.size, t.size):
         raise UsageError(f"target {t.shape}, mean {mu.shape} and covariance {cov.shape} do not fit each other")
     return t, mu, cov
+
+
+def whitened(spectra: npt.ArrayLike, noise: PositiveDefinite | None) -> Array:
+    """Spectra (..., B) in coordinates in which the noise is white; as they stand without a noise covariance."""
+    x = np.asarray(spectra, dtype=float)
+    return x if noise is None else noise.whiten(x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
+
+
+def fully_constrained(
+    spectra: npt.ArrayLike, endmembers: npt.ArrayLike, noise: PositiveDefinite | None = None
+) -> Array:
+    """Abundances (..., M) of spectra (..., B): non-negative, sum 1, least (x - a E)^T C^-1 (x - a E).
+
+    Exact: for u = s a with sum a = 1, |s (E^T - x) a|^2 + (s - 1)^2 is least over s at D/(1 + D) with
+    D = |(E^T - x) a|^2, which grows with D, so that non-negative least squares of [E^T - x; 1] u = [0; 1] gives the
+    direction of the constrained solution (Lawson & Hanson 1974, section 23.4; problem of Heinz & Chang, IEEE TGRS
+    39, 529-545, 2001).
+
+    Parameters
+    ----------
+    endmembers : (M, B), or (..., M, B) with a set of its own for each spectrum
+    noise : covariance C; None weighs all bands alike
+
+    Raises
+    ------
+    UsageError : shapes that do not fit, or numbers that are not finite.
+    """
+    x, e = np.asarray(spectra, dtype=float), np.asarray(endmembers, dtype=float)
+    if e.ndim < 2 or x.shape[-1:] != e.shape[-1:]:
+        raise UsageError(f"spectra {x.shape} and endmembers {e.shape} do not stand on the same bands")
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(e))):
+        raise UsageError("unmixing needs spectra and endmembers that are finite in every band")
+    if e.shape[-2] == 2:
+        return _between_two(x, e, noise)
+    x, e = whitened(x, noise), whitened(e, noise)
+    flat = x.reshape(-1, x.shape[-1])
+    sets = np.broadcast_to(e, (*x.shape[:-1], *e.shape[-2:])).reshape(-1, *e.shape[-2:])
+    out = np.array([_closest_in_simplex(p, s) for p, s in zip(flat, sets, strict=True)])
+    return out.reshape(*x.shape[:-1], e.shape[-2])
+
+
+def _between_two(x: Array, e: Array, noise: PositiveDefinite | None) -> Array:
+    """Two endmembers: the point of the line between them that is nearest, kept between its ends."""
+    d = e[..., 0, :] - e[..., 1, :]
+    # The endmembers are weighted and not the spectra, of which there are many.
+    weighted = d if noise is None else noise.solve(d.reshape(-1, d.shape[-1]).T).T.reshape(d.shape)
+    length = np.einsum("...b,...b->...", d, weighted)
+    along = np.einsum("...b,...b->...", x, weighted) - np.einsum("...b,...b->...", e[..., 1, :], weighted)
+    a = np.clip(along / length, 0.0, 1.0)
+    return np.stack([a, 1.0 - a], axis=-1)
+
+
+def _closest_in_simplex(pixel: Array, endmembers: Array) -> Array:
+    differences = (endmembers - pixel).T
+    scale = float(np.abs(differences).max()) or 1.0
+    # An orthogonal reduction to as many rows as there are endmembers leaves the problem as it is.
+    reduced = np.linalg.qr(differences / scale, mode="r")
+    matrix = np.vstack([reduced, np.ones(endmembers.shape[0])])
+    right = np.zeros(matrix.shape[0])
+    right[-1] = 1.0
+    u, _ = scipy.optimize.nnls(matrix, right)
+    return np.asarray(u / u.sum())

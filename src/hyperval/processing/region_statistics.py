@@ -1,49 +1,180 @@
-"""Mean and covariance of regions of a stored cube, all in one pass."""
+"""Mean and covariance of regions of a stored cube, all in one pass.
+
+Masks of large images at one bit a pixel.
+
+Sums of pixels and of their products are taken in float64, block by block, about a point near the pixels: a whole
+number where the stored numbers are whole, so that the differences, their products and the sums of these are exact
+while they stay below 2^53.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any, Literal
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.executors import single_blas_thread
-from hyperval.processing.gram import Directions, Sums
-from hyperval.processing.mask_bits import MaskBits
 from hyperval.processing.passes import (
     StoredCube,
     Workspace,
+    as_columns,
     by_segments,
     lines_per_block,
 )
 from hyperval.processing.sample import SCENE, SampleStatistics
 
-Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Precision = Literal["auto", "exact", "fast"]
 
-# Up to so many stored numbers "auto" is exact.
-EXACT_VALUES = 100_000_000
+
+@dataclass(frozen=True, eq=False)
+class MaskBits:
+    """A mask (lines, samples) at one bit a pixel, which is read by lines.
+
+    Attributes
+    ----------
+    bits : (lines, bytes of a line) eight samples in a byte, the first in its highest bit
+    samples : of a line
+    """
+
+    bits: npt.NDArray[np.uint8]
+    samples: int
+
+    @classmethod
+    def of(cls, mask: Mask) -> MaskBits:
+        """The mask, packed.
+
+        Examples
+        --------
+        >>> packed = MaskBits.of(np.array([[True, False, True], [False, False, True]]))
+        >>> packed.bits.ravel().tolist(), packed[1:2].tolist()
+        ([160, 32], [[False, False, True]])
+        """
+        return cls(np.packbits(mask, axis=1), mask.shape[1])
+
+    def __getitem__(self, lines: slice) -> Mask:
+        """Some lines."""
+        return np.unpackbits(self.bits[lines], axis=1, count=self.samples).view(bool)
+
+
+class PackedMasks(Mapping[str, Mask]):
+    """Masks by name: kept packed, each handed out whole as an array of its own."""
+
+    def __init__(self, masks: Iterable[tuple[str, Mask]] = ()) -> None:
+        self._bits: dict[str, MaskBits] = {}
+        for name, mask in masks:
+            self.add(name, mask)
+
+    def add(self, name: str, mask: Mask) -> None:
+        """Pack one more mask, or another one of that name."""
+        self._bits[name] = MaskBits.of(mask)
+
+    def same(self, others: PackedMasks) -> set[str]:
+        """Names under which both have the same pixels.
+
+        Examples
+        --------
+        >>> mask = np.array([[True, False, True]])
+        >>> PackedMasks([("a", mask), ("b", mask)]).same(PackedMasks([("a", mask), ("b", ~mask), ("c", mask)]))
+        {'a'}
+        """
+        both = self._bits.keys() & others._bits.keys()
+        return {name for name in both if np.array_equal(self._bits[name].bits, others._bits[name].bits)}
+
+    def __getitem__(self, name: str) -> Mask:
+        return self._bits[name][:]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._bits)
+
+    def __len__(self) -> int:
+        return len(self._bits)
+
+
+Array = npt.NDArray[np.float64]
+
+
+# Pixels are taken about the mean of at least so many of the first block.
+CENTRED_ON = 64
 # Fewer pixels of one kind wait until there are so many: products of few columns cost as much as of many.
 WAITING_PIXELS = 256
-# Lines, and pixels in all of them, of the first estimate.
-SAMPLED_LINES = 16
-SAMPLED_PIXELS = 1024
-# Directions that are taken apart in single precision; scenes seldom have more that stand out.
-DIRECTIONS = 7
-# What single precision may do to a variance before all is summed again in double; batches it is measured on.
-MOST_ROUNDING = 1e-3
-CHECKED_BLOCKS = 8
-MARGIN = 4.0  # other batches may be worse than the worst of these
-# Mean squares of stored numbers that single precision can hold with room on both sides.
-REPRESENTABLE = (1e-20, 1e20)
-# Directions with less than this part of the greatest variance are rounding error of the sums themselves.
-LEAST_VARIANCE = 1e-10
 _BITS = 62
+
+
+@dataclass
+class Sums:
+    """Sums over one set of pixels.
+
+    Attributes
+    ----------
+    bands : B
+    whole : the stored numbers are whole
+    reference : (B,) point that the sums are about, near the pixels: the mean of some of the first block, so that
+        a set of equal pixels has no variance, not even one of rounding
+    n : pixels
+    first, second : (B,) and (B, B) sums of x - reference and of its products
+    """
+
+    bands: int
+    whole: bool
+    reference: Array | None = None
+    n: int = 0
+    first: Array = field(init=False)
+    second: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.first, self.second = np.zeros(self.bands), np.zeros((self.bands, self.bands))
+
+    def add(self, stored: npt.NDArray[Any], keep: Mask | None = None, space: Workspace | None = None) -> None:
+        """Add stored numbers (B, lines, samples).
+
+        ``keep`` (lines, samples) says which pixels count, all with None; ``space`` is used for the arrays.
+        """
+        count = stored[0].size if keep is None else int(np.count_nonzero(keep))
+        if count == 0:
+            return
+        if self.reference is None:
+            lines, samples = np.nonzero(np.ones(stored.shape[1:], bool) if keep is None else keep)
+            some = slice(None, None, max(1, count // CENTRED_ON))
+            centre = stored[:, lines[some], samples[some]].mean(axis=1, dtype=np.float64)
+            self.reference = np.asarray(np.rint(centre)) if self.whole else centre
+        self.n += count
+        pixels = (space or Workspace()).columns("pixels", stored, self.bands, np.float64)
+        np.copyto(pixels, stored, casting="same_kind")
+        pixels -= self.reference[:, None, None]
+        if keep is not None:
+            pixels[:, ~keep] = 0.0
+        columns = as_columns(pixels)
+        # NumPy makes the product of an array and its transpose a symmetric rank-k update: half the work.
+        self.second += columns @ columns.T
+        self.first += columns @ np.ones(columns.shape[1])
+
+    def merge(self, other: Sums) -> None:
+        """Add the sums of another set of pixels."""
+        if other.reference is None:
+            return
+        if self.reference is None:
+            self.reference = other.reference
+        e = other.reference - self.reference
+        half = np.outer(e, other.first + 0.5 * other.n * e)
+        self.second += other.second + half + half.T
+        self.first += other.first + other.n * e
+        self.n += other.n
+
+    def mean_and_covariance(self) -> tuple[Array, Array]:
+        """Mean (B,) and unbiased covariance (B, B) of the pixels, n >= 2."""
+        if self.reference is None or self.n < 2:
+            raise UsageError(f"{self.n} pixels have no covariance", expected="two or more")
+        # First to a whole number c beside the mean, which is exact for whole numbers, then the rest of the way.
+        c = np.rint(self.first / self.n)
+        mixed = np.outer(c, self.first - 0.5 * self.n * c)
+        e = (self.first - self.n * c) / self.n
+        central = self.second - (mixed + mixed.T) - self.n * np.outer(e, e)
+        covariance = central / (self.n - 1)
+        return self.reference + c + e, (covariance + covariance.T) / 2.0
 
 
 def region_statistics(
@@ -51,7 +182,6 @@ def region_statistics(
     masks: Mapping[str, Mask] | None = None,
     exclude: Mask | None = None,
     *,
-    precision: Precision = "auto",
     threads: int | None = None,
     block_lines: int | None = None,
     watch: Callable[[Iterator[Any]], Iterator[Any]] = iter,
@@ -59,21 +189,14 @@ def region_statistics(
     """Mean and covariance of every region and of the whole scene.
 
     Pixels that belong to the same regions are summed once and the sums added, so that regions which overlap
-    cost little more than the scene alone.  The unit is that of the cube's values; the shrinkage intensity is not
-    known (``fourth`` is NaN).  The covariance of a single pixel is zero: nothing is known of it.
+    cost little more than the scene alone.  All sums are float64: those of numbers stored as 16-bit integers have no
+    rounding error at all, and do not depend on the cut into blocks.  The unit is that of the values; the shrinkage
+    intensity is not known (``fourth`` is NaN).  The covariance of a single pixel is zero: nothing is known of it.
 
     Parameters
     ----------
     masks : (lines, samples) True on the pixels of each region; the name "scene" is kept for the whole
     exclude : (lines, samples) True on pixels left out of the scene
-    precision : "auto" is exact where that takes about a second at most, and fast above.  "fast" multiplies in
-        float32 and sums in float64, in a way that keeps the quiet directions (see
-        :mod:`hyperval.processing.gram`), and is checked: some batches are summed both ways at the end, and
-        what they differ by, times MARGIN and how far any batch stands out, bounds the error (``rounding`` of the
-        statistics).
-        Where it exceeds MOST_ROUNDING all is summed again in float64.  "exact" does all in float64: for numbers
-        stored as 16-bit integers the sums then have no rounding error at all and nothing depends on the cut into
-        blocks.  Numbers stored in more than 32 bits, or as 32-bit integers, are always summed in float64.
     threads, block_lines : None chooses them
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
@@ -81,35 +204,13 @@ def region_statistics(
     ------
     UsageError : a mask that does not fit the cube, or a region without a valid pixel.
     """
-    once = partial(_statistics_once, cube, masks or {}, exclude, threads, block_lines, watch)
-    out = once(precision)
-    if out is None:  # and what the first pass took is free before the second
-        out = once("exact")
-    assert out is not None  # noqa: S101 - exact sums have no rounding to show
-    return out
-
-
-def _statistics_once(
-    cube: StoredCube,
-    masks: Mapping[str, Mask],
-    exclude: Mask | None,
-    threads: int | None,
-    block_lines: int | None,
-    watch: Callable[[Iterator[Any]], Iterator[Any]],
-    precision: Precision,
-) -> dict[str, SampleStatistics] | None:
-    """By one pass; None where its rounding shows, and all is to be summed exactly."""
-    regions = _Regions.of(cube, masks, exclude)
+    regions = _Regions.of(cube, masks or {}, exclude)
     whole = cube.dtype.kind in "iu"
-    large = cube.lines * cube.samples * cube.bands > EXACT_VALUES
-    wanted = precision == "fast" or (precision == "auto" and large)
-    single = wanted and (cube.dtype.itemsize <= 2 or cube.dtype == np.float32)
-    directions = _brightest_directions(cube) if single else None
     step = block_lines or lines_per_block(cube)
     workspace = Workspace()
 
     def segment(firsts: range) -> tuple[dict[bytes, Sums], npt.NDArray[np.int64]]:
-        part = _Part(cube.bands, whole, directions)
+        part = _Part(cube.bands, whole)
         left_out = np.zeros(len(regions.names), np.int64)
         for first in firsts:
             count = min(step, cube.lines - first)
@@ -135,75 +236,21 @@ def _statistics_once(
                     total[key] = value
             del sums  # 2 MB for each kind of pixels: not beside those of the next segment
         out = {}
-        errors = _rounding_errors(cube, directions, step) if directions is not None else []
         for i, name in enumerate(regions.names):
-            joined = Sums(cube.bands, whole, directions)
+            joined = Sums(cube.bands, whole)
             for key, value in total.items():
                 if key[i]:
                     joined.merge(value)
-            statistics = _statistics(cube, name, joined, int(left_out[i]))
-            if joined.n_split:
-                # A sampled batch in which nothing stands out says nothing of the others: no bound, exact sums.
-                parts = [
-                    max(1.0, joined.above_typical / above)
-                    * _part(error, statistics.covariance, cube.gain, rank=min(joined.n - 1, cube.bands))
-                    if above > 0.0
-                    else np.inf
-                    for above, error in errors
-                ]
-                bound = MARGIN * max(parts, default=np.inf) * joined.n_split / joined.n
-                statistics = replace(statistics, rounding=bound)
-            if not statistics.rounding <= MOST_ROUNDING:  # NaN too
-                return None
-            out[name] = statistics
+            out[name] = _statistics(cube, name, joined, int(left_out[i]))
         return out
-
-
-def _rounding_errors(cube: StoredCube, directions: Directions, step: int) -> list[tuple[float, Array]]:
-    """Of some batches: how far they stand out, and what single precision changes in their covariance (B, B)."""
-    errors, whole = [], cube.dtype.kind in "iu"
-    last = (cube.lines - 1) // step
-    for at in np.unique(np.linspace(0, last, CHECKED_BLOCKS).astype(int)).tolist():
-        count = min(step, cube.lines - at * step)
-        pair = []
-        for chosen in (directions, None):
-            sums = Sums(cube.bands, whole, chosen)
-            stored, usable = cube.read_stored(at * step, count)
-            sums.add(stored, usable)
-            pair.append(sums)
-        if pair[0].n_split >= 2:
-            error = pair[0].mean_and_covariance()[1] - pair[1].mean_and_covariance()[1]
-            errors.append((pair[0].above_typical, error))
-    return errors
-
-
-def _part(error: Array, covariance: Array, gain: Array, *, rank: int) -> float:
-    """The greatest part of a variance, in any direction that has one, that the error of stored numbers is.
-
-    A covariance that should be definite and is not has no such part.  One of few pixels has variance in ``rank``
-    leading directions alone; the rest is zero, on whichever side rounding puts it.
-    """
-    if not np.all(np.isfinite(covariance)):
-        return float("inf")
-    values, vectors = np.linalg.eigh(covariance)
-    if rank == values.size and values[0] < -LEAST_VARIANCE * values[-1]:
-        return float("inf")
-    keep = values > LEAST_VARIANCE * values[-1]
-    keep[: values.size - rank] = False
-    if not keep.any():
-        return 0.0
-    white = (vectors[:, keep] / np.sqrt(values[keep])).T * gain
-    return float(np.linalg.norm(white @ error @ white.T, 2))
 
 
 def _statistics(cube: StoredCube, name: str, sums: Sums, left_out: int) -> SampleStatistics:
     """In the unit of the cube's values."""
     if sums.n == 0 or sums.reference is None:
-        raise UsageError(
-            f"region {name!r} has no valid pixel ({left_out} left out as invalid)", expected="one or more"
-        )
+        raise UsageError(f"region {name!r} has no valid pixel ({left_out} left out as invalid)", expected="one or more")
     if sums.n == 1:  # a spectrum; nothing is known of its spread
-        mean, covariance = sums.reference + sums.total, np.zeros((cube.bands, cube.bands))
+        mean, covariance = sums.reference + sums.first, np.zeros((cube.bands, cube.bands))
     else:
         mean, covariance = sums.mean_and_covariance()
     gain = cube.gain
@@ -292,12 +339,11 @@ class _Part:
 
     bands: int
     whole: bool
-    directions: Directions | None
     sums: dict[bytes, Sums] = field(default_factory=dict)
     waiting: dict[bytes, list[npt.NDArray[Any]]] = field(default_factory=dict)
 
     def add(self, stored: npt.NDArray[Any], kinds: list[tuple[bytes, Mask]], space: Workspace) -> None:
-        """Add stored numbers (B, lines, samples), whose content is lost, by the regions that they lie in."""
+        """Add stored numbers (B, lines, samples) by the regions that they lie in."""
         sizes = [int(np.count_nonzero(members)) if any(key) else 0 for key, members in kinds]
         most = max(range(len(sizes)), key=sizes.__getitem__)
         # The most frequent kind stays where it is, unless it is rare itself; the others are copied out.
@@ -323,7 +369,7 @@ class _Part:
 
     def _of(self, key: bytes) -> Sums:
         if key not in self.sums:
-            self.sums[key] = Sums(self.bands, self.whole, self.directions)
+            self.sums[key] = Sums(self.bands, self.whole)
         return self.sums[key]
 
 
@@ -338,24 +384,3 @@ def _kinds(inside: Mask) -> list[tuple[bytes, Mask]]:
         codes = packed.view(np.dtype((np.void, packed.shape[1]))).ravel()
     _, at, which = np.unique(codes, return_index=True, return_inverse=True)
     return [(inside[:, i].tobytes(), which == k) for k, i in enumerate(at.tolist())]
-
-
-def _brightest_directions(cube: StoredCube) -> Directions | None:
-    """Directions of the greatest variance of some lines; None where single precision does not hold the squares."""
-    out = []
-    for line in np.unique(np.linspace(0, cube.lines - 1, SAMPLED_LINES).astype(int)).tolist():
-        stored, usable = cube.read_stored(line, 1)
-        rows, columns = np.nonzero(usable)
-        some = slice(None, None, -(-rows.size // (SAMPLED_PIXELS // SAMPLED_LINES)) or 1)
-        out.append(stored[:, rows[some], columns[some]].astype(np.float64))
-    pixels = np.concatenate(out, axis=1)
-    pixels -= np.median(pixels, axis=1, keepdims=True) if pixels.shape[1] else 0.0
-    size = float(np.mean(pixels**2)) if pixels.size else 0.0
-    if size and not REPRESENTABLE[0] < size < REPRESENTABLE[1]:
-        return None
-    # Subspace iteration: these need not be the very eigenvectors, only span what stands out.
-    directions = np.random.default_rng(0).normal(size=(cube.bands, min(DIRECTIONS, cube.bands)))
-    with single_blas_thread():
-        for _ in range(4):
-            directions = np.linalg.qr(pixels @ (pixels.T @ directions))[0]
-        return Directions.of(directions, pixels)

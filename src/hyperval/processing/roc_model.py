@@ -1,44 +1,484 @@
 """The ROC of the model from score statistics (3.31-3.33), a row for each evaluation.
 
 One threshold x serves the whole image: P_D(x) = Phi((theta_T - x)/sigma_T) and
-P_FA(x) = sum f_m Phi((theta_m - x)/sigma_m).
+P_FA(x) = sum f_m Phi((theta_m - x)/sigma_m).  Where a class has tails or clusters, Phi gives way to its law, in its
+own pixels and in those that a target fills in part.
+
+Scores of the background classes and the threshold of the image at a false-alarm probability (3.29, 3.30, 3.33).
+
+One row for each evaluation.  Everything is in logarithms, valid at P_FA = 1e-9.
+
+The law of the score of a pixel that a target fills in part, whose host keeps its own (3.12, 3.26-3.31).
+
+A pixel is f target + (1 - f) host + noise.  A t law of nu degrees of freedom is a normal law whose variance is
+multiplied by (nu - 2) / w, w chi-square of nu.  Given w all parts are normal:
+
+    P(score > x) = E_w Phi((theta - x) / sqrt(N + H (nu - 2) / w)),  H = (1 - f)^2 sigma_host^2
+
+N is the rest of the variance (3.28).  At f = 0 this is the law that the class has in (3.33), at f = 1 a normal one.
+
+P_D of a ROC curve at a P_FA, and P_FA at a P_D: the one reading of curves, predicted and measured (3.33).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv, ndtr, ndtri
+from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 
-from hyperval.processing.thresholds import (
-    SMALLEST_SD,
-    ClassScores,
-    greatest_class_false_alarm,
-    log_false_alarm,
-    score_density,
-    thresholds_at,
-)
+from hyperval.errors import UsageError
+from hyperval.products import RocCurve
 
 Array = npt.NDArray[np.float64]
+SMALLEST_SD = 1e-12
+_LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
+_STEPS = 80
+_TOGETHER = 16_384  # numbers of one array on the way to thresholds: they stay in the processor's cache
+# A step from nearer than this to the logarithm wanted is of third order: it ends within 1e-14 of it.
+_NEAR, _STRAIGHT = 1e-5, 1e-4
+
+
+@dataclass(frozen=True)
+class ClassScores:
+    """Scores of M classes in R evaluations.
+
+    Attributes
+    ----------
+    fraction : (R, M) f_m
+    mean, sd : (R, M) theta_m, sigma_m of (3.27), (3.29)
+    dof : (R, M) degrees of freedom of the tail; infinity: Gaussian
+    """
+
+    fraction: Array
+    mean: Array
+    sd: Array
+    dof: Array
+
+    def rows(self, index: npt.NDArray[np.intp]) -> ClassScores:
+        """The evaluations that ``index`` names."""
+        return ClassScores(self.fraction[index], self.mean[index], self.sd[index], self.dof[index])
+
+    def of(self, laws: npt.NDArray[np.intp]) -> ClassScores:
+        """The classes that ``laws`` names."""
+        return ClassScores(*(a[:, laws] for a in (self.fraction, self.mean, self.sd, self.dof)))
+
+
+def false_alarm_grid(lowest: float = 1e-9, per_decade: int = 20) -> Array:
+    """(K,) increasing, log-spaced false-alarm probabilities from ``lowest`` to 0.999 for (3.33)."""
+    decades = -np.log10(lowest)
+    grid = np.logspace(-decades, 0.0, round(decades * per_decade) + 1)
+    grid[-1] = 0.999
+    return grid
+
+
+@dataclass(frozen=True)
+class _Laws:
+    """The same with the classes first, (M, n) each, so that sums over classes run along the memory.
+
+    For a class with nu degrees of freedom the tail is 1 - F_t,nu((x - theta_m) / (sigma_m sqrt((nu-2)/nu))).
+
+    Attributes
+    ----------
+    log_fraction, mean, scale : log f_m, theta_m, sigma_m or that of the t law
+    log_peak : log of the density at its middle
+    dof : of the t laws, NaN of Gaussian ones; None where all are
+    """
+
+    log_fraction: Array
+    mean: Array
+    scale: Array
+    log_peak: Array
+    dof: Array | None
+
+    @staticmethod
+    def of(scores: ClassScores) -> _Laws:
+        """The laws of R evaluations."""
+        fraction, mean, sd, nu = (np.ascontiguousarray(a.T) for a in vars(scores).values())
+        scale = np.maximum(sd, SMALLEST_SD)
+        with np.errstate(divide="ignore"):
+            weight = np.log(fraction)
+        gaussian = np.isinf(nu)
+        if gaussian.all():
+            return _Laws(weight, mean, scale, -_LOG_ROOT_2PI - np.log(scale), None)
+        nu = np.where(gaussian, np.nan, nu)
+        scale = np.where(gaussian, scale, scale * np.sqrt((nu - 2.0) / nu))
+        norm = gammaln(0.5 * (nu + 1)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
+        return _Laws(weight, mean, scale, np.where(gaussian, -_LOG_ROOT_2PI, norm) - np.log(scale), nu)
+
+    def rows(self, index: npt.NDArray[Any]) -> _Laws:
+        """The evaluations that ``index`` (numbers or a mask) names."""
+        return _Laws(*(None if a is None else a[:, index] for a in vars(self).values()))  # type: ignore[arg-type]
+
+    def log_tails(self, threshold: Array) -> tuple[Array, Array, Array]:
+        """log P(score > x), log of the density, and the slope of that, (M, n) each, at x (n,)."""
+        z = (self.mean - threshold) / self.scale
+        density = self._log_density(z)
+        if self.dof is None:
+            return log_ndtr(z), density, z / self.scale
+        gaussian, nu = np.isnan(self.dof), self.dof
+        tail = np.empty_like(z)
+        tail[gaussian] = log_ndtr(z[gaussian])
+        with np.errstate(divide="ignore"):
+            tail[~gaussian] = np.log(stdtr(nu[~gaussian], z[~gaussian]))
+        slope = np.where(gaussian, z, (nu + 1) * z / (nu + z**2))
+        return tail, density, slope / self.scale
+
+    def log_density(self, score: Array) -> Array:
+        """(M, n) at x (n,)."""
+        return self._log_density((self.mean - score) / self.scale)
+
+    def _log_density(self, z: Array) -> Array:
+        if self.dof is None:
+            return self.log_peak - 0.5 * z**2
+        nu, gaussian = self.dof, np.isnan(self.dof)
+        return self.log_peak + np.where(gaussian, -0.5 * z**2, -0.5 * (nu + 1) * np.log1p(z**2 / nu))
+
+    def log_false_alarm(self, threshold: Array) -> tuple[Array, Array, Array]:
+        """log P_FA(x) = log sum f_m P(score of class m > x) (3.33) and its two first derivatives (n,) at x (n,)."""
+        tail, density, bend = self.log_tails(threshold)
+        tail += self.log_fraction
+        top = tail.max(axis=0)
+        total = top + np.log(np.exp(tail - top).sum(axis=0))  # (3.33)
+        part = np.exp(density + self.log_fraction - total)
+        slope = -part.sum(axis=0)
+        return total, slope, -(part * bend).sum(axis=0) - slope**2
+
+
+def log_false_alarm(threshold: Array, scores: ClassScores) -> tuple[Array, Array]:
+    """log P_FA(x) = log sum f_m P(score of class m > x) (3.33, one threshold for the image), and its derivative.
+
+    Parameters
+    ----------
+    threshold : (R,) x, one for each row [1]
+
+    Returns
+    -------
+    (R,) natural logarithms, and (R,) their derivatives by x
+    """
+    return _Laws.of(scores).log_false_alarm(threshold)[:2]
+
+
+def greatest_class_false_alarm(threshold: Array, scores: ClassScores) -> Array:
+    """(R,) max_m P(score of class m > x): the preset of (3.30) whose least P_D (3.32) has threshold x (R,).
+
+    x = max_m x_m(P) is where the class with the longest tail gives P and all others less.  A curve drawn against P
+    is the reading of (3.32) without (3.33): it counts the worst class as if it covered the image.
+    """
+    tail, _, _ = _Laws.of(scores).log_tails(threshold)
+    return np.asarray(np.exp(np.where(scores.fraction.T > 0, tail, -np.inf).max(axis=0)))
+
+
+def score_density(score: Array, scores: ClassScores) -> Array:
+    """Density of the background's score at scores (R, K), sum f_m p_m(x) [per unit of score].
+
+    The derivative of (3.33).
+    """
+    laws = _Laws.of(scores).rows(np.repeat(np.arange(score.shape[0]), score.shape[1]))
+    density = np.exp(laws.log_density(score.ravel()) + laws.log_fraction)
+    return np.asarray(density.sum(axis=0)).reshape(score.shape)
+
+
+def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
+    """Thresholds (R, K) at which the whole background gives ``pfa`` (R, K) (inverse of 3.33).
+
+    Bracketed in closed form: at max_m x_m(P) no class exceeds P; at the largest x_m(P / f_m) one class alone
+    already gives P.  Inside by steps of third order, halved where they leave the bracket.
+
+    Raises
+    ------
+    UsageError : no class has an area.
+    """
+    if not np.any(scores.fraction > 0, axis=1).all():
+        raise UsageError("no background class has a positive fraction")
+    roots = np.empty(pfa.shape)
+    together = max(1, _TOGETHER // max(1, pfa.shape[1] * scores.fraction.shape[1]))
+    for start in range(0, pfa.shape[0], together):
+        rows = slice(start, start + together)
+        roots[rows] = _thresholds(np.log(pfa[rows]), scores.rows(np.arange(pfa.shape[0])[rows]))
+    return roots
+
+
+def _thresholds(log_pfa: Array, scores: ClassScores) -> Array:
+    low, high = (end.ravel() for end in _bracket(log_pfa, scores))
+    laws = _Laws.of(scores).rows(np.repeat(np.arange(log_pfa.shape[0]), log_pfa.shape[1]))
+    goal, x, roots = log_pfa.ravel(), low.copy(), low.copy()
+    at = np.arange(goal.size)  # those not yet there
+    for _ in range(_STEPS):
+        value, slope, curve = laws.log_false_alarm(x)
+        value -= goal
+        low, high = np.where(value > 0, x, low), np.where(value > 0, high, x)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = x - 2.0 * value * slope / (2.0 * slope**2 - value * curve)
+        inside = (step > low) & (step < high)  # False for NaN
+        last = inside & (np.abs(value) < _NEAR) & (np.abs(value * curve) < _STRAIGHT * slope**2)
+        roots[at] = np.where(last, step, x)
+        open_ = ~last & (np.abs(value) > 1e-12) & (high - low > 1e-14 * np.maximum(1.0, np.abs(x)))
+        if not open_.any():
+            break
+        x = np.where(inside, step, 0.5 * (low + high))[open_]
+        at, low, high, goal = at[open_], low[open_], high[open_], goal[open_]
+        laws = laws.rows(open_)
+    return roots.reshape(log_pfa.shape)
+
+
+def _bracket(log_pfa: Array, scores: ClassScores) -> tuple[Array, Array]:
+    used = scores.fraction > 0
+    rows, points = log_pfa.shape
+    low, high = np.full((rows, points), np.inf), np.full((rows, points), -np.inf)
+    share_low = np.full((rows, points), -np.inf)
+    for m in range(scores.mean.shape[1]):
+        here = used[:, m]
+        if not here.any():
+            continue
+        one = scores.rows(np.flatnonzero(here))
+        alone = class_threshold(np.minimum(log_pfa[here], 0.0), one, m)
+        low[here], high[here] = np.minimum(low[here], alone), np.maximum(high[here], alone)
+        share = log_pfa[here] - np.log(one.fraction[:, m, None])
+        x = class_threshold(np.minimum(share, -1e-300), one, m)
+        share_low[here] = np.maximum(share_low[here], np.where(share < 0, x, -np.inf))
+    return np.minimum(np.maximum(low, share_low), high), high
+
+
+def class_threshold(log_pfa: Array, scores: ClassScores, m: int) -> Array:
+    """x_m = theta_m - sigma_m Phi^-1(P_FA) (R, K): threshold at which class m alone gives P_FA (R, K) (3.30).
+
+    The printed form has the sign of Phi^-1 the other way round, which puts the threshold below the
+    class mean for P_FA < 0.5.
+    """
+    mean, sd, nu = (a[:, m, None] for a in (scores.mean, scores.sd, scores.dof))
+    # Most batches ask all rows for the same probabilities: the quantile is looked up once.
+    one = log_pfa[:1] if np.all(log_pfa == log_pfa[:1]) else log_pfa
+    gaussian = np.isinf(nu[:, 0])
+    x = np.empty(log_pfa.shape)
+    if gaussian.any():
+        z = ndtri_exp(one if one.shape[0] == 1 else one[gaussian])
+        x[gaussian] = mean[gaussian] - sd[gaussian] * z  # (3.30)
+    if not gaussian.all():
+        t = ~gaussian
+        scale = sd[t] * np.sqrt((nu[t] - 2.0) / nu[t])
+        x[t] = mean[t] - scale * stdtrit(nu[t], np.exp(one if one.shape[0] == 1 else one[t]))
+    return x
+
+
+# The trapezoid rule in ln w converges with e^(-10 / step) [step of the exponent, of its standard deviation], and
+# what lies beyond its ends has this probability: 1e-7 of P from 0.5 to 1e-8.
+_STEP, _STEP_OF_SD, _BEYOND = 0.4, 0.8, 1e-16
+# More fills than that are read between as many of them: P_D within 0.1 %.
+_NODES, _LAWS_TOGETHER = 24, 100_000
+
+
+def mixing(dof: Array) -> tuple[Array, Array]:
+    """(n, Q) values of (nu - 2) / w and their probabilities (3.31), w chi-square of ``dof`` (n,); 1: a normal law.
+
+    >>> factor, probability = mixing(np.array([5.0]))
+    >>> round(float((factor * probability).sum()), 6)
+    1.0
+    """
+    tailed = np.isfinite(dof)
+    if not tailed.any():
+        return np.ones((dof.size, 1)), np.ones((dof.size, 1))
+    half = 0.5 * np.where(tailed, dof, 4.0)[:, None]
+    low, high = (np.log(2.0 * end(half, _BEYOND)) for end in (gammaincinv, gammainccinv))
+    steps = np.ceil((high - low) / np.minimum(_STEP, _STEP_OF_SD / np.sqrt(half)))
+    at = np.minimum(np.arange(steps[tailed].max() + 1.0) / steps, 1.0)
+    y = low + (high - low) * at
+    weight = np.exp(half * (y - np.log(2.0)) - 0.5 * np.exp(y) - gammaln(half))
+    weight[:, 1:][at[:, :-1] == 1.0] = 0.0  # each row has its own number of steps, whatever stands beside it
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.where(tailed[:, None], 2.0 * (half - 1.0) * np.exp(-y), 1.0), weight
+
+
+def host_part(total: Array, share: Array, law: Array, whole: Array) -> tuple[Array, Array]:
+    """Variance of a score where the host's pixels are of one of its laws, and the part of it with its tails (3.28).
+
+    Parameters
+    ----------
+    total : variance with the host's class as a whole (3.28)
+    share : of the host, 1 - f
+    law, whole : variances of a pixel of host alone, of that law and of the class (3.29)
+    """
+    total = np.maximum(total + share**2 * (law - whole), 0.0)
+    return total, np.minimum(share**2 * law, total)
+
+
+class _HostPart(NamedTuple):
+    """Pixels whose host is of one law: probability (n,), mean, normal and tailed variance (n, J), dof (n,)."""
+
+    probability: Array
+    mean: Array
+    normal: Array
+    tailed: Array
+    dof: Array
+
+
+@dataclass(frozen=True)
+class Host:
+    """The class that fills the rest of the pixels, in n evaluations.
+
+    Attributes
+    ----------
+    share : (n or 1, J) its part of the pixel, 1 - f
+    mean, variance : (n,) score of its pixels alone (3.27, 3.29)
+    laws : the C laws that it is made of; ``fraction`` (n, C) are their parts of the class
+    """
+
+    share: Array
+    mean: Array
+    variance: Array
+    laws: ClassScores
+
+    def rows(self, index: npt.NDArray[np.intp]) -> Host:
+        """The evaluations that ``index`` names."""
+        share = self.share if self.share.shape[0] == 1 else self.share[index]
+        return Host(share, self.mean[index], self.variance[index], self.laws.rows(index))
+
+    @property
+    def normal(self) -> npt.NDArray[np.bool_]:
+        """(n,) whether the class is one normal law."""
+        one = self.laws.dof.shape[1] == 1
+        return np.isinf(self.laws.dof[:, 0]) if one else np.zeros(self.mean.size, dtype=bool)
+
+    def parts(self, means: Array, sds: Array) -> Iterator[_HostPart]:
+        """Pixels of mean and standard deviation (n, J) by the law of their host."""
+        for fraction, mean, sd, dof in zip(*(a.T for a in vars(self.laws).values()), strict=True):
+            total, tailed = host_part(sds**2, self.share, sd[:, None] ** 2, self.variance[:, None])
+            away = self.share * (mean - self.mean)[:, None]
+            yield _HostPart(fraction, means + away, total - tailed, tailed, dof)
+
+    def exceedance(self, threshold: Array, means: Array, sds: Array, *, density: bool = False) -> Array:
+        """(n, K, J) P(score > x) of pixels at x (n, K), or the density of their score there (3.31)."""
+        out = np.zeros((*threshold.shape, means.shape[1]))
+        for part in self.parts(means, sds):
+            away = part.mean[:, None, :] - threshold[:, :, None]
+            for factor, probability in zip(*(a.T[:, :, None] for a in mixing(part.dof)), strict=True):
+                variance = part.normal + part.tailed * factor
+                sd = np.sqrt(np.maximum(variance, SMALLEST_SD**2))[:, None, :]
+                weight = (part.probability[:, None] * probability)[:, :, None]
+                z = away / sd
+                normal = np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * sd) if density else ndtr(z)
+                out += weight * normal  # (3.31)
+        return out
+
+    def each_exceedance(self, threshold: Array, means: Array, sds: Array) -> Iterator[Array]:
+        """K times (n, J), the same; where fills are many it is read between some of them, in probit."""
+        if means.shape[1] <= _NODES:
+            yield from np.moveaxis(self.exceedance(threshold, means, sds), 1, 0)
+            return
+        from scipy.interpolate import PchipInterpolator  # a quarter of a second, which single fills do not need
+
+        curves, alike = [], np.zeros(means.shape[0], dtype=int)
+        shares = self.share
+        if len(shares) > 1:
+            shares, alike = np.unique(self.share, axis=0, return_inverse=True)
+        for number, share in enumerate(shares):
+            rows = np.flatnonzero(alike.reshape(-1) == number)
+            order = np.argsort(share)
+            low, high = share[order[[0, -1]]]
+            wanted = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.linspace(0.0, np.pi, _NODES))
+            chosen = order[np.searchsorted(share[order], wanted).clip(0, share.size - 1)]
+            chosen = chosen[np.unique(share[chosen], return_index=True)[1]]
+            some, at = replace(self.rows(rows), share=share[None, chosen]), np.ix_(rows, chosen)
+            p = some.exceedance(threshold[rows], means[at], sds[at])
+            z = np.nan_to_num(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))
+            curves.append((rows, share, share[chosen], z))
+        together = max(1, _LAWS_TOGETHER // means.size)
+        for start in range(0, threshold.shape[1], together):
+            part = slice(start, start + together)
+            out = np.empty((means.shape[0], threshold[:, part].shape[1], means.shape[1]))
+            for rows, share, nodes, z in curves:
+                one = nodes.size == 1
+                out[rows] = ndtr(z[:, part] if one else PchipInterpolator(nodes, z[:, part], axis=2)(share))
+            out[~np.isfinite(means[:, 0])] = np.nan
+            yield from np.moveaxis(out, 1, 0)
+
+
+_SAME = 1e-9  # relative: a point of the curve itself
+
+
+def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = None) -> Array:
+    """P_D at false-alarm probabilities ``pfa`` (...,); NaN outside the curve (3.33) [1].
+
+    At a point of the curve its value; between two points linear in the probit of P_D against that of P_FA, as
+    curves of normal scores are.  Where one of them is 0 or 1, which has no probit, P_D is linear in log P_FA.
+
+    Parameters
+    ----------
+    curve : with ``pfa`` in rising order
+    values : (K,) what is read in place of P_D, such as a limit of it [1]
+
+    Examples
+    --------
+    >>> curve = RocCurve(ndtr([-3.0, -1.0]), ndtr([-1.0, 1.0]), np.zeros(2), np.ones(2), np.zeros(2))
+    >>> round(float(detection_at(curve, float(ndtr(-2.0)))), 9)
+    0.5
+    """
+    grid, known = (
+        np.asarray(curve.pfa, dtype=float),
+        np.asarray(curve.pd if values is None else values, dtype=float),
+    )
+    at = np.asarray(pfa, dtype=float)
+    if not grid.size:
+        return np.full(at.shape, np.nan)
+    upper = np.clip(np.searchsorted(grid, at, side="left"), 1, max(grid.size - 1, 1))
+    upper = np.minimum(upper, grid.size - 1)
+    lower = np.maximum(upper - 1, 0)
+    inside = (at >= grid[0] * (1.0 - _SAME)) & (at <= grid[-1] * (1.0 + _SAME))
+    pd, between = np.full(at.shape, np.nan), inside
+    for index in (lower, upper):  # of equal points the last, which declares the most
+        same = np.abs(grid[index] - at) <= _SAME * at
+        pd, between = np.where(same & inside, known[index], pd), between & ~same
+    if between.any():
+        pd = np.where(between, _between(at, (grid[lower], grid[upper]), (known[lower], known[upper])), pd)
+    return np.asarray(pd)
+
+
+def _between(at: Array, pfa: tuple[Array, Array], known: tuple[Array, Array]) -> Array:
+    """P_D between two points of a curve."""
+    low, high = known
+    with np.errstate(divide="ignore", invalid="ignore"):
+        straight = low + _share(np.log, at, *pfa) * (high - low)
+        share = _share(ndtri, at, *pfa)
+        bent = ndtr((1.0 - share) * ndtri(low) + share * ndtri(high))
+    ends = np.stack([*known, *pfa])
+    return np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), bent, straight)
+
+
+def _share(scale: Callable[[Array], Array], at: Array, low: Array, high: Array) -> Array:
+    """Where ``at`` lies between two points on a scale, 0 to 1."""
+    return np.clip((scale(at) - scale(low)) / (scale(high) - scale(low)), 0.0, 1.0)
+
+
+def log10_false_alarm_at(curve: RocCurve, pd: float) -> float:
+    """log10 P_FA at which a curve reaches the detection probability ``pd``, by the same reading; NaN outside it."""
+    known = np.clip(curve.pd, 1e-300, 1.0 - 1e-16)
+    return float(np.log10(ndtr(np.interp(ndtri(pd), ndtri(known), ndtri(curve.pfa), np.nan, np.nan))))
+
+
 Index = npt.NDArray[np.intp]
-_QUADRATURE = np.polynomial.legendre.leggauss(64)
 
 
-def detection_probability(threshold: Array, means: Array, sds: Array, weights: Array) -> Array:
+def detection_probability(
+    threshold: Array, means: Array, sds: Array, weights: Array, host: Host | None = None
+) -> Array:
     """P_D(x) = sum_k w_k Phi((theta_k - x) / sigma_k) (3.31 with 1/sigma_T, exact over the fill).
 
     Parameters
     ----------
     threshold : (n, K) x
     means, sds, weights : (n, J) score statistics at the fills, and their probabilities
+    host : the class that fills the rest of the pixels; None: one normal law
 
     Returns
     -------
     (n, K)
     """
+    if host is not None:
+        each = [(weights * above).sum(axis=1) for above in host.each_exceedance(threshold, means, sds)]
+        return np.asarray(np.clip(np.stack(each, axis=1), 0.0, 1.0))
     pd = np.zeros(threshold.shape)
     for k in range(means.shape[1]):
         z = (means[:, k, None] - threshold) / np.maximum(sds[:, k, None], SMALLEST_SD)
@@ -46,7 +486,7 @@ def detection_probability(threshold: Array, means: Array, sds: Array, weights: A
     return np.clip(pd, 0.0, 1.0)
 
 
-def object_detection_probability(threshold: Array, means: Array, sds: Array) -> Array:
+def object_detection_probability(threshold: Array, means: Array, sds: Array, host: Host | None = None) -> Array:
     """Probability that at least one pixel of an object passes the threshold (3.31 for objects).
 
     1 - prod_j (1 - Phi((theta_j - x) / sigma_j)), averaged over equally likely places; the pixels are
@@ -56,20 +496,31 @@ def object_detection_probability(threshold: Array, means: Array, sds: Array) -> 
     ----------
     threshold : (n, K)
     means, sds : (n, P, J) score statistics of the J pixels at P places
+    host : the class that fills the rest of the pixels, its share (n or 1, P J); None: one normal law
 
     Returns
     -------
     (n, K)
     """
     pd = np.empty(threshold.shape)
+    if host is not None:
+        flat = (a.reshape(len(a), -1) for a in (means, sds))
+        for k, above in enumerate(host.each_exceedance(threshold, *flat)):
+            pd[:, k] = _any(np.moveaxis(above.reshape(means.shape), 2, 0))
+        return pd
     inverse = 1.0 / np.maximum(np.ascontiguousarray(np.moveaxis(sds, 2, 0)), SMALLEST_SD)  # (J, n, P)
     reached = np.moveaxis(means, 2, 0) * inverse
     for k in range(threshold.shape[1]):
-        passed, *others = ndtr(reached - threshold[:, k, None] * inverse)
-        for other in others:
-            passed += other * (1.0 - passed)  # small probabilities keep their digits
-        pd[:, k] = passed.mean(axis=1)
+        pd[:, k] = _any(ndtr(reached - threshold[:, k, None] * inverse))
     return pd
+
+
+def _any(above: Array) -> Array:
+    """(n,) probability that one of J independent pixels passes, each with (J, n, P), averaged over P places."""
+    passed = above[0].copy()
+    for other in above[1:]:
+        passed += other * (1.0 - passed)  # small probabilities keep their digits
+    return np.asarray(passed.mean(axis=1))
 
 
 @dataclass(frozen=True)
@@ -81,6 +532,7 @@ class RocScores:
     classes : of the different backgrounds;  which (n,) of them each evaluation has
     means, sds, weights : (n, J) of the target pixels over their fills
     objects : (n, P, J) means and sds of the J pixels of an object at P places; None where a pixel is an object
+    host : the class that fills the rest of these pixels; None: one normal law in all evaluations
     """
 
     classes: ClassScores
@@ -89,6 +541,7 @@ class RocScores:
     sds: Array
     weights: Array
     objects: tuple[Array, Array] | None = None
+    host: Host | None = None
 
     @property
     def mean(self) -> Array:
@@ -112,8 +565,11 @@ class RocScores:
     def rows(self, index: Index) -> RocScores:
         """The evaluations that ``index`` names."""
         objects = None if self.objects is None else (self.objects[0][index], self.objects[1][index])
+        host = None if self.host is None else self.host.rows(index)
+        if host is not None and host.normal.all():
+            host = None
         return RocScores(
-            self.classes, self.which[index], self.means[index], self.sds[index], self.weights[index], objects
+            self.classes, self.which[index], self.means[index], self.sds[index], self.weights[index], objects, host
         )
 
     def thresholds(self, pfa: Array) -> Array:
@@ -131,9 +587,14 @@ class RocScores:
 
     def detection_above(self, thresholds: Array) -> Array:
         """P_D (n, K) above ``thresholds`` (n, K) (3.31)."""
+        if self.host is not None and self.host.normal.any():
+            pd, normal = np.empty(thresholds.shape), self.host.normal
+            for rows in (np.flatnonzero(normal), np.flatnonzero(~normal)):
+                pd[rows] = self.rows(rows).detection_above(thresholds[rows])
+            return pd
         if self.objects is None:
-            return detection_probability(thresholds, self.means, self.sds, self.weights)
-        return object_detection_probability(thresholds, *self.objects)
+            return detection_probability(thresholds, self.means, self.sds, self.weights, self.host)
+        return object_detection_probability(thresholds, *self.objects, self.host)
 
     def detection(self, pfa: Array) -> Array:
         """P_D (n, K) at ``pfa`` (n, K) or (1, K) (3.31, 3.33)."""
@@ -145,50 +606,59 @@ class RocScores:
 
     def target_density(self, score: Array) -> Array:
         """Density of the target pixels' score at ``score`` (n, K), the derivative of (3.31) [per unit of score]."""
-        return score_density(
-            score, ClassScores(self.weights, self.means, self.sds, np.full(self.means.shape, np.inf))
-        )
+        if self.host is not None:
+            density = self.host.exceedance(score, self.means, self.sds, density=True)
+            return np.asarray(np.matmul(density, self.weights[:, :, None])[:, :, 0])
+        return score_density(score, ClassScores(self.weights, self.means, self.sds, np.full(self.means.shape, np.inf)))
 
     def log10_false_alarm(self, pd: Array) -> Array:
         """log10 P_FA (n,) at which P_D is ``pd`` (n,), pixels (3.31 solved for the threshold)."""
         sds = np.maximum(self.sds, SMALLEST_SD)
         x = self.means - sds * ndtri(pd)[:, None]
         low, high = x.min(axis=1), x.max(axis=1)
-        for _ in range(60 if x.shape[1] > 1 else 0):
+        if self.host is not None:
+            low, high = self._bracket(pd)
+        for _ in range(60 if x.shape[1] > 1 or self.host is not None else 0):
             middle = 0.5 * (low + high)
-            above = (self.weights * ndtr((self.means - middle[:, None]) / sds)).sum(axis=1) > pd
+            above = detection_probability(middle[:, None], self.means, sds, self.weights, self.host)[:, 0] > pd
             low, high = np.where(above, middle, low), np.where(above, high, middle)
         log_pfa, _ = log_false_alarm(0.5 * (low + high), self.classes.rows(self.which))
         return np.asarray(np.minimum(log_pfa / np.log(10.0), 0.0))
+
+    def _bracket(self, pd: Array) -> tuple[Array, Array]:
+        """Thresholds (n,) on either side of that of ``pd``: where a sum is far out, so is one of its two parts."""
+        assert self.host is not None  # noqa: S101 - asked by the caller
+        rare, ends = 0.5 * np.minimum(pd, 1.0 - pd), []
+        for part in self.host.parts(self.means, self.sds):
+            tail = np.where(np.isinf(part.dof), -ndtri(rare), -stdtrit(np.minimum(part.dof, 1e9), rare))
+            reach = np.sqrt(part.tailed) * tail[:, None] - np.sqrt(part.normal) * ndtri(rare)[:, None]
+            ends += [part.mean - reach, part.mean + reach]
+        return np.min(ends, axis=(0, 2)), np.max(ends, axis=(0, 2))
 
     def auc(self) -> Array:
         """Area under the ROC (n,): the probability that a target pixel outscores a background pixel.
 
         Two Gaussians: Phi((theta_T - theta_m) / sqrt(sigma_T^2 + sigma_m^2)).  A t score is a Gaussian whose
-        variance is divided by a chi-square over its degrees of freedom: 64 Gauss-Legendre nodes in its quantile.
+        variance is divided by a chi-square over its degrees of freedom, which is averaged over.
         """
         c = self.classes.rows(self.which)
         total = np.zeros(self.which.size)
-        for m in range(c.mean.shape[1]):
-            total += c.fraction[:, m] * self._over_class(c.mean[:, m], c.sd[:, m], c.dof[:, m])
+        plain = np.ones(total.size), self.means, self.sds**2, np.zeros(self.sds.shape), np.full(total.size, np.inf)
+        parts = [plain] if self.host is None else self.host.parts(self.means, self.sds)
+        for probability, means, normal, tailed, dof in parts:
+            for own, weight in zip(*(a.T for a in mixing(dof)), strict=True):
+                variance = normal + tailed * own[:, None]
+                for m in range(c.mean.shape[1]):
+                    z = self._over_class(means - c.mean[:, m, None], variance, c.sd[:, m], c.dof[:, m])
+                    total += probability * weight * c.fraction[:, m] * z
         return total
 
-    def _over_class(self, mean: Array, sd: Array, dof: Array) -> Array:
-        probability = np.empty(mean.shape)
-        gaussian = np.isinf(dof)
-        for rows, nodes in ((np.flatnonzero(gaussian), False), (np.flatnonzero(~gaussian), True)):
-            if not rows.size:
-                continue
-            if nodes:
-                x, weight = _QUADRATURE
-                nu = dof[rows, None]
-                factor, weight = (nu - 2.0) / (2.0 * gammaincinv(0.5 * nu, 0.5 * (x + 1.0))), 0.5 * weight
-            else:
-                factor, weight = np.ones((rows.size, 1)), np.ones(1)
-            spread = self.sds[rows, :, None] ** 2 + (sd[rows] ** 2)[:, None, None] * factor[:, None, :]
-            z = (self.means[rows] - mean[rows, None])[:, :, None] / np.sqrt(np.maximum(spread, SMALLEST_SD**2))
-            probability[rows] = (self.weights[rows] * (ndtr(z) @ weight)).sum(axis=1)
-        return probability
+    def _over_class(self, ahead: Array, variance: Array, sd: Array, dof: Array) -> Array:
+        """(n,) probability that pixels of normal law (n, J), so far ahead of a class, outscore it."""
+        factor, weight = mixing(dof)
+        spread = variance[:, :, None] + (sd[:, None] ** 2 * factor)[:, None, :]
+        z = ahead[:, :, None] / np.sqrt(np.maximum(spread, SMALLEST_SD**2))
+        return np.asarray((self.weights * np.matmul(ndtr(z), weight[:, :, None])[:, :, 0]).sum(axis=1))
 
 
 def _known(solve: Any, pfa: Array, classes: ClassScores) -> Array:

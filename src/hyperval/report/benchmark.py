@@ -1,4 +1,7 @@
-"""``report.html`` of a benchmark: detectors with ranks, engines and formulations, campaign by campaign."""
+"""``report.html`` of a benchmark: detectors with ranks, campaign by campaign.
+
+Figures of a benchmark: metrics with intervals, ranks by subject.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,125 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hyperval.report.figures_benchmark import agreement_figures, detector_figures, rank_figures
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+
+from hyperval.report import style
 from hyperval.report.html import common_words, environment
-from hyperval.report.style import Drawing, house_style
+from hyperval.report.style import COLLECTED, Drawing, house_style
 from hyperval.report.verdict import number_text
 from hyperval.results import Outcome, Result, ResultTable
 
 EVERY_OBJECT = "all objects"
-EVERY_SUBJECT = "all subjects"
+_MOST_SUBJECTS = 30
+_RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
+
+
+def detector_figures(
+    name: str,
+    rows: Sequence[Result],
+    groups: Sequence[tuple[str, ...]],
+    measures: Mapping[str, str],
+    *,
+    simulated: bool,
+) -> list[Drawing]:
+    """One panel for each metric on all objects: value, interval, rank with its set."""
+    here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_OBJECT and r.outcome is Outcome.NONE}
+    shown = [m for m in measures if any(metric == m for _, metric in here)]
+    if not shown or not groups:
+        return []
+    figure = style.new_figure(12.0, 1.5 + 0.34 * len(groups), f"{name}: detectors on all objects", simulated)
+    panels = figure.subplots(1, len(shown), squeeze=False)[0]
+    captions = []
+    for k, (axes, metric) in enumerate(zip(panels, shown, strict=True)):
+        for i, names in enumerate(groups):
+            row, rank = (here.get((f"{names[0]}/object", f"{p}{metric}")) for p in ("", "rank_"))
+            if row is None or rank is None:
+                continue
+            _whisker(axes, row, i, solid=rank.lower <= 1)
+            words = f"{rank.value:.0f} [{rank.lower:.0f}-{rank.upper:.0f}]"
+            axes.annotate(
+                words, (1.0, i), xycoords=("axes fraction", "data"), xytext=(3, 0), textcoords="offset points",
+                va="center", fontsize=7.5, color="#444444",
+            )  # fmt: skip
+            captions.append(f"{'/'.join(names)} {metric} {row.value:.3g}, rank {words}")
+        _rows_of(axes, [" = ".join(g) for g in groups] if k == 0 else [""] * len(groups))
+        axes.set_xlabel("\n".join(style.plain(part) for part in measures[metric].split(", ", 1)), fontsize=8.0)
+        if metric.startswith("far"):
+            axes.set_xscale("symlog", linthresh=_least_positive([here[k] for k in here if k[1] == metric]))
+            axes.set_xlim(left=0.0)
+        axes.tick_params(axis="x", labelsize=7.5)
+    title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set], filled where it may be first"
+    alt = f"Metrics of each detector on all objects of {name}. {'; '.join(captions)}."
+    return [style.vector_drawing(figure, f"{name}-detectors", name, title, alt)]
+
+
+def rank_figures(
+    name: str,
+    rows: Sequence[Result],
+    groups: Sequence[tuple[str, ...]],
+    measures: Mapping[str, str],
+    *,
+    simulated: bool,
+) -> list[Drawing]:
+    """Ranks by subject, as a map: dark where the detector leads, with the set of ranks that are not refuted."""
+    metric = next((m for m in _RANK_METRICS if any(r.metric == f"rank_{m}" for r in rows)), None)
+    if metric is None:
+        return []
+    here = {(r.subject, r.method): r for r in rows if r.metric == f"rank_{metric}" and r.outcome is Outcome.NONE}
+    every = list(dict.fromkeys(s for s, _ in here))
+    subjects = every[:_MOST_SUBJECTS]
+    if len(subjects) < 2 or not groups:
+        return []
+    worst = max(r.value for r in here.values())
+    grid = np.full((len(subjects), len(groups)), np.nan)
+    figure = style.new_figure(
+        2.6 + 1.35 * len(groups), 1.3 + 0.27 * len(subjects), f"{name}: rank of each detector by subject", simulated
+    )
+    axes = figure.add_subplot()
+    captions = []
+    for i, subject in enumerate(subjects):
+        for j, names in enumerate(groups):
+            row = here.get((subject, f"{names[0]}/object"))
+            if row is None:
+                continue
+            grid[i, j] = row.value
+            words = f"{row.value:.0f} [{row.lower:.0f}-{row.upper:.0f}]"
+            shade = "white" if row.value <= worst / 3 else "black"
+            axes.text(j, i, words, ha="center", va="center", fontsize=7.5, color=shade)
+            captions.append(f"{subject}, {'/'.join(names)}: {words}")
+    shades = ListedColormap([(s, s + 0.04, s + 0.09) for s in np.linspace(0.2, 0.9, 16)])
+    axes.imshow(grid, cmap=shades, vmin=1, vmax=worst, aspect="auto")
+    axes.set_xticks(range(len(groups)), [style.plain("\n= ".join(g)) for g in groups], fontsize=7.5)
+    axes.set_yticks(range(len(subjects)), [style.plain(style.shortened(s)) for s in subjects], fontsize=8.0)
+    axes.grid(visible=False)
+    more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
+    title = f"{name}: rank [95 % set] by {measures[metric]}, subjects of two objects and more{more}"
+    alt = f"Rank of each detector by subject. {'; '.join(captions)}."
+    return [style.vector_drawing(figure, f"{name}-ranks", name, title, alt)]
+
+
+def _whisker(axes: Axes, row: Result, at: int, *, solid: bool) -> None:
+    colour = COLLECTED.colour
+    if math.isfinite(row.lower):
+        axes.plot([row.lower, row.upper], [at, at], color=colour, linewidth=3.0, alpha=0.35)
+    axes.plot(
+        row.value, at, "o", color=colour, markersize=5, markerfacecolor=colour if solid else "white",
+        markeredgewidth=1.2,
+    )  # fmt: skip
+
+
+def _rows_of(axes: Axes, labels: Sequence[str]) -> None:
+    axes.set_yticks(
+        range(len(labels)), [style.plain(style.shortened(x, 44)) if x else "" for x in labels], fontsize=8.0
+    )
+    axes.set_ylim(len(labels) - 0.5, -0.5)
+
+
+def _least_positive(rows: Sequence[Result]) -> float:
+    values = [v for r in rows for v in (r.value, r.upper) if math.isfinite(v) and v > 0]
+    return min(values, default=1.0)
 
 
 @dataclass(frozen=True)
@@ -33,13 +147,12 @@ class BenchmarkReport:
 
     Attributes
     ----------
-    measures, engines : name in the table -> title
+    measures : name in the table -> title
     """
 
     table: ResultTable
     campaigns: Sequence[CampaignWords]
     measures: Mapping[str, str]
-    engines: Mapping[str, str]
 
 
 def draw_benchmark(report: BenchmarkReport) -> list[Drawing]:
@@ -51,7 +164,6 @@ def draw_benchmark(report: BenchmarkReport) -> list[Drawing]:
             groups = alike(rows, report.measures)
             out += detector_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
             out += rank_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
-            out += agreement_figures(item.name, rows, simulated=item.simulated)
     return out
 
 
@@ -80,12 +192,11 @@ def benchmark_page(report: BenchmarkReport, drawings: Sequence[Drawing]) -> str:
                 "leads": leads(rows, groups, report.measures),
                 "measures": [t for m, t in report.measures.items() if _has(rows, m)],
                 "detectors": [_detector(rows, names, report.measures) for names in groups],
-                "variants": _variants(rows),
                 "figures": [{"drawing": d, "source": d.source} for d in drawings if d.section == item.name],
             }
         )
     return environment().get_template("benchmark.html.j2").render(
-        entries=entries, skipped=skipped, engines=report.engines, count=len(report.table),
+        entries=entries, skipped=skipped, count=len(report.table),
         all=len(report.campaigns), **common_words(),
     )  # fmt: skip
 
@@ -130,46 +241,14 @@ def _detector(rows: Sequence[Result], names: tuple[str, ...], measures: Mapping[
     return {"name": " = ".join(names), "cells": cells}
 
 
-_COLUMNS = {
-    "radiance_median_abs_difference_ratio": "Median |difference ratio| of radiance, windows [%]",
-    "radiance_median_abs_difference_ratio_change": "Change of it [%]",
-    "radiance_chi2_reduced": "Reduced χ² of radiance",
-    "reflectance_median_abs_difference_ratio": "Median |difference ratio| of reflectance, windows [%]",
-    "reflectance_median_abs_difference_ratio_change": "Change of it [%]",
-    "reflectance_chi2_reduced": "Reduced χ² of reflectance",
-    "pd_inside_interval@1e-2": "P_D inside, P_FA 1e-2",
-    "pd_inside_interval@1e-3": "P_D inside, P_FA 1e-3",
-    "pd_mean_abs_difference@1e-2": "Mean |P_D difference|, P_FA 1e-2",
-    "pd_mean_abs_difference@1e-3": "Mean |P_D difference|, P_FA 1e-3",
-}
-
-
-def _variants(rows: Sequence[Result]) -> dict[str, Any]:
-    """Engines and formulations of a campaign, each with what its rows say; the campaign as it stands first."""
-    whole = [r for r in rows if r.subject == EVERY_SUBJECT]
-    there = {r.metric for r in whole}
-    columns = [m for m in _COLUMNS if m in there]
-    lines = []
-    for label in dict.fromkeys(r.method for r in whole):
-        own = {r.metric: r for r in whole if r.method == label}
-        refused = own.get("agreement")
-        cells = [(_number(own.get(m), _factor(m)), _span(own.get(m), _factor(m))) for m in columns]
-        lines.append({"name": label, "reason": refused.reason if refused else "", "cells": cells})
-    return {"columns": [_COLUMNS[m] for m in columns], "lines": lines}
-
-
-def _factor(metric: str) -> float:
-    return 100.0 if "ratio" in metric else 1.0
-
-
-def _number(row: Result | None, factor: float = 1.0) -> str:
+def _number(row: Result | None) -> str:
     if row is None or not math.isfinite(row.value):
         return "–"
-    return number_text(factor * row.value, factor * (row.upper - row.lower) / 2)
+    return number_text(row.value, (row.upper - row.lower) / 2)
 
 
-def _span(row: Result | None, factor: float = 1.0) -> str:
+def _span(row: Result | None) -> str:
     if row is None or not math.isfinite(row.lower):
         return ""
-    spread = factor * (row.upper - row.lower) / 2  # two digits of it are all that value and ends are worth
-    return f"{number_text(factor * row.lower, spread)} to {number_text(factor * row.upper, spread)}"
+    spread = (row.upper - row.lower) / 2  # two digits of it are all that value and ends are worth
+    return f"{number_text(row.lower, spread)} to {number_text(row.upper, spread)}"

@@ -2,38 +2,31 @@
 
 Bokeh writes each as data in JSON; the page holds its script once, from the installed package, and needs no network.
 Figures for print are drawn by ``figures_*``.
+
+The interactive chart of many objects: a map of measured minus predicted score, and a histogram of both.
+
+Stated plots as interactive charts: a subject at a time where there are several.
+
+The interactive chart of detector scores: density of each population over the score, a tab for each detector.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.products import RocCurve, SpectralEstimate
+from hyperval.products import Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.report import style
-from hyperval.report.charts_base import (
-    LABELS,
-    Chart,
-    Curves,
-    Fill,
-    Labels,
-    chart_content,
-    column_text,
-)
-from hyperval.report.sides import (
-    Sides,
-    best_counted,
-    both_first,
-    difference,
-    of_side,
-)
-from hyperval.report.text_cache import chart_models
+from hyperval.report.charts_base import LABELS, Chart, ChartFill, Curves, Labels, chart_content, column_text
+from hyperval.report.plots import Axis, Plots, SubjectView
+from hyperval.report.run import ScoreMap, Sides, best_counted, both_first, difference, of_side
 from hyperval.results import Outcome, Result
-from hyperval.spectra.windows import in_window
+from hyperval.spectra.axis import in_window
 
 Array = npt.NDArray[np.float64]
 Column = npt.NDArray[np.float32]
@@ -119,7 +112,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
         f"intervals{below}. Subjects: {', '.join(shown)}.",
         chart_content(
             chart_models("spectra", name, tuple(first.bands), first.numbered, label, ratio, labels),
-            Fill(ranges={"nm": nm}),
+            ChartFill(ranges={"nm": nm}),
             [one.packed(first.nm if i else None) for i, one in enumerate(spectra)],
         ),
         tuple(shown),
@@ -134,7 +127,7 @@ def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
     kinds = list(dict.fromkeys(key[1:] for key in pairs or every))
     if not kinds:
         return None
-    tabs, shown, fill = [], [], Fill()
+    tabs, shown, fill = [], [], ChartFill()
     for number, (detector, unit) in enumerate(kinds):
         keys = [key for key in pairs or every if key[1:] == (detector, unit)]
         keys = best_counted(keys, measured, MOST_CURVES // len(kinds) or 1)
@@ -153,6 +146,14 @@ def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
         chart_content(chart_models("curves", "chart-roc", tuple(tabs), labels), fill),
         (FIRST, *names) if len(names) > 1 else (),
     )
+
+
+@lru_cache(maxsize=64)
+def chart_models(kind: str, target: str, *arguments: Any) -> str:
+    """The JSON of a chart's models, which hold no numbers of a run: built once for charts that look alike."""
+    from hyperval.report.bokeh_models import models_json  # a second, of which a page without charts needs nothing
+
+    return models_json(kind, target, *arguments)
 
 
 def _worst_first(subjects: Sequence[str], product: str, rows: Sequence[Result]) -> list[str]:
@@ -202,7 +203,7 @@ def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array
 
 
 def _fill_curves(
-    fill: Fill,
+    fill: ChartFill,
     tab: int,
     keys: Sequence[tuple[str, str, str]],
     predicted: Mapping[Any, RocCurve],
@@ -237,3 +238,206 @@ def _curve_data(curve: RocCurve, low: float) -> dict[str, Column]:
 
 def _column(values: Array) -> Column:
     return np.asarray(values, dtype=np.float32)
+
+
+MANY_OBJECTS = 40  # of fewer, each has its place in a list
+_BINS = 24
+_MOST_TABS = 6
+
+
+@dataclass(frozen=True)
+class MapObjects:
+    """The objects of one score map, with a prediction each.
+
+    Attributes
+    ----------
+    names : of the objects (N)
+    line, sample : (N,) centre of each [pixel]
+    measured : (N,) greatest score over the pixels of each [1]
+    predicted : (N,) median of its predicted scores [1]
+    draws : for each object the number of its predicted scores in ``by_subject``
+    by_subject : the predicted scores of each subject
+    """
+
+    names: tuple[str, ...]
+    line: Array
+    sample: Array
+    measured: Array
+    predicted: Array
+    draws: npt.NDArray[np.intp]
+    by_subject: tuple[Array, ...]
+
+    def histogram(self) -> tuple[Array, Array, Array]:
+        """Edges (K + 1,) [1], measured objects in each bin (K,) and how many the prediction expects there (K,).
+
+        Scores beyond the edges count in the outermost bins, so that both sum to the number of objects.
+        """
+        ends = np.concatenate([self.measured, *(np.quantile(d, [0.005, 0.995]) for d in self.by_subject)])
+        edges = np.linspace(ends.min(), max(ends.max(), ends.min() + 1e-9), _BINS + 1)
+        expected = np.zeros(_BINS)
+        for number, draws in enumerate(self.by_subject):
+            share = np.histogram(np.clip(draws, edges[0], edges[-1]), edges)[0] / draws.size
+            expected += np.count_nonzero(self.draws == number) * share
+        return edges, np.histogram(self.measured, edges)[0].astype(float), expected
+
+
+def map_objects(name: str, score_map: ScoreMap, sides: Sides) -> MapObjects | None:
+    """The objects of a score map that have a measured and a predicted score; None for few."""
+    if None in sides or len(score_map.outlines) <= MANY_OBJECTS:
+        return None
+    predicted, measured = (side.object_scores for side in sides if side is not None)
+    names, values, draws = [], [], []
+    by_subject: list[Array] = []
+    for (subject, detector), scores in measured.items():
+        law = predicted.get((subject, detector))
+        if law is None or not name.endswith(f"-{detector}"):
+            continue
+        own = [i for i, one in enumerate(scores.names) if one in score_map.outlines and np.isfinite(scores.values[i])]
+        if own:
+            names += [scores.names[i] for i in own]
+            values += [float(scores.values[i]) for i in own]
+            draws += [len(by_subject)] * len(own)
+            by_subject.append(np.ravel(law.values))
+    if len(names) <= MANY_OBJECTS:
+        return None
+    centres = np.array([np.mean(np.nonzero(score_map.outlines[one]), axis=1) for one in names]) + 0.5
+    medians, number = np.array([np.median(d) for d in by_subject]), np.array(draws)
+    return MapObjects(
+        tuple(names), centres[:, 0], centres[:, 1], np.array(values), medians[number], number, tuple(by_subject)
+    )
+
+
+def objects_chart(maps: Mapping[str, ScoreMap], sides: Sides) -> Chart | None:
+    """A map of the objects of each score map and a histogram of their scores; None where they are few."""
+    shown = {name: own for name, one in maps.items() if (own := map_objects(name, one, sides)) is not None}
+    shown = dict(list(shown.items())[:_MOST_TABS])
+    if not shown:
+        return None
+    fill, words = ChartFill(), []
+    for tab, (name, own) in enumerate(shown.items()):
+        difference = own.measured - own.predicted
+        columns = {"sample": own.sample, "line": own.line, "measured": own.measured, "predicted": own.predicted}
+        fill.add(f"objects-{tab}", columns | {"difference": difference})
+        fill.texts[f"objects-{tab}"] = {"name": list(own.names)}
+        edges, measured, expected = own.histogram()
+        fill.add(f"bins-{tab}", {"left": edges[:-1], "right": edges[1:], "measured": measured, "predicted": expected})
+        reach = float(np.max(np.abs(difference))) or 1.0
+        fill.colours[f"difference-{tab}"] = -reach, reach
+        margin = 0.02 * (edges[-1] - edges[0])
+        fill.ranges[f"score-{tab}"] = float(edges[0] - margin), float(edges[-1] + margin)
+        fill.ranges[f"count-{tab}"] = 0.0, 1.08 * float(max(measured.max(), expected.max()))
+        words.append(
+            f"{name}: {len(own.names)} objects, median measured {np.median(own.measured):.3g}, "
+            f"predicted {np.median(own.predicted):.3g}"
+        )
+    return Chart(
+        "chart-objects",
+        "scores",
+        "Score of each object, measured minus predicted median, at its place, and the scores of all: what is "
+        "chosen in one stands out in the other",
+        "Map of the objects coloured by measured minus predicted score, and a histogram of the measured scores "
+        f"with what the prediction expects, a tab for each score map. {'; '.join(words)}.",
+        chart_content(chart_models("objects", "chart-objects", tuple(shown)), fill),
+    )
+
+
+def chart_of(plots: Plots) -> Chart:
+    """The chart of plots; its models are kept for plots that look alike."""
+    name, views = f"chart-{plots.name}", list(plots.views.values())
+    looks = [
+        (_axis(view.x), tuple((_axis(p.y), tuple(m.look for m in p.marks), p.rules) for p in view.parts))
+        for view in views
+    ]
+    models = chart_models("plots", name, *looks[0])
+    fills = [_fill(view) for view in views]
+    subjects = tuple(plots.views) if len(views) > 1 else ()
+    rest = [fill.packed() for fill in fills] if subjects else ()
+    content = chart_content(models, ChartFill() if subjects else fills[0], rest)
+    title = plots.title + (f". {plots.legend[0].upper()}{plots.legend[1:]}" if plots.legend else "")
+    return Chart(name, plots.section, title, plots.alt, content, subjects)
+
+
+def _axis(axis: Axis) -> tuple[str, str, int]:
+    return axis.label, axis.scale, len(axis.names)
+
+
+def _fill(view: SubjectView) -> ChartFill:
+    fill = ChartFill()
+    fill.ranges["x"] = view.ends()
+    for number, part in enumerate(view.parts):
+        low, high = view.ends(part)
+        fill.ranges[f"y-{number}"] = (high, low) if part.y.scale == "names" else (low, high)
+        for which, axis in (("x", view.x), ("y", part.y)):
+            if axis.scale == "names":
+                fill.names[f"names-{which}-{number}"] = axis.names
+        for at, mark in enumerate(part.marks):
+            source = f"m-{number}-{at}"
+            columns: dict[str, Any] = {k: np.atleast_1d(v) for k, v in mark.columns.items()}
+            fill.add(source, columns)
+            if mark.words:
+                fill.texts[source] = {"words": list(mark.words)}
+            if mark.kind == "cells":
+                reach = mark.reach
+                fill.colours[f"{source}-colours"] = -reach, reach
+                fill.texts[source]["shade"] = mark.shades
+    return fill
+
+
+_MOST = 12  # populations of a detector
+_SPAN = 5.0  # standard deviations about the mean, where the density is not stated
+_DEEPEST = 1e-8  # part of the greatest density
+
+
+def scores_chart(sides: Sequence[tuple[str, Products]]) -> Chart | None:
+    """Densities of the detectors' scores; None without any.
+
+    A density that the product does not state is that of the normal law with its moments.  Sides after the first are
+    dashed.
+    """
+    detectors = list(dict.fromkeys(detector for _, side in sides for _, detector in side.scores))
+    if not detectors:
+        return None
+    fill = ChartFill()
+    tabs = tuple((detector, _fill_densities(fill, i, sides, detector)) for i, detector in enumerate(detectors))
+    names = list(dict.fromkeys(subject for _, side in sides for subject, _ in side.scores))
+    return Chart(
+        "chart-scores",
+        "scores",
+        "Scores: probability density of each population and of the background; a click on a name shows or hides it",
+        f"Probability density (logarithmic) of the detector's score, a tab for each detector. "
+        f"Populations: {', '.join(names[:_MOST])}.",
+        chart_content(chart_models("densities", "chart-scores", tabs), fill),
+    )
+
+
+def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
+    """Scores (G,) [1] and the probability density (G,) at each [per unit of score].
+
+    Examples
+    --------
+    >>> score, density = density_of(ScoreDistribution(0.5, 0.1))
+    >>> round(float(np.trapezoid(density, score)), 5)
+    1.0
+    """
+    if score.grid is not None and score.density is not None:
+        return score.grid, score.density
+    z = np.linspace(-_SPAN, _SPAN, 201)
+    return score.mean + score.sd * z, np.exp(-0.5 * z**2) / (score.sd * np.sqrt(2.0 * np.pi))
+
+
+def _fill_densities(
+    fill: ChartFill, tab: int, sides: Sequence[tuple[str, Products]], detector: str
+) -> tuple[tuple[str, int, str], ...]:
+    """Note the numbers of one detector's curves; label and number of the side, and subject, of each."""
+    curves = [
+        (label, number, subject, *density_of(score))
+        for number, (label, side) in enumerate(sides)
+        for subject, score in [(s, v) for (s, d), v in side.scores.items() if d == detector and v.sd > 0][:_MOST]
+    ]
+    low = min((float(x[0]) for *_, x, _ in curves), default=0.0)
+    high = max((float(x[-1]) for *_, x, _ in curves), default=1.0)
+    top = max((float(np.nanmax(y)) for *_, y in curves), default=1.0)
+    fill.ranges[f"score-{tab}"], fill.ranges[f"density-{tab}"] = (low, high), (top * _DEEPEST, 2.0 * top)
+    for place, (*_, x, y) in enumerate(curves):
+        fill.add(f"density-{tab}-{place}", {"score": x, "density": np.maximum(y, top * _DEEPEST / 10)})
+    return tuple((label, number, subject) for label, number, subject, *_ in curves)

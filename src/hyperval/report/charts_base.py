@@ -49,7 +49,7 @@ def column_text(values: npt.NDArray[Any]) -> str:
 
 
 @dataclass
-class Fill:
+class ChartFill:
     """What the script sets in the models of a chart, which are drawn without numbers, by their names.
 
     Attributes
@@ -89,7 +89,7 @@ class Fill:
         }
 
 
-def chart_content(models: str, fill: Fill, subjects: Sequence[Mapping[str, Any]] = ()) -> str:
+def chart_content(models: str, fill: ChartFill, subjects: Sequence[Mapping[str, Any]] = ()) -> str:
     """The JSON of a chart: its models, and what the script fills them with."""
     rest = json.dumps({"fill": fill.packed(), "subjects": subjects}, separators=(",", ":"), ensure_ascii=False)
     # "<" cannot end the script that holds it.

@@ -1,12 +1,22 @@
-"""``report.html``: one page that a reader understands in half a minute, with nothing loaded from elsewhere."""
+"""``report.html``: one page that a reader understands in half a minute, with nothing loaded from elsewhere.
+
+The scripts that draw a page's charts: a kept library from its installed package, and a short one of our own.
+
+The first screen: product by subject, or product by campaign, each cell with its outcome.
+"""
 
 from __future__ import annotations
 
+import base64
 import datetime
+import functools
+import gzip
+import hashlib
 import os
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
 from typing import Any
 
 import jinja2
@@ -14,18 +24,179 @@ from markupsafe import Markup
 
 import hyperval
 from hyperval.metrics import Evidence, explained
+from hyperval.products import background_of
 from hyperval.report import verdict as v
-from hyperval.report.charts import draw_charts
+from hyperval.report.charts import chart_of, draw_charts, objects_chart
 from hyperval.report.charts_base import Chart
-from hyperval.report.charts_objects import objects_chart
-from hyperval.report.charts_plots import chart_of
-from hyperval.report.matrix import LETTERS, anchor, matrix_of, same_background_once
 from hyperval.report.plots_run import equivalence_margin, every_plot
 from hyperval.report.run import WARNING, RunReport
-from hyperval.report.scripts import packed_library, page_script, page_script_hash, script_hashes, starter
 from hyperval.report.style import Drawing
 from hyperval.report.tables import row_name
+from hyperval.report.verdict import outcome_words, worst
 from hyperval.results import Outcome, Result
+from hyperval.storage import installed_file
+
+
+@functools.cache
+def starter() -> str:
+    """The script that unpacks the library and draws the charts."""
+    return (resources.files("hyperval.report") / "templates" / "charts.js").read_text("utf-8")
+
+
+@functools.cache
+def _library() -> str:
+    return installed_file("bokeh", "server", "static", "js", "bokeh.min.js").read_text("utf-8")
+
+
+@functools.cache
+def packed_library() -> str:
+    """The library's script as base64 of gzip: 0.5 MB in place of 1.3 leave the figures room."""
+    return base64.b64encode(gzip.compress(_library().encode("utf-8"), mtime=0)).decode("ascii")
+
+
+@functools.cache
+def script_hashes() -> str:
+    """The scripts of a page with charts as sources of its policy: these texts, and no other, may run."""
+    return " ".join(map(_source, (_library(), starter(), page_script())))
+
+
+@functools.cache
+def page_script() -> str:
+    """The script of every page: sorting and filtering of tables, links to evidence."""
+    return (resources.files("hyperval.report") / "templates" / "page.js").read_text("utf-8")
+
+
+@functools.cache
+def page_script_hash() -> str:
+    """The script of every page as a source of its policy."""
+    return _source(page_script())
+
+
+def _source(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"
+
+
+LETTERS = {
+    Outcome.AGREES: "M", Outcome.DISAGREES: "N", Outcome.ERROR: "E", Outcome.UNDECIDED: "I", Outcome.SKIPPED: "S",
+    Outcome.NONE: "",
+}  # fmt: skip
+_MOST_OPEN_LINES = 16  # lines before the rest is folded
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell: the worst outcome of its gates, or of what informs where nothing gates.
+
+    Attributes
+    ----------
+    letter : capital of criteria, small of what is informational, "M n" where the criteria are met and something
+        informational is not; empty where nothing was planned
+    words : how many rows of each outcome
+    link : where its evidence stands
+    """
+
+    outcome: Outcome
+    letter: str
+    words: str
+    link: str
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Lines of cells; ``open`` of them stand on the first screen."""
+
+    columns: Sequence[str]
+    lines: Sequence[tuple[str, str, Sequence[Cell]]]
+
+    @property
+    def shown(self) -> Sequence[tuple[str, str, Sequence[Cell]]]:
+        """Lines of the first screen."""
+        return self.lines[:_MOST_OPEN_LINES]
+
+    @property
+    def folded(self) -> Sequence[tuple[str, str, Sequence[Cell]]]:
+        """The other lines."""
+        return self.lines[_MOST_OPEN_LINES:]
+
+
+def anchor(row: Result) -> str:
+    """Where the evidence of a row stands on its page."""
+    return re.sub(r"[^A-Za-z0-9]+", "-", f"e-{row.product}-{row.subject}").strip("-")
+
+
+def matrix_of(
+    rows: Iterable[Result],
+    line_of: Callable[[Result], str],
+    link_of: Callable[[str, Sequence[Result]], str],
+    titles: dict[str, str],
+) -> Matrix | None:
+    """Planned rows in lines by ``line_of`` and columns by product; None without any.
+
+    Lines that gate come first, the worst of them first, then those that inform.
+
+    Parameters
+    ----------
+    link_of : (line, rows of the cell) -> where the cell links to; of a whole line (line, [])
+    titles : product -> heading, in the order of the columns
+    """
+    planned = [row for row in rows if row.planned]
+    if not planned:
+        return None
+    columns = [p for p in titles if any(row.product == p for row in planned)]
+    columns += [p for p in dict.fromkeys(row.product for row in planned) if p not in titles]
+    groups: dict[str, list[Result]] = {}
+    for row in planned:
+        groups.setdefault(line_of(row), []).append(row)
+
+    def rank(item: tuple[str, list[Result]]) -> tuple[bool, int]:
+        gates = [row for row in item[1] if row.gates]
+        order = list(LETTERS).index(worst(gates or item[1]))
+        return not gates, {1: 0, 2: 0, 3: 1, 4: 2, 0: 3}.get(order, 4)
+
+    lines = []
+    for name, own in sorted(groups.items(), key=rank):
+        cells = []
+        for product in columns:
+            here = [row for row in own if row.product == product]
+            cells.append(_cell(here, link_of(name, here)))
+        lines.append((name, link_of(name, []), cells))
+    return Matrix([titles.get(p, p) for p in columns], lines)
+
+
+def _cell(rows: Sequence[Result], link: str) -> Cell:
+    if not rows:
+        return Cell(Outcome.NONE, "", "not planned", "")
+    gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
+    outcome = worst(gates or rows)
+    letter = LETTERS[outcome] if gates else LETTERS[outcome].lower()
+    parts = [f"criteria: {outcome_words(gates)}"] if gates else []
+    informing = [row for row in rows if not row.gates and row.outcome is not Outcome.ERROR]
+    if gates and outcome is not Outcome.DISAGREES and worst(informing) is Outcome.DISAGREES:
+        letter += f" {LETTERS[Outcome.DISAGREES].lower()}"  # what decides does not, something else does
+    parts += [f"informational: {outcome_words(informing)}"] if informing else []
+    return Cell(outcome, letter, "; ".join(parts), link)
+
+
+def same_background_once(rows: Sequence[Result]) -> list[Result]:
+    """Rows about the background seen by one filter, which every size of a target has, as one row for all of them.
+
+    They are the same but for the subject; the first stands for all, and says how many are alike.
+    """
+    kinds: dict[str, list[Result]] = {}
+    order: list[list[Result]] = []
+    for row in rows:
+        if not row.subject.endswith(background_of("")):
+            order.append([row])
+            continue
+        alike = repr(replace(row, subject=""))
+        if alike not in kinds:
+            order.append(kinds.setdefault(alike, []))
+        kinds[alike].append(row)
+    return [
+        one[0] if len(one) == 1 else replace(one[0], subject=f"{one[0].subject} and {len(one) - 1} alike")
+        for one in order
+    ]
+
 
 MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
 _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
@@ -153,9 +324,7 @@ def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str
         own = [run for run in runs if not run.remedy and (run.simulated, run.computed) == kind]
         if not own:
             continue
-        rows = [
-            row for run in own for row in run.table if row.product not in ("attribution", "what-if", "sensitivity")
-        ]
+        rows = [row for run in own for row in run.table if row.product not in ("attribution", "what-if", "sensitivity")]
 
         def link(name: str, cell: Sequence[Result]) -> str:
             page = f"{folders[name]}/report.html"
@@ -208,6 +377,7 @@ def environment() -> jinja2.Environment:
         limits=v.limits_text,
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         row_name=row_name,
+        outcome=lambda word: v.OUTCOMES[Outcome(word)],
         nm=lambda row: f"{row.band_nm:.1f} nm" if row.per_band else "",
         breakable=_breakable,
         subject=_subject_text,

@@ -1,19 +1,61 @@
-"""Writing a run's folder, and the page that joins several."""
+"""Writing a run's folder, and the page that joins several.
+
+Score maps as float32 GeoTIFF.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import re
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hyperval.apart import give_back_freed
-from hyperval.files import write_text
-from hyperval.report.geotiff import file_stems, write_score_map
-from hyperval.report.run import RunReport
+import numpy as np
+from affine import Affine
+
+from hyperval.report.run import RunReport, ScoreMap
 from hyperval.report.style import Drawing
 from hyperval.report.tables import json_value, junit_xml, results_csv, results_json
 from hyperval.results import ResultTable
+from hyperval.storage import write_text
+
+
+def write_score_map(path: Path, name: str, score_map: ScoreMap) -> None:
+    """Write one map; NaN is nodata; georeferenced where the map knows its transform."""
+    import rasterio  # 20 MB, which runs without score maps do not need
+    from rasterio.errors import NotGeoreferencedWarning
+
+    values = np.asarray(score_map.values, dtype=np.float32)
+    profile = {
+        "driver": "GTiff", "height": values.shape[0], "width": values.shape[1], "count": 1, "dtype": "float32",
+        "nodata": float("nan"), "compress": "deflate", "predictor": 3,
+    }  # fmt: skip
+    if score_map.transform is not None:
+        profile["transform"] = Affine(*[float(number) for number in list(score_map.transform)[:6]])
+    if score_map.crs:
+        profile["crs"] = score_map.crs
+    with warnings.catch_warnings():
+        # A map in image geometry is a legitimate product.
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **profile) as out:
+            out.write(values, 1)
+            out.set_band_description(1, f"{name} score [1]")
+
+
+def file_stems(names: Iterable[str]) -> dict[str, str]:
+    """A distinct, harmless file name for each name: letters, digits, dot, minus and underscore."""
+    stems: dict[str, str] = {}
+    taken: set[str] = set()
+    for name in names:
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:100] or "_"
+        candidate, number = stem, 2
+        while candidate.lower() in taken:
+            candidate, number = f"{stem}_{number}", number + 1
+        taken.add(candidate.lower())
+        stems[name] = candidate
+    return stems
 
 
 def write_outputs(run: RunReport, folder: Path) -> None:
@@ -34,7 +76,6 @@ def write_outputs(run: RunReport, folder: Path) -> None:
         (folder / "scores").mkdir(exist_ok=True)
         write_score_map(folder / "scores" / f"{stems[name]}.tif", name, score_map)
     drawings = _drawings(run)
-    give_back_freed()
     write_page(folder, {**run.provenance, "warnings": run.warnings}, drawings, report_page(run, drawings))
 
 

@@ -102,7 +102,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class View:
+class SubjectView:
     """The plots of one subject."""
 
     x: Axis
@@ -142,7 +142,7 @@ class Plots:
     section: str
     title: str
     alt: str
-    views: Mapping[str, View] = field(default_factory=dict)
+    views: Mapping[str, SubjectView] = field(default_factory=dict)
     legend: str = ""
 
     def marks(self) -> Iterator[Mark]:

@@ -1,17 +1,187 @@
-"""What a report is made from: one results table, the two sides, and where everything came from."""
+"""What a report is made from: one results table, the two sides, and where everything came from.
+
+What a campaign can tell: which standard errors, planted in its model one at a time, its comparisons see.
+
+What charts and figures take from the two sides of a run, without what either draws with.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+import yaml
+from pydantic import Field
 
-from hyperval.products import Observation, Prediction
-from hyperval.report.power import PowerTable
-from hyperval.results import ResultTable
+from hyperval.config import Model, load_model
+from hyperval.errors import UsageError
+from hyperval.metrics import Evidence
+from hyperval.metrics.table import DIGITS, default_tolerance
+from hyperval.processing.intervals import difference_ratio, difference_ratio_uncertainty
+from hyperval.products import ObservedProducts, PredictedProducts, Products, RocCurve, SpectralEstimate
+from hyperval.results import Result, ResultTable
+from hyperval.storage import write_text
+
+ACCEPTED = Path("validation/power")
+_MOST_NAMED = 4
+
+
+class Sight(StrEnum):
+    """How far a campaign sees an error."""
+
+    GATES = "gates"
+    INFORMING = "rows that do not decide"
+    UNSEEN = "unseen"
+    NOT_APPLICABLE = "not applicable"
+
+
+class Planted(Model):
+    """What one planted error turns to "disagrees"; of rows that disagree without it nothing is said."""
+
+    gates: tuple[str, ...] = Field((), description='gates that turn: "product | subject | method | metric"')
+    informing: dict[str, int] = Field(default_factory=dict, description="rows that turn and do not decide, by product")
+    not_applicable: str | None = Field(None, description="why it cannot be planted")
+
+    @property
+    def sight(self) -> Sight:
+        """How far it is seen."""
+        if self.not_applicable is not None:
+            return Sight.NOT_APPLICABLE
+        if self.gates:
+            return Sight.GATES
+        return Sight.INFORMING if self.informing else Sight.UNSEEN
+
+    @property
+    def words(self) -> str:
+        """How far it is seen, with numbers."""
+        if self.not_applicable is not None:
+            return Sight.NOT_APPLICABLE
+        rows = _counted(sum(self.informing.values()), "other row") if self.informing else ""
+        if self.gates:
+            return ", ".join(part for part in (_counted(len(self.gates), "gate"), rows) if part)
+        return f"unseen by gates; {rows}" if rows else Sight.UNSEEN
+
+    @property
+    def which(self) -> str:
+        """What sees it, some by name; or why it cannot be planted."""
+        if self.not_applicable is not None:
+            return self.not_applicable
+        if not self.gates:
+            return ", ".join(f"{product} {n}" for product, n in self.informing.items())
+        more = len(self.gates) - _MOST_NAMED
+        return "; ".join(self.gates[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+
+
+class PowerTable(Model):
+    """The power table of one campaign."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    campaign: str
+    version: str = Field(description="of hyperval, which computed it")
+    files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
+    gates: int = Field(ge=0, description="gates that an error could turn")
+    disagreeing: int = Field(ge=0, description="gates that disagree with nothing planted, and cannot turn")
+    stated: dict[str, float] = Field(
+        default_factory=dict, description="gate of the model -> its value with nothing planted"
+    )
+    errors: dict[str, Planted] = Field(min_length=1)
+
+    def named(self, *sights: Sight) -> list[str]:
+        """Errors that are seen so far."""
+        return [name for name, planted in self.errors.items() if planted.sight in sights]
+
+    def changed_files(self, inputs: Iterable[Mapping[str, Any]]) -> list[str]:
+        """The campaign's own files that are not, or not any more, as they were when the table was computed.
+
+        ``inputs`` : with ``reference`` and ``sha256``, as provenance has them.
+        """
+        now = own_files(inputs)
+        return sorted(name for name in {*now, *self.files} if now.get(name) != self.files.get(name))
+
+    def moved_gates(self, rows: Iterable[Result]) -> list[str]:
+        """Gates of the model that have another value in a run than they had when the table was computed."""
+        now = gate_values(rows)
+        return [n for n in dict.fromkeys((*self.stated, *now)) if _moved(n, self.stated.get(n), now.get(n))]
+
+    @property
+    def sentence(self) -> str:
+        """What a reader has to know before all."""
+        planted = len(self.errors) - len(self.named(Sight.NOT_APPLICABLE))
+        unseen, shown = self.named(Sight.UNSEEN), self.named(Sight.INFORMING)
+        parts = [f"The criteria detect {len(self.named(Sight.GATES))} of {planted} injected model errors."]
+        if shown:
+            parts.append(f"Informational comparisons alone detect: {', '.join(shown)}.")
+        if unseen:
+            parts.append(f"Undetected: {', '.join(unseen)}.")
+        if absent := self.named(Sight.NOT_APPLICABLE):
+            parts.append(f"Not applicable: {', '.join(absent)}.")
+        if self.disagreeing:
+            some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
+            parts.append(f"{self.disagreeing} {some} not met already cannot detect any.")
+        return " ".join(parts)
+
+
+def gate_values(rows: Iterable[Result]) -> dict[str, float]:
+    """Gate of the model -> its value, as a power table keeps it; without those that have none."""
+    gates = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and math.isfinite(row.value)]
+    return {gate_name(row): float(f"{row.value:.{DIGITS}g}") for row in gates}
+
+
+def gate_name(row: Result) -> str:
+    """ "product | subject | method | metric", and the band where there is one."""
+    band = [f"{row.band_nm:g} nm"] if row.per_band else []
+    return " | ".join([row.product, row.subject, row.method, row.metric, *band])
+
+
+def _moved(name: str, accepted: float | None, value: float | None) -> bool:
+    if accepted is None or value is None:
+        return True
+    metric = name.split(" | ")[3]
+    return abs(value - accepted) > default_tolerance(metric).width(accepted)
+
+
+def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Reference -> SHA-256 of those inputs that stand beside the campaign, not in a data set or a simulation."""
+    return {
+        str(item["reference"]): str(item["sha256"])
+        for item in inputs
+        if ":" not in str(item["reference"]) and str(item["reference"]).endswith((".yaml", ".yml"))
+    }
+
+
+def accepted_table(name: str, folder: Path = ACCEPTED) -> PowerTable | None:
+    """The accepted power table of a campaign, None where there is none.
+
+    Raises
+    ------
+    UsageError : mistakes in the file, or a table of another campaign.
+    """
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        return None
+    table = load_model(PowerTable, path)
+    if table.campaign != name:
+        raise UsageError(f"is the power table of {table.campaign!r}", where=str(path), expected=name)
+    return table
+
+
+def write_power_table(path: Path, table: PowerTable) -> None:
+    """Write one table as YAML."""
+    data = table.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+    head = f"# What the campaign {table.campaign} can tell: errors planted in its model, and the gates that turn.\n"
+    head += "# `hyperval power --accept` renews it.\n"
+    write_text(path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=140))
+
+
+def _counted(n: int, noun: str) -> str:
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
 
 Mask = npt.NDArray[np.bool_]
 WARNING = "warning: "  # what a note that warns begins with
@@ -59,13 +229,13 @@ class ScoreMap:
 
     def to_xarray(self) -> Any:
         """As an array of xarray (line, sample) with its position."""
-        from hyperval.imagery.interchange import map_to_xarray
+        from hyperval.imagery.rasters import map_to_xarray
 
         return map_to_xarray(self.values, self.transform, self.crs, "score")
 
     def to_spy(self) -> Any:
         """As an image of SPy with one band."""
-        from hyperval.imagery.interchange import map_to_spy
+        from hyperval.imagery.rasters import map_to_spy
 
         return map_to_spy(self.values, "score")
 
@@ -155,6 +325,7 @@ class RunReport:
     eigenvalues : (subject, quantity) -> eigenvalues of both sides
     tails : subject -> tails of both sides
     chosen_after : (what, as it was before) of each range that was chosen after its data were seen
+    never_met : criteria that can never be met, and what would have to be known better for it
     power : which standard errors the campaign would see, None where that was not worked out
     remedy : how to get the collection of a run that was skipped for lack of it
     kind : what the page is: "Campaign" for both sides compared, else what it shows
@@ -166,8 +337,8 @@ class RunReport:
     description: str
     simulated: bool
     table: ResultTable
-    prediction: Prediction | None = None
-    observation: Observation | None = None
+    prediction: PredictedProducts | None = None
+    observation: ObservedProducts | None = None
     score_maps: Mapping[str, ScoreMap] = field(default_factory=dict)
     quicklook: Quicklook | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -176,6 +347,7 @@ class RunReport:
     eigenvalues: Mapping[tuple[str, str], EigenvalueSpectrum] = field(default_factory=dict)
     tails: Mapping[str, TailCurve] = field(default_factory=dict)
     chosen_after: Sequence[tuple[str, str]] = ()
+    never_met: Sequence[tuple[Result, str]] = ()
     power: PowerTable | None = None
     kind: str = "Campaign"
     sentence: str = ""
@@ -186,3 +358,52 @@ class RunReport:
     def warnings(self) -> list[str]:
         """Those of the notes that warn."""
         return [note for note in self.notes if note.startswith(WARNING)]
+
+
+Array = npt.NDArray[np.float64]
+Sides = tuple[Products | None, Products | None]
+MOST_EIGENVALUES = 30
+
+
+def of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
+    """A product of a side, empty where the side is absent."""
+    return {} if side is None else getattr(side, product)
+
+
+def eigenvalues(estimate: SpectralEstimate) -> Array:
+    """(K,) leading eigenvalues of the pixel covariance over its finite bands, largest first."""
+    covariance = np.asarray(estimate.pixel_covariance, dtype=float)
+    finite = np.isfinite(np.diag(covariance))
+    block = covariance[np.ix_(finite, finite)]
+    if block.size == 0 or not np.isfinite(block).all():
+        return np.empty(0)
+    values = np.linalg.eigvalsh(block)[::-1]
+    rank = block.shape[0] if estimate.n is None else min(block.shape[0], max(estimate.n - 1, 0))
+    values = values[: min(rank, MOST_EIGENVALUES)]
+    return values[values > 1e-13 * max(values[0], 0.0)] if values.size else values
+
+
+def both_first(predicted: Mapping[Any, Any], collected: Mapping[Any, Any]) -> list[Any]:
+    """Keys of either side: those of both sides before those of one."""
+    common = [key for key in predicted if key in collected]
+    return common + [k for k in predicted if k not in collected] + [k for k in collected if k not in predicted]
+
+
+def difference(predicted: SpectralEstimate, collected: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
+    """(B,) predicted - collected, or that over collected, and its standard uncertainty, independent."""
+    p, c, up, uc = predicted.mean, collected.mean, predicted.standard_uncertainty, collected.standard_uncertainty
+    if ratio:
+        return difference_ratio(p, c), difference_ratio_uncertainty(p, c, up, uc)
+    return p - c, np.hypot(up, uc)
+
+
+def best_counted(keys: list[Any], measured: Mapping[Any, RocCurve], most: int) -> list[Any]:
+    """``keys``, of too many those ``most`` with the most targets (pools of targets among them)."""
+    if len(keys) <= most:
+        return keys
+
+    def count(key: Any) -> int:
+        return (measured[key].n_target or 0) if key in measured else -1
+
+    chosen = set(sorted(keys, key=lambda key: -count(key))[:most])
+    return [key for key in keys if key in chosen]

@@ -12,19 +12,17 @@ from typing import Any
 import numpy as np
 
 from hyperval.errors import UsageError
-from hyperval.files import write_text
-from hyperval.folders import whole_folder
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
 from hyperval.report.charts import draw_charts
 from hyperval.report.charts_base import Chart
-from hyperval.report.html import common_words, environment
-from hyperval.report.netcdf_read import read_products
+from hyperval.report.html import common_words, environment, packed_library, script_hashes, starter
+from hyperval.report.netcdf import read_products
 from hyperval.report.outputs import write_tables
-from hyperval.report.scripts import packed_library, script_hashes, starter
 from hyperval.report.stored import StoredRun, read_run
 from hyperval.report.tables import row_name
 from hyperval.results import Cause, Outcome, Result, ResultTable
+from hyperval.storage import whole_folder, write_text
 
 _FIGURE_BYTES = 4_200_000
 _MOST_MOVED = 60

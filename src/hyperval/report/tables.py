@@ -137,9 +137,7 @@ def harmless(text: str) -> str:
 
 def _totals(rows: Sequence[Result]) -> str:
     count = Counter(_ELEMENTS.get(row.outcome) for row in rows)
-    return (
-        f'tests="{len(rows)}" failures="{count["failure"]}" errors="{count["error"]}" skipped="{count["skipped"]}"'
-    )
+    return f'tests="{len(rows)}" failures="{count["failure"]}" errors="{count["error"]}" skipped="{count["skipped"]}"'
 
 
 def _test_case(row: Result) -> str:

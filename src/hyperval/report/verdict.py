@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
-from hyperval.results import Outcome, Result
+from hyperval.results import Cause, Outcome, Result
 
 _MOST_NAMED = 9
 _MOST_KINDS = 5
@@ -16,24 +16,29 @@ WORST_FIRST = (
     Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.AGREES, Outcome.NONE,
 )  # fmt: skip
 _KINDS = {
-    Evidence.MODEL: ("model gate", "model gates"),
+    Evidence.MODEL: ("acceptance criterion", "acceptance criteria"),
     Evidence.PIPELINE: ("check of the pipeline", "checks of the pipeline"),
 }
 # (outcome, of one, of several)
 _VERBS = (
-    (Outcome.DISAGREES, "disagrees", "disagree"),
+    (Outcome.DISAGREES, "is not met", "are not met"),
     (Outcome.ERROR, "ended in an error", "ended in an error"),
-    (Outcome.UNDECIDED, "could not be decided", "could not be decided"),
-    (Outcome.SKIPPED, "was skipped", "were skipped"),
-    (Outcome.AGREES, "agrees", "agree"),
+    (Outcome.UNDECIDED, "is inconclusive", "are inconclusive"),
+    (Outcome.SKIPPED, "was not run", "were not run"),
+    (Outcome.AGREES, "is met", "are met"),
 )
+OUTCOMES = {
+    Outcome.AGREES: "met", Outcome.DISAGREES: "not met", Outcome.ERROR: "error", Outcome.UNDECIDED: "inconclusive",
+    Outcome.SKIPPED: "not run", Outcome.NONE: "without a range",
+}  # fmt: skip
 
 
 def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
-    """What the gates conclude together, and a few sentences: what agrees, what does not, what could not be told.
+    """What the criteria conclude together, and a few sentences: what is met, what is not, what is inconclusive.
 
-    Gates that the model moves are counted apart from checks of the pipeline.  Comparisons that inform and disagree
-    are named too, and "agrees" needs that there is none.
+    Criteria that the model moves are counted apart from checks of the pipeline.  Informational comparisons that are
+    not met are named too, and "Met." needs that there is none.  Where criteria are met and a full test or the
+    attribution rejects, a sentence says which to believe.
     """
     rows = list(rows)
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
@@ -42,38 +47,92 @@ def verdict(rows: Iterable[Result]) -> tuple[Outcome, str]:
     model = [row for row in gates if row.evidence is Evidence.MODEL]
     decided = any(row.outcome in (Outcome.AGREES, Outcome.DISAGREES) for row in gates)
     if overall in (Outcome.ERROR, Outcome.DISAGREES):
-        words = ["Does not agree."]
+        words = ["Not met."]
     elif not gates:
-        words = ["Nothing decides here: no comparison is a gate."]
+        words = ["This campaign has no acceptance criteria."]
         overall = Outcome.UNDECIDED if telling else Outcome.NONE
     elif all(row.outcome is Outcome.SKIPPED for row in gates):
-        words, overall = ["Nothing was decided: no gate was run."], Outcome.SKIPPED
+        words, overall = ["Not run: no acceptance criterion was evaluated."], Outcome.SKIPPED
     elif not decided:
-        words = ["Nothing was decided."]
+        words = ["Inconclusive."]
         overall = Outcome.UNDECIDED
     elif not any(row.outcome is Outcome.AGREES for row in model):
-        words, overall = ["No comparison with the model was decided."], Outcome.UNDECIDED
-    elif overall is Outcome.AGREES and not telling:
-        words = ["Agrees."]
+        words, overall = ["Inconclusive: no criterion of the model was decided."], Outcome.UNDECIDED
+    elif overall is Outcome.AGREES:
+        words, overall = (["Met, with reservations."], Outcome.UNDECIDED) if telling else (["Met."], overall)
     else:
-        words = ["Agrees in part."]
-        overall = Outcome.UNDECIDED
+        words, overall = ["Met in part."], Outcome.UNDECIDED
     words += [_counted([row for row in gates if row.evidence is kind], kind) for kind in _KINDS]
+    words.append(_never_met(gates))
     if telling:
-        verb = (
-            "comparison that does not decide disagrees"
-            if len(telling) == 1
-            else ("comparisons that do not decide disagree")
-        )
-        words.append(f"Besides, {len(telling)} {verb} ({_named(telling)}).")
+        noun = "comparison is" if len(telling) == 1 else "comparisons are"
+        words.append(f"Besides, {len(telling)} informational {noun} not met ({_named(telling)}).")
+    words.append(_which_to_believe(rows))
     unsure = sum(not row.gates and row.outcome is Outcome.UNDECIDED for row in rows)
     if unsure:
-        words.append(f"Of {unsure} more that {'does' if unsure == 1 else 'do'} not decide the data cannot tell.")
+        words.append(f"{unsure} informational comparison{' is' if unsure == 1 else 's are'} inconclusive.")
     return overall, " ".join(part for part in words if part)
 
 
+def _never_met(gates: Sequence[Result]) -> str:
+    """ "15 of the inconclusive criteria can never be met: what is known is 1.1 to 4.2 times too uncertain." """
+    never = [row for row in gates if row.never_met]
+    if not never:
+        return ""
+    words = f"{len(never)} of the inconclusive {'criteria' if len(never) > 1 else 'ones'} can never be met"
+    times = sorted(x for row in never if math.isfinite(x := row.shortfall))
+    return f"{words}: what is known is {times[0]:.2g} to {times[-1]:.2g} times too uncertain." if times else f"{words}."
+
+
+def _which_to_believe(rows: Sequence[Result]) -> str:
+    """What a user should take from criteria that are met beside tests of the stated uncertainty that are not."""
+    tests = [row for row in rows if row.outcome is Outcome.DISAGREES and tests_the_uncertainty(row)]
+    met = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and row.outcome is Outcome.AGREES]
+    wide = [row for row in tests if row.cause is Cause.TOO_WIDE]
+    narrow = [row for row in tests if row.cause is not Cause.TOO_WIDE]
+    words = []
+    if met and narrow:
+        times = math.sqrt(_most_reduced(narrow, rows))
+        far = f"differences reach {number_text(times, times)} times it" if times > 1 else "they reject it"
+        words.append(
+            f"Which to believe: the full tests and the attribution ({_named(narrow)}) on the stated uncertainty, "
+            f"since {far}: do not use it as the error."
+        )
+        if any(not tests_the_uncertainty(row) for row in met):
+            words.append("The criteria that are met hold for the size of a difference alone.")
+        if any(tests_the_uncertainty(row) for row in met):
+            words.append("A test of one subject that is met has too little power to contradict them.")
+    if wide:
+        words.append(
+            f"Budget too wide: the stated uncertainty is far larger than the differences ({_named(wide)}); a test "
+            "that is met there says little, and inconclusive criteria may be decided by a budget that fits."
+        )
+    return " ".join(words)
+
+
+def tests_the_uncertainty(row: Result) -> bool:
+    """Whether a row asks if the stated uncertainty explains a difference, and not how large the difference is."""
+    return row.product == "attribution" or metric_of(row.metric).two_sided
+
+
+def _most_reduced(tests: Sequence[Result], rows: Sequence[Result]) -> float:
+    """The greatest reduced chi-square behind tests of the stated uncertainty; NaN where none has one."""
+    behind = {
+        (row.campaign, row.product, row.subject, row.method, row.metric.replace("p_value", "chi2_reduced"))
+        for row in tests
+    }
+    values = [row.value for row in tests if row.metric == "reduced_chi_square"]
+    values += [
+        row.value
+        for row in rows
+        if row.metric.startswith("chi2_reduced")
+        and (row.campaign, row.product, row.subject, row.method, row.metric) in behind
+    ]
+    return max((value for value in values if math.isfinite(value)), default=math.nan)
+
+
 def _counted(gates: Sequence[Result], kind: Evidence) -> str:
-    """ "1 model gate disagrees (mean level of the radiance: lawn), 12 agree (12 of radiance)." """
+    """ "1 acceptance criterion is not met (mean level of the radiance: lawn), 12 are met (12 of radiance)." """
     parts: list[str] = []
     for outcome, one, several in _VERBS:
         own = [row for row in gates if row.outcome is outcome]
@@ -99,13 +158,9 @@ def disagrees_without_gating(row: Result) -> bool:
 
 
 def outcome_words(rows: Iterable[Result]) -> str:
-    """Number of rows by outcome: "3 agree, 1 disagrees, 40 without a plan"."""
+    """Number of rows by outcome: "3 met, 1 not met, 40 without a range"."""
     count = Counter(row.outcome for row in rows)
-    names = {
-        Outcome.AGREES: "agree", Outcome.DISAGREES: "disagree", Outcome.ERROR: "in error",
-        Outcome.UNDECIDED: "undecided", Outcome.SKIPPED: "skipped", Outcome.NONE: "not planned",
-    }  # fmt: skip
-    return ", ".join(f"{count[key]} {name}" for key, name in names.items() if count[key]) or "no rows"
+    return ", ".join(f"{count[key]} {name}" for key, name in OUTCOMES.items() if count[key]) or "no rows"
 
 
 def accepted_words(rows: Iterable[Result]) -> str:
@@ -119,9 +174,9 @@ def accepted_words(rows: Iterable[Result]) -> str:
 
 
 def last_line(rows: Iterable[Result]) -> str:
-    """The last line of the console: gates by outcome, those that could not be decided among them."""
+    """The last line of the console: criteria by outcome, those that are inconclusive among them."""
     gates = [row for row in rows if row.gates]
-    return f"gates: {outcome_words(gates)}" if gates else "gates: none"
+    return f"acceptance criteria: {outcome_words(gates)}" if gates else "acceptance criteria: none"
 
 
 def number_text(value: float, spread: float = math.nan) -> str:

@@ -26,7 +26,7 @@ RANGE_NM = (340.0, 2600.0)
 
 
 @dataclass(frozen=True)
-class Surface:
+class BuiltinSurface:
     """Mean curve, modes and band spread of a surface; all take wavelength (B,) [nm] and give (B,)."""
 
     mean: Curve
@@ -54,9 +54,7 @@ def _leaf_water(w: Array) -> Array:
 
 def _chlorophyll(w: Array) -> Array:
     """Absorbance of leaf pigments, relative: blue and red bands with the green window between them."""
-    return (
-        2.0 * _rise(-w, -505, 14) + 1.75 * _bump(w, 670, 28) + 0.75 * _bump(w, 610, 35) + 0.95 * _bump(w, 555, 70)
-    )
+    return 2.0 * _rise(-w, -505, 14) + 1.75 * _bump(w, 670, 28) + 0.75 * _bump(w, 610, 35) + 0.95 * _bump(w, 555, 70)
 
 
 def _grass(w: Array) -> Array:
@@ -117,8 +115,8 @@ def _mottle(curve: Callable[[Array], Array], sd: float, width_nm: float) -> dict
     return {f"mottle {centre:.0f} nm": mode(float(centre)) for centre in centres}
 
 
-def _painted(curve: Curve, words: str) -> Surface:
-    return Surface(
+def _painted(curve: Curve, words: str) -> BuiltinSurface:
+    return BuiltinSurface(
         curve,
         {
             "brightness": _scaled(curve, 1.0, 0.07),
@@ -130,11 +128,11 @@ def _painted(curve: Curve, words: str) -> Surface:
     )
 
 
-def _panel(level: float, slope: float) -> Surface:
+def _panel(level: float, slope: float) -> BuiltinSurface:
     def curve(w: Array) -> Array:
         return np.asarray(level * (1 - slope * (w - 400) / 2100 - 0.05 * _rise(-w, -385, 12)))
 
-    return Surface(
+    return BuiltinSurface(
         curve,
         {"brightness": _scaled(curve, 1.0, 0.012), "slope": _scaled(curve, _tilt, 0.006)},
         # A painted sheet has no structure of single bands; more than this would pass for sensor noise in its SNR.
@@ -143,8 +141,8 @@ def _panel(level: float, slope: float) -> Surface:
     )
 
 
-_SURFACES: dict[str, Surface] = {
-    "grass": Surface(
+_SURFACES: dict[str, BuiltinSurface] = {
+    "grass": BuiltinSurface(
         _grass,
         {
             "brightness": _scaled(_grass, 1.0, 0.12),
@@ -157,7 +155,7 @@ _SURFACES: dict[str, Surface] = {
         0.003,
         "green vegetation",
     ),
-    "asphalt": Surface(
+    "asphalt": BuiltinSurface(
         _asphalt,
         {
             "brightness": _scaled(_asphalt, 1.0, 0.10),
@@ -168,7 +166,7 @@ _SURFACES: dict[str, Surface] = {
         0.002,
         "worn asphalt",
     ),
-    "soil": Surface(
+    "soil": BuiltinSurface(
         _soil,
         {
             "brightness": _scaled(_soil, 1.0, 0.13),
@@ -210,15 +208,13 @@ def builtin_mean(name: str, axis: SpectralAxis) -> Array:
     return _surface(name, axis).mean(axis.centre_nm)
 
 
-def _surface(name: str, axis: SpectralAxis) -> Surface:
+def _surface(name: str, axis: SpectralAxis) -> BuiltinSurface:
     grey = _GREY.match(name)
     if grey is None and name not in _SURFACES:
         raise UsageError(f"unknown built-in surface {name!r}", expected="one of " + ", ".join(BUILTIN_NAMES))
     w = axis.centre_nm
     if w[0] < RANGE_NM[0] or w[-1] > RANGE_NM[1]:
-        raise UsageError(
-            f"built-in surfaces cover {RANGE_NM[0]:g}-{RANGE_NM[1]:g} nm, the bands {w[0]:g}-{w[-1]:g} nm"
-        )
+        raise UsageError(f"built-in surfaces cover {RANGE_NM[0]:g}-{RANGE_NM[1]:g} nm, the bands {w[0]:g}-{w[-1]:g} nm")
     return _panel(int(grey.group(1)) / 100.0, 0.04) if grey else _SURFACES[name]
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from hyperval.errors import UsageError
-from hyperval.spectra.response import SIGMA_PER_FWHM
+from hyperval.spectra.axis import SIGMA_PER_FWHM
 
 Array = npt.NDArray[np.float64]
 Kind = TypeVar("Kind", bound=np.generic)
@@ -87,9 +87,7 @@ class TargetGeometry:
     phase: Literal["random", "centred"] = "random"
 
     def __post_init__(self) -> None:
-        if not (
-            self.length_m > 0 and self.width_m > 0 and self.gsd_m > 0 and min(_sigmas(self.psf_fwhm_pixels)) >= 0
-        ):
+        if not (self.length_m > 0 and self.width_m > 0 and self.gsd_m > 0 and min(_sigmas(self.psf_fwhm_pixels)) >= 0):
             raise UsageError("target sides and GSD must be positive, the PSF width not negative")
         if max(self.length_m, self.width_m) / self.gsd_m > MAX_PIXELS_ACROSS:
             raise UsageError(
@@ -323,9 +321,7 @@ def shared_pixel_fills(
     """
     for geometry in (own, *(x.geometry for x in neighbours)):
         if geometry.heading_deg is None:
-            raise UsageError(
-                "a target with a position lies any way", mend="state heading_deg, or leave position_m out"
-            )
+            raise UsageError("a target with a position lies any way", mend="state heading_deg, or leave position_m out")
     if shifts is None:
         return _kept(own, n, tuple(neighbours))
     return _shared_pixel_fills(own, n, neighbours, shifts)

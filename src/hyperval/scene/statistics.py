@@ -1,17 +1,111 @@
-"""Second-order statistics of a surface class: what scene, imagery and simulation exchange."""
+"""Second-order statistics of a surface class: what scene, imagery and simulation exchange.
+
+The components of a class that is a mixture: clusters such as roofs, roads and cars.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.scene.components import Components
 from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
+
+MOST_COMPONENTS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """K laws that together make the pixels of one class.
+
+    Mean and covariance of the class are what the filters are built on; the components are what its scores are
+    distributed as.
+
+    Attributes
+    ----------
+    weights : (K,) parts of the class, sum 1
+    offsets : (K, B) mean of each less that of the class [1]
+    covariances : (K, B, B)
+    dof : degrees of freedom of multivariate t laws, above 2; inf: normal laws
+    """
+
+    weights: Array
+    offsets: Array
+    covariances: Array
+    dof: float = np.inf
+
+    def __post_init__(self) -> None:
+        weights, offsets, covariances = (
+            np.asarray(x, dtype=float) for x in (self.weights, self.offsets, self.covariances)
+        )
+        count, bands = offsets.shape if offsets.ndim == 2 else (0, 0)
+        if weights.shape != (count,) or covariances.shape != (count, bands, bands) or not 0 < count <= MOST_COMPONENTS:
+            raise UsageError(
+                f"components with weights {weights.shape}, offsets {offsets.shape} and covariances "
+                f"{covariances.shape} contradict each other",
+                expected=f"(K,), (K, B) and (K, B, B) of 1-{MOST_COMPONENTS} components",
+            )
+        if not all(np.all(np.isfinite(x)) for x in (weights, offsets, covariances)):
+            raise UsageError("components must be finite")
+        if np.any(weights <= 0) or abs(float(weights.sum()) - 1.0) > 1e-6:
+            raise UsageError(
+                f"the weights {np.array2string(weights, precision=4)} are no parts of a class",
+                expected="positive numbers that sum to 1",
+            )
+        scale = float(np.abs(covariances).max()) or 1.0
+        if float(np.abs(covariances - covariances.transpose(0, 2, 1)).max()) > 1e-9 * scale:
+            raise UsageError("the covariance of a component is not symmetric")
+        try:
+            np.linalg.cholesky(covariances + 1e-9 * scale * bands * np.eye(bands))
+        except np.linalg.LinAlgError:
+            raise UsageError("the covariance of a component is not positive semi-definite") from None
+        if not self.dof > 2:
+            raise UsageError(f"degrees of freedom of components must exceed 2, got {self.dof:g}")
+        for name, value in (("weights", weights), ("offsets", offsets), ("covariances", covariances)):
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return self.weights.size
+
+    def at(self, bands: npt.NDArray[np.intp]) -> Components:
+        """The components on some bands alone."""
+        if bands.size == self.offsets.shape[1]:
+            return self
+        cut = self.covariances[:, bands[:, None], bands]
+        return self._with(self.offsets[:, bands], cut)
+
+    def through(self, weights: Array) -> Components:
+        """The components of ``weights`` (C, B) times the spectra, such as those on other bands."""
+        covariances = weights @ self.covariances @ weights.T
+        return replace(
+            self, offsets=self.offsets @ weights.T, covariances=0.5 * (covariances + covariances.transpose(0, 2, 1))
+        )
+
+    def stretched(self, gain: Array | float) -> Components:
+        """The components of spectra times ``gain`` (B,), of which a single number is the root of a factor on the
+        covariance of the class: it spreads the components as it spreads their pixels."""
+        g = np.broadcast_to(np.asarray(gain, dtype=float), self.offsets.shape[1:])
+        return self._with(self.offsets * g, self.covariances * np.outer(g, g))
+
+    def _with(self, offsets: Array, covariances: Array) -> Components:
+        """Others of the same number, without the checks that these have passed."""
+        out = object.__new__(Components)
+        for name, value in (
+            ("weights", self.weights), ("offsets", offsets), ("covariances", covariances), ("dof", self.dof)
+        ):  # fmt: skip
+            object.__setattr__(out, name, value)
+        return out
+
+    @property
+    def covariance(self) -> Array:
+        """(B, B) of all together: within the components and between them."""
+        mean = self.weights @ self.offsets
+        away = self.offsets - mean
+        return np.asarray(np.tensordot(self.weights, self.covariances, 1) + (away * self.weights[:, None]).T @ away)
 
 
 @dataclass(frozen=True)

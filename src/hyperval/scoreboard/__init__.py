@@ -1,1 +1,1 @@
-"""Benchmark across campaigns: detectors, engines and formulations, each with its uncertainty, in one table."""
+"""Benchmark across campaigns: all detectors, each with its uncertainty, in one table."""

@@ -1,42 +1,83 @@
-"""The benchmark: all detectors and variants on each campaign, and the folder with the results."""
+"""The benchmark: all detectors on each campaign, and the folder with the results.
+
+Detectors of the user's own: Python files that register them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import runpy
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hyperval.campaign.collected import Inputs, collected
 from hyperval.campaign.job import AnyJob, Job, Waiting, jobs_of
 from hyperval.campaign.provenance import command_without_output, record_of
 from hyperval.campaign.schema import Campaign
+from hyperval.campaign.sides import Inputs, collected
 from hyperval.datasets import InputLog
-from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error
+from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.files import sha256_of
-from hyperval.folders import whole_folder
 from hyperval.observe.place import open_place
 from hyperval.progress import step, track
 from hyperval.report.benchmark import BenchmarkReport, CampaignWords, benchmark_page, draw_benchmark
 from hyperval.report.outputs import write_page, write_tables
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 from hyperval.scenario import Scenario
-from hyperval.scoreboard.engines import ENGINES
-from hyperval.scoreboard.extend import load_extensions
 from hyperval.scoreboard.looks import (
     EVERY_OBJECT,
     PRODUCT,
     Question,
     classes_with_regions,
     detector_rows,
+    peer_rows,
     with_every_detector,
     with_own_detectors,
 )
-from hyperval.scoreboard.peers import peer_rows
 from hyperval.scoreboard.ranks import MEASURES
-from hyperval.scoreboard.variants import variant_rows
+from hyperval.storage import sha256_of, whole_folder
+
+_LOADED: set[Path] = set()
+
+
+def load_extensions(paths: Iterable[Path]) -> None:
+    """Run each file once in this process; what it registers has rows from then on.
+
+    The files are programs: run only what you trust.
+
+    Raises
+    ------
+    InputError : no such file.
+    UsageError : a file that fails.
+    """
+    for path in paths:
+        place = Path(path).resolve()
+        if place in _LOADED:
+            continue
+        if not place.is_file():
+            raise InputError("no such file", where=str(path), expected="a Python file that registers detectors")
+        try:
+            runpy.run_path(str(place))
+        except HypervalError:
+            raise
+        except ModuleNotFoundError as error:
+            if error.name != "hyperval.scoreboard.engines":
+                raise
+            raise UsageError(
+                "engines are no rows of the benchmark any more",
+                where=str(path),
+                mend="name the engine in a scenario (atmosphere.engine), validate with each, and set the two runs "
+                "side by side: hyperval compare A B -o DIR",
+            ) from error
+        except Exception as error:
+            raise UsageError(
+                f"the extension fails: {type(error).__name__}: {error}",
+                where=str(path),
+                expected="a Python file that calls register_detector",
+            ) from error
+        _LOADED.add(place)
+
 
 INTERNAL_ERROR = 4
 
@@ -114,18 +155,15 @@ def _with(entry: Entry, job: Job, refused: str | None, show_progress: bool | Non
     with step(name, 1, 1, "benchmark"), collected(job, question=ask, show_progress=show_progress) as collection:
         rows = detector_rows(collection.observed, chosen, seed=entry.seed, show_progress=show_progress)
         rows += peer_rows(collection.observed, chosen.campaign.detection, collection.inputs.resolve)
-        variants, predictions = variant_rows(collection, seed=entry.seed, show_progress=show_progress)
         record = record_of(
             collection.inputs.log,
             collection.scenarios,
             collection.seed,
             {"campaign": chosen.campaign},
-            [collection.observed.observation, *predictions],
+            [collection.observed.observation],
         )
         notes = list(dict.fromkeys([*chosen.notes, *_halo(chosen), *collection.observed.observation.notes]))
-    return Benchmarked(
-        name, job.campaign.title, bool(job.campaign.simulated), of_campaign(rows + variants, name), notes, record
-    )
+    return Benchmarked(name, job.campaign.title, bool(job.campaign.simulated), of_campaign(rows, name), notes, record)
 
 
 def _halo(question: Question) -> list[str]:
@@ -138,9 +176,7 @@ def _stopped(entry: Entry, outcome: Outcome, reason: str, code: int | None = Non
     campaign = entry.job.campaign
     log = InputLog.of_file(entry.job.path)
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
-    row = Result(
-        campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason
-    )
+    row = Result(campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason)
     record = record_of(log, [], None, {"campaign": campaign}, [])
     return Benchmarked(campaign.name, campaign.title, bool(campaign.simulated), [row], [], record, code)
 
@@ -154,11 +190,11 @@ def benchmark(
     scheduler: str | None = None,
     show_progress: bool | None = None,
 ) -> int:
-    """Run every campaign with all detectors, engines and formulations, and write one table and its page.
+    """Run every campaign with all detectors, and write one table and its page.
 
     Parameters
     ----------
-    extensions : Python files that register detectors or engines
+    extensions : Python files that register detectors
     seed : of the resampling
     scheduler : address of what runs the campaigns; default: one process for each processor (HYPERVAL_WORKERS)
 
@@ -192,7 +228,6 @@ def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, f
         ResultTable(row for d in done for row in d.rows),
         [CampaignWords(d.name, d.title, d.simulated, tuple(d.notes)) for d in done],
         {m.name: m.title for m in MEASURES.values()},
-        {e.name: e.title for e in ENGINES.values()},
     )
     write_tables(report.table, folder)
     record: dict[str, Any] = {

@@ -15,7 +15,7 @@ from scipy import special, stats
 
 from hyperval.processing.alarm_blocks import AlarmBlocks
 from hyperval.processing.intervals import zero_count_upper_limit
-from hyperval.processing.roc_areas import AREAS, LEAST_EXPECTED_ALARMS, interval_of_mean
+from hyperval.processing.roc import AREAS, LEAST_EXPECTED_ALARMS, interval_of_mean
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -180,7 +180,7 @@ _CHUNK_VALUES = 4_000_000  # of the largest array of a pass over draws
 
 
 @dataclass(frozen=True)
-class Ranked:
+class RankedDetectors:
     """Detectors on one group of objects by one metric; arrays are (D,).
 
     Attributes
@@ -257,7 +257,7 @@ def rank_sets(values: Array, draws: Array, objects: int) -> tuple[npt.NDArray[np
 
 def ranked(
     counts: BlockCounts, looks: list[int], measure: Measure, *, draws: int, rng: np.random.Generator
-) -> Ranked:
+) -> RankedDetectors:
     """Detectors on the objects of some looks: objects and blocks of the background drawn anew, for all at once.
 
     Detectors that order all pixels alike count as one, and share rank and set.
@@ -289,7 +289,7 @@ def ranked(
     lower, upper = _limits(part, measure, value, both, still, m)
     rank = np.array([1 + np.sum(best > x + 1e-12) for x in best], dtype=np.int64)
     first = np.mean(drawn >= drawn.max(axis=0) - 1e-12, axis=1)
-    return Ranked(
+    return RankedDetectors(
         value[order], lower[order], upper[order], rank[order], np.minimum(low, rank)[order],
         np.maximum(high, rank)[order], first[order], m, value.size, enough,
     )  # fmt: skip

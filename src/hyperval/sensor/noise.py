@@ -97,9 +97,7 @@ class NoiseBreakdown:
     @property
     def total(self) -> Array:
         """Sum of all terms."""
-        return np.asarray(
-            self.shot + self.fixed + self.quantisation + self.bit_errors + self.calibration + self.fit
-        )
+        return np.asarray(self.shot + self.fixed + self.quantisation + self.bit_errors + self.calibration + self.fit)
 
 
 @dataclass(frozen=True)

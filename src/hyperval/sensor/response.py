@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.spectra.response import SIGMA_PER_FWHM
+from hyperval.spectra.axis import SIGMA_PER_FWHM
 
 Array = npt.NDArray[np.float64]
 

@@ -1,12 +1,19 @@
-"""Sensor files: every number stands with its source, or with the word "assumed"."""
+"""Sensor files: every number stands with its source, or with the word "assumed".
+
+What sensor files are made of: numbers with sources, bands, throughput, blur, spectral calibration.
+
+What was published of a sensor's signal-to-noise ratio, and what is known not to agree.
+
+How a sensor is run (frames, bins, where its bands truly stand), and numbers that differ from its file.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,14 +21,375 @@ from pydantic import Field, model_validator
 
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError, reader
-from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.operation import SensorOperation, averaged_noise
-from hyperval.sensor.published import KnownDiscrepancy, PublishedSnr
-from hyperval.sensor.quantities import Bands, Blur, Quantity, Source, SpectralShift, Throughput
-from hyperval.sensor.response import electrons_per_radiance
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.sensor.noise import NoiseModel, with_signal
+from hyperval.sensor.response import aperture_throughput, electrons_per_radiance, f_number_throughput, psf_fwhm_from_mtf
+from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 
 Array = npt.NDArray[np.float64]
+Source = Annotated[str, Field(min_length=3)]
+
+
+class Quantity(Model):
+    """A number, or a table over wavelength, with its source."""
+
+    value: float | None = None
+    table: list[tuple[float, float]] | None = Field(None, description="[nm, value] pairs, wavelength increasing")
+    source: Source
+
+    @model_validator(mode="after")
+    def _one_of(self) -> Quantity:
+        if (self.value is None) == (self.table is None):
+            raise ValueError("give either value or table")
+        if self.table is not None and (len(self.table) < 2 or np.any(np.diff([w for w, _ in self.table]) <= 0)):
+            raise ValueError("a table needs at least two rows in rising wavelength")
+        return self
+
+    def at(self, wavelength_nm: Array) -> Array:
+        """(B,) values: linear in wavelength, the end values beyond the table."""
+        if self.table is None:
+            return np.full(wavelength_nm.shape, self.value, dtype=float)
+        w, v = np.array(self.table).T
+        return np.asarray(np.interp(wavelength_nm, w, v))
+
+    @property
+    def assumed(self) -> bool:
+        """True when the source says that the number is an assumption."""
+        return self.source.lower().startswith("assumed")
+
+
+class RegularBands(Model):
+    """Evenly spaced bands."""
+
+    first_nm: float = Field(gt=0)
+    step_nm: float = Field(gt=0)
+    count: int = Field(gt=0, le=5000)
+    fwhm_nm: float = Field(gt=0)
+
+
+class StatedGap(Model):
+    """A part of the spectrum that the sensor leaves out on purpose."""
+
+    range_nm: tuple[float, float] = Field(description="from the last band before it to the first after it [nm]")
+    source: Source
+
+
+class Bands(Model):
+    """The band set: a table of [centre nm, FWHM nm, good 0/1], evenly spaced bands, or such bands part by part."""
+
+    table: list[tuple[float, float, int]] | None = None
+    regular: RegularBands | None = None
+    parts: list[RegularBands] | None = Field(None, min_length=1, description="evenly spaced bands, by spectrometer")
+    spacing: Literal["contiguous", "separate"] = Field(
+        "contiguous", description="separate: a multispectral sensor, whose bands need not touch"
+    )
+    gaps: tuple[StatedGap, ...] = Field((), description="parts that are left out on purpose")
+    beside: str | None = Field(
+        None,
+        description="sensor of the library with another set of bands, which the datasheet shows beside it",
+    )
+    source: Source
+
+    @model_validator(mode="after")
+    def _one_of(self) -> Bands:
+        if sum(given is not None for given in (self.table, self.regular, self.parts)) != 1:
+            raise ValueError("give either table, regular or parts")
+        return self
+
+    @property
+    def fwhms(self) -> list[float]:
+        """Widths as the file lists them [nm]: of each band of a table, or one of each part."""
+        if self.table is not None:
+            return [fwhm for _, fwhm, _ in self.table]
+        return [p.fwhm_nm for p in self.parts or ([self.regular] if self.regular is not None else [])]
+
+    @property
+    def axis(self) -> SpectralAxis:
+        """The bands as an axis (for 3.13)."""
+        if self.table is not None:
+            rows: Array = np.array(self.table, dtype=np.float64)
+            return SpectralAxis(rows[:, 0], rows[:, 1], rows[:, 2] > 0)
+        parts = self.parts or ([self.regular] if self.regular is not None else [])
+        centres = [r.first_nm + r.step_nm * np.arange(r.count, dtype=np.float64) for r in parts]
+        widths = [np.full(r.count, r.fwhm_nm) for r in parts]
+        return SpectralAxis(np.concatenate(centres), np.concatenate(widths))
+
+
+class Throughput(Model):
+    """A Omega by one of the conventions of (3.14).
+
+    value: ``cm2_sr``; square-ifov, cone: ``aperture_m``, ``ifov_mrad``, ``obscuration``;
+    f-number: ``f_number``, ``pixel_pitch_um``; slit: ``f_number``, ``slit_width_um``, ``slit_height_um``.
+    """
+
+    convention: Literal["value", "square-ifov", "cone", "f-number", "slit"] = "square-ifov"
+    cm2_sr: float | None = Field(None, gt=0)
+    aperture_m: float | None = Field(None, gt=0)
+    ifov_mrad: float | None = Field(None, gt=0)
+    obscuration: float = Field(0.0, ge=0, lt=1)
+    f_number: float | None = Field(None, gt=0)
+    pixel_pitch_um: float | None = Field(None, gt=0)
+    slit_width_um: float | None = Field(None, gt=0)
+    slit_height_um: float | None = Field(None, gt=0)
+    source: Source
+
+    @model_validator(mode="after")
+    def _complete(self) -> Throughput:
+        needs = {
+            "value": ("cm2_sr",),
+            "square-ifov": ("aperture_m", "ifov_mrad"),
+            "cone": ("aperture_m", "ifov_mrad"),
+            "f-number": ("f_number", "pixel_pitch_um"),
+            "slit": ("f_number", "slit_width_um", "slit_height_um"),
+        }[self.convention]
+        lacking = [name for name in needs if getattr(self, name) is None]
+        if lacking:
+            raise ValueError(f"the convention {self.convention} needs {', '.join(lacking)}")
+        return self
+
+    @property
+    def value_cm2_sr(self) -> float:
+        """A Omega [cm2 sr] (3.14)."""
+        match self.convention:
+            case "value":
+                return float(self.cm2_sr or 0)
+            case "f-number":
+                return f_number_throughput(self.f_number or 0, (self.pixel_pitch_um or 0) ** 2)
+            case "slit":
+                return f_number_throughput(self.f_number or 0, (self.slit_width_um or 0) * (self.slit_height_um or 0))
+        return aperture_throughput(
+            self.aperture_m or 0,
+            1e-3 * (self.ifov_mrad or 0),
+            obscuration=self.obscuration,
+            convention=self.convention,
+        )
+
+
+class Blur(Model):
+    """Point spread function in two directions, by widths or by MTF: pairs (along, across) the track."""
+
+    fwhm_pixels: tuple[float, float] | None = Field(None, description="Gaussian besides the aperture [pixels]")
+    mtf_at_nyquist: tuple[float, float] | None = Field(None, description="of the pixel, aperture included [1]")
+    source: Source
+
+    @model_validator(mode="after")
+    def _one_of(self) -> Blur:
+        if (self.fwhm_pixels is None) == (self.mtf_at_nyquist is None):
+            raise ValueError("give either fwhm_pixels or mtf_at_nyquist")
+        if self.fwhm_pixels is not None and not all(0 <= w <= 5 for w in self.fwhm_pixels):
+            raise ValueError("fwhm_pixels lies between 0 and 5")
+        if self.mtf_at_nyquist is not None and not all(0.01 <= m <= 2 / np.pi for m in self.mtf_at_nyquist):
+            raise ValueError("mtf_at_nyquist lies between 0.01 and 0.6366, which the aperture alone passes")
+        return self
+
+    @property
+    def fwhm(self) -> tuple[float, float]:
+        """FWHM of the Gaussian (along, across) [pixels]."""
+        if self.fwhm_pixels is not None:
+            return self.fwhm_pixels
+        along, across = psf_fwhm_from_mtf(np.array(self.mtf_at_nyquist, dtype=float))
+        return float(along), float(across)
+
+
+class SpectralShift(Model):
+    """Where the bands of a range truly stand: true minus nominal centre, and the smile across the track."""
+
+    range_nm: tuple[float, float] | None = Field(None, description="bands it holds for; None: all")
+    shift_nm: float = Field(0.0, ge=-50, le=50, description="at the middle of the track [nm]")
+    smile_nm: tuple[float, ...] = Field(
+        (), max_length=8, description="c1, c2, ...: adds c1 x + c2 x^2 + ..., x from -1 to 1 across the track"
+    )
+    columns: int | None = Field(None, ge=2, description="samples across the track; with smile_nm")
+    source: Source
+
+    @model_validator(mode="after")
+    def _complete(self) -> SpectralShift:
+        if bool(self.smile_nm) != (self.columns is not None):
+            raise ValueError("smile_nm and columns go together")
+        return self
+
+    def at(self, column: float | None) -> float:
+        """Shift [nm] at a sample, counted from 0; None is the middle of the track.
+
+        Raises ValueError when the column lies outside the track.
+        """
+        if column is None or self.columns is None:
+            return self.shift_nm
+        x = 2.0 * column / (self.columns - 1) - 1.0
+        if not -1.0 <= x <= 1.0:
+            raise ValueError(f"column {column:g} lies outside 0-{self.columns - 1}")
+        return self.shift_nm + sum(c * x ** (k + 1) for k, c in enumerate(self.smile_nm))
+
+
+Row = tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]]
+
+
+class ReferenceScene(Model):
+    """A uniform ground under a standard atmosphere: what a published figure refers to."""
+
+    reflectance: float = Field(gt=0, le=1.2, description="of the ground, as far as the eye reaches [1]")
+    solar_zenith_deg: float = Field(ge=0, lt=85)
+    sensor_altitude_km: float = Field(ge=0, le=100_000, description="above sea level; 100 and more is space [km]")
+    ground_altitude_km: float = Field(0.0, ge=0, le=5, description="above sea level [km]")
+    meteorological_range_km: float = Field(23.0, ge=2, le=300, description="at the ground, rural aerosol [km]")
+    model: str = Field("midlatitude-summer", description="standard atmosphere, as in a scenario")
+    source: Source
+
+
+class PublishedSnr(Model):
+    """Signal-to-noise ratios that were published, with the radiance they refer to.
+
+    At most one of ``radiance`` and ``scene``; with neither, the publication does not say what it refers to, and
+    the figures are shown and not judged.
+    """
+
+    table: list[Row] = Field(min_length=1, description="rows [nm, SNR]")
+    says: Literal["value", "at least"] = Field("value", description="a figure that is met, or a lower bound")
+    radiance: Quantity | None = Field(None, description="reference radiance [uW cm-2 sr-1 nm-1]")
+    scene: ReferenceScene | None = Field(None, description="the scene that gives the reference radiance")
+    source: Source
+
+    @model_validator(mode="after")
+    def _one_reference(self) -> PublishedSnr:
+        if self.radiance is not None and self.scene is not None:
+            raise ValueError("give radiance or scene, not both")
+        return self
+
+
+class KnownDiscrepancy(Model):
+    """A check that this sensor is known not to pass, and why: it is then shown and does not decide."""
+
+    check: str = Field(min_length=3, description="product/metric or product/metric/subject, as in results.csv")
+    reason: str = Field(min_length=10, description="why it does not pass, and why that stands")
+
+
+class SensorChanges(Model):
+    """What differs from the sensor file; each term is that of (3.13)-(3.19)."""
+
+    calibration_error_percent: float | None = Field(None, ge=0, lt=100, description="C_R in every band [%]")
+    signal_factor: float = Field(
+        1.0, gt=0, le=1000, description="on the electrons per radiance: throughput, aperture, integration time"
+    )
+    fixed_noise_factor: float = Field(1.0, ge=0, le=1000, description="on the fixed noise electrons")
+    bits: int | None = Field(None, ge=1, le=32, description="bits of a word, at the same full scale")
+
+
+def changed_noise(noise: NoiseModel, changes: SensorChanges) -> NoiseModel:
+    """The noise (3.13)-(3.19) of a sensor with other numbers.
+
+    The light acts by :func:`with_signal`; b g of measured noise is the variance of its fixed part [electrons^2].
+    A changed word length moves the step of quantisation at the same full scale.
+    """
+    changed = with_signal(noise, changes.signal_factor)
+    f = changes.fixed_noise_factor
+    changed = replace(changed, fixed_noise=changed.fixed_noise * f)
+    if changed.measured is not None:
+        a, b, c = changed.measured
+        changed = replace(changed, measured=(a, b * f**2, c))
+    if changes.calibration_error_percent is not None:
+        c_r = np.full_like(noise.calibration_percent, changes.calibration_error_percent)
+        changed = replace(changed, calibration_percent=c_r)
+    if changes.bits is not None:
+        step = noise.lsb_electrons * 2.0 ** (np.asarray(noise.bits, dtype=float) - changes.bits)
+        changed = replace(changed, lsb_electrons=step, bits=changes.bits)
+    return changed
+
+
+Count = Annotated[int, Field(ge=1, le=10_000)]
+
+
+class SensorOperation(Model):
+    """Settings of one flight; the sensor file holds what belongs to the instrument."""
+
+    frames_averaged: Count = Field(1, description="frames averaged into one line (co-adds)")
+    averaged: Literal["before recording", "after recording"] = Field(
+        "after recording", description="whether each frame is digitised and sent by itself"
+    )
+    spatial_binning: tuple[Count, Count] = Field(
+        (1, 1), description="pixels averaged into one, (along, across); class statistics are those of the bin"
+    )
+    spectral_binning: Count = Field(1, description="neighbouring bands added into one, each read by itself")
+    wavelength_shift_nm: float | dict[str, float] = Field(
+        0.0, description="true minus nominal band centres [nm], for all bands or by arm"
+    )
+    column: float | None = Field(None, description="sample, from 0, at which the smile is taken; None: the middle")
+
+
+def averaged_noise(noise: NoiseModel, operation: SensorOperation) -> NoiseModel:
+    """The noise of co-added frames and spatial bins (3.15)-(3.19).
+
+    Independent readings divide the variances of photons and detector by their number.  Frames averaged before
+    recording share one digital word.  C_R belongs to a detector element, so that only bins across the track
+    average it.
+    """
+    along, across = operation.spatial_binning
+    bins, frames = along * across, operation.frames_averaged
+    after = operation.averaged == "after recording"
+    return replace(
+        noise,
+        readings=noise.readings * bins * frames,
+        digital_readings=noise.digital_readings * bins * (frames if after else 1),
+        calibration_readings=noise.calibration_readings * across,
+    )
+
+
+def binned_axis(axis: SpectralAxis, count: int) -> SpectralAxis:
+    """The axis of sums of ``count`` neighbouring bands (dlambda of 3.13); bands left over at the end are dropped.
+
+    The response of a sum has the mean of the centres and the variance of the parts plus that of their
+    centres; the FWHM is that of the Gaussian of this variance.  A bin is good when all its bands are.
+    """
+    groups = _groups(axis.centre_nm, count)
+    variance = (_groups(axis.fwhm_nm, count) * SIGMA_PER_FWHM) ** 2
+    sigma = np.sqrt(variance.mean(axis=1) + groups.var(axis=1))
+    good = _groups(axis.good, count).all(axis=1)
+    return SpectralAxis(groups.mean(axis=1), sigma / SIGMA_PER_FWHM, np.asarray(good, dtype=bool))
+
+
+def binned_noise(noise: NoiseModel, count: int) -> NoiseModel:
+    """The noise of sums of ``count`` neighbouring bands (3.13)-(3.19).
+
+    Electrons add up, and so do the variances of fixed noise, rounding and bit errors, each band being read by
+    itself; C_R is independent between bands.  Measured noise is binned through its electrons; c adds in
+    quadrature, exact where a and c do not change within a bin.
+    """
+    if count == 1:
+        return noise
+
+    def root_sum(x: Array) -> Array:
+        return np.asarray(np.sqrt((_groups(x, count) ** 2).sum(axis=1)))
+
+    g_parts = _groups(noise.electrons_per_radiance, count)
+    g = g_parts.sum(axis=1)  # (3.13)
+    fixed = root_sum(noise.fixed_noise)
+    weights = g_parts / g[:, None]
+    calibration = np.sqrt(((weights * _groups(noise.calibration_percent, count)) ** 2).sum(axis=1))  # (3.17)
+    measured = None
+    if noise.measured is not None:
+        a, _, c = noise.measured
+        sign = np.sign(_groups(c, count).sum(axis=1))
+        measured = (1.0 / np.sqrt(g), fixed**2 / g, sign * root_sum(c / a**2) / g)
+    full = None if noise.full_scale is None else _groups(noise.full_scale, count).min(axis=1)
+
+    def whole(x: npt.ArrayLike) -> Array:
+        return _groups(np.broadcast_to(x, noise.fixed_noise.shape), count)[:, 0]
+
+    return replace(
+        noise,
+        electrons_per_radiance=g,
+        fixed_noise=fixed,
+        lsb_electrons=root_sum(noise.lsb_electrons),
+        bits=whole(noise.bits).astype(int) if np.ndim(noise.bits) else noise.bits,
+        bit_error_rate=whole(noise.bit_error_rate) if np.ndim(noise.bit_error_rate) else noise.bit_error_rate,
+        calibration_percent=calibration,
+        measured=measured,
+        full_scale=full,
+    )
+
+
+def _groups(values: npt.ArrayLike, count: int) -> Array:
+    x = np.asarray(values)
+    whole = x.size // count * count
+    return np.asarray(x[:whole].reshape(-1, count))
 
 
 class Arm(Model):

@@ -1,31 +1,257 @@
-"""One simulated collection from a scene: the cube, written line by line, and its truth."""
+"""One simulated collection from a scene: the cube, written line by line, and its truth.
+
+From reflectance to stored integers: radiance, sampled detector noise, quantisation.
+
+The truth beside a simulated cube: regions, targets, maps, panel spectra, and what was drawn.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from affine import Affine
+from rasterio import features
 from rasterio.crs import CRS
 
 from hyperval.errors import UsageError
 from hyperval.executors import in_order, single_blas_thread
-from hyperval.files import write_text
-from hyperval.folders import COLLECTION, whole_folder
-from hyperval.imagery.envi_write import envi_writer, write_cube
+from hyperval.imagery.envi import envi_writer, write_cube
 from hyperval.progress import track
-from hyperval.simulate import streams, truth
-from hyperval.simulate.inputs import SimulationInputs, load_inputs
-from hyperval.simulate.layout import Ground, lay_out, regions
-from hyperval.simulate.radiometry import Detector, detector
+from hyperval.scene.builtin import builtin_mean
+from hyperval.simulate import schema
+from hyperval.simulate.inputs import SensorNumbers, SimulationInputs, load_inputs
+from hyperval.simulate.layout import GroundLayout, Mask, lay_out, regions, touched
 from hyperval.simulate.schema import SceneFile, load_scene
 from hyperval.simulate.surface import SurfaceRenderer
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.storage import COLLECTION, whole_folder, write_text
+
+Float32Array = npt.NDArray[np.float32]
+
+# Above this many electrons a Poisson count is drawn from the normal law of the same mean and
+# variance: its skewness, 1/sqrt(N), is then under 0.032.
+NORMAL_ABOVE_ELECTRONS = 1000.0
+INT16_LIMITS = (-32768, 32767)
+
+
+@dataclass(frozen=True)
+class Detector:
+    """The closed form of 3.7 per pixel and one realisation of every noise source.
+
+    ``offset`` and ``slope`` (B,): radiance of a black pixel in this scene, and radiance per reflectance.
+    """
+
+    sensor: SensorNumbers
+    offset: Float32Array
+    slope: Float32Array
+    counts_per_radiance: float
+
+    def radiance(self, reflectance: Float32Array) -> Float32Array:
+        """(samples, B) at-sensor radiance without noise [uW cm-2 sr-1 nm-1]."""
+        out: Float32Array = reflectance * self.slope
+        out += self.offset
+        return out
+
+    def saturated(self, radiance: Float32Array) -> int:
+        """How many of the radiances lie beyond the full scale of the digital numbers."""
+        s = self.sensor
+        full = np.where(s.lsb_radiance > 0.0, s.lsb_radiance * (2**s.bits - 1), np.inf)
+        return int(np.count_nonzero(radiance > full.astype(np.float32)))
+
+    def measured(self, radiance: Float32Array, rng: np.random.Generator) -> Float32Array:
+        """(samples, B) radiance as the sensor delivers it [uW cm-2 sr-1 nm-1].
+
+        Photon noise is drawn on the electrons (3.13), fixed noise added (3.15), both taken through the noise
+        factor g_d (3.16); the sum is rounded to digital numbers (3.18), bits are flipped at their error rate
+        (3.19), and the calibration of every sample carries its own relative error (3.17).
+        """
+        s = self.sensor
+        out = self._detected(radiance, rng)
+        out *= np.float32(s.noise_factor)  # (3.16)
+        out += radiance
+        if np.any(s.lsb_radiance > 0.0):
+            out = self._digitised(out, rng)
+        if np.any(s.relative_calibration > 0.0):
+            error = rng.standard_normal(out.shape, dtype=np.float32)
+            error *= s.relative_calibration.astype(np.float32)
+            error *= radiance
+            out += error  # (3.17)
+        return out
+
+    def _detected(self, radiance: Float32Array, rng: np.random.Generator) -> Float32Array:
+        """One draw of the detector's noise [radiance], before the noise factor."""
+        s = self.sensor
+        noise = rng.standard_normal(radiance.shape, dtype=np.float32)
+        if s.measured is not None:  # a sensor known by its noise alone: no electrons to count
+            a, b, c = (x.astype(np.float32) for x in s.measured)
+            return np.asarray(noise * np.abs(a * np.sqrt(np.maximum(b + radiance, 0.0)) + c))
+        gain = s.electrons_per_radiance.astype(np.float32)
+        electrons = radiance * gain  # (3.13)
+        np.maximum(electrons, 0.0, out=electrons)  # a dark draw emits no photons
+        noise *= np.sqrt(electrons)
+        few = electrons < NORMAL_ABOVE_ELECTRONS
+        noise[few] = (rng.poisson(electrons[few].astype(np.float64)) - electrons[few]).astype(np.float32)
+        fixed = rng.standard_normal(radiance.shape, dtype=np.float32)
+        fixed *= s.fixed_noise_electrons.astype(np.float32)
+        noise += fixed  # (3.15)
+        noise /= gain  # back in radiance
+        return noise
+
+    def _digitised(self, radiance: Float32Array, rng: np.random.Generator) -> Float32Array:
+        s = self.sensor
+        lsb = np.where(s.lsb_radiance > 0.0, s.lsb_radiance, 1.0).astype(np.float32)
+        number = np.rint(radiance / lsb)  # (3.18)
+        np.minimum(number, np.float32(2**s.bits - 1), out=number)  # full scale
+        if s.bit_error_rate > 0.0:
+            flips = rng.binomial(number.size * s.bits, s.bit_error_rate)
+            where = rng.integers(0, number.size, flips)
+            weight = 1 << rng.integers(0, s.bits, flips)
+            # The flip of a set bit lowers the number; a negative number stands on a dark level, taken as 0 here.
+            words = np.clip(number, 0, 2**s.bits - 1).astype(np.int64).ravel()
+            delta = np.zeros(words.size)
+            np.add.at(delta, where, np.where(words[where] & weight, -weight, weight))
+            number += delta.reshape(number.shape).astype(np.float32)  # (3.19)
+        return np.where(s.lsb_radiance > 0.0, number * lsb, radiance).astype(np.float32)
+
+    def stored(self, measured: Float32Array) -> tuple[npt.NDArray[np.int16], int]:
+        """(samples, B) integers of the file and how many of them had to be clipped."""
+        counts = np.rint(measured * np.float32(self.counts_per_radiance))
+        low, high = INT16_LIMITS
+        clipped = int(np.count_nonzero((counts < low) | (counts > high)))
+        if clipped:
+            np.clip(counts, low, high, out=counts)
+        return counts.astype("<i2"), clipped
+
+
+def detector(
+    inputs: SimulationInputs, average_reflectance: npt.NDArray[np.float64], counts_per_radiance: float
+) -> Detector:
+    """The detector over a scene of the given area-average reflectance (B,).
+
+    L = L_a + (A rho + B rho_ave) / (1 - S rho_ave) (3.7), so the black pixel has L_a + B rho_ave / (1 - S rho_ave).
+    """
+    t = inputs.terms
+    bounce = 1.0 - t.spherical_albedo * average_reflectance
+    return Detector(
+        inputs.sensor,
+        (t.path_radiance + t.adjacency * average_reflectance / bounce).astype(np.float32),
+        (t.direct / bounce).astype(np.float32),
+        counts_per_radiance,
+    )
+
+
+TARGET_COLUMNS = (
+    "name", "group", "material", "host", "nominal_fill", "side_m", "area_m2", "line", "sample",
+    "phase", "heading_deg", "best_line", "best_sample", "best_fill", "pixels",
+)  # fmt: skip
+
+FIELD_AXIS_NM = (350.0, 2500.0, 1.0)  # what a field spectrometer delivers: first, last, step
+FIELD_FWHM_NM = 3.0
+
+
+def write_regions(path: Path, scene: SceneFile, masks: Mapping[str, Mask]) -> None:
+    """Regions of interest as GeoJSON polygons along pixel edges, x = sample, y = line.
+
+    (0, 0) is the upper left corner of the first pixel.  GeoJSON proper is in degrees;
+    ``coordinates: pixel`` among the members says that this file is not.
+    """
+    records = []
+    for name, mask in masks.items():
+        shapes = [shape for shape, value in features.shapes(mask.astype(np.uint8), mask=mask) if value == 1]
+        polygons = [shape["coordinates"] for shape in shapes]
+        geometry = (
+            {"type": "Polygon", "coordinates": polygons[0]}
+            if len(polygons) == 1
+            else {"type": "MultiPolygon", "coordinates": polygons}
+        )
+        surface = next((p.surface for p in scene.panels if p.name == name), None)
+        surface = surface or next(r.surface for r in scene.regions if r.name == name)
+        properties = {"name": name, "surface": surface, "pixels": int(mask.sum())}
+        records.append({"type": "Feature", "properties": properties, "geometry": geometry})
+    content = {"type": "FeatureCollection", "name": scene.name, "coordinates": "pixel", "features": records}
+    write_text(path, json.dumps(content) + "\n")
+
+
+def target_rows(scene: SceneFile, ground: GroundLayout) -> list[dict[str, Any]]:
+    """One row per plank, with the fills as rendered and not as asked for.
+
+    ``line``, ``sample``: its centre, continuous; ``best_line``, ``best_sample``: the pixel it fills most, whole
+    numbers; ``pixels``: how many hold at least 1e-4 of it.
+    """
+    rows = []
+    for plank in ground.planks:
+        group = plank.group
+        lines, samples, fill = touched(plank)
+        best = int(np.argmax(fill))
+        side = plank.side_pixels * scene.gsd_m
+        rows.append(
+            {
+                "name": plank.name,
+                "group": group.name,
+                "material": group.material,
+                "host": group.host,
+                "nominal_fill": "" if group.fill is None else group.fill,
+                "side_m": round(side, 6),
+                "area_m2": round(side**2, 6),
+                "line": round(plank.centre_line, 4),
+                "sample": round(plank.centre_sample, 4),
+                "phase": group.phase,
+                "heading_deg": round(plank.heading_deg, 3),
+                "best_line": int(lines[best]),
+                "best_sample": int(samples[best]),
+                "best_fill": round(float(fill[best]), 6),
+                "pixels": int(fill.size),
+            }
+        )
+    return rows
+
+
+def write_table(path: Path, columns: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
+    """A CSV file with Unix line ends."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def field_axis() -> SpectralAxis:
+    """The 1 nm grid of the simulated field spectrometer."""
+    first, last, step = FIELD_AXIS_NM
+    centre = np.arange(first, last + 0.5 * step, step)
+    return SpectralAxis(centre, np.full(centre.size, FIELD_FWHM_NM))
+
+
+def write_panel_spectra(path: Path, scene: SceneFile) -> None:
+    """CSV: wavelength_nm, then mean NAME and standard deviation NAME_sd of every panel, reflectance as a fraction.
+
+    A reading is the panel's mean reflectance with ``relative_noise`` of the instrument, independent between
+    wavelengths; the panels' own spread from pixel to pixel is averaged by the sweep of the spectrometer.  A comment
+    says how many readings are behind the means, where there is more than one.
+    """
+    axis = field_axis()
+    noise, count = scene.field_spectra.relative_noise, scene.field_spectra.readings
+    columns, values = ["wavelength_nm"], [axis.centre_nm]
+    for number, panel in enumerate(scene.panels):
+        mean = builtin_mean(panel.surface, axis)
+        rng = schema.generator(scene.seed, schema.FIELD_SPECTRA, number)
+        readings = mean * (1.0 + noise * rng.standard_normal((count, mean.size)))
+        columns += [panel.name, f"{panel.name}_sd"]
+        values += [readings.mean(axis=0), readings.std(axis=0, ddof=1) if count > 1 else np.zeros(mean.size)]
+    lines = [f"# means of N = {count} readings and their standard deviations"] if count > 1 else []
+    lines += [",".join(columns)]
+    lines += [f"{row[0]:.1f}," + ",".join(f"{v:.6f}" for v in row[1:]) for row in np.stack(values, axis=1)]
+    write_text(path, "\n".join(lines) + "\n")
+
 
 Array = npt.NDArray[np.float64]
 T = TypeVar("T")
@@ -113,9 +339,9 @@ def simulate(
     ends = {"cube": "rad", "class_map": "class", "fill_map": "fill"}
     files |= {part: folder / f"{scene.name}_{end}.img" for part, end in ends.items()}
     saturated = _write_cube(files["cube"], scene, inputs, renderer, chain, lines_per_block, show_progress)
-    truth.write_regions(files["regions"], scene, masks)
-    truth.write_table(files["targets"], truth.TARGET_COLUMNS, truth.target_rows(scene, ground))
-    truth.write_panel_spectra(files["panel_spectra"], scene)
+    write_regions(files["regions"], scene, masks)
+    write_table(files["targets"], TARGET_COLUMNS, target_rows(scene, ground))
+    write_panel_spectra(files["panel_spectra"], scene)
     _write_maps(files["class_map"], files["fill_map"], scene, ground)
     facts = {
         "simulated": True,
@@ -164,7 +390,7 @@ def _write_cube(
     """Write the cube; returns the share of samples beyond the detector's full scale."""
 
     def stored(line: int) -> tuple[npt.NDArray[np.int16], int]:
-        rng = streams.generator(scene.seed, streams.NOISE, line)
+        rng = schema.generator(scene.seed, schema.NOISE, line)
         radiance = chain.radiance(renderer.lit_reflectance(line))
         values, clipped = chain.stored(chain.measured(radiance, rng))
         if clipped:
@@ -209,7 +435,7 @@ def _write_cube(
     return saturated / (scene.lines * scene.samples * len(axis))
 
 
-def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: Ground) -> None:
+def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: GroundLayout) -> None:
     place = {"transform": _transform(scene), "crs": _crs(scene)}
     write_cube(
         class_path,

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from hyperval.errors import UsageError
-from hyperval.simulate import streams
+from hyperval.simulate import schema
 from hyperval.simulate.schema import SceneFile, TargetGroup
 
 Array = npt.NDArray[np.float64]
@@ -161,7 +161,7 @@ class Plank:
 
 
 @dataclass(frozen=True)
-class Ground:
+class GroundLayout:
     """The scene on the ground before any spectrum is drawn.
 
     Attributes
@@ -180,7 +180,7 @@ class Ground:
     fill: npt.NDArray[np.float32]
 
 
-def lay_out(scene: SceneFile) -> Ground:
+def lay_out(scene: SceneFile) -> GroundLayout:
     """Paint the classes and put the planks in place.
 
     Raises
@@ -210,11 +210,11 @@ def lay_out(scene: SceneFile) -> Ground:
         _add_fill(plank, surfaces.index(plank.group.host), class_map, fill)
     if fill.size and float(fill.max()) > 1.0 + 1e-5:
         raise UsageError("planks of different groups overlap", where=scene.name, mend="move their areas apart")
-    return Ground(surfaces, class_map, on_panel, planks, fill)
+    return GroundLayout(surfaces, class_map, on_panel, planks, fill)
 
 
 def _place(scene: SceneFile, number: int, group: TargetGroup) -> list[Plank]:
-    rng = streams.generator(scene.seed, streams.PLACEMENT, number)
+    rng = schema.generator(scene.seed, schema.PLACEMENT, number)
     psf = scene.psf_fwhm_pixels
     side = group.side_m / scene.gsd_m if group.side_m else side_for_fill(group.fill or 0.0, psf)
     step = group.spacing_pixels
@@ -264,7 +264,7 @@ def _add_fill(plank: Plank, host: int, class_map: npt.NDArray[np.uint8], total: 
     total[lines, samples] += fill.astype(np.float32)
 
 
-def class_region(ground: Ground, surface: str, border_pixels: int, guard_pixels: int) -> Mask:
+def class_region(ground: GroundLayout, surface: str, border_pixels: int, guard_pixels: int) -> Mask:
     """Pixels of a class away from its borders, from the panels and from every plank."""
     own = (ground.class_map == ground.surfaces.index(surface)) & ~ground.on_panel
     mask: Mask = own
@@ -279,7 +279,7 @@ def class_region(ground: Ground, surface: str, border_pixels: int, guard_pixels:
     return np.asarray(mask & ~seen & ~guard)
 
 
-def regions(scene: SceneFile, ground: Ground) -> dict[str, Mask]:
+def regions(scene: SceneFile, ground: GroundLayout) -> dict[str, Mask]:
     """The regions of interest by name: panel interiors first, then the classes.
 
     Raises
@@ -296,7 +296,5 @@ def regions(scene: SceneFile, ground: Ground) -> dict[str, Mask]:
         masks[region.name] = class_region(ground, region.surface, region.border_pixels, scene.target_guard_pixels)
     for name, mask in masks.items():
         if not mask.any():
-            raise UsageError(
-                f"the region {name!r} holds no pixel", where=scene.name, mend="lower its border_pixels"
-            )
+            raise UsageError(f"the region {name!r} holds no pixel", where=scene.name, mend="lower its border_pixels")
     return masks

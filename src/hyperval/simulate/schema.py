@@ -1,15 +1,27 @@
-"""What a scene file says: the surfaces, the targets, the sensor and which assumptions are broken."""
+"""What a scene file says: the surfaces, the targets, the sensor and which assumptions are broken.
+
+Independent random streams, so that a pixel's draw depends on its place and not on the order of work.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.config import Model, load_model
 from hyperval.errors import reader
+
+PLACEMENT, TARGET_SPECTRA, FIELDS, SURFACE, NOISE, FIELD_SPECTRA = range(6)
+
+
+def generator(seed: int, stream: int, index: int) -> np.random.Generator:
+    """The generator of one stream and one line, group or field."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(stream, index))))
+
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
 
@@ -65,9 +77,7 @@ class TargetGroup(Model):
     side_m: float | None = Field(default=None, gt=0.0, description="side [m], when given instead of the fill")
     count: int = Field(ge=1, le=100_000)
     area: Area
-    spacing_pixels: int = Field(
-        default=7, ge=6, description="of the grid; planks closer than 6 pixels would overlap"
-    )
+    spacing_pixels: int = Field(default=7, ge=6, description="of the grid; planks closer than 6 pixels would overlap")
     phase: Literal["centred", "random"] = "centred"
     heading_deg: float | Literal["random"] = 0.0
 
@@ -82,7 +92,7 @@ class TargetGroup(Model):
         return self
 
 
-class Region(Model):
+class SimulatedRegion(Model):
     """A region of interest: all pixels of a class away from its borders and from targets."""
 
     name: Name
@@ -179,7 +189,7 @@ class SceneFile(Model):
     layout: list[PaintedArea] = Field(min_length=1)
     panels: list[Panel] = Field(default_factory=list)
     targets: list[TargetGroup] = Field(default_factory=list)
-    regions: list[Region] = Field(default_factory=list)
+    regions: list[SimulatedRegion] = Field(default_factory=list)
     target_guard_pixels: int = Field(default=3, ge=0, description="around planks, left out of the regions")
     field_spectra: FieldSpectra = FieldSpectra()
     header: dict[str, str] = Field(

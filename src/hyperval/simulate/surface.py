@@ -10,8 +10,8 @@ import numpy.typing as npt
 from scipy import ndimage, special
 
 from hyperval.scene.statistics import ClassStatistics
-from hyperval.simulate import streams
-from hyperval.simulate.layout import SMALLEST_FILL, Ground, pixel_weights, touched
+from hyperval.simulate import schema
+from hyperval.simulate.layout import SMALLEST_FILL, GroundLayout, pixel_weights, touched
 from hyperval.simulate.schema import Admixture, SceneFile
 
 Field = npt.NDArray[np.float32]
@@ -38,7 +38,7 @@ def texture_factor(scene: SceneFile) -> Field | None:
     texture = scene.broken.texture
     if texture is None:
         return None
-    rng = streams.generator(scene.seed, streams.FIELDS, _TEXTURE)
+    rng = schema.generator(scene.seed, schema.FIELDS, _TEXTURE)
     field = correlated_field((scene.lines, scene.samples), texture.correlation_pixels, rng)
     return np.asarray(np.maximum(1.0 + np.float32(texture.relative_sd) * field, np.float32(0.1)))
 
@@ -51,7 +51,7 @@ def illumination(scene: SceneFile, open_sky: npt.NDArray[np.bool_]) -> Field | N
     shade = scene.broken.shade
     if shade is None:
         return None
-    rng = streams.generator(scene.seed, streams.FIELDS, _SHADE)
+    rng = schema.generator(scene.seed, schema.FIELDS, _SHADE)
     field = correlated_field((scene.lines, scene.samples), shade.correlation_pixels, rng)
     dark = (field < np.quantile(field, shade.area_fraction)) & ~open_sky
     soft = blur(dark.astype(np.float32), scene.psf_fwhm_pixels)
@@ -61,7 +61,7 @@ def illumination(scene: SceneFile, open_sky: npt.NDArray[np.bool_]) -> Field | N
 
 def admixture_share(scene: SceneFile, admixture: Admixture, number: int) -> Field:
     """(lines, samples) share of the admixed surface: beta distributed, correlated as asked."""
-    rng = streams.generator(scene.seed, streams.FIELDS, _ADMIXTURE + number)
+    rng = schema.generator(scene.seed, schema.FIELDS, _ADMIXTURE + number)
     field = correlated_field((scene.lines, scene.samples), admixture.correlation_pixels, rng)
     mean = admixture.mean
     total = mean * (1.0 - mean) / admixture.sd**2 - 1.0  # beta parameters from its two moments
@@ -162,7 +162,7 @@ class SurfaceRenderer:
     target_spectra : (planks, B) one draw per plank
     """
 
-    def __init__(self, scene: SceneFile, ground: Ground, classes: Mapping[str, ClassStatistics]):
+    def __init__(self, scene: SceneFile, ground: GroundLayout, classes: Mapping[str, ClassStatistics]):
         self.scene, self.ground = scene, ground
         tails = scene.broken.heavy_tails
         covering = list(ground.surfaces)
@@ -177,16 +177,14 @@ class SurfaceRenderer:
         self._texture = texture_factor(scene)
         self._light = illumination(scene, ndimage.binary_dilation(ground.on_panel, iterations=3))
         self._shares = [admixture_share(scene, a, i) for i, a in enumerate(scene.broken.admixtures)]
-        self.target_spectra = self._draw_targets(
-            {n: sampler(classes[n]) for n in {g.material for g in scene.targets}}
-        )
+        self.target_spectra = self._draw_targets({n: sampler(classes[n]) for n in {g.material for g in scene.targets}})
         self._seen_by = self._index_planks()
 
     def _draw_targets(self, materials: Mapping[str, Sampler | MixtureSampler]) -> Array:
         spectra = np.zeros((len(self.ground.planks), self.bands), np.float32)
         at = 0
         for number, group in enumerate(self.scene.targets):
-            rng = streams.generator(self.scene.seed, streams.TARGET_SPECTRA, number)
+            rng = schema.generator(self.scene.seed, schema.TARGET_SPECTRA, number)
             spectra[at : at + group.count] = materials[group.material].draw(group.count, rng)
             at += group.count
         return spectra
@@ -225,7 +223,7 @@ class SurfaceRenderer:
 
     def reflectance(self, line: int) -> Array:
         """(samples, B) reflectance of one line: surfaces as drawn, planks blended in by their fill."""
-        rng = streams.generator(self.scene.seed, streams.SURFACE, line)
+        rng = schema.generator(self.scene.seed, schema.SURFACE, line)
         rho = np.zeros((self.scene.samples, self.bands), np.float32)
         for share, draws in zip(self.shares(line), self._samplers, strict=True):
             at = np.flatnonzero(share > SMALLEST_FILL)

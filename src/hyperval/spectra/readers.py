@@ -12,20 +12,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from hyperval.envi_header import EnviHeader
+from hyperval.envi_header import EnviHeader, header_beside, read_header
 from hyperval.errors import InputError, UsageError, reader
-from hyperval.files import decoded
 from hyperval.paths import checked_file
-from hyperval.spectra import (
-    hypernets,
-    radcalnet,
-    readers_asd,
-    readers_instruments,
-    readers_library,
-    readers_rows,
-    readers_text,
-)
+from hyperval.spectra import networks, readers_asd, readers_library
+from hyperval.spectra import text as readers_instruments
+from hyperval.spectra import text as readers_rows
+from hyperval.spectra import text as readers_text
 from hyperval.spectra.readers_record import MAX_BYTES, FieldSpectrum, Record, finished, mean_of
+from hyperval.storage import decoded
 
 # Printable characters of any 8-bit code, tabulators, ends of lines and pages.
 _TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])
@@ -204,8 +199,9 @@ class _File:
 
     @cached_property
     def header(self) -> EnviHeader | None:
-        """The ENVI header beside it; that beside a table may be a cube's of the same name, and is not its own."""
-        return None if self.path.suffix.lower() in (".txt", ".csv") else readers_library.library_header(self.path)
+        """The ENVI header beside it."""
+        beside = header_beside(self.path)
+        return None if beside is None else read_header(beside)
 
 
 @dataclass(frozen=True)
@@ -234,9 +230,7 @@ def _refused(file: _File) -> list[Record]:
 # The first that knows a file reads it: marks before tables, and text that anything can be at the end.
 FORMATS = (
     Format("SPECPR", lambda f: readers_library.is_specpr(f.mark), lambda f: readers_library.specpr_records(f.path)),
-    Format(
-        "ASD", lambda f: readers_asd.is_asd(f.raw), lambda f: [readers_asd.asd_record(f.raw, f.path, f.quantity)]
-    ),
+    Format("ASD", lambda f: readers_asd.is_asd(f.raw), lambda f: [readers_asd.asd_record(f.raw, f.path, f.quantity)]),
     Format(
         "ENVI ASCII plot",
         lambda f: f.head.startswith(b"ENVI ASCII Plot File"),
@@ -258,10 +252,8 @@ FORMATS = (
         lambda f: [readers_instruments.ger_record(f.text, f.path, f.quantity)],
     ),
     Format("", lambda f: f.not_read is not None, _refused),
-    Format("HYPERNETS", lambda f: hypernets.is_hypernets(f.raw), lambda f: hypernets.hypernets_records(f.path)),
-    Format(
-        "RadCalNet", lambda f: radcalnet.is_radcalnet(f.head), lambda f: radcalnet.radcalnet_records(f.text, f.path)
-    ),
+    Format("HYPERNETS", lambda f: networks.is_hypernets(f.raw), lambda f: networks.hypernets_records(f.path)),
+    Format("RadCalNet", lambda f: networks.is_radcalnet(f.head), lambda f: networks.radcalnet_records(f.text, f.path)),
     Format(
         "Spectral Evolution .sed",
         lambda f: b"Instrument:" in f.head and b"Columns [" in f.head,
@@ -277,15 +269,17 @@ FORMATS = (
         lambda f: f.columns is None and readers_rows.is_row_table(f.text),
         lambda f: readers_rows.row_records(f.text, f.path),
     ),
-    Format(
-        "text, a spectrum a column", lambda f: True, lambda f: readers_text.text_records(f.text, f.path, f.columns)
-    ),
+    Format("text, a spectrum a column", lambda f: True, lambda f: readers_text.text_records(f.text, f.path, f.columns)),
 )
 
 
 def _records(path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str) -> list[Record]:
     file = _File(path, columns, root, quantity)
-    return next(form for form in FORMATS if form.knows(file)).records(file)
+    records = next(form for form in FORMATS if form.knows(file)).records(file)
+    if readers_text.quantity_in(path.stem) != "radiance":
+        return records
+    # ..._rdn_... as the producers of images name what they cut out of them: it counts where the file says nothing.
+    return [replace(r, quantity=r.quantity or "radiance") for r in records]
 
 
 def _read(path: Path) -> bytes:
@@ -313,7 +307,8 @@ def _chosen(records: list[Record], record: str | int | None, where: str) -> Reco
                 f"the file holds {len(records)} spectra",
                 where=where,
                 expected=f"record: one of {names}, or 'mean'",
-                mend="where the third column is the standard deviation of the second, state columns: [0, 1, 2]"
+                mend="where the third column is the standard deviation of the second, write above them what "
+                "they are: wavelength, reflectance, sd"
                 if pair
                 else None,
             )

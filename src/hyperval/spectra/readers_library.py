@@ -29,15 +29,6 @@ _CONTINUATION, _TEXT, _ERRORS = 1, 2, 8
 _FIRST, _MORE = 256, 383
 
 
-def library_header(path: Path) -> EnviHeader | None:
-    """The header beside a library data file, None when there is none."""
-    ends = (".hdr", ".HDR")
-    for candidate in (*(path.with_name(path.name + end) for end in ends), *(path.with_suffix(end) for end in ends)):
-        if candidate.is_file() and candidate != path:
-            return read_header(candidate)
-    return None
-
-
 def records_at_hand(library: Any) -> list[Record]:
     """The spectra of a library of SPy, or of an array of xarray (spectrum, wavelength).
 
@@ -116,9 +107,7 @@ def library_records(path: Path, header: EnviHeader | None, root: Path | None = N
         values[:, flags == 0.0] = np.nan
     factor = header.number("reflectance scale factor")
     if factor is not None and not (np.isfinite(factor) and factor > 0):
-        raise InputError(
-            f"'reflectance scale factor' is {factor:g}", where=header.where("reflectance scale factor")
-        )
+        raise InputError(f"'reflectance scale factor' is {factor:g}", where=header.where("reflectance scale factor"))
     unit = header.text("wavelength units")
     unit = None if unit is None or unit.lower() in ("unknown", "none") else unit
     return [

@@ -1,7 +1,11 @@
 """Evaluating the points of a study: states of the atmosphere, and columns of numbers through batches of the model.
 
 Between engine runs the logarithms of the terms are interpolated by a tensor product of cubic splines, on the
-sensor's bands (:mod:`hyperval.atmosphere.interpolation`).
+sensor's bands (:mod:`hyperval.atmosphere.terms`).
+
+The numbers that a study asks for, from a batch of the model.
+
+Columns of a study: which inputs move as columns of numbers, what each touches, and the batch they make.
 """
 
 from __future__ import annotations
@@ -15,23 +19,354 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
-from hyperval.atmosphere.interpolation import InterpolatedTerms, interpolated_terms, stacked_values
+from hyperval.atmosphere import AtmosphericState
+from hyperval.atmosphere.terms import AtmosphericTerms, InterpolatedTerms, interpolated_terms, stacked_values
 from hyperval.errors import UsageError
-from hyperval.prediction.batch import Batch
-from hyperval.prediction.cases import Origins
-from hyperval.prediction.departure import Departure
-from hyperval.prediction.input_paths import PFA, BatchColumn, batch_column
-from hyperval.prediction.setup import Setup
+from hyperval.prediction.background import (
+    Ground,
+    Settings,
+    View,
+    ground_of,
+    on_arrays,
+    stacked_noise,
+    with_class_levels,
+)
+from hyperval.prediction.batch import Batch, Points, distinct
+from hyperval.prediction.cases import Case, Origins, Setup, points_of
+from hyperval.prediction.departure import (
+    PFA,
+    BatchColumn,
+    Departure,
+    Fills,
+    batch_column,
+    object_fills_of,
+    pixel_fills,
+    stacked_fills,
+)
+from hyperval.prediction.detection import detect
+from hyperval.prediction.filters import Designer
+from hyperval.processing.ace_model import NUMERICAL_DETECTORS
+from hyperval.processing.roc_model import detection_at, log10_false_alarm_at
+from hyperval.products import RocCurve
 from hyperval.progress import track
-from hyperval.scenario import Scenario
+from hyperval.scenario import Adjacency, Fill, Scenario, TargetSubject
+from hyperval.sensor.noise import NoiseModel
+from hyperval.sensor.specification import SensorChanges, SensorOperation, binned_noise, changed_noise
 from hyperval.settings import with_settings
-from hyperval.study.columns import Stage, batch_of_columns
-from hyperval.study.design import column_of, plain
-from hyperval.study.metrics import of_batch
+from hyperval.spectra.axis import SpectralAxis, in_window
 from hyperval.study.schema import Output
+from hyperval.study.tables import column_of, plain
 
 Array = npt.NDArray[np.float64]
+_PER_DECADE = 20
+
+
+def detector_of(output: Output, scenario: Scenario) -> str:
+    """The detector that an output reads: the one it names, or the scenario's first."""
+    return output.detector or scenario.processing.detectors[0]
+
+
+def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis) -> None:
+    """Refuse outputs of subjects, detectors or bands that the scenario does not have.
+
+    Raises
+    ------
+    UsageError : with the output's name.
+    """
+    scene = scenario.scene
+    pure = [s.name for s in (*scene.classes, *scene.panels, *scene.sites)]
+    populations = [p.name for t in scene.targets for p in t.populations]
+    for o in outputs:
+        spectral = o.kind in ("snr", "radiance")
+        if spectral and scenario.atmosphere is None:
+            raise UsageError(f"output {o.name!r}: the scenario has no atmosphere, so no {o.kind}")
+        if not spectral and not scenario.processing.detectors:
+            raise UsageError(f"output {o.name!r}: the scenario has no detectors", mend="add processing.detectors")
+        among = pure if spectral else populations
+        if o.subject not in among:
+            raise UsageError(f"output {o.name!r}: no subject {o.subject!r}", expected="one of " + ", ".join(among))
+        if o.detector is not None and o.detector not in scenario.processing.detectors:
+            raise UsageError(
+                f"output {o.name!r}: the scenario does not run {o.detector!r}",
+                expected="one of " + ", ".join(scenario.processing.detectors),
+            )
+        if spectral:
+            bands_of(o, axis)
+
+
+def bands_of(output: Output, axis: SpectralAxis) -> npt.NDArray[np.intp]:
+    """Numbers of the bands that a spectral output reads.
+
+    Raises
+    ------
+    UsageError : no band there.
+    """
+    w = axis.centre_nm
+    if output.band_nm is not None:
+        at = int(np.argmin(np.abs(w - output.band_nm)))
+        if abs(w[at] - output.band_nm) > 2.0 * axis.fwhm_nm[at]:
+            raise UsageError(f"output {output.name!r}: no band at {output.band_nm:g} nm")
+        return np.array([at])
+    assert output.range_nm is not None  # noqa: S101 - the model's own check
+    low, high = output.range_nm
+    bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & in_window(w))
+    if not bands.size:
+        raise UsageError(f"output {output.name!r}: no usable band from {low:g} to {high:g} nm")
+    return bands
+
+
+def log_range(output: Output) -> Array:
+    """Probabilities over which ``log-auc`` averages, even in their logarithm."""
+    low, high = output.pfa_range
+    return np.geomspace(low, high, max(2, round(np.log10(high / low) * _PER_DECADE)) + 1)
+
+
+def of_batch(batch: Batch, output: Output, pfa: Array | None) -> Array:
+    """An output at every point of a batch (n,); ``pfa`` (n,) where an input moves it."""
+    scenario = batch.scenario
+    if output.kind in ("snr", "radiance"):
+        bands = bands_of(output, batch.axis)
+        if output.kind == "snr":
+            values = batch.snr(output.subject, output.calibration_error)
+        else:
+            values = batch.radiance(output.subject)
+        return np.asarray(values[:, bands].mean(axis=1)[batch.points.setting])
+    detector = detector_of(output, scenario)
+    if detector in NUMERICAL_DETECTORS:
+        return _of_curves(batch, detector, output, pfa)
+    if output.kind == "pd" and output.by == "object":
+        scores = batch.object_scores(output.subject, detector)
+    else:
+        scores = batch.scores(output.subject, detector)
+    if output.kind == "pd":
+        at = np.array([[output.pfa]]) if pfa is None else np.asarray(pfa, float)[:, None]
+        return np.asarray(scores.detection(at)[:, 0])
+    if output.kind == "log10-pfa":
+        return scores.log10_false_alarm(np.full(len(batch), output.pd))
+    if output.kind == "auc":
+        return scores.auc()
+    x = log_range(output)
+    return np.asarray(np.trapezoid(scores.detection(x[None, :]), np.log(x), axis=1) / np.log(x[-1] / x[0]))
+
+
+def _of_curves(batch: Batch, detector: str, output: Output, pfa: Array | None) -> Array:
+    """An output of a detector whose curves are drawn: between their points they are read as all curves are."""
+    values = np.empty(len(batch))
+    for i, detection in enumerate(detect(batch, points=range(len(batch)))):
+        curve = detection.roc[output.subject, detector, output.by]
+        if output.kind == "pd":
+            at = output.pfa if pfa is None else float(pfa[i])
+            assert at is not None  # noqa: S101 - the schema asks for it
+            values[i] = detection_at(curve, at)
+        elif output.kind == "log10-pfa":
+            values[i] = log10_false_alarm_at(curve, output.pd)
+        elif output.kind == "auc":
+            values[i] = _area(curve)
+        else:
+            x = log_range(output)
+            values[i] = np.trapezoid(detection_at(curve, x), np.log(x)) / np.log(x[-1] / x[0])
+    return values
+
+
+def _area(curve: RocCurve) -> float:
+    """Area under a curve, read between its points and joined to (1, 1)."""
+    low, high = float(curve.pfa[0]), float(curve.pfa[-1])
+    x = np.concatenate([np.geomspace(low, 0.1, 400, endpoint=False), np.linspace(0.1, high, 901)])
+    y = detection_at(curve, np.clip(x, low, high))
+    return float(np.trapezoid(np.append(y, 1.0), np.append(x, 1.0)))
+
+
+BatchColumns = Mapping[BatchColumn, npt.NDArray[Any]]
+# The terms (U, 1, B) at U values of the inputs of the atmosphere; one row where nothing of it moves.
+TermsAt = Callable[[Mapping[str, npt.NDArray[Any]], int], AtmosphericTerms]
+_OF_A_SETTING = ("atmosphere", "changes", "operation", "fraction", "gain", "kappa")
+# Where target pixels are part of the filter's statistics, what moves them moves the filter.
+_OF_TARGETS = ("target_gain", "beam", "sky", "fill")
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A scenario with everything read that the columns of a study leave alone, kept from batch to batch.
+
+    Attributes
+    ----------
+    terms : the atmosphere, run; None in the reflectance domain
+    """
+
+    setup: Setup
+    terms: TermsAt | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What goes to other processes: no memory of earlier batches, and no covariance that nothing asks for."""
+        scene = self.setup.scenario.scene
+        needed = {s.name for s in (*scene.classes, *scene.targets)}
+        surfaces = {
+            n: s if n in needed else replace(s, covariance=np.empty((0, 0))) for n, s in self.setup.surfaces.items()
+        }
+        return {"setup": replace(self.setup, surfaces=surfaces), "terms": self.terms}
+
+    @cached_property
+    def designers(self) -> dict[bytes, Designer]:
+        """Matrices that serve one batch after the other."""
+        return {}
+
+    @cached_property
+    def _grounds(self) -> dict[bytes, Ground]:
+        return {}
+
+    @cached_property
+    def _noises(self) -> dict[tuple[Any, ...], NoiseModel]:
+        return {}
+
+    def ground(self, fractions: Array) -> Ground:
+        """The surfaces under area fractions (M,); UsageError where they do not sum to 1."""
+        key = fractions.tobytes()
+        if key not in self._grounds:
+            self._grounds.clear()  # those of one batch at most: each holds a matrix
+            ground = ground_of(self.setup.surfaces, self.setup.classes, fractions)
+            self._grounds[key] = replace(ground, room=self._room)
+        return self._grounds[key]
+
+    @cached_property
+    def _room(self) -> dict[bytes, Any]:
+        return {}
+
+    def noise(self, changes: Mapping[str, Any], operation: Mapping[str, Any]) -> NoiseModel:
+        """The noise (3.13)-(3.20) with other numbers of the sensor or of how it is run.
+
+        ``changes`` and ``operation`` are entries of ``sensor_changes`` and ``sensor_operation`` that differ from
+        the scenario's.
+        """
+        scenario, run = self.setup.scenario, self.setup.scenario.sensor_operation
+        if operation:
+            stated = run.model_dump(exclude_unset=True) if run else {}
+            run = SensorOperation.model_validate({**stated, **operation})
+        key = tuple(sorted(operation.items()))
+        if key not in self._noises:
+            sensor = self.setup.used.sensor
+            assert sensor is not None  # noqa: S101 - asked for with an atmosphere alone
+            if len(self._noises) > 64:
+                self._noises.clear()
+            self._noises[key] = sensor.noise(None, run)
+        model, differ = self._noises[key], scenario.sensor_changes
+        if changes:
+            stated = differ.model_dump(exclude_unset=True) if differ else {}
+            differ = SensorChanges.model_validate({**stated, **changes})
+        if differ is not None:
+            model = changed_noise(model, differ)
+        return binned_noise(model, run.spectral_binning) if run and run.spectral_binning > 1 else model
+
+
+def batch_of_columns(stage: Stage, columns: BatchColumns, n: int) -> Batch:
+    """n points of a study as evaluations of the model.
+
+    Parameters
+    ----------
+    columns : what moves -> (n,) values
+    """
+    setup = stage.setup
+    whole = setup.scenario.processing.filter_statistics == "scene"
+    shared = [column for column in columns if column.kind in _OF_A_SETTING or (whole and column.kind in _OF_TARGETS)]
+    first, setting = distinct([columns[column] for column in shared], n)
+    settings = _settings(stage, {column: columns[column][first] for column in shared}, first.size)
+    points = _points(setup, columns, setting)
+    return Batch(setup.scenario, setup.used.axis, setup.signatures, settings, points, designers=stage.designers)
+
+
+def _settings(stage: Stage, columns: BatchColumns, count: int) -> Settings:
+    scenario = stage.setup.scenario
+    scene = scenario.scene
+    fractions = np.tile([c.fraction for c in scene.classes], (count, 1))
+    gains = np.tile([c.gain for c in scene.classes], (count, 1))
+    kappa = np.full(count, scene.adjacency.kappa)
+    of: dict[str, dict[str, npt.NDArray[Any]]] = {"atmosphere": {}, "changes": {}, "operation": {}}
+    for column, values in columns.items():
+        if column.kind == "fraction":
+            fractions[:, column.item] = values
+        elif column.kind == "gain":
+            gains[:, column.item] = values
+        elif column.kind == "kappa":
+            kappa = np.array([Adjacency(effective_neighbours=v).kappa for v in values.tolist()])
+        elif column.kind in of:
+            of[column.kind][column.key] = values
+    terms, noise = None, None
+    if scenario.atmosphere is not None:
+        assert stage.terms is not None  # noqa: S101 - run with every atmosphere
+        terms, noise = stage.terms(of["atmosphere"], count), _noise(stage, of["changes"], of["operation"], count)
+    different, which = np.unique(fractions, axis=0, return_inverse=True)
+    grounds = tuple(stage.ground(f) for f in different)
+    which = which.reshape(-1)
+    elm = scenario.processing.elm
+    view = View(
+        terms,
+        np.array([stage.setup.average(g.average) for g in grounds])[which][:, None, :],
+        noise,
+        kappa[:, None, None],
+        scenario.formulation,
+        None if elm == "none" else elm,
+    )
+    return with_class_levels(Settings(view, fractions, gains, grounds, which))
+
+
+def _noise(stage: Stage, changes: Mapping[str, Any], operation: Mapping[str, Any], count: int) -> NoiseModel:
+    first, index = distinct([*changes.values(), *operation.values()], count)
+    models = [
+        stage.noise({k: plain(v[i]) for k, v in changes.items()}, {k: plain(v[i]) for k, v in operation.items()})
+        for i in first
+    ]
+    stack = stacked_noise(models, len(stage.setup.used.axis))
+    return stack if len(models) == 1 else on_arrays(stack, lambda x: x[index] if x.ndim == 3 else x)
+
+
+def _points(setup: Setup, columns: BatchColumns, setting: npt.NDArray[np.intp]) -> Points:
+    n, scene = setting.size, setup.scenario.scene
+    base = points_of([Case(setup, None, None)], np.zeros(1, int))
+    changed: dict[str, Array] = {"dof": base.dof, "gain": base.gain, "beam": base.beam, "sky": base.sky}
+    names = {"tail": "dof", "target_gain": "gain", "beam": "beam", "sky": "sky"}
+    for column, values in columns.items():
+        if column.kind in names:
+            name = names[column.kind]
+            whole = np.array(np.broadcast_to(changed[name], (n, changed[name].shape[1])))
+            whole[:, column.item] = values
+            changed[name] = whole
+
+    def fills(target: int, population: int, objects: bool) -> Fills | None:
+        of = {x.key: v for x, v in columns.items() if (x.kind, x.item, x.subject) == ("fill", target, population)}
+        base_fill = scene.targets[target].populations[population].fill
+        return _moved_fills(base_fill, of, n, setup.scenario.formulation == "thesis", objects) if of else None
+
+    return Points(setting, changed["dof"], changed["gain"], changed["beam"], changed["sky"], fills, laws=base.laws)
+
+
+def _moved_fills(base: Fill, columns: Mapping[str, npt.NDArray[Any]], n: int, thesis: bool, objects: bool) -> Fills:
+    """Fills of n points of which some entries of the scenario's fill move."""
+    if list(columns) == ["fixed"] and base.fixed is not None:
+        values = np.asarray(columns["fixed"], float)[:, None]
+        if not np.all((values >= 0.0) & (values <= 1.0)):
+            raise UsageError(f"fill {values.min():g} to {values.max():g}", expected="0 to 1")
+        return Fills(values, np.ones((1, 1)))
+    first, which = distinct(list(columns.values()), n)
+    make = object_fills_of if objects else pixel_fills
+    subjects = [
+        TargetSubject(name="fill", fill=_changed_fill(base, {k: plain(v[i]) for k, v in columns.items()}))
+        for i in first
+    ]
+    return stacked_fills([make(s, thesis) for s in subjects], which)
+
+
+def _changed_fill(fill: Fill, changes: Mapping[str, Any]) -> Fill:
+    data = fill.model_dump(exclude_unset=True)
+    for key, value in changes.items():
+        parts, at = key.split("."), data
+        for part in parts[:-1]:
+            at = at.setdefault(part, {})
+        at[parts[-1]] = value
+    try:
+        return Fill.model_validate(data)
+    except ValueError as error:
+        raise UsageError(f"fill with {dict(changes)}: {error}") from error
+
+
 TermsOf = Callable[[AtmosphericState], AtmosphericTerms]
 MOST_RUNS = 400  # of the engine, at about seven seconds each where nothing is cached
 
@@ -121,9 +456,7 @@ def _runs(
 ) -> list[AtmosphericTerms]:  # fmt: skip
     """The engine at every row of values of the inputs ``names``; None leaves one as it is."""
     if len(rows) > MOST_RUNS:
-        raise UsageError(
-            f"{len(rows)} {what} of the atmosphere", expected=f"at most {MOST_RUNS} runs of its engine"
-        )
+        raise UsageError(f"{len(rows)} {what} of the atmosphere", expected=f"at most {MOST_RUNS} runs of its engine")
     states = ({k: v for k, v in zip(names, row, strict=True) if v is not None} for row in rows)
     runs = track(states, f"atmosphere, {what}", len(rows), show=show_progress)
     return [terms_of(with_settings(base, state)) for state in runs]
@@ -268,9 +601,7 @@ class Evaluator:
     ) -> tuple[Array, dict[int, str]]:
         batch = self.batch(stage, columns, n)
         values = np.stack([of_batch(batch, o, columns.get(PFA)) for o in outputs], axis=1)
-        problems = (
-            {u: " ".join(str(error).split()) for u, error in batch.problems.items()} if batch.has_filters else {}
-        )
+        problems = {u: " ".join(str(error).split()) for u, error in batch.problems.items()} if batch.has_filters else {}
         setting = batch.points.setting.tolist()
         return values, {i: problems[u] for i, u in enumerate(setting) if u in problems}
 

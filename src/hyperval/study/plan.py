@@ -1,26 +1,29 @@
-"""From a study file to what its chunks need: evaluator, columns, and what the interpolated atmosphere costs."""
+"""From a study file to what its chunks need: evaluator, columns, and what the interpolated atmosphere costs.
+
+Inverse questions: at which value of an input does an output take a value?
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize.elementwise import find_root
 
-from hyperval.atmosphere.interpolation import spaced
+from hyperval.atmosphere.terms import spaced
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
-from hyperval.prediction.input_paths import PFA, batch_column
+from hyperval.prediction.departure import PFA, batch_column
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.scene.radiance import mean_radiance
 from hyperval.settings import with_settings
-from hyperval.study.design import Column, Points, column_of, listed, moved, plain
-from hyperval.study.evaluate import Evaluator, Sky, engine_on, few_states, make_ready
-from hyperval.study.metrics import check_outputs
-from hyperval.study.schema import Input, Move, Required, Study
+from hyperval.study.evaluate import Columns, Evaluator, Sky, check_outputs, engine_on, few_states, make_ready
+from hyperval.study.schema import Input, Move, Output, Required, StudyFile
+from hyperval.study.tables import Column, StudyPoints, column_of, listed, moved, plain
 
 Array = npt.NDArray[np.float64]
 _MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
@@ -39,9 +42,9 @@ class Plan:
     log : files that were read
     """
 
-    study: Study
+    study: StudyFile
     scenario: Scenario
-    points: Points
+    points: StudyPoints
     evaluator: Evaluator
     notes: tuple[str, ...]
     sky_error: Mapping[str, float]
@@ -52,7 +55,7 @@ class Plan:
         return moved({i.name: i for i in self.study.inputs}, self.points.stretch(start, stop))
 
 
-def plan_study(study: Study, *, show_progress: bool | None = None) -> Plan:
+def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
     """Check a study against its scenario and run its atmosphere.
 
     Raises
@@ -64,7 +67,7 @@ def plan_study(study: Study, *, show_progress: bool | None = None) -> Plan:
     log = InputLog(scenario.folder or study.folder)
     if study.folder is not None and study.scenario not in builtin_scenarios():
         log.add((study.folder / study.scenario).resolve(), study.scenario)
-    points = Points(study)
+    points = StudyPoints(study)
     try_values(study, scenario)
     sky, anew = _sky(study, scenario)
     base = make_ready(scenario, sky, show_progress=show_progress)
@@ -77,7 +80,7 @@ def plan_study(study: Study, *, show_progress: bool | None = None) -> Plan:
     return replace(plan, sky_error=_sky_error(plan) if sky.nodes else {})
 
 
-def _scenario(study: Study) -> Scenario:
+def _scenario(study: StudyFile) -> Scenario:
     if study.scenario in builtin_scenarios() or study.folder is None:
         scenario = load_scenario(study.scenario)
     else:
@@ -85,7 +88,7 @@ def _scenario(study: Study) -> Scenario:
     return with_settings(scenario, study.settings) if study.settings else scenario
 
 
-def try_values(study: Study, scenario: Scenario) -> None:
+def try_values(study: StudyFile, scenario: Scenario) -> None:
     """Refuse values that the scenario does not take: every listed one, or the ends where there are many.
 
     Limits of numbers are intervals, so that the ends speak for what lies between.
@@ -122,7 +125,7 @@ def _values_to_try(item: Input | Required) -> list[Any]:
     return tries if len(tries) <= _MOST_TRIED or values.dtype == object else [min(tries), max(tries)]
 
 
-def _sky(study: Study, scenario: Scenario) -> tuple[Sky, frozenset[str]]:
+def _sky(study: StudyFile, scenario: Scenario) -> tuple[Sky, frozenset[str]]:
     """States of the atmosphere that the study needs, and entries that have to be read anew for each value."""
     if scenario.atmosphere is None:
         return Sky(), frozenset()
@@ -181,9 +184,7 @@ def _notes(plan: Plan) -> list[str]:
     if anew:
         notes.append(f"read anew for each value, as in predict: {', '.join(anew)}")
     for key, nodes in plan.evaluator.sky.nodes.items():
-        notes.append(
-            f"atmosphere.{key} is interpolated between engine runs at " + ", ".join(f"{x:.4g}" for x in nodes)
-        )
+        notes.append(f"atmosphere.{key} is interpolated between engine runs at " + ", ".join(f"{x:.4g}" for x in nodes))
     return notes
 
 
@@ -245,3 +246,102 @@ def _between(nodes: Array, u: Array) -> Array:
     k = np.minimum((u * (nodes.size - 1)).astype(int), nodes.size - 2)
     part = 0.25 + 0.5 * (u * (nodes.size - 1) - k)
     return np.asarray(nodes[k] + part * np.diff(nodes)[k])
+
+
+_MOST_AT_ONCE = 4096  # evaluations in one batch
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Answers at n points.
+
+    Attributes
+    ----------
+    values : (n,) of the input; NaN where there is none
+    reports : (n, R) outputs told at the answer
+    reasons : number of the point -> why there is none, or what else is to be said
+    """
+
+    values: Array
+    reports: Array
+    reasons: Mapping[int, str]
+
+
+def scan_values(question: Required) -> Array:
+    """Where the output is looked at first, both ends among them."""
+    low, high = question.between
+    return (
+        np.geomspace(low, high, question.scan) if question.spacing == "log" else np.linspace(low, high, question.scan)
+    )
+
+
+def answers(evaluator: Evaluator, columns: Columns, question: Required, outputs: Sequence[Output]) -> Answers:
+    """Solve output(x) = value for x at every point of ``columns`` (dotted path -> (n,)).
+
+    The output is looked at over the range; a change of sign between neighbours is a bracket, in which the root is
+    found by Chandrupatla's method (Adv. Eng. Softw. 28, 145, 1997: inverse quadratic steps inside a bracket, as
+    Brent's), for all points together.  Without a bracket there is no solution, and the reason says how far the
+    output reaches.  With several the lowest is told, and that there are more.
+    """
+    output = next(o for o in outputs if o.name == question.output)
+    n = len(next(iter(columns.values())))
+    x = scan_values(question)
+    seen = _at(evaluator, columns, question, np.repeat(np.arange(n), x.size), np.tile(x, n), [output])
+    gap = seen.reshape(n, x.size) - question.equals
+    reasons: dict[int, str] = {}
+    bracket = np.full(n, -1)
+    for i in range(n):
+        bracket[i], why = _bracket(x, gap[i], question)
+        if why:
+            reasons[i] = why
+    solved = np.flatnonzero(bracket >= 0)
+    values = np.full(n, np.nan)
+    if solved.size:
+        low, high = x[bracket[solved]], x[bracket[solved] + 1]
+
+        def miss(at: Array, row: Array) -> Array:
+            output_at = _at(evaluator, columns, question, row.astype(int).ravel(), np.asarray(at).ravel(), [output])
+            return output_at.reshape(np.shape(at)) - question.equals
+
+        root = find_root(miss, (low, high), args=(solved.astype(float),), tolerances={"xrtol": 1e-10}, maxiter=100)
+        values[solved] = np.where(root.success, root.x, np.nan)
+        reasons |= {int(i): "the root was not found" for i in solved[~root.success]}
+    reported = [next(o for o in outputs if o.name == name) for name in question.report]
+    reports = np.full((n, len(reported)), np.nan)
+    good = np.flatnonzero(np.isfinite(values))
+    if reported and good.size:
+        reports[good] = _at(evaluator, columns, question, good, values[good], reported).reshape(good.size, -1)
+    return Answers(values, reports, reasons)
+
+
+def _at(
+    evaluator: Evaluator, columns: Columns, question: Required, rows: npt.NDArray[np.intp], x: Array,
+    outputs: Sequence[Output],
+) -> Array:  # fmt: skip
+    """Outputs at points ``rows`` with the question's input at ``x``; (k,) of one output, (k, O) of several."""
+    parts = []
+    for start in range(0, rows.size, _MOST_AT_ONCE):
+        some = slice(start, start + _MOST_AT_ONCE)
+        moved = {m.path: m.offset + m.factor * x[some] for m in question.targets}
+        parts.append(evaluator.values({**{p: c[rows[some]] for p, c in columns.items()}, **moved}, outputs)[0])
+    values = np.concatenate(parts) if parts else np.empty((0, len(outputs)))
+    return values[:, 0] if len(outputs) == 1 else values
+
+
+def _bracket(x: Array, gap: Array, question: Required) -> tuple[int, str]:
+    """Number of the interval that holds the lowest root, -1 without, and what is to be said of it."""
+    if not np.all(np.isfinite(gap)):
+        return -1, f"{question.output} can not be evaluated over the whole range"
+    signs = np.sign(gap)
+    change = np.flatnonzero(signs[:-1] * signs[1:] <= 0)
+    # A scan value that is itself a root belongs to two intervals.
+    change = change[~(np.isin(change - 1, change) & (signs[change] == 0))]
+    if not change.size:
+        side, best = ("below", int(np.argmax(gap))) if gap[0] < 0 else ("above", int(np.argmin(gap)))
+        reached = f"{gap[best] + question.equals:.4g} at {x[best]:.4g}"
+        return -1, f"no solution: {question.output} stays {side} {question.equals:g}; it comes to {reached}"
+    steps = np.diff(gap)
+    monotone = bool(np.all(steps >= -1e-12) or np.all(steps <= 1e-12))
+    if change.size > 1:
+        return int(change[0]), f"not monotone: {change.size} solutions; the lowest is told"
+    return int(change[0]), "" if monotone else "not monotone over the range, one solution all the same"

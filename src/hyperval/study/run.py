@@ -13,20 +13,17 @@ import numpy.typing as npt
 import hyperval
 from hyperval.campaign.provenance import command_without_output, package_versions, provenance
 from hyperval.executors import Parcel, Workers, in_order, parcel, worker_count, workers
-from hyperval.folders import partial_folder, whole_folder
 from hyperval.predict import Origins
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.progress import track
 from hyperval.report.netcdf import write_products
 from hyperval.report.outputs import write_page
 from hyperval.report.outputs import write_tables as write_results
-from hyperval.study.page import study_page
-from hyperval.study.plan import Plan, plan_study
-from hyperval.study.plots import draw
-from hyperval.study.required import answers
+from hyperval.storage import partial_folder, whole_folder
+from hyperval.study.page import draw, knees_of, result_rows, study_page
+from hyperval.study.plan import Plan, answers, plan_study
 from hyperval.study.schema import load_study
-from hyperval.study.summary import knees_of, result_rows
-from hyperval.study.tables import Field, Store, StudyTable, input_fields, write_tables
+from hyperval.study.tables import Field, PointStore, StudyTable, input_fields, write_tables
 
 Array = npt.NDArray[np.float64]
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
@@ -46,8 +43,8 @@ def study_to_folder(
 ) -> int:
     """Evaluate every point of a study and write the folder of results.
 
-    Chunks that are finished stand in ``OUTPUT.partial`` until the results are whole; the same study goes on from
-    there.  The table is the same whoever computes it.
+    Chunks that are finished stand in ``OUTPUT/.hyperval-partial`` until the results are whole; the same study goes
+    on from there.  The table is the same whoever computes it.
 
     Parameters
     ----------
@@ -66,7 +63,7 @@ def study_to_folder(
         plan = plan_study(load_study(Path(path)), show_progress=show_progress)
         fields = output_fields(plan)
         chunk = chunk_size(len(plan.points))
-        store = Store(partial_folder(Path(output)), identity(plan, chunk), len(fields), chunk)
+        store = PointStore(partial_folder(Path(output)), identity(plan, chunk), len(fields), chunk)
         left = len(plan.points) - store.finished
         # Starting processes takes longer than a few thousand points of linear detectors.
         linear = all(d in LINEAR_DETECTORS for d in plan.scenario.processing.detectors)
@@ -115,7 +112,7 @@ def identity(plan: Plan, chunk: int) -> str:
 
 
 def evaluate_into(
-    store: Store, plan: Plan, where: Executor | Workers, chunk: int, show_progress: bool | None = None
+    store: PointStore, plan: Plan, where: Executor | Workers, chunk: int, show_progress: bool | None = None
 ) -> None:
     """Evaluate what is not finished yet and append it, in the order of the points."""
     count, first = len(plan.points), store.finished
@@ -134,7 +131,7 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     study, points, evaluator = packed.open()
     parts, reasons = [], dict[int, str]()
     for low in range(start, stop, _BATCH):
-        from hyperval.study.design import moved
+        from hyperval.study.tables import moved
 
         columns = moved({i.name: i for i in study.inputs}, points.stretch(low, min(low + _BATCH, stop)))
         values, problems = evaluator.values(columns, study.outputs)

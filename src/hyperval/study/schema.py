@@ -68,9 +68,7 @@ class Random(Model):
 class Move(Model):
     """One entry of the scenario that an input moves: offset + factor times the input's value."""
 
-    path: str = Field(
-        description="dotted path into the scenario, or pfa: the false-alarm probability of the outputs"
-    )
+    path: str = Field(description="dotted path into the scenario, or pfa: the false-alarm probability of the outputs")
     factor: float = 1.0
     offset: float = 0.0
 
@@ -241,7 +239,7 @@ class AtmosphereTable(Model):
     above: int = Field(40, ge=1, le=400, description="states up to which each is run; a table beyond")
 
 
-class Study(Model):
+class StudyFile(Model):
     """One study."""
 
     schema_version: Literal[1] = Field(1, alias="schema")
@@ -262,7 +260,7 @@ class Study(Model):
     _folder: Path | None = PrivateAttr(None)
 
     @model_validator(mode="after")
-    def _check_names(self) -> Study:
+    def _check_names(self) -> StudyFile:
         named: list[Input | Output | Required] = [*self.inputs, *self.outputs, *self.required]
         names = [x.name for x in named] + [f"{q.name}.{r}" for q in self.required for r in q.report]
         twice = sorted({n for n in names if names.count(n) > 1})
@@ -293,7 +291,7 @@ class Study(Model):
         return self
 
     @model_validator(mode="after")
-    def _check_paths(self) -> Study:
+    def _check_paths(self) -> StudyFile:
         if self.design.kind == "one-at-a-time" and any(i.random for i in self.inputs):
             raise ValueError("one-at-a-time takes values or grids")
         paths = [m.path for i in self.inputs for m in i.targets]
@@ -316,7 +314,7 @@ class Study(Model):
 
 
 @reader
-def load_study(path: Path) -> Study:
+def load_study(path: Path) -> StudyFile:
     """Read a study file.
 
     Raises
@@ -324,7 +322,7 @@ def load_study(path: Path) -> Study:
     UsageError : every mistake of the file with its line.
     InputError : no such file.
     """
-    study = load_model(Study, path)
+    study = load_model(StudyFile, path)
     study._folder = Path(path).resolve().parent
     count = 1
     for item in study.inputs:

@@ -15,10 +15,9 @@ import numpy.typing as npt
 
 from hyperval.errors import UsageError
 from hyperval.predict import Origins, predict
-from hyperval.prediction.budget import given_of
-from hyperval.prediction.departure import Departure, combined
-from hyperval.prediction.input_paths import Given, input_path
-from hyperval.products import Prediction, SpectralEstimate
+from hyperval.prediction.departure import Departure, Given, combined, input_path
+from hyperval.prediction.uncertainty import given_of
+from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import Scenario
 from hyperval.scene.builtin import BUILTIN_NAMES, builtin_mean
 from hyperval.settings import with_settings
@@ -93,7 +92,7 @@ def planted_errors() -> tuple[PlantedError, ...]:
 
 def planted_prediction(
     scenario: Scenario, error: PlantedError, origins: Origins | None = None, *, objects: bool | int = False
-) -> tuple[Prediction, Departure]:
+) -> tuple[PredictedProducts, Departure]:
     """The prediction of a scenario with one error planted, its budget as stated; and the truth behind it.
 
     Raises
@@ -107,7 +106,7 @@ def planted_prediction(
     return _seen(prediction, scenario, error), truth
 
 
-def _seen(prediction: Prediction, scenario: Scenario, error: PlantedError) -> Prediction:
+def _seen(prediction: PredictedProducts, scenario: Scenario, error: PlantedError) -> PredictedProducts:
     if error.line is None or scenario.atmosphere is None:
         return prediction
     # The collected reflectance is that of its own line: an error of the model's shows in the predicted one.

@@ -9,22 +9,19 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
-import hyperval
 from hyperval.errors import UsageError
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.settings import with_settings
-from hyperval.study.schema import Study
-from hyperval.web.bring import form_of, keep_files, order_pipeline
-from hyperval.web.campaigns import known_campaigns, order_campaign
-from hyperval.web.inputs import SURFACES, plain, refuse_excess
+from hyperval.study.schema import StudyFile
+from hyperval.web.bring import form_of, take_files
+from hyperval.web.inputs import SURFACES, needs, plain, predefined, refuse_excess
 from hyperval.web.pages import session_of
 from hyperval.web.pages_predict import order_prediction
-from hyperval.web.pages_runs import file_of, files_of, run_charts, run_of
-from hyperval.web.predefined import needs, predefined
-from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
+from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said
+from hyperval.web.runs import file_of, files_of, known_campaigns, order_campaign, run_charts, run_of
 from hyperval.web.sensors import numbers_of
-from hyperval.web.store import ENDED, Run
+from hyperval.web.store import ENDED, WebRun
 from hyperval.web.trade import order_study
 
 router = APIRouter(prefix="/api/v1", tags=["v1"])
@@ -53,13 +50,6 @@ class Problems(BaseModel):
     """Why a request was not carried out."""
 
     errors: list[Problem]
-
-
-class SessionAnswer(BaseModel):
-    """The token that changes bring along as ``X-Hyperval-Token``; the cookie of the same answer is the session."""
-
-    token: str
-    version: str
 
 
 class PredictionOrder(BaseModel):
@@ -92,6 +82,13 @@ class RunAnswer(BaseModel):
     files: list[str]
 
 
+class UploadAnswer(BaseModel):
+    """What came of files: the run of a cube, or the names of all spectra and sensor files that are kept."""
+
+    run: RunAnswer | None = None
+    kept: list[str] = []
+
+
 class SensorNumber(BaseModel):
     """A number of a sensor file: its value in words, its unit, and the source that the file states."""
 
@@ -114,14 +111,14 @@ class ScenarioAnswer(BaseModel):
 _PROBLEMS: dict[int | str, dict[str, Any]] = {
     code: {"model": Problems, "description": words}
     for code, words in {
-        400: "unreadable", 403: "no token of this session", 404: "not there", 409: "not in this state",
+        400: "unreadable", 403: "asked for by a page of another site", 404: "not there", 409: "not in this state",
         413: "too large", 422: "mistakes, each with its field", 429: "too many runs of this session",
         503: "no room for now",
     }.items()
 }  # fmt: skip
 
 
-def answer_of(request: Request, run: Run) -> RunAnswer:
+def answer_of(request: Request, run: WebRun) -> RunAnswer:
     """A run as the API tells of it."""
     app = request.app
     progress = app.state.desk.progress(run)
@@ -129,12 +126,6 @@ def answer_of(request: Request, run: Run) -> RunAnswer:
         **{name: getattr(run, name) for name in _OF_RUN},
         **progress, summary=dict(run.summary), files=files_of(app.state.store.place(run.id), run),
     )  # fmt: skip
-
-
-@router.get("/session", responses={k: _PROBLEMS[k] for k in (400,)})
-def session(request: Request) -> SessionAnswer:
-    """Begin a session, or ask for the token of the one whose cookie is sent."""
-    return SessionAnswer(token=session_of(request).token, version=hyperval.__version__)
 
 
 @router.get("/sensors", responses={k: _PROBLEMS[k] for k in (400,)})
@@ -147,7 +138,7 @@ def sensors() -> list[str]:
 def sensor(name: str) -> list[SensorNumber]:
     """Every number of a sensor of the library."""
     if name not in library_names():
-        raise Refused(404, [Mistake("name", "the library has no such sensor")])
+        raise Refused(404, [FieldMistake("name", "the library has no such sensor")])
     return [SensorNumber(**row) for row in numbers_of(load_sensor(name).specification)]
 
 
@@ -178,20 +169,20 @@ def predictions(
 
 def _scenario_of(order: PredictionOrder) -> dict[str, Any]:
     if (order.name is None) == (order.scenario is None):
-        raise Refused(422, [Mistake("name", "give either name or scenario")])
+        raise Refused(422, [FieldMistake("name", "give either name or scenario")])
     if order.scenario is not None:
         scenario = order.scenario
     elif order.name in predefined():
         scenario = predefined()[order.name]
     else:
-        raise Refused(422, [Mistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
+        raise Refused(422, [FieldMistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
     try:
         return plain(with_settings(scenario, order.settings) if order.settings else scenario)
     except UsageError as error:
         cause = error.__cause__
         if isinstance(cause, ValidationError):
             raise Refused(422, mistakes_of(cause, plain(scenario))) from error
-        raise Refused(422, [Mistake("settings", said(error)[:500])]) from error
+        raise Refused(422, [FieldMistake("settings", said(error)[:500])]) from error
 
 
 @router.get("/runs", responses={k: _PROBLEMS[k] for k in (400,)})
@@ -249,7 +240,7 @@ class StudyOrder(BaseModel):
     """A study; its scenario is a predefined one by name, or ``run:ID``, that of a prediction of this session."""
 
     model_config = ConfigDict(extra="forbid")
-    study: Annotated[Study, _small("study")]
+    study: Annotated[StudyFile, _small("study")]
 
 
 class CampaignAnswer(BaseModel):
@@ -309,31 +300,24 @@ def _files_body(needed: list[str], names: list[str]) -> dict[str, Any]:
 
 
 @router.post(
-    "/uploads", status_code=201,
-    openapi_extra=_files_body([], [n for n in _BODY if n != "sensors"]),
+    "/uploads", status_code=201, openapi_extra=_files_body([], list(_BODY)),
     responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 429, 503)},
 )  # fmt: skip
-async def uploads(request: Request) -> RunAnswer:
-    """Bring a cube with regions and spectra: the empirical pipeline runs on it."""
+async def uploads(request: Request) -> UploadAnswer:
+    """Bring a cube with regions and spectra, on which the empirical pipeline runs.
+
+    Field spectra and sensor files without a cube are kept for the scenarios of this session.
+    """
     form = await form_of(request)
-    return answer_of(request, await run_in_threadpool(order_pipeline, request, form))
+    taken = await run_in_threadpool(take_files, request, form)
+    if isinstance(taken, WebRun):
+        return UploadAnswer(run=answer_of(request, taken))
+    return UploadAnswer(kept=taken)
 
 
-@router.post(
-    "/uploads/spectra", status_code=201, openapi_extra=_files_body(["spectra"], ["spectra"]),
-    responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 503)},
-)  # fmt: skip
-async def upload_spectra(request: Request) -> list[str]:
-    """Keep field spectra for the scenarios of this session; the names of all that are kept."""
-    form = await form_of(request)
-    return await run_in_threadpool(keep_files, request, form, "spectra")
-
-
-@router.post(
-    "/uploads/sensors", status_code=201, openapi_extra=_files_body(["sensors"], ["sensors"]),
-    responses={k: _PROBLEMS[k] for k in (400, 403, 413, 422, 503)},
-)  # fmt: skip
-async def upload_sensors(request: Request) -> list[str]:
-    """Keep sensor files for the scenarios of this session; the names of all that are kept."""
-    form = await form_of(request)
-    return await run_in_threadpool(keep_files, request, form, "sensors")
+@router.api_route("/session", methods=["GET"], include_in_schema=False)
+@router.api_route("/uploads/{kind}", methods=["POST"], include_in_schema=False)
+def replaced() -> None:
+    """Say what stands in the place of what there was in versions before."""
+    words = "there are no tokens any more: the cookie of the first answer is the session; all files go to /uploads"
+    raise Refused(410, words)

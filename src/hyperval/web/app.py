@@ -17,21 +17,17 @@ from starlette.responses import JSONResponse, Response
 
 import hyperval
 from hyperval.errors import HypervalError
-from hyperval.web import api_v1, bring, campaigns, pages_predict, pages_runs, reference, sensors, trade
-from hyperval.web.bring import MOST_FILES
+from hyperval.web import api_v1, bring, pages_predict, reference, runs, sensors, trade
 from hyperval.web.desk import Crew, Desk
 from hyperval.web.guard import Guard
-from hyperval.web.limits import Settings
-from hyperval.web.pages import page, session_of, static
-from hyperval.web.refusal import Mistake, Refused, field_name, said, sentence, without_paths
-from hyperval.web.sessions import TOKEN_HEADER, Sessions
-from hyperval.web.store import Store
+from hyperval.web.pages import page, static
+from hyperval.web.refusal import FieldMistake, Refused, field_name, said, sentence, without_paths
+from hyperval.web.store import RunStore, ServerSettings
 
 _THREADS = 128  # requests that wait for a worker hold one each
-_FORMS = ("application/x-www-form-urlencoded", "multipart/form-data")
 
 
-def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> FastAPI:
+def make_app(settings: ServerSettings, pools: tuple[Crew, Crew] | None = None) -> FastAPI:
     """The application of one server; its workers run while it is served.
 
     Raises
@@ -53,12 +49,12 @@ def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> Fast
         version=hyperval.__version__,
         description="Predictions, studies and campaigns of hyperspectral imagers.",
         docs_url=None, redoc_url=None, openapi_url="/api/v1/openapi.json",
-        lifespan=life, dependencies=[Depends(has_token)],
+        lifespan=life, dependencies=[Depends(closing_files)],
     )  # fmt: skip
     app.state.settings = settings
-    app.state.store = Store(settings.folder, settings.limits)
+    app.state.store = RunStore(settings.folder, settings.limits)
     app.state.desk = Desk(settings, app.state.store, pools)
-    for room in (pages_predict, pages_runs, trade, campaigns, bring, reference, sensors, api_v1):
+    for room in (pages_predict, runs, trade, runs, bring, reference, sensors, api_v1):
         app.include_router(room.router)
 
     @app.get("/static/{name}", include_in_schema=False)
@@ -72,41 +68,24 @@ def make_app(settings: Settings, pools: tuple[Crew, Crew] | None = None) -> Fast
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HypervalError, _package_error)
     app.add_exception_handler(HTTPException, _http_error)
-    app.add_middleware(Guard, settings=settings, sessions=Sessions(settings.folder))
+    app.add_middleware(Guard, settings=settings)
     return app
 
 
-def _warm(settings: Settings) -> None:
+def _warm(settings: ServerSettings) -> None:
     """Load what the first requests would wait for."""
     pages_predict.warm()
-    list(campaigns.campaigns_of(settings))
+    list(runs.campaigns_of(settings))
     gc.collect()
     gc.freeze()  # what is loaded stays: to go through it again takes up to half a second, while somebody waits
 
 
-async def has_token(request: Request) -> AsyncIterator[None]:
-    """Refuse a change that does not bring the session's token: in a header, or in a field of a form."""
+async def closing_files(request: Request) -> AsyncIterator[None]:
+    """Close the files of a form when it has been answered."""
     try:
-        if request.method not in ("GET", "HEAD", "OPTIONS"):
-            await _check_token(request)
         yield
     finally:
-        await request.close()  # files of a form
-
-
-async def _check_token(request: Request) -> None:
-    session = session_of(request)
-    given = request.headers.get(TOKEN_HEADER)
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if given is None and kind in _FORMS and not session.is_new:
-        form = await request.form(max_files=MOST_FILES, max_fields=4000)
-        field = form.get("token")
-        given = field if isinstance(field, str) else None
-    # A request that comes without a session has none that a foreign page could use; its answer sets one.
-    if not session.is_new and not Sessions.is_token(session, given):
-        raise Refused(403, [Mistake("token", "missing, or not that of this session; load the page again")])
-    if session.is_new and kind in _FORMS:
-        raise Refused(403, [Mistake("token", "forms are sent from a page of this server, with its cookie")])
+        await request.close()
 
 
 def wants_page(request: Request) -> bool:
@@ -114,7 +93,7 @@ def wants_page(request: Request) -> bool:
     return not request.url.path.startswith("/api/") and "text/html" in request.headers.get("accept", "")
 
 
-def _answer(request: Request, status: int, mistakes: list[Mistake], wait: int | None = None) -> Response:
+def _answer(request: Request, status: int, mistakes: list[FieldMistake], wait: int | None = None) -> Response:
     headers = {"retry-after": str(wait)} if wait else None
     if wants_page(request):
         answer: Response = page(request, "error.html.j2", status=status, mistakes=mistakes, code=status)
@@ -137,20 +116,20 @@ def _invalid(request: Request, error: Exception) -> Response:
         place, *rest = item["loc"]
         name = field_name(rest, body, item["type"] == "missing") if place == "body" else ".".join(map(str, rest))
         words = sentence(item["type"], str(item["msg"]), item["loc"])
-        mistakes.append(Mistake(name or str(place), without_paths(words)[:500]))
+        mistakes.append(FieldMistake(name or str(place), without_paths(words)[:500]))
     return _answer(request, 422, mistakes)
 
 
 def _package_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HypervalError)  # noqa: S101
-    return _answer(request, 422 if error.exit_code in (2, 3) else 500, [Mistake("", said(error))])
+    return _answer(request, 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", said(error))])
 
 
 def _http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101
     words = {404: "there is no such page", 405: "this cannot be done here", 400: "the request cannot be read"}
     field = "body" if error.status_code == 400 else ""
-    answer = _answer(request, error.status_code, [Mistake(field, words.get(error.status_code, "refused"))])
+    answer = _answer(request, error.status_code, [FieldMistake(field, words.get(error.status_code, "refused"))])
     answer.headers.update(error.headers or {})
     if error.status_code == 405 and request.url.path.startswith("/api/"):
         answer.headers["allow"] = ", ".join(_methods(request.app, request.url.path))

@@ -6,7 +6,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -20,11 +20,9 @@ from hyperval.errors import HypervalError, UsageError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.web.desk import Order
-from hyperval.web.limits import Settings
 from hyperval.web.pages import page, session_of
-from hyperval.web.refusal import Mistake, Refused, to_show
-from hyperval.web.store import Run
-from hyperval.web.uploads import SPECTRA, checked_name, files_of, folder_of
+from hyperval.web.refusal import KINDS, SPECTRA, FieldMistake, Refused, checked_name, files_of, folder_of, to_show
+from hyperval.web.store import ServerSettings, WebRun
 
 router = APIRouter(include_in_schema=False)
 MOST_FILES = 20
@@ -92,30 +90,26 @@ def bring(request: Request) -> Response:
 
 @router.post("/uploads")
 async def uploads(request: Request) -> Response:
-    """Take files and run the empirical pipeline on them."""
-    return await _taken(request, "/runs/{0.id}", order_pipeline)
-
-
-@router.post("/uploads/spectra")
-async def upload_spectra(request: Request) -> Response:
-    """Keep field spectra, which scenarios may then name."""
-    return await _taken(request, "/bring", keep_files, "spectra")
-
-
-@router.post("/uploads/sensors")
-async def upload_sensors(request: Request) -> Response:
-    """Keep sensor files, which scenarios may then name."""
-    return await _taken(request, "/bring", keep_files, "sensors")
-
-
-async def _taken(request: Request, leads_to: str, take: Callable[..., Any], *more: str) -> Response:
-    """What comes of a form of files: the page that it leads to, or the form again with its mistakes."""
+    """Take files: a cube runs through the empirical pipeline, spectra and sensor files are kept."""
     form = await form_of(request)
     try:
-        done = await run_in_threadpool(take, request, form, *more)
+        taken = await run_in_threadpool(take_files, request, form)
     except Refused as refusal:
         return _page(request, to_show(refusal), 422)
-    return RedirectResponse(leads_to.format(done), status_code=303)
+    return RedirectResponse(f"/runs/{taken.id}" if isinstance(taken, WebRun) else "/bring", status_code=303)
+
+
+def take_files(request: Request, form: FormData) -> WebRun | list[str]:
+    """The run of the cube of a form, or the names of the spectra and sensor files that are kept where it has none.
+
+    Raises
+    ------
+    Refused : what is wrong with them, or there is no room.
+    """
+    keeps = next(_files(form, KINDS), None) is not None
+    others = [field for field in _PARTS if field != "spectra"]
+    has_cube = next(_files(form, others), None) is not None or any(form.get(f"{field}_named") for field in _PARTS)
+    return keep_files(request, form) if keeps and not has_cube else order_pipeline(request, form)
 
 
 async def form_of(request: Request) -> FormData:
@@ -126,11 +120,11 @@ async def form_of(request: Request) -> FormData:
     Refused : it is not of the form that files come in.
     """
     if not request.headers.get("content-type", "").startswith("multipart/form-data"):
-        raise Refused(422, [Mistake("body", "files come as multipart/form-data")])
+        raise Refused(422, [FieldMistake("body", "files come as multipart/form-data")])
     return await request.form(max_files=MOST_FILES, max_fields=40)
 
 
-def _page(request: Request, mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
+def _page(request: Request, mistakes: Sequence[FieldMistake] = (), status: int = 200) -> Response:
     settings, owner = request.app.state.settings, session_of(request).owner
     return page(
         request, "bring.html.j2", status=status, errors={m.field: m.message for m in mistakes},
@@ -139,7 +133,7 @@ def _page(request: Request, mistakes: Sequence[Mistake] = (), status: int = 200)
     )  # fmt: skip
 
 
-def order_pipeline(request: Request, form: FormData) -> Run:
+def order_pipeline(request: Request, form: FormData) -> WebRun:
     """Order the empirical pipeline of the files of a form.
 
     Raises
@@ -152,14 +146,14 @@ def order_pipeline(request: Request, form: FormData) -> Run:
     mistakes += _wrong(files, settings.limits.samples * 8)
     cubes = [f for f in files if f.field == "cube"]
     if len(cubes) != 1:
-        mistakes.append(Mistake("cube", "one data file of a cube is needed"))
+        mistakes.append(FieldMistake("cube", "one data file of a cube is needed"))
     if not any(f.field == "header" for f in files):
-        mistakes.append(Mistake("header", "the ENVI header is needed"))
+        mistakes.append(FieldMistake("header", "the ENVI header is needed"))
     if not any(f.field == "regions" for f in files):
-        mistakes.append(Mistake("regions", "at least one file of regions is needed"))
+        mistakes.append(FieldMistake("regions", "at least one file of regions is needed"))
     name, stated = str(form.get("name") or "mine"), {}
     if not _NAME.fullmatch(name):
-        mistakes.append(Mistake("name", "small letters, digits and hyphens, at most 60"))
+        mistakes.append(FieldMistake("name", "small letters, digits and hyphens, at most 60"))
     for field in ("quantity", "unit", "sensor", "time_utc"):
         text = form.get(field)
         if isinstance(text, str) and text.strip():
@@ -167,7 +161,7 @@ def order_pipeline(request: Request, form: FormData) -> Run:
     stated_numbers, wrong = _numbers(form)
     mistakes += wrong
     if stated.get("sensor", library_names()[0]) not in library_names():
-        mistakes.append(Mistake("sensor", f"one of {', '.join(library_names())}"))
+        mistakes.append(FieldMistake("sensor", f"one of {', '.join(library_names())}"))
     if mistakes:
         raise Refused(422, mistakes)
     place = folder_of(settings, owner) / "incoming" / secrets.token_hex(8)
@@ -190,41 +184,40 @@ def order_pipeline(request: Request, form: FormData) -> Run:
     }
     try:
         order = Order("pipeline", name, f"{name}: {cubes[0].name}", copies=copies, arguments={"sources": sources})
-        run: Run = request.app.state.desk.order(owner, order)
+        run: WebRun = request.app.state.desk.order(owner, order)
     finally:
         shutil.rmtree(place, ignore_errors=True)
     return run
 
 
-def keep_files(request: Request, form: FormData, kind: str) -> list[str]:
-    """Keep spectra or sensor files of a session; a new one takes the place of one of the same name.
+def keep_files(request: Request, form: FormData) -> list[str]:
+    """Keep spectra and sensor files of a session; a new one takes the place of one of the same name.
 
     Raises
     ------
     Refused : a file that is none by its name or, of a sensor, by what it says; too large, or one too many.
     """
-    files = list(_files(form, (kind,)))
+    files = list(_files(form, KINDS))
     mistakes = list(_wrong(files))
-    if not files:
-        mistakes.append(Mistake(kind, "no file was sent"))
     settings, owner = request.app.state.settings, session_of(request).owner
-    place = folder_of(settings, owner) / kind
-    place.mkdir(parents=True, exist_ok=True)
-    names = {*files_of(settings, owner, [kind]), *(f.name for f in files)}
-    if len(names) > _MOST_KEPT:
-        mistakes.append(Mistake(kind, f"a session keeps at most {_MOST_KEPT}"))
+    for kind in KINDS:
+        names = {*files_of(settings, owner, [kind]), *(f.name for f in files if f.field == kind)}
+        if len(names) > _MOST_KEPT:
+            mistakes.append(FieldMistake(kind, f"a session keeps at most {_MOST_KEPT}"))
     if mistakes:
         raise Refused(422, mistakes)
     for one in files:
+        place = folder_of(settings, owner) / one.field
+        place.mkdir(parents=True, exist_ok=True)
         part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
         try:
             one.keep(part)
-            if kind == "sensors":
+            if one.field == "sensors":
                 _check_sensor(request, part, one.name)
             part.replace(place / one.name)
         finally:
             part.unlink(missing_ok=True)
-    return sorted(names)
+    return list(files_of(settings, owner))
 
 
 def _check_sensor(request: Request, path: Path, name: str) -> None:
@@ -232,7 +225,7 @@ def _check_sensor(request: Request, path: Path, name: str) -> None:
         request.app.state.desk.ask("sensor", path=str(path))
     except Refused as refusal:
         words = refusal.mistakes[0].message.replace(path.name, name)
-        raise Refused(422, [Mistake("sensors", f"{name}: {words}")]) from refusal
+        raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
 
 
 def _files(form: FormData, fields: Sequence[str]) -> Iterator[Brought]:
@@ -241,7 +234,7 @@ def _files(form: FormData, fields: Sequence[str]) -> Iterator[Brought]:
             yield Brought(field, value.filename or "", value.size or 0, value.file)
 
 
-def _named(form: FormData, settings: Settings) -> tuple[list[Brought], list[Mistake]]:
+def _named(form: FormData, settings: ServerSettings) -> tuple[list[Brought], list[FieldMistake]]:
     """Files of the data folder that a form names, several of a field with commas between."""
     files, mistakes = [], []
     for field in _PARTS:
@@ -255,37 +248,37 @@ def _named(form: FormData, settings: Settings) -> tuple[list[Brought], list[Mist
                 path = checked_file(settings.data / name, root=settings.data)
                 files.append(Brought(field, path.name, path.stat().st_size, path=path))
             except (HypervalError, OSError):
-                mistakes.append(Mistake(f"{field}_named", "the data folder of this server has no such file"))
+                mistakes.append(FieldMistake(f"{field}_named", "the data folder of this server has no such file"))
     return files, mistakes
 
 
-def _wrong(files: Sequence[Brought], largest_cube: int = 0) -> Iterator[Mistake]:
+def _wrong(files: Sequence[Brought], largest_cube: int = 0) -> Iterator[FieldMistake]:
     names: set[str] = set()
     for brought in files:
         try:
             checked_name(brought.name)
         except Refused as refusal:
-            yield Mistake(brought.field, refusal.mistakes[0].message)
+            yield FieldMistake(brought.field, refusal.mistakes[0].message)
             continue
         ending = brought.name[brought.name.rfind(".") :].lower() if "." in brought.name else ""
         if ending not in _ENDINGS[brought.field]:
-            yield Mistake(
+            yield FieldMistake(
                 brought.field,
                 f"{brought.name}: ends with none of {', '.join(filter(None, _ENDINGS[brought.field]))}",
             )
         head = brought.head()
         for sign, kind in _PACKED.items():
             if head.startswith(sign):
-                yield Mistake(brought.field, f"{brought.name}: is {kind}, which is not taken")
+                yield FieldMistake(brought.field, f"{brought.name}: is {kind}, which is not taken")
         largest = largest_cube if brought.field == "cube" else _LARGEST_TEXT
         if brought.size > largest:
-            yield Mistake(brought.field, f"{brought.name}: larger than {largest:,} bytes")
+            yield FieldMistake(brought.field, f"{brought.name}: larger than {largest:,} bytes")
         if brought.name in names:
-            yield Mistake(brought.field, f"{brought.name}: stands twice")
+            yield FieldMistake(brought.field, f"{brought.name}: stands twice")
         names.add(brought.name)
 
 
-def _numbers(form: FormData) -> tuple[dict[str, float], list[Mistake]]:
+def _numbers(form: FormData) -> tuple[dict[str, float], list[FieldMistake]]:
     numbers, wrong = {}, []
     for field, low, high in (("altitude_km", 0.01, 100_000.0), ("pixel_size_m", 0.001, 10_000.0)):
         text = form.get(field)
@@ -296,6 +289,6 @@ def _numbers(form: FormData) -> tuple[dict[str, float], list[Mistake]]:
         except ValueError:
             value = float("nan")
         if not low <= value <= high:
-            wrong.append(Mistake(field, f"a number from {low:g} to {high:g}"))
+            wrong.append(FieldMistake(field, f"a number from {low:g} to {high:g}"))
         numbers[field] = value
     return numbers, wrong

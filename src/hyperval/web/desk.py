@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import hyperval
-from hyperval.files import write_text
-from hyperval.web.limits import Settings
+from hyperval.storage import write_text
 from hyperval.web.refusal import Refused
-from hyperval.web.store import COLLECTION, ENDED, Run, Store
-from hyperval.web.workers import Cancelled, Full, Job, Pool, TaskFailed
+from hyperval.web.store import COLLECTION, ENDED, RunStore, ServerSettings, WebRun
+from hyperval.web.workers import Cancelled, Full, TaskFailed, WorkerPool, WorkerTask
 
 _TASKS = {"prediction": "predict", "study": "study", "validation": "campaign", "pipeline": "pipeline"}
 _QUICK = ("prediction",)
@@ -39,7 +38,7 @@ class Order:
 class Crew(Protocol):
     """What carries tasks out."""
 
-    def submit(self, job: Job) -> Job:
+    def submit(self, job: WorkerTask) -> WorkerTask:
         """Take a task; raises :class:`Full`."""
 
     def close(self) -> None:
@@ -54,18 +53,18 @@ class Desk:
     pools : what carries out quick tasks, and long ones; default: processes, as the limits say
     """
 
-    def __init__(self, settings: Settings, store: Store, pools: tuple[Crew, Crew] | None = None):
+    def __init__(self, settings: ServerSettings, store: RunStore, pools: tuple[Crew, Crew] | None = None):
         limits = settings.limits
         self.limits, self.store = limits, store
         self.quick, self.long = pools or (
-            Pool(limits.quick_workers, limits.queue, limits.quick_seconds, limits.memory_bytes),
-            Pool(limits.long_workers, limits.queue, limits.long_seconds, limits.memory_bytes),
+            WorkerPool(limits.quick_workers, limits.queue, limits.quick_seconds, limits.memory_bytes),
+            WorkerPool(limits.long_workers, limits.queue, limits.long_seconds, limits.memory_bytes),
         )
-        self._jobs: dict[str, Job] = {}
-        self._views: dict[tuple[str, ...], Job] = {}
+        self._jobs: dict[str, WorkerTask] = {}
+        self._views: dict[tuple[str, ...], WorkerTask] = {}
         self._lock = threading.Lock()
 
-    def order(self, owner: str, order: Order) -> Run:
+    def order(self, owner: str, order: Order) -> WebRun:
         """Take an order.
 
         Raises
@@ -89,7 +88,7 @@ class Desk:
                 with suppress(UnboundLocalError):
                     self.store.remove(run.id)
                 raise Refused(503, f"nothing can be stored for now: {error.strerror}", wait=60) from error
-            job = Job(
+            job = WorkerTask(
                 _TASKS[order.kind],
                 {"folder": str(place), **(order.arguments or {})},
                 begun=lambda: self._note(run.id, state="running"),
@@ -108,7 +107,7 @@ class Desk:
         with suppress(OSError, KeyError):
             self.store.change(run_id, **changes)
 
-    def _end(self, run_id: str, job: Job, future: Future[Any]) -> None:
+    def _end(self, run_id: str, job: WorkerTask, future: Future[Any]) -> None:
         seconds = time.monotonic() - job.started if job.started else 0.0
         error = future.exception()
         try:
@@ -118,9 +117,7 @@ class Desk:
                 state = "cancelled" if isinstance(error, Cancelled) else "failed"
                 self.store.change(run_id, state=state, seconds=seconds, reason=str(error))
         except OSError as full:
-            self._note(
-                run_id, state="failed", reason=f"its results could not be stored: {full.strerror}", summary={}
-            )
+            self._note(run_id, state="failed", reason=f"its results could not be stored: {full.strerror}", summary={})
         except KeyError:
             pass  # removed meanwhile
         finally:
@@ -139,7 +136,7 @@ class Desk:
         while run_id in self._jobs and time.monotonic() < end:  # what came of it is being written down
             time.sleep(0.002)
 
-    def progress(self, run: Run) -> dict[str, Any]:
+    def progress(self, run: WebRun) -> dict[str, Any]:
         """Where a run on its way is: stage, part that is done, seconds left."""
         job = self._jobs.get(run.id)
         if job is None or run.state in ENDED:
@@ -158,7 +155,7 @@ class Desk:
         if job is not None:
             job.is_cancelled = True
 
-    def view(self, run: Run, task: str, name: str, /, **arguments: Any) -> Path:
+    def view(self, run: WebRun, task: str, name: str, /, **arguments: Any) -> Path:
         """A file beside a finished run, made by a worker where it is not there yet.
 
         Raises
@@ -178,7 +175,7 @@ class Desk:
         with self._lock:
             job = self._views.get(key)
             if job is None:
-                job = Job(task, {"folder": str(self.store.place(run.id)), **arguments})
+                job = WorkerTask(task, {"folder": str(self.store.place(run.id)), **arguments})
                 try:
                     (self.long if task == COLLECTION else self.quick).submit(job)
                 except Full:
@@ -197,7 +194,7 @@ class Desk:
         ------
         Refused : it came to nothing, or there is no room.
         """
-        job = Job(task, arguments)
+        job = WorkerTask(task, arguments)
         try:
             self.quick.submit(job)
         except Full:
@@ -208,10 +205,9 @@ class Desk:
         """End the workers."""
         for pool in (self.quick, self.long):
             pool.close()
-        self.store.close()
 
 
-def _result(job: Job, seconds: float) -> Any:
+def _result(job: WorkerTask, seconds: float) -> Any:
     try:
         return job.future.result(seconds)
     except TimeoutError:

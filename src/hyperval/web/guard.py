@@ -1,18 +1,57 @@
-"""What every request passes: host, size, session, origin; and the headers that every answer bears."""
+"""What every request passes: host, size, session, origin; and the headers that every answer bears.
+
+Who asks: a random name in a cookie, which pages of other sites can neither read nor send with a change.
+
+Connections: a head and a body come in time or the connection ends; a client has a bounded number of them.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import hashlib
 import json
+import re
+import secrets
 import sys
+from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
+from typing import ClassVar
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hyperval.errors import internal_error
-from hyperval.web.limits import Settings
-from hyperval.web.sessions import COOKIE, TOKEN_HEADER, Sessions
+from hyperval.web.store import ServerSettings
+
+COOKIE = "hyperval_session"
+_NAME = re.compile(r"[A-Za-z0-9_-]{43}")
+
+
+@dataclass(frozen=True)
+class Session:
+    """One browser or program.
+
+    Attributes
+    ----------
+    name : what the cookie holds; whoever knows it is the session
+    owner : what its runs are stored under, from which the name does not follow
+    is_new : whether the cookie is still to be set
+    """
+
+    name: str
+    owner: str
+    is_new: bool
+
+
+def session_named(name: str | None) -> Session:
+    """The session of a cookie, or a new one where there is none or it is malformed."""
+    own = name if name is not None and _NAME.fullmatch(name) else None
+    known = own or secrets.token_urlsafe(32)
+    return Session(known, hashlib.sha256(b"owner" + known.encode()).hexdigest()[:32], own is None)
+
 
 UPLOADS = "/uploads"
 _SAFE = ("GET", "HEAD", "OPTIONS")
@@ -40,8 +79,8 @@ class TooLarge(Exception):
 class Guard:
     """The outermost layer of the application."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, sessions: Sessions):
-        self.app, self.settings, self.sessions = app, settings, sessions
+    def __init__(self, app: ASGIApp, settings: ServerSettings):
+        self.app, self.settings = app, settings
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request, or hand it on with its session."""
@@ -50,11 +89,12 @@ class Guard:
                 await self.app(scope, receive, send)
             return  # there are no web sockets
         headers = Headers(scope=scope)
-        session = self.sessions.session(_cookie(headers))
+        session = session_named(_cookie(headers))
         scope["session"] = session
         bound = self._bound(scope["path"])
-        answer = _Answer(send, self.settings, session.name if session.is_new else None)
-        refusal = self._refusal(scope, headers, bound, session.is_new)
+        refusal = self._refusal(scope, headers, bound)
+        # What another site's page sent comes without the cookie: its answer must not replace that of the user.
+        answer = _Answer(send, self.settings, session.name if session.is_new and refusal is None else None)
         if refusal is not None:
             await answer.refuse(*refusal)
             return
@@ -71,8 +111,8 @@ class Guard:
 
         try:
             await self.app(scope, counted, answer)
-        except TooLarge:
-            pass  # that is said
+        except (TooLarge, ClientDisconnect):
+            pass  # that is said, or nobody is there to be told
         except Exception as error:
             print(f"hyperval serve: {internal_error(error)}", file=sys.stderr)
             await answer.refuse(500, "", "an error that nobody foresaw; the server's log has it")
@@ -81,7 +121,7 @@ class Guard:
         limits = self.settings.limits
         return limits.upload_bytes if path.removeprefix("/api/v1").startswith(UPLOADS) else limits.body_bytes
 
-    def _refusal(self, scope: Scope, headers: Headers, bound: int, is_new: bool) -> tuple[int, str, str] | None:
+    def _refusal(self, scope: Scope, headers: Headers, bound: int) -> tuple[int, str, str] | None:
         host = headers.get("host", "")
         if len(headers.getlist("host")) != 1 or _name_of(host) not in self.settings.hosts:
             return 400, "host", "this server does not go by that name"
@@ -101,17 +141,13 @@ class Guard:
             return 403, "origin", "a page of another site asked for this"
         if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
             return 403, "origin", "a page of another site asked for this"
-        # A request without a cookie has no runs that a foreign page could touch.
-        token = headers.get(TOKEN_HEADER)
-        if token is not None and not is_new and not self.sessions.is_token(scope["session"], token):
-            return 403, TOKEN_HEADER, "not the token of this session"
         return None
 
 
 class _Answer:
     """Sends an answer with the headers of every one, once."""
 
-    def __init__(self, send: Send, settings: Settings, new_session: str | None):
+    def __init__(self, send: Send, settings: ServerSettings, new_session: str | None):
         self._send, self._settings, self._new_session = send, settings, new_session
         self.started = self.ended = False
 
@@ -157,3 +193,95 @@ def _name_of(host: str) -> str:
     """A host without its port."""
     name, colon, port = host.rpartition(":")
     return name.lower() if colon and port.isdigit() and (not name.endswith(":")) else host.lower()
+
+
+HEAD_S = 10.0  # from the first byte that is waited for to the end of the head
+BODY_S = 10.0  # a body may take so long, and a second more for each LEAST_BYTES of it
+LEAST_BYTES = 10_000
+_HEAD, _BODY = "IDLE", "SEND_BODY"  # what h11 calls the states of a client that sends them
+_WORDS = {408: "Request Timeout", 503: "Service Unavailable"}
+
+
+class _Connection(H11Protocol):
+    """One connection.
+
+    A client that has as many as it may loses the oldest of those that ask for nothing when it opens another; where
+    all of them are at work, the new one is refused.
+    """
+
+    most: ClassVar[int]
+    by_address: ClassVar[dict[str, list[_Connection]]]
+    _clock: asyncio.TimerHandle | None = None
+    _awaited = ""  # what the clock runs for
+    _begun = 0.0
+    _received = 0
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Count the connection, and wait for its first head."""
+        super().connection_made(transport)
+        own = self.by_address.setdefault(self._address, [])
+        if len(own) >= self.most:
+            idle = next((one for one in own if repr(one.conn.their_state) == _HEAD), None)
+            if idle is None:
+                self._end(503)
+                return
+            own.remove(idle)
+            idle._end(408)
+        own.append(self)
+        self._watch()
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came, and see what is waited for now."""
+        self._received += len(data)
+        super().data_received(data)
+        self._watch()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the connection."""
+        super().connection_lost(exc)
+        if self._clock is not None:
+            self._clock.cancel()
+        own = self.by_address.get(self._address, [])
+        if self in own:
+            own.remove(self)
+        if not own:
+            self.by_address.pop(self._address, None)
+
+    @property
+    def _address(self) -> str:
+        return self.client[0] if self.client else ""
+
+    def _watch(self) -> None:
+        """Start a clock where a head or a body is waited for, and stop it where neither is."""
+        state = repr(self.conn.their_state)
+        awaited = state if state in (_HEAD, _BODY) else ""
+        if awaited == self._awaited:
+            return
+        if self._clock is not None:
+            self._clock.cancel()
+        self._awaited, self._begun, self._received = awaited, self.loop.time(), 0
+        seconds = HEAD_S if awaited == _HEAD else BODY_S
+        self._clock = None if not awaited else self.loop.call_later(seconds, self._look)
+
+    def _look(self) -> None:
+        """End the connection, or wait on for a body that comes fast enough."""
+        now = self.loop.time()
+        if self._awaited == _BODY:
+            if self.flow.read_paused:  # the delay is this server's own
+                self._begun, self._received = now, 0
+            left = self._begun + BODY_S + self._received / LEAST_BYTES - now
+            if left > 0:
+                self._clock = self.loop.call_later(left, self._look)
+                return
+        self._end(408)
+
+    def _end(self, status: int) -> None:
+        if self.cycle is None or self.cycle.response_complete:
+            head = f"HTTP/1.1 {status} {_WORDS[status]}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
+            self.transport.write(head.encode())
+        self.transport.close()
+
+
+def connections_of(most: int) -> type[H11Protocol]:
+    """The class of a server's connections, of which one address has at most ``most`` at a time."""
+    return type("Connection", (_Connection,), {"most": most, "by_address": {}})

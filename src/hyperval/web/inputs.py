@@ -1,14 +1,14 @@
-"""Scenarios as pages and programs give them: predefined ones, what may stand where, what is refused beforehand."""
+"""Scenarios as pages and programs give them: predefined ones, what may stand where, what is refused beforehand.
+
+Scenarios that go by name: those of the package, and scenes of public collections where their files are here.
+"""
 
 from __future__ import annotations
 
-import base64
-import binascii
-import json
 import re
-import zlib
 from collections.abc import Collection, Iterator, Mapping
 from functools import lru_cache
+from importlib import resources
 from itertools import islice
 from typing import Any
 
@@ -17,14 +17,56 @@ import yaml
 from pydantic import ValidationError
 
 from hyperval.config import parse_yaml
-from hyperval.errors import UsageError
-from hyperval.scenario import MODEL_DETECTORS, Scenario
+from hyperval.datasets import resolve
+from hyperval.errors import HypervalError, UsageError
+from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
 from hyperval.scene.builtin import BUILTIN_NAMES
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.web.forms import Form
-from hyperval.web.limits import Limits
-from hyperval.web.predefined import is_here, known_files, set_of
-from hyperval.web.refusal import Mistake, Refused, mistakes_of, said
+from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said
+from hyperval.web.store import Limits
+
+
+@lru_cache(maxsize=1)
+def predefined() -> dict[str, Scenario]:
+    """Scenarios by name."""
+    known = {name: load_scenario(name) for name in builtin_scenarios()}
+    with resources.as_file(resources.files("hyperval.web") / "scenarios") as folder:
+        scenes = [load_scenario(path) for path in sorted(folder.glob("*.yaml"))]
+    return known | {scene.name: scene for scene in scenes}
+
+
+@lru_cache(maxsize=1)
+def known_files() -> frozenset[str]:
+    """Files of data sets that the predefined scenarios name, and that anybody may name therefore."""
+    return frozenset(
+        surface.spectrum.file
+        for scenario in predefined().values()
+        for surface in scenario.scene.targets
+        if surface.spectrum.file is not None
+    )
+
+
+def is_here(file: str) -> bool:
+    """Whether a file of a data set is on this machine."""
+    try:
+        resolve(file)
+    except HypervalError:
+        return False
+    return True
+
+
+def set_of(file: str) -> str:
+    """The data set of a file."""
+    return file.removeprefix("data:").partition("/")[0]
+
+
+def needs(scenario: Scenario) -> str:
+    """The data set that is missing on this machine for a predefined scenario; empty where there is none."""
+    files = [t.spectrum.file for t in scenario.scene.targets if t.spectrum.file is not None]
+    missing = {set_of(file) for file in files if not is_here(file)}
+    return ", ".join(sorted(missing))
+
 
 _GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
 SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
@@ -48,7 +90,6 @@ _MOST_ITEMS = 5000  # of a list of numbers
 _MOST_ENTRIES = 100  # of a list of groups, which are checked one by one
 _MOST_VALUES = 20_000
 _MOST_MISTAKES = 40
-_MOST_LINK = 200_000
 _MEMORY_BASE = 600e6
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9 ,()'_/-]*")
 _MEANT = {"true", "false", "null", "yes", "no", "on", "off"}
@@ -111,18 +152,18 @@ def refuse_excess(data: Any, at: str = "") -> None:
         raise Refused(422, mistakes)
 
 
-def _too_much(data: Any, at: tuple[str, ...], left: list[int]) -> Iterator[Mistake]:
+def _too_much(data: Any, at: tuple[str, ...], left: list[int]) -> Iterator[FieldMistake]:
     """What there is too much of; ``left`` counts down the values that are still looked at."""
     left[0] -= 1
     if left[0] == 0:
-        yield Mistake(".".join(at), f"with it there are more than {_MOST_VALUES:,} values")
+        yield FieldMistake(".".join(at), f"with it there are more than {_MOST_VALUES:,} values")
     elif len(at) > _MOST_DEPTH:
-        yield Mistake(".".join(at[:4]), "too deep")
+        yield FieldMistake(".".join(at[:4]), "too deep")
     elif isinstance(data, Mapping | list | tuple):
         is_rows = isinstance(data, Mapping) or (len(data) > 0 and isinstance(data[0], Mapping))
         most = _MOST_ENTRIES if is_rows else _MOST_ITEMS
         if len(data) > most:
-            yield Mistake(".".join(at), f"{len(data):,} entries; at most {most:,} are taken")
+            yield FieldMistake(".".join(at), f"{len(data):,} entries; at most {most:,} are taken")
             return
         for key, value in data.items() if isinstance(data, Mapping) else enumerate(data):
             if left[0] <= 0:
@@ -131,58 +172,58 @@ def _too_much(data: Any, at: tuple[str, ...], left: list[int]) -> Iterator[Mista
     elif isinstance(data, str):
         longest = 2000 if at[-1:] == ("description",) else _MOST_TEXT
         if len(data) > longest:
-            yield Mistake(".".join(at), f"longer than {longest} characters")
+            yield FieldMistake(".".join(at), f"longer than {longest} characters")
         elif not data.isprintable() and at[-1:] != ("description",):
-            yield Mistake(".".join(at), "holds a character that cannot be printed")
+            yield FieldMistake(".".join(at), "holds a character that cannot be printed")
     elif isinstance(data, int) and abs(data) > 1 << 62:
-        yield Mistake(".".join(at), "a number of too many digits")
+        yield FieldMistake(".".join(at), "a number of too many digits")
 
 
-def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[Mistake]:
+def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMistake]:
     if scenario.sensor is not None and scenario.sensor not in (*library_names(), *uploads):
-        yield Mistake("sensor", f"no such sensor; one of {', '.join((*library_names(), *uploads))}")
+        yield FieldMistake("sensor", f"no such sensor; one of {', '.join((*library_names(), *uploads))}")
     if scenario.atmosphere is not None and scenario.atmosphere.engine != "sixs":
-        yield Mistake("atmosphere.engine", "this server has the engine sixs alone")
+        yield FieldMistake("atmosphere.engine", "this server has the engine sixs alone")
     for path, name in _leaves(plain(scenario), "builtin"):
         if name not in SURFACES and not _GREY.fullmatch(str(name)):
-            yield Mistake(path, f"no such surface; one of {', '.join(SURFACES)}")
+            yield FieldMistake(path, f"no such surface; one of {', '.join(SURFACES)}")
 
 
-def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[Mistake]:
+def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
     for key in _FILES:
         for path, value in _leaves(data, key):
             if value is None or (key == "file" and value in uploads):
                 continue
             if key == "file" and value in known_files():
                 if not is_here(value):
-                    yield Mistake(path, f"this server lacks the data set {set_of(value)}")
+                    yield FieldMistake(path, f"this server lacks the data set {set_of(value)}")
             else:
                 words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
-                yield Mistake(path, words if key == "file" else "files of the server are not read")
+                yield FieldMistake(path, words if key == "file" else "files of the server are not read")
 
 
-def _of_cost(scenario: Scenario, limits: Limits) -> Iterator[Mistake]:
+def _of_cost(scenario: Scenario, limits: Limits) -> Iterator[FieldMistake]:
     scene = scenario.scene
     subjects = len(scene.classes) + len(scene.panels) + len(scene.sites)
     populations = sum(len(t.populations) for t in scene.targets)
     if subjects + populations > 60:
-        yield Mistake("scene", f"{subjects + populations} subjects; at most 60")
+        yield FieldMistake("scene", f"{subjects + populations} subjects; at most 60")
     for path, most in _LARGEST.items():
         group, name = path.split(".")
         value = getattr(getattr(scenario, group), name)
         if value > most and (group != "uncertainty" or scenario.uncertainty.method != "linear"):
-            yield Mistake(path, f"{value:,}; this server draws at most {most:,}")
+            yield FieldMistake(path, f"{value:,}; this server draws at most {most:,}")
     bands = 500.0
     if scenario.sensor in library_names():
         bands = float(np.size(load_sensor(scenario.sensor).axis.centre_nm))
     inputs = len(scenario.uncertainty.model_fields_set) + 1
     size = _MEMORY_BASE + 8.0 * bands**2 * (4 * subjects + 6 * populations) * (1 + 0.2 * inputs)
     if size > limits.memory_bytes:
-        yield Mistake("scene", f"needs about {size / 1e9:.1f} GB; a run has {limits.memory_bytes / 1e9:.1f} GB")
+        yield FieldMistake("scene", f"needs about {size / 1e9:.1f} GB; a run has {limits.memory_bytes / 1e9:.1f} GB")
     if scenario.uncertainty.method != "linear":
         seconds = 4e-7 * bands**2 * scenario.uncertainty.samples * max(1, populations) / 50
         if seconds > limits.quick_seconds:
-            yield Mistake(
+            yield FieldMistake(
                 "uncertainty.samples", f"takes about {seconds:.0f} s; a run has {limits.quick_seconds:g} s"
             )
 
@@ -197,7 +238,7 @@ def _leaves(data: Any, key: str, at: str = "") -> Iterator[tuple[str, Any]]:
         yield from _leaves(value, key, path)
 
 
-def marked(mistakes: Collection[Mistake], paths: Collection[str]) -> dict[str, list[str]]:
+def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[str, list[str]]:
     """Field -> what is wrong there: a mistake that names no field of the form stands at the nearest that holds it.
 
     A sentence on several fields of a group stands at each that it names.
@@ -237,33 +278,6 @@ def yaml_text(data: Mapping[str, Any]) -> str:
     return text
 
 
-def link_text(data: Mapping[str, Any]) -> str:
-    """Plain data as a part of a link."""
-    packed = zlib.compress(json.dumps(data, separators=(",", ":"), allow_nan=False).encode(), 9)
-    return base64.urlsafe_b64encode(packed).decode().rstrip("=")
-
-
-def from_link(text: str) -> dict[str, Any]:
-    """The plain data of a link.
-
-    Raises
-    ------
-    Refused : it is none, or holds too much.
-    """
-    try:
-        packed = base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
-        unpacker = zlib.decompressobj()
-        content = unpacker.decompress(packed, _MOST_LINK)
-        if unpacker.unconsumed_tail or not unpacker.eof:
-            raise Refused(422, [Mistake("s", "this link holds too much, or was cut off")])
-        data = json.loads(content)
-    except (ValueError, binascii.Error, zlib.error, RecursionError) as error:
-        raise Refused(422, [Mistake("s", "no link of this application, or one that was cut off")]) from error
-    if not isinstance(data, dict):
-        raise Refused(422, [Mistake("s", "no link of this application")])
-    return data
-
-
 def form_data(form: Form, given: Mapping[str, list[str]]) -> dict[str, Any]:
     """The data of a filled form.
 
@@ -274,4 +288,4 @@ def form_data(form: Form, given: Mapping[str, list[str]]) -> dict[str, Any]:
     try:
         return form.data(given)
     except UsageError as error:
-        raise Refused(422, [Mistake(error.where or "", said(error))]) from error
+        raise Refused(422, [FieldMistake(error.where or "", said(error))]) from error

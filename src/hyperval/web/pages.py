@@ -16,7 +16,7 @@ from starlette.responses import HTMLResponse, Response
 import hyperval
 from hyperval.report.html import strict_templates
 from hyperval.web.forms import Node
-from hyperval.web.sessions import Session
+from hyperval.web.guard import Session
 
 _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _REPORT = ("style.css", "charts.js", "page.js")
@@ -54,7 +54,7 @@ def session_of(request: Request) -> Session:
 def page(request: Request, template: str, /, status: int = 200, **content: Any) -> HTMLResponse:
     """A page of the application."""
     text = _environment().get_template(template).render(
-        version=hyperval.__version__, token=session_of(request).token, notices=request.app.state.store.notices,
+        version=hyperval.__version__, notices=request.app.state.store.notices,
         place=request.url.path, **content,
     )  # fmt: skip
     return HTMLResponse(text, status_code=status)

@@ -3,39 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, cast
-from urllib.parse import quote
+from typing import Any
 
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData
 from starlette.responses import RedirectResponse, Response
 
-import hyperval
 from hyperval.sensor.specification import load_sensor
 from hyperval.web.desk import Desk, Order
 from hyperval.web.forms import MOST_ROWS, Node
-from hyperval.web.inputs import (
-    checked_scenario,
-    form_data,
-    from_link,
-    link_text,
-    marked,
-    plain,
-    scenario_form,
-    yaml_text,
-)
+from hyperval.web.inputs import checked_scenario, form_data, marked, needs, plain, predefined, scenario_form, yaml_text
 from hyperval.web.pages import form_parts, page, session_of
-from hyperval.web.predefined import needs, predefined
-from hyperval.web.refusal import Mistake, Refused, to_show
-from hyperval.web.store import Run
-from hyperval.web.uploads import copies_of, files_of
+from hyperval.web.refusal import FieldMistake, Refused, copies_of, files_of, to_show
+from hyperval.web.store import WebRun
 
 router = APIRouter(include_in_schema=False)
 _WAIT_S = 5.0
-_MOST_COMPARED = 100
 _FREE: dict[str, Any] = {
     "schema": 1,
     "name": "free",
@@ -75,14 +60,11 @@ class FormContent:
 def predict_form(
     request: Request, scenario: str | None = None, s: str | None = None, run: str | None = None
 ) -> Response:
-    """The form, filled in with a predefined scenario, that of a link, or that of an earlier run."""
+    """The form, filled in with a predefined scenario, or that of an earlier run."""
     if s is not None:
-        content = _begun(from_link(s), "as in the link")
-    elif run is not None:
-        content = _begun(scenario_of(request, run), "as in the run")
-    else:
-        content = _named(scenario)
-    return _form(request, content)
+        words = "links hold no scenario any more: the scenario.yaml of a run stands in their place"
+        raise Refused(410, [FieldMistake("s", words)])
+    return _form(request, _named(scenario) if run is None else _begun(scenario_of(request, run), "as in the run"))
 
 
 def _named(scenario: str | None) -> FormContent:
@@ -90,39 +72,11 @@ def _named(scenario: str | None) -> FormContent:
         return _begun(plain(predefined()[scenario]), f"as in {scenario}")
     if scenario is None or scenario == "free":
         return _begun(_FREE, "to start with")
-    raise Refused(404, [Mistake("scenario", "no predefined scenario goes by that name")])
+    raise Refused(404, [FieldMistake("scenario", "no predefined scenario goes by that name")])
 
 
 def _begun(data: dict[str, Any], words: str) -> FormContent:
     return FormContent(data, words, data)
-
-
-@router.get("/result")
-def result(request: Request, s: str, beside: str | None = None) -> Response:
-    """The page of a link: the run of its scenario, beside that of another where there are two.
-
-    A run of this session that is the same is shown again; otherwise it is made.
-    """
-    if request.headers.get("sec-fetch-dest", "document") != "document":
-        raise Refused(403, [Mistake("s", "a link is opened as a page")])
-    run, other = (_same_run(request, from_link(text)) if text is not None else None for text in (s, beside))
-    assert run is not None  # noqa: S101
-    for one in filter(None, (run, other)):
-        request.app.state.desk.wait(one.id, _WAIT_S)
-    return RedirectResponse(f"/runs/{run.id}" + (f"?beside={other.id}" if other else ""), status_code=303)
-
-
-def _same_run(request: Request, data: dict[str, Any]) -> Run:
-    owner, store = session_of(request).owner, request.app.state.store
-    known = files_of(request.app.state.settings, owner)
-    text = yaml_text(plain(checked_scenario(data, request.app.state.settings.limits, known)))
-    if not any(name in text for name in known):  # whose content may have changed
-        for run in store.runs(owner, "prediction")[:_MOST_COMPARED]:
-            if run.state == "finished" and run.version == hyperval.__version__:
-                with suppress(OSError):
-                    if (store.place(run.id) / "scenario.yaml").read_text("utf-8") == text:
-                        return cast("Run", run)
-    return order_prediction(request, data)
 
 
 @router.post("/predict")
@@ -158,7 +112,7 @@ def _run(request: Request, given: dict[str, list[str]]) -> Response:
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
 
-def order_prediction(request: Request, data: dict[str, Any]) -> Run:
+def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     """Order the prediction of plain data.
 
     Raises
@@ -194,19 +148,15 @@ def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
     return data
 
 
-def _form(request: Request, content: FormContent, mistakes: Sequence[Mistake] = (), status: int = 200) -> Response:
+def _form(request: Request, content: FormContent, mistakes: Sequence[FieldMistake] = (), status: int = 200) -> Response:
     errors: dict[str, list[str]] = {}
     settings, owner = request.app.state.settings, session_of(request).owner
     sensors = files_of(settings, owner, ["sensors"])
     nodes = _nodes(content, sensors)
     if mistakes:
         errors = marked(mistakes, [node.path for node in walk(nodes)])
-    try:
-        link = f"/predict?s={quote(link_text(content.data))}"
-    except ValueError:  # a number that is none
-        link = ""
     return page(
-        request, "predict.html.j2", status=status, errors=errors, scenarios=predefined(), link=link,
+        request, "predict.html.j2", status=status, errors=errors, scenarios=predefined(),
         changes=sum(n.changes for n in nodes),
         parts=form_parts(nodes, errors, content.source, _total(content.data)),
         count=sum(map(len, errors.values())), begun=content.source.removeprefix("as in "),

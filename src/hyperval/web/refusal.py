@@ -1,15 +1,20 @@
-"""A request that is refused: what is wrong, at which field, with the status of the answer."""
+"""A request that is refused: what is wrong, at which field, with the status of the answer.
+
+Files that a session brought: kept apart from those of others, under names that are no paths.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from hyperval.errors import HypervalError
+from hyperval.web.store import ServerSettings
 
 _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
 _MOST = 40  # mistakes of one request
@@ -21,7 +26,7 @@ _WORDS = {
 
 
 @dataclass(frozen=True)
-class Mistake:
+class FieldMistake:
     """One mistake: the dotted path of its field, empty where it concerns the whole, and what is wrong."""
 
     field: str
@@ -38,13 +43,13 @@ class Refused(Exception):
     wait : seconds after which the same request may be tried again
     """
 
-    def __init__(self, status: int, mistakes: Sequence[Mistake] | str, wait: int | None = None):
+    def __init__(self, status: int, mistakes: Sequence[FieldMistake] | str, wait: int | None = None):
         self.status, self.wait = status, wait
-        self.mistakes = (Mistake("", mistakes),) if isinstance(mistakes, str) else tuple(mistakes)
+        self.mistakes = (FieldMistake("", mistakes),) if isinstance(mistakes, str) else tuple(mistakes)
         super().__init__("; ".join(f"{m.field}: {m.message}" if m.field else m.message for m in self.mistakes))
 
 
-def to_show(refusal: Refused) -> list[Mistake]:
+def to_show(refusal: Refused) -> list[FieldMistake]:
     """The mistakes that a form is shown again with; a refusal for another reason is raised on."""
     if refusal.status != 422:
         raise refusal
@@ -89,12 +94,48 @@ def sentence(kind: str, message: str, location: Sequence[str | int]) -> str:
     return _WORDS.get(kind, message.removeprefix("Value error, "))
 
 
-def mistakes_of(error: ValidationError, data: Any) -> list[Mistake]:
+def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:
     """Every mistake of ``data`` with its field, each once."""
-    listed: dict[Mistake, None] = {}
+    listed: dict[FieldMistake, None] = {}
     for item in error.errors(include_url=False, include_context=False):
         words = sentence(item["type"], item["msg"], item["loc"])
-        listed[Mistake(field_name(item["loc"], data)[:200], without_paths(words)[:500])] = None
+        listed[FieldMistake(field_name(item["loc"], data)[:200], without_paths(words)[:500])] = None
         if len(listed) >= _MOST:
             break
     return list(listed)
+
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}(?:\.[A-Za-z0-9_-]{1,12}){0,2}")
+KINDS = ("spectra", "sensors")
+SPECTRA = (".txt", ".csv", ".asd", ".sli", ".sed", ".sig")
+
+
+def folder_of(settings: ServerSettings, owner: str) -> Path:
+    """The folder of a session's uploads."""
+    return settings.folder / "uploads" / owner
+
+
+def checked_name(name: str) -> str:
+    """A name under which a file may be kept.
+
+    Raises
+    ------
+    Refused : it is a path, or holds what a name of a file had better not hold.
+    """
+    if not NAME.fullmatch(name):
+        words = "letters, digits, - and _, with one or two endings, at most 80 characters"
+        raise Refused(422, [FieldMistake("name", f"no name that a file is kept under here: {words}")])
+    return name
+
+
+def files_of(settings: ServerSettings, owner: str, kinds: Sequence[str] = KINDS) -> tuple[str, ...]:
+    """Names of the spectra and sensor files that a session brought."""
+    folders = [folder_of(settings, owner) / kind for kind in kinds]
+    return tuple(sorted(p.name for folder in folders if folder.is_dir() for p in folder.iterdir() if p.is_file()))
+
+
+def copies_of(settings: ServerSettings, owner: str, text: str, names: Collection[str]) -> dict[str, Path]:
+    """Files that the text of a scenario names, by the name that the run keeps them under."""
+    folder = folder_of(settings, owner)
+    places = {name: folder / kind / name for kind in KINDS for name in files_of(settings, owner, [kind])}
+    return {name: places[name] for name in names if name in text}

@@ -1,22 +1,82 @@
-"""Runs and what came of them: a folder each, which is the truth, and an index of them that can be made again."""
+"""Runs and what came of them: a folder each, whose run.json says how the run stands.
+
+What one server takes on, and how long it keeps what came of it.
+
+Names of what is kept beside a run to be drawn: other scripts draw other files, after an update too.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import secrets
 import shutil
-import sqlite3
 import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
-from hyperval.files import write_text
-from hyperval.web.limits import Limits
+from hyperval.storage import write_text
+
+MEGABYTE = 1_000_000
+LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of one server.
+
+    Attributes
+    ----------
+    body_bytes, upload_bytes : of one request; of one that brings a file
+    quick_seconds, long_seconds : of a prediction or chart; of a study, campaign or pipeline
+    memory_bytes : of one worker
+    quick_workers, long_workers : processes of either kind
+    queue : runs that wait, of either kind; per_session : runs of one session that wait or run
+    kept_bytes, kept_days : finished runs and uploads; the oldest go first
+    points : of a study;  pixels : of an uploaded cube, times its bands
+    """
+
+    body_bytes: int = 300_000
+    upload_bytes: int = 64 * MEGABYTE
+    quick_seconds: float = 60.0
+    long_seconds: float = 3600.0
+    memory_bytes: int = 3_000 * MEGABYTE
+    quick_workers: int = 2
+    long_workers: int = 1
+    queue: int = 64
+    per_session: int = 8
+    kept_bytes: int = 5_000 * MEGABYTE
+    kept_days: float = 30.0
+    points: int = 20_000
+    samples: int = 100_000_000
+
+
+@dataclass(frozen=True)
+class ServerSettings:
+    """How one server is run.
+
+    Attributes
+    ----------
+    folder : runs and uploads;  campaigns : folder of campaigns that may be run, None: none
+    data : folder whose cubes and regions may be named, None: none
+    hosts : names under which browsers reach it
+    secure : whether it is reached by HTTPS alone, through a proxy
+    """
+
+    folder: Path
+    campaigns: Path | None = None
+    hosts: tuple[str, ...] = LOOPBACK
+    secure: bool = False
+    limits: Limits = field(default_factory=Limits)
+    data: Path | None = None
+
 
 State = Literal["waiting", "running", "finished", "failed", "cancelled", "lost"]
 KINDS = ("prediction", "study", "validation", "pipeline")
@@ -24,11 +84,10 @@ ENDED = ("finished", "failed", "cancelled", "lost")
 _ID = re.compile(r"[A-Za-z0-9_-]{16}")
 _DAY_S = 86400.0
 COLLECTION = "collection"  # folder of a run that keeps what its campaign simulates
-_COLUMNS = "id TEXT PRIMARY KEY, owner TEXT, created REAL, state TEXT, bytes INTEGER, record TEXT"
 
 
 @dataclass(frozen=True)
-class Run:
+class WebRun:
     """A run as its file has it.
 
     Attributes
@@ -53,7 +112,7 @@ class Run:
     summary: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Store:
+class RunStore:
     """Runs of one server.
 
     A run whose file says that it waits or runs when a server starts is lost: the server that had it has ended.
@@ -63,31 +122,11 @@ class Store:
         self.folder, self.limits = folder, limits
         self.notices: list[str] = []
         self._lock = threading.RLock()
-        self._runs: dict[str, Run] = {}
+        self._runs: dict[str, WebRun] = {}
+        self._bytes: dict[str, int] = {}
         (folder / "runs").mkdir(parents=True, exist_ok=True)
-        self._database = self._opened()
         self._read_all()
         self.clear()
-
-    # The index: lists and sizes without a walk through the folders.
-
-    def _opened(self) -> sqlite3.Connection:
-        path = self.folder / "index.sqlite"
-        try:
-            database = _connect(path)
-            if database.execute("PRAGMA quick_check").fetchone() != ("ok",):
-                raise sqlite3.DatabaseError("damaged")
-            database.execute(f"CREATE TABLE IF NOT EXISTS runs ({_COLUMNS})")
-            database.execute("SELECT id, owner, created, state, bytes, record FROM runs LIMIT 1")
-        except sqlite3.DatabaseError as error:
-            for left in self.folder.glob("index.sqlite*"):
-                left.replace(left.with_name(left.name.replace("index.", "damaged-index.")))
-            self.notices.append(
-                f"The index of runs was damaged ({error}) and was made again from the runs' own files."
-            )
-            database = _connect(path)
-            database.execute(f"CREATE TABLE runs ({_COLUMNS})")
-        return database
 
     def _read_all(self) -> None:
         lost = unreadable = 0
@@ -95,7 +134,7 @@ class Store:
             for place in (self.folder / "runs").iterdir():
                 try:
                     record = json.loads((place / "run.json").read_text("utf-8"))
-                    run = Run(**record)
+                    run = WebRun(**record)
                     if run.id != place.name or run.state not in (*ENDED, "waiting", "running"):
                         raise ValueError(run.id)
                 except (OSError, ValueError, TypeError):
@@ -103,27 +142,18 @@ class Store:
                     shutil.rmtree(place, ignore_errors=True)
                     continue
                 self._runs[run.id] = run
+                self._measure(run.id)
                 if run.state not in ENDED:
                     lost += 1
                     with suppress(OSError):
                         self.change(run.id, state="lost", reason="the server ended while it waited or ran")
-            with suppress(sqlite3.DatabaseError):
-                self._database.execute("DELETE FROM runs")
-                for run in self._runs.values():
-                    self._index(run)
         if lost:
             self.notices.append(f"{lost} runs had not finished when the server ended, and are lost.")
         if unreadable:
             self.notices.append(f"{unreadable} folders of runs could not be read and were removed.")
 
-    def _index(self, run: Run) -> None:
-        size = sum(p.stat().st_size for p in self.place(run.id).rglob("*") if p.is_file())
-        self._database.execute(
-            "INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)",
-            (run.id, run.owner, run.created, run.state, size, json.dumps(asdict(run))),
-        )
-
-    # Runs.
+    def _measure(self, run_id: str) -> None:
+        self._bytes[run_id] = sum(p.stat().st_size for p in self.place(run_id).rglob("*") if p.is_file())
 
     def place(self, run_id: str) -> Path:
         """The folder of a run."""
@@ -131,14 +161,14 @@ class Store:
             raise KeyError(run_id)
         return self.folder / "runs" / run_id
 
-    def new(self, owner: str, kind: str, name: str, title: str, version: str) -> Run:
+    def new(self, owner: str, kind: str, name: str, title: str, version: str) -> WebRun:
         """A run that waits, with its folder.
 
         Raises
         ------
         OSError : it cannot be written.
         """
-        run = Run(secrets.token_urlsafe(12), owner, kind, name, title, time.time(), version=version)
+        run = WebRun(secrets.token_urlsafe(12), owner, kind, name, title, time.time(), version=version)
         place = self.place(run.id)
         try:
             place.mkdir(mode=0o700)
@@ -150,10 +180,10 @@ class Store:
             self._runs[run.id] = run
         return run
 
-    def _write(self, run: Run) -> None:
+    def _write(self, run: WebRun) -> None:
         write_text(self.place(run.id) / "run.json", json.dumps(asdict(run), indent=1) + "\n")
 
-    def run(self, run_id: str, owner: str) -> Run:
+    def run(self, run_id: str, owner: str) -> WebRun:
         """A run of a session.
 
         Raises
@@ -165,12 +195,12 @@ class Store:
             raise KeyError(run_id)
         return run
 
-    def runs(self, owner: str, kind: str | None = None) -> list[Run]:
+    def runs(self, owner: str, kind: str | None = None) -> list[WebRun]:
         """Runs of a session, the latest first."""
         own = [r for r in list(self._runs.values()) if r.owner == owner and kind in (None, r.kind)]
         return sorted(own, key=lambda r: -r.created)
 
-    def change(self, run_id: str, **changes: Any) -> Run:
+    def change(self, run_id: str, **changes: Any) -> WebRun:
         """Set entries of a run; in memory even where the file cannot be written.
 
         That a run has begun stands in memory alone: after a restart it is lost as one that waited is.
@@ -180,53 +210,42 @@ class Store:
             self._runs[run_id] = run
             if run.state == "running":
                 return run
-            try:
-                self._write(run)
-                if run.state in ENDED:
-                    self._index(run)
-            except sqlite3.DatabaseError:
-                self._remake()
+            self._write(run)
+            if run.state in ENDED:
+                self._measure(run_id)
         return run
-
-    def _remake(self) -> None:
-        """A new index, made from what is known, in place of one that was damaged while the server ran."""
-        with suppress(sqlite3.DatabaseError, OSError):
-            self._database.close()
-            self._database = self._opened()
-            for run in self._runs.values():
-                self._index(run)
 
     def remove(self, run_id: str) -> None:
         """Forget a run and what came of it."""
         with self._lock:
             self._runs.pop(run_id, None)
+            self._bytes.pop(run_id, None)
             shutil.rmtree(self.place(run_id), ignore_errors=True)
-            with suppress(sqlite3.DatabaseError):
-                self._database.execute("DELETE FROM runs WHERE id = ?", (run_id,))
 
     def clear(self) -> None:
         """Remove runs that are too old, and the oldest while all together are too large."""
         now = time.time()
         with self._lock:
-            try:
-                sizes = dict(self._database.execute("SELECT id, bytes FROM runs").fetchall())
-            except sqlite3.DatabaseError:
-                return
             oldest = sorted((r for r in self._runs.values() if r.state in ENDED), key=lambda r: r.created)
-            total = sum(sizes.values())
+            total = sum(self._bytes.values())
             for run in oldest:
                 if total <= self.limits.kept_bytes and now - run.created <= self.limits.kept_days * _DAY_S:
                     break
-                total -= sizes.get(run.id, 0)
+                total -= self._bytes.get(run.id, 0)
                 self.remove(run.id)
 
-    def close(self) -> None:
-        """Close the index."""
-        self._database.close()
+
+_SCRIPTS = (("hyperval.report", "templates", "charts.js"), ("hyperval.web", "static", "map.js"))
 
 
-def _connect(path: Path) -> sqlite3.Connection:
-    database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
-    # Nobody waits for the disk: the folders of runs are the truth, and a damaged index is made again from them.
-    database.execute("PRAGMA synchronous = OFF")
-    return database
+def view_name(stem: str) -> str:
+    """The name of a file that the scripts of this version draw."""
+    return f"{stem}-{_scripts()}.json"
+
+
+@lru_cache(maxsize=1)
+def _scripts() -> str:
+    digest = hashlib.sha256()
+    for package, folder, name in _SCRIPTS:
+        digest.update((resources.files(package) / folder / name).read_bytes())
+    return digest.hexdigest()[:8]

@@ -1,4 +1,11 @@
-"""What the workers do: each function takes plain values and folders, and returns what a list or page says of it."""
+"""What the workers do: each function takes plain values and folders, and returns what a list or page says of it.
+
+What pages draw of a prediction, small enough to be written while somebody waits: means, errors, curves, scores.
+
+Covariances, which are most of ``products.nc``, are left to that file.
+
+The charts of the reports for one prediction, or for two beside each other.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +15,6 @@ import json
 import shutil
 import sys
 import warnings
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
@@ -19,34 +25,123 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval import api
-from hyperval.campaign.collected import Inputs
 from hyperval.campaign.forward import predict_to_folder
 from hyperval.campaign.job import Job, jobs_of
-from hyperval.campaign.observing import observe
-from hyperval.campaign.run import validate
-from hyperval.campaign.starter import starter_campaign
-from hyperval.campaign.starter_draft import Sources
+from hyperval.campaign.run import observe, validate
+from hyperval.campaign.sides import Inputs
+from hyperval.campaign.starter import StarterSources, starter_campaign
 from hyperval.config import load_model
-from hyperval.errors import UsageError
-from hyperval.files import write_text
+from hyperval.errors import InputError, UsageError, reader
 from hyperval.imagery.rasters import open_raster
 from hyperval.observe.place import open_source
-from hyperval.processing.roc_reading import detection_at
-from hyperval.products import Observation, Prediction, SpectralEstimate, background_of
-from hyperval.report.charts import spectra_chart
-from hyperval.report.geotiff import file_stems
-from hyperval.report.netcdf_read import read_products
+from hyperval.processing.roc_model import detection_at
+from hyperval.products import (
+    ObservedProducts,
+    PredictedProducts,
+    RocCurve,
+    ScoreDistribution,
+    SpectralEstimate,
+    background_of,
+)
+from hyperval.report.charts import chart_of, draw_charts, scores_chart, spectra_chart
+from hyperval.report.charts_base import Chart
+from hyperval.report.netcdf import read_products
+from hyperval.report.outputs import file_stems
+from hyperval.report.plots_run import exceedance_plots
 from hyperval.report.stored import read_results
 from hyperval.report.verdict import verdict
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import load_scene, simulate
 from hyperval.simulate.inputs import load_inputs
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.storage import write_text
 from hyperval.study.run import study_to_folder
-from hyperval.web import charts
-from hyperval.web.answer import read_answer, write_answer
-from hyperval.web.store import COLLECTION
-from hyperval.web.views import view_name
+from hyperval.web.store import COLLECTION, view_name
+
+Array = npt.NDArray[np.float64]
+_SPECTRA = ("radiance", "toa_reflectance", "snr", "reflectance")
+_CURVE = ("pfa", "pd", "pd_lower", "pd_upper", "threshold")
+_VERSION = 1
+
+
+def write_answer(path: Path, prediction: PredictedProducts) -> None:
+    """Write what is drawn of a prediction."""
+    axis = prediction.axis
+    arrays: dict[str, Any] = {"nm": axis.centre_nm, "fwhm": axis.fwhm_nm, "good": axis.good}
+    names: dict[str, Any] = {"version": _VERSION, "notes": list(prediction.notes)}
+    for product in _SPECTRA:
+        estimates: Mapping[str, SpectralEstimate] = getattr(prediction, product)
+        names[product] = list(estimates)
+        if estimates:
+            arrays[product] = np.stack([[e.mean, e.standard_uncertainty] for e in estimates.values()])
+    names["roc"] = [list(key) for key in prediction.roc]
+    for number, curve in enumerate(prediction.roc.values()):
+        arrays[f"roc{number}"] = np.stack([getattr(curve, part) for part in _CURVE])
+    names["scores"] = [[*key, s.mean, s.sd] for key, s in prediction.scores.items()]
+    for number, score in enumerate(prediction.scores.values()):
+        if score.grid is not None and score.density is not None:
+            arrays[f"score{number}"] = np.stack([score.grid, score.density])
+    with path.open("wb") as file:
+        np.savez(file, names=np.array(json.dumps(names)), **arrays)
+
+
+@reader
+def read_answer(path: Path) -> PredictedProducts:
+    """A prediction as pages draw it: the error covariance of a spectrum is diagonal.
+
+    Raises
+    ------
+    InputError : no such file, or a damaged one.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            names = json.loads(str(stored["names"]))
+            axis = SpectralAxis(stored["nm"], stored["fwhm"], stored["good"])
+            spectra: dict[str, Any] = {
+                product: dict(_estimates(names[product], stored, product)) for product in _SPECTRA
+            }
+            roc = {
+                (s, d, u): RocCurve(**dict(zip(_CURVE, stored[f"roc{i}"], strict=True)), unit=u)
+                for i, (s, d, u) in enumerate(names["roc"])
+            }
+            scores = {
+                (s, d): ScoreDistribution(mean, sd, None, *stored.get(f"score{i}", ()))
+                for i, (s, d, mean, sd) in enumerate(names["scores"])
+            }
+    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
+        raise InputError("the numbers of this run cannot be read", mend="run it again") from error
+    return PredictedProducts(axis, **spectra, scores=scores, roc=roc, notes=tuple(names["notes"]))
+
+
+def _estimates(names: list[str], stored: Mapping[str, Array], product: str) -> Iterator[tuple[str, SpectralEstimate]]:
+    for number, name in enumerate(names):
+        mean, u = stored[product][number]
+        yield name, SpectralEstimate(mean, np.diag(u**2))
+
+
+def charts_of(sides: Mapping[str, PredictedProducts]) -> list[dict[str, Any]]:
+    """Charts of a prediction, and of an earlier one where there are two."""
+    now, *earlier = sides.values()
+    both = now, earlier[0] if earlier else None
+    labels = ("this run", "earlier run")
+    scores = scores_chart([(label, side) for label, side in zip(labels, both, strict=True) if side is not None])
+    false_alarms = [chart_of(plots) for plots in exceedance_plots((now, None))]
+    charts = (*draw_charts(both, [], labels=labels), scores, *false_alarms)
+    return [plain(chart) for chart in charts if chart is not None]
+
+
+def plain(chart: Chart) -> dict[str, Any]:
+    """A chart as a page fetches it."""
+    return {
+        "name": chart.name,
+        "section": chart.section,
+        "title": chart.title,
+        "alt": chart.alt,
+        "content": chart.content,
+        "subjects": list(chart.subjects),
+    }
+
 
 _PFA = (1e-4, 1e-3, 1e-2)
 _MOST_LISTED = 40
@@ -56,7 +151,7 @@ _MOST_PIXELS = 1_000_000
 def warm() -> None:
     """Load what a first prediction and its charts would wait for."""
     answer = api.predict("yellow-planks-asphalt")
-    charts.charts_of({"predicted": answer})
+    charts_of({"predicted": answer})
 
 
 def predict(folder: str) -> dict[str, Any]:
@@ -69,7 +164,7 @@ def predict(folder: str) -> dict[str, Any]:
     return summary(prediction)
 
 
-def summary(prediction: Prediction) -> dict[str, Any]:
+def summary(prediction: PredictedProducts) -> dict[str, Any]:
     """Bands, mean SNR, and P_D at some P_FA with 95 % limits, a row for each curve."""
     rows = []
     for (subject, detector, unit), curve in prediction.roc.items():
@@ -100,7 +195,7 @@ def _number(value: Any) -> float | None:
 
 
 @lru_cache(maxsize=8)
-def _answer(folder: str) -> Prediction:
+def _answer(folder: str) -> PredictedProducts:
     return read_answer(Path(folder) / "answer.npz")
 
 
@@ -111,7 +206,7 @@ def draw(folder: str, earlier: str | None = None) -> None:
     if earlier is not None:
         sides["earlier"] = _answer(earlier)
         name = view_name(f"charts-{Path(earlier).name}")
-    _write(Path(folder) / name, charts.charts_of(sides))
+    _write(Path(folder) / name, charts_of(sides))
 
 
 @contextmanager
@@ -135,9 +230,7 @@ def study(folder: str) -> dict[str, Any]:
     with _command("study", "study.yaml"):
         study_to_folder(Path(folder) / "study.yaml", Path(folder) / "results", show_progress=False)
     with (Path(folder) / "results" / "results.csv").open(encoding="utf-8", newline="") as file:
-        rows = [
-            {k: row[k] for k in ("subject", "method", "metric", "value", "unit")} for row in csv.DictReader(file)
-        ]
+        rows = [{k: row[k] for k in ("subject", "method", "metric", "value", "unit")} for row in csv.DictReader(file)]
     return {"rows": rows[:_MOST_LISTED], "left_out": max(0, len(rows) - _MOST_LISTED)}
 
 
@@ -154,10 +247,8 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
     raster = open_raster(place / sources["cube"])
     lines, samples, bands = raster.lines, raster.samples, raster.bands
     if lines * samples * bands > sources["most"]:
-        raise UsageError(
-            f"the cube has {lines * samples * bands:,} values", expected=f"at most {sources['most']:,}"
-        )
-    named = Sources(
+        raise UsageError(f"the cube has {lines * samples * bands:,} values", expected=f"at most {sources['most']:,}")
+    named = StarterSources(
         cube=place / sources["cube"],
         regions=[place / name for name in sources["regions"]],
         targets=place / sources["targets"] if sources["targets"] else None,
@@ -177,18 +268,6 @@ def pipeline(folder: str, sources: Mapping[str, Any]) -> dict[str, Any]:
         x, y = raster.transform @ (samples / 2, lines / 2)
         header["position"] = f"{raster.crs}, centre {x:.6g}, {y:.6g}"
     return _verdicts(place / "results") | {"header": header, "guesses": guesses}
-
-
-def pack(folder: str) -> None:
-    """Write the campaign of a pipeline with its files, so that it runs unchanged wherever it is unpacked."""
-    place = Path(folder)
-    part = place / "campaign.zip.part"
-    with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
-        for path in (place / "campaign.yaml", *sorted((place / "collection").iterdir())):
-            entry = zipfile.ZipInfo(path.relative_to(place).as_posix())  # of no day: the same bytes
-            with path.open("rb") as source, archive.open(entry, "w", force_zip64=True) as target:
-                shutil.copyfileobj(source, target)
-    part.replace(place / "campaign.zip")
 
 
 def sensor(path: str) -> dict[str, Any]:
@@ -254,7 +333,7 @@ def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     return out
 
 
-def _scores(observed: Observation, subject: str, detector: str, unit: str) -> tuple[list[float], list[float]]:
+def _scores(observed: ObservedProducts, subject: str, detector: str, unit: str) -> tuple[list[float], list[float]]:
     """Greatest scores of what a curve counts and of its background, as a map has them; none where halos count."""
     objects = observed.object_scores.get((subject, detector))
     if objects is None:
@@ -303,9 +382,9 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     product = collection.cube.quantity
     mine = SpectralEstimate(values, np.zeros((values.size, values.size)))
     sides: dict[str, Any] = {product: dict.fromkeys(getattr(predicted, product), mine)}
-    observed = Observation(cube.axis, **sides)
+    observed = ObservedProducts(cube.axis, **sides)
     chart = spectra_chart((predicted, observed), product, labels=("predicted", f"pixel ({line}, {sample})"))
-    _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [charts.plain(chart)] if chart else [])
+    _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [plain(chart)] if chart else [])
 
 
 def _write(path: Path, content: Any) -> None:
@@ -326,6 +405,6 @@ def _verdicts(results: Path) -> dict[str, Any]:
 
 TASKS: Mapping[str, Callable[..., Any]] = {
     "predict": predict, "draw": draw, "files": files, "study": study, "campaign": campaign,
-    "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor, "pack": pack,
+    "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor,
     "collection": collection,
 }  # fmt: skip

@@ -15,17 +15,14 @@ from starlette.responses import RedirectResponse, Response
 from hyperval.errors import UsageError
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
-from hyperval.study.schema import Input, Required, Study
+from hyperval.study.schema import Input, Required, StudyFile
 from hyperval.web.desk import Order
 from hyperval.web.forms import Form
-from hyperval.web.inputs import checked_scenario, form_data, marked, plain, yaml_text
-from hyperval.web.limits import Limits
+from hyperval.web.inputs import checked_scenario, form_data, marked, plain, predefined, yaml_text
 from hyperval.web.pages import form_parts, page, session_of
 from hyperval.web.pages_predict import scenario_of, texts_of, walk, with_action
-from hyperval.web.predefined import predefined
-from hyperval.web.refusal import Mistake, Refused, mistakes_of, said, to_show
-from hyperval.web.store import Run
-from hyperval.web.uploads import copies_of, files_of
+from hyperval.web.refusal import FieldMistake, Refused, copies_of, files_of, mistakes_of, said, to_show
+from hyperval.web.store import Limits, WebRun
 
 router = APIRouter(include_in_schema=False)
 _LEFT_OUT = re.compile(r"schema|references|atmosphere")
@@ -44,9 +41,7 @@ _FIRST: dict[str, Any] = {
             "grid": {"start": 0.005, "stop": 0.1, "count": 20},
         }
     ],
-    "outputs": [
-        {"name": "pd", "label": "P_D at P_FA 1e-3", "kind": "pd", "subject": "yellow plank 0.02", "pfa": 1e-3}
-    ],
+    "outputs": [{"name": "pd", "label": "P_D at P_FA 1e-3", "kind": "pd", "subject": "yellow plank 0.02", "pfa": 1e-3}],
     "plots": [{"kind": "lines", "x": "fill", "output": "pd"}],
 }
 
@@ -54,7 +49,7 @@ _FIRST: dict[str, Any] = {
 @lru_cache(maxsize=1)
 def study_form() -> Form:
     """The form of a study."""
-    return Form(Study, left_out=lambda path: _LEFT_OUT.fullmatch(path) is not None)
+    return Form(StudyFile, left_out=lambda path: _LEFT_OUT.fullmatch(path) is not None)
 
 
 @router.get("/trade")
@@ -83,7 +78,7 @@ def _run(request: Request, given: dict[str, list[str]]) -> Response:
 
 
 def _page(
-    request: Request, data: dict[str, Any], mistakes: list[Mistake] | None = None, status: int = 200
+    request: Request, data: dict[str, Any], mistakes: list[FieldMistake] | None = None, status: int = 200
 ) -> Response:
     nodes = study_form().nodes(data, _FIRST)
     errors = marked(mistakes or [], [node.path for node in walk(nodes)])
@@ -95,7 +90,7 @@ def _page(
     )  # fmt: skip
 
 
-def order_study(request: Request, data: Mapping[str, Any]) -> Run:
+def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     """Order a study of a predefined scenario, or of the scenario of a run of this session (``run:ID``).
 
     Raises
@@ -105,7 +100,7 @@ def order_study(request: Request, data: Mapping[str, Any]) -> Run:
     owner, state = session_of(request).owner, request.app.state
     limits: Limits = state.settings.limits
     try:
-        study = Study.model_validate(data)
+        study = StudyFile.model_validate(data)
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
     uploads = files_of(state.settings, owner)
@@ -116,7 +111,7 @@ def order_study(request: Request, data: Mapping[str, Any]) -> Run:
         scenario = predefined()[name]
     else:
         raise Refused(
-            422, [Mistake("scenario", f"one of {', '.join(predefined())}, or run: and the name of a run")]
+            422, [FieldMistake("scenario", f"one of {', '.join(predefined())}, or run: and the name of a run")]
         )
     mistakes = [*_of_size(study, limits), *_of_paths(study, scenario)]
     if mistakes:
@@ -127,11 +122,11 @@ def order_study(request: Request, data: Mapping[str, Any]) -> Run:
         "study", study.name, study.title, {"study.yaml": yaml_text(own), "scenario.yaml": text},
         copies_of(state.settings, owner, text, uploads),
     )  # fmt: skip
-    run: Run = state.desk.order(owner, order)
+    run: WebRun = state.desk.order(owner, order)
     return run
 
 
-def _of_size(study: Study, limits: Limits) -> Iterator[Mistake]:
+def _of_size(study: StudyFile, limits: Limits) -> Iterator[FieldMistake]:
     points, states = 1, 1
     for item in study.inputs:
         own = len(item.values) if item.values else item.grid.count if item.grid else 1
@@ -142,12 +137,12 @@ def _of_size(study: Study, limits: Limits) -> Iterator[Mistake]:
         points *= study.design.count
     points *= 1 + sum(q.scan + 40 for q in study.required) // 4
     if points > limits.points:
-        yield Mistake("inputs", f"{points:,} evaluations; this server takes at most {limits.points:,}")
+        yield FieldMistake("inputs", f"{points:,} evaluations; this server takes at most {limits.points:,}")
     if states > _MOST_STATES:
-        yield Mistake("inputs", f"{states} states of the atmosphere; this server takes at most {_MOST_STATES}")
+        yield FieldMistake("inputs", f"{states} states of the atmosphere; this server takes at most {_MOST_STATES}")
 
 
-def _of_paths(study: Study, scenario: Scenario) -> Iterator[Mistake]:
+def _of_paths(study: StudyFile, scenario: Scenario) -> Iterator[FieldMistake]:
     """Paths that lead nowhere, and values that cannot stand there."""
     items: list[tuple[str, Input | Required]] = [(f"inputs.{i}", item) for i, item in enumerate(study.inputs)]
     items += [(f"required.{i}", item) for i, item in enumerate(study.required)]
@@ -164,7 +159,7 @@ def _of_paths(study: Study, scenario: Scenario) -> Iterator[Mistake]:
             try:
                 with_settings(scenario, {move.path: value})
             except UsageError as error:
-                yield Mistake(f"{at}.path", said(error)[:400])
+                yield FieldMistake(f"{at}.path", said(error)[:400])
     for path in study.settings:
         if path.partition(".")[0] not in _SETTABLE:
-            yield Mistake("settings", f"{path!r} is not set from here")
+            yield FieldMistake("settings", f"{path!r} is not set from here")

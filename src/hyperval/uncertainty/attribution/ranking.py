@@ -1,9 +1,12 @@
-"""Which inputs explain residuals: the likelihood gained by freeing each, and their order."""
+"""Which inputs explain residuals: the likelihood gained by freeing each, and their order.
+
+Inputs whose uncertainty a scenario does not state, each with a usual one: they too may be the reason.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -11,12 +14,101 @@ import numpy.typing as npt
 from scipy import linalg, optimize, stats
 
 from hyperval.errors import UsageError
+from hyperval.prediction.departure import Given
+from hyperval.prediction.input import Kind, UncertainInput, form_in_words, number_input, spectral_input
+from hyperval.prediction.uncertainty import AEROSOL, SURROUNDINGS, WATER, field_spectrum_of, inputs_of
+from hyperval.scenario import SpectralForm
 from hyperval.uncertainty.attribution.residuals import Stack
+
+SHIFT_NM = 0.2
+SPREAD = 0.10
+FRACTION = 0.10
+# A surface that is described by another one of its kind: part of its reflectance, over so many nm together, along
+# the directions that hold nine tenths of its variance between 400 and 2500 nm.
+SURFACE, SURFACE_NM, SURFACE_DIRECTIONS = 0.10, 300.0, 4
+# Name, kind, path, usual size as a part of what stands there.
+_PARTS: tuple[tuple[str, Kind, str, float], ...] = (
+    (SURROUNDINGS, "scene", "light.surroundings", 0.10),
+    (AEROSOL, "atmosphere", "atmosphere.aot550", 0.10),
+    (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", 0.10),
+    ("sensor gain", "sensor", "sensor.gain", 0.01),
+    ("sensor noise", "sensor", "sensor.noise", 0.05),
+    ("fill of the targets", "scene", "fill", 0.05),
+    ("blur of the image", "scene", "blur", 0.10),
+)
+
+
+def assumed_inputs(given: Given) -> list[UncertainInput]:
+    """Every input of a scenario that may be off and whose uncertainty it does not state, with a usual one."""
+    stated = {item.path for item in inputs_of(given)}
+    return [item for item in _usual(given) if item.path not in stated]
+
+
+def _usual(given: Given) -> list[UncertainInput]:
+    unmoved = _unmoved(given)
+    inputs = [_part(given, *row) for row in _PARTS if row[2] not in unmoved]
+    if given.scenario.atmosphere is not None:
+        path, words = "sensor.wavelength_shift_nm", f"{SHIFT_NM:g} nm"
+        inputs.append(
+            number_input(given, "wavelength shift", "sensor", path, np.array([SHIFT_NM]), source="usual", words=words)
+        )
+    classes = given.scenario.scene.classes
+    for c in classes:
+        inputs.append(_part(given, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD))
+    inputs += _spectra(given)
+    for c in classes if len(classes) > 1 else ():
+        if 0 < c.fraction < 1:
+            inputs.append(_part(given, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION))
+            if len(classes) == 2:
+                break  # the other one's is the same input
+    return inputs
+
+
+def _part(given: Given, name: str, kind: Kind, path: str, part: float) -> UncertainInput:
+    one = number_input(given, name, kind, path, np.zeros(1), source="usual", words=f"{100 * part:g} %")
+    return replace(one, rows=part * np.atleast_1d(np.asarray(one.nominal, dtype=float))[None, :])
+
+
+def _unmoved(given: Given) -> set[str]:
+    """Paths of usual inputs that this scenario does not have."""
+    scenario, state = given.scenario, given.scenario.atmosphere
+    paths = set()
+    if state is None:
+        paths |= {"light.surroundings", "sensor.noise"}
+    if state is None or state.engine == "table" or not state.aerosol_optical_depth:
+        paths.add("atmosphere.aot550")
+    if state is None or state.engine == "table" or not state.water_vapour_g_cm2:
+        paths.add("atmosphere.water_vapour_g_cm2")
+    fills = [p.fill for t in scenario.scene.targets for p in t.populations]
+    if not fills:
+        paths.add("fill")
+    if not any(np.any(f.geometry.psf_fwhm_pixels or 0.0) for f in fills if f.geometry is not None):
+        paths.add("blur")
+    return paths
+
+
+def _spectra(given: Given) -> list[UncertainInput]:
+    """Mean spectra that the collection itself does not vouch for.
+
+    Those of targets are left out: mixed with their hosts they look like their fill, which is there already.
+    """
+    scene, form = given.scenario.scene, SpectralForm(correlation_nm=SURFACE_NM)
+    inputs = []
+    for s in (*scene.classes, *scene.panels, *scene.sites):
+        if s.spectrum.measured is None:
+            sd = SURFACE * np.nan_to_num(given.surfaces[s.name].mean)
+            one = spectral_input(given, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
+            words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
+            inputs.append(replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words))
+    return inputs
+
 
 Array = npt.NDArray[np.float64]
 
 ALL = "all"
 ENOUGH = 0.05  # p-value from which residuals count as explained
+# A stated uncertainty is too wide where the data refute, at this level, all that is less than so many times so.
+TOO_WIDE, TOO_WIDE_LEVEL = 1.5, 1e-3
 MOST_STEPS = 3
 COMMON, DIFFERENT = "what all subjects share", "what differs between subjects"
 MOST_UNITS = 10.0  # an input that would have to move farther is no reason
@@ -75,6 +167,8 @@ class Ranking:
     chi_square, dof, p_value : under the stated uncertainties
     ranked : by gain, the greatest first
     together : the best one, then the best of what it leaves, until that is enough
+    parts : of all residuals, what spectra share and what they differ in: each a test of its own
+    level : p-value below which the residuals are not explained; shared out among the groups of one attribution
     """
 
     group: str
@@ -83,13 +177,35 @@ class Ranking:
     p_value: float
     ranked: tuple[Ranked, ...]
     together: tuple[Ranked, ...]
+    parts: tuple[Ranking, ...] = ()
+    level: float = ENOUGH
+
+    @property
+    def explained(self) -> bool:
+        """Whether the stated uncertainties explain the residuals and, where there are parts, each part of them."""
+        return all(r.p_value >= self.level for r in (self, *self.parts))
+
+    @property
+    def times_too_wide(self) -> float:
+        """How many times too wide the stated uncertainties are at least: c^2 r^T C^-1 r = chi2_n at the level."""
+        return float(np.sqrt(stats.chi2.ppf(TOO_WIDE_LEVEL, self.dof) / max(self.chi_square, 1e-300)))
+
+    @property
+    def too_wide(self) -> bool:
+        """Whether the stated uncertainties are far wider than the residuals."""
+        return self.explained and self.times_too_wide > TOO_WIDE
 
     @property
     def conclusion(self) -> str:
         """What a reader should take from it."""
         before = f"reduced chi-square {self.chi_square / self.dof:.3g} of {self.dof} residuals"
-        if self.p_value >= ENOUGH:
+        if self.too_wide:
+            return f"stated uncertainty at least {self.times_too_wide:.2g} times too wide: {before}"
+        if self.explained:
             return f"nothing to explain: {before} (p = {self.p_value:.2g})"
+        if self.p_value >= self.level:
+            names = " and ".join(f"{r.group} (p = {r.p_value:.2g})" for r in self.parts if r.p_value < self.level)
+            return f"the sum hides what its parts show: {before} (p = {self.p_value:.2g}), but not explained: {names}"
         if not self.together:
             return f"no input explains anything: {before} (p = {self.p_value:.2g})"
         best, last = self.together[0], self.together[-1]
@@ -122,13 +238,15 @@ def rankings(
     def part(of: npt.NDArray[np.intp]) -> tuple[Array, Array, dict[Candidate, Array]]:
         return residual[of], covariance[np.ix_(of, of)], {c: g[of] for c, g in columns.items() if _moves(g[of], g)}
 
-    out = [ranking(ALL, residual, covariance, columns)]
+    parts: list[Ranking] = []
     spectra, common = stack.common_bands()
     if common.size and len(spectra) > common.shape[1]:
         r, c, moved = part(spectra)
-        out += [ranking(group, *parts) for group, parts in common_and_own(r, c, common, moved).items()]
+        parts = [ranking(group, *data) for group, data in common_and_own(r, c, common, moved).items()]
+    out = [replace(ranking(ALL, residual, covariance, columns), parts=tuple(parts)), *parts]
     subjects = [s for s in dict.fromkeys(b.subject for b in stack.blocks) if any(fnmatchcase(s, p) for p in each)]
-    return out + [ranking(subject, *part(stack.indices_of(subject))) for subject in subjects]
+    out += [ranking(subject, *part(stack.indices_of(subject))) for subject in subjects]
+    return [replace(r, level=ENOUGH / len(out)) for r in out]
 
 
 def ranking(

@@ -9,21 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
 from hyperval.processing.intervals import Z95
-from hyperval.processing.roc_reading import detection_at
+from hyperval.processing.roc_model import detection_at
 from hyperval.products import Products, RocCurve, ScoreDistribution, SpectralEstimate, background_of
-from hyperval.spectra.windows import in_window
+from hyperval.spectra.axis import in_window
 
 POINTS = (1e-2, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
-class Quantity:
+class ComparedQuantity:
     """One number of both sides.
 
     Attributes
@@ -41,9 +42,9 @@ class Quantity:
     read: Callable[[Products], float]
 
 
-def quantities(predicted: Products, observed: Products) -> list[Quantity]:
+def quantities(predicted: Products, observed: Products) -> list[ComparedQuantity]:
     """Predicted over observed mean in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3."""
-    items: list[Quantity] = []
+    items: list[ComparedQuantity] = []
     for product in ("radiance", "reflectance", "snr", "toa_reflectance"):
         left, right = getattr(predicted, product), getattr(observed, product)
         for subject in right:
@@ -68,7 +69,7 @@ def quantities(predicted: Products, observed: Products) -> list[Quantity]:
                 estimate: SpectralEstimate = getattr(p, product)[subject]
                 return float(np.mean(estimate.mean[use])) / level
 
-            items.append(Quantity(product, subject, "", "ratio_windows", 1.0, ratio))
+            items.append(ComparedQuantity(product, subject, "", "ratio_windows", 1.0, ratio))
     for key, curve in observed.roc.items():
         there = predicted.roc.get(key)
         if there is None or key[2] != "pixel":
@@ -81,7 +82,7 @@ def quantities(predicted: Products, observed: Products) -> list[Quantity]:
                 return float(detection_at(p.roc[key], at))
 
             name = f"pd@{pfa:.0e}".replace("e-0", "e-")
-            items.append(Quantity("roc", key[0], f"{key[1]}/{key[2]}", name, pd(observed), pd))
+            items.append(ComparedQuantity("roc", key[0], f"{key[1]}/{key[2]}", name, pd(observed), pd))
     return items
 
 
@@ -89,7 +90,7 @@ Array = npt.NDArray[np.float64]
 
 # Numerical error of the model itself: what interpolation and rounding may do.  It keeps well sampled quantities
 # from deciding alone.
-SPECTRUM_FLOOR = 2e-3  # of the value, each band by itself: what closure with simulated collections leaves
+SPECTRUM_FLOOR = 1e-4  # of the value, each band by itself: what closure with simulated collections leaves
 SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
 LOG_FLOOR = 0.02  # of the logarithm of a standard deviation
 _SPECTRA = ("radiance", "reflectance", "toa_reflectance")
@@ -99,7 +100,7 @@ LEAST_ALARMS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class ResidualBlock:
     """One compared quantity.
 
     Attributes
@@ -108,8 +109,10 @@ class Block:
     observed : (n,) what the collection says
     covariance : (n, n) of the error of ``observed``, the numerical floor of the model included
     read : the same (n,) from a prediction
-    read_variance : (n,) variances that a prediction states for it, None where it states none
+    read_covariance : (n, n) error covariance that a prediction states for it, None where it states none
     bands : (n,) index of the band of each entry, None for what is no spectrum
+    calibration : (B, B) relative error covariance that all spectra of the collection share, in all bands; None
+        without
     """
 
     product: str
@@ -118,15 +121,16 @@ class Block:
     observed: Array
     covariance: Array
     read: Callable[[Products], Array]
-    read_variance: Callable[[Products], Array] | None = None
+    read_covariance: Callable[[Products], Array] | None = None
     bands: npt.NDArray[np.intp] | None = None
+    calibration: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Stack:
     """Several blocks as one vector."""
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[ResidualBlock, ...]
 
     @property
     def observed(self) -> Array:
@@ -135,20 +139,32 @@ class Stack:
 
     @property
     def covariance(self) -> Array:
-        """(n, n): the data of different blocks err independently of each other."""
-        return np.asarray(linalg.block_diag(*[b.covariance for b in self.blocks]))
+        """(n, n): different blocks err independently of each other, but for the calibration that spectra share."""
+        out = np.asarray(linalg.block_diag(*[b.covariance for b in self.blocks]))
+        placed = list(zip(self.blocks, self.slices(), strict=True))
+        for (a, rows), (b, columns) in permutations(placed, 2):
+            if a.calibration is None or a.bands is None or b.calibration is None or b.bands is None:
+                continue
+            shared = a.calibration[np.ix_(a.bands, b.bands)]
+            out[rows, columns] = np.outer(a.observed, b.observed) * shared
+        return out
 
     def predicted(self, prediction: Products) -> Array:
         """(n,) what a prediction says of the same quantities."""
         return np.concatenate([b.read(prediction) for b in self.blocks])
 
-    def predicted_variance(self, prediction: Products) -> Array:
-        """(n,) variances that a prediction states of its spectra; 0 for what it states none of."""
-        parts = [
-            np.zeros(b.observed.size) if b.read_variance is None else b.read_variance(prediction)
-            for b in self.blocks
-        ]
-        return np.concatenate(parts)
+    def stated_beyond(self, prediction: Products, budget: Array) -> Array:
+        """(n, n) what a prediction's own error covariances hold beyond ``budget`` (n, n), each spectrum by itself.
+
+        An input moves all spectra at once by its first directions alone; what they leave has its covariance from
+        band to band still: counted as independent in each band it would be many times too wide.
+        """
+        out = np.zeros_like(budget)
+        for block, place in zip(self.blocks, self.slices(), strict=True):
+            if block.read_covariance is not None:
+                values, vectors = np.linalg.eigh(block.read_covariance(prediction) - budget[place, place])
+                out[place, place] = (vectors * np.clip(values, 0.0, None)) @ vectors.T
+        return out
 
     def single_bands(self) -> Array:
         """(n, K) the spectra band by band: column k holds what all subjects show in one band, 0 elsewhere."""
@@ -186,7 +202,7 @@ class Stack:
 
 def stacked(predicted: Products, observed: Products) -> Stack:
     """Everything both sides hold, as far as both have values there."""
-    blocks: list[Block] = []
+    blocks: list[ResidualBlock] = []
     # Pixels that a target fills in part are judged by their scores: their mean spectrum is that of their mean fill.
     mixed = {subject for subject, _ in predicted.scores}
     for name, estimate in observed.radiance.items():
@@ -205,7 +221,7 @@ def stacked(predicted: Products, observed: Products) -> Stack:
     return Stack((*blocks, *_false_alarms(predicted, observed)))
 
 
-def _spectrum(product: str, subject: str, predicted: Products, estimate: SpectralEstimate) -> list[Block]:
+def _spectrum(product: str, subject: str, predicted: Products, estimate: SpectralEstimate) -> list[ResidualBlock]:
     there = getattr(predicted, product).get(subject)
     if there is None:
         return []
@@ -221,13 +237,19 @@ def _spectrum(product: str, subject: str, predicted: Products, estimate: Spectra
     def read(p: Products) -> Array:
         return np.asarray(getattr(p, product)[subject].mean[use])
 
-    def variance(p: Products) -> Array:
-        return np.nan_to_num(np.diag(getattr(p, product)[subject].error_covariance)[use])
+    def stated(p: Products) -> Array:
+        return np.asarray(np.nan_to_num(getattr(p, product)[subject].error_covariance[np.ix_(use, use)]))
 
-    return [Block(product, subject, "", estimate.mean[use], covariance, read, variance, np.flatnonzero(use))]
+    relative = None
+    if estimate.calibration is not None:
+        level = np.where(estimate.mean == 0.0, np.inf, estimate.mean)
+        relative = estimate.calibration / np.outer(level, level)
+    return [
+        ResidualBlock(product, subject, "", estimate.mean[use], covariance, read, stated, np.flatnonzero(use), relative)
+    ]
 
 
-def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> list[Block]:
+def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> list[ResidualBlock]:
     there = predicted.snr.get(subject)
     if there is None:
         return []
@@ -242,11 +264,11 @@ def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> list[
     def read(p: Products) -> Array:
         return np.asarray(np.log(np.maximum(p.snr[subject].mean[use], 1e-3)))
 
-    return [Block("snr", subject, "", np.log(value), covariance, read)]
+    return [ResidualBlock("snr", subject, "", np.log(value), covariance, read)]
 
 
-def _scores(predicted: Products, observed: Products) -> list[Block]:
-    blocks: list[Block] = []
+def _scores(predicted: Products, observed: Products) -> list[ResidualBlock]:
+    blocks: list[ResidualBlock] = []
     seen: set[tuple[float, float, str]] = set()
     for (subject, detector), score in observed.scores.items():
         there = predicted.scores.get((subject, detector))
@@ -266,7 +288,7 @@ def _usable(score: ScoreDistribution) -> bool:
     return score.n is not None and score.n >= 3 and np.isfinite(score.mean) and score.sd > 0
 
 
-def _moments(subject: str, detector: str, score: ScoreDistribution) -> Block:
+def _moments(subject: str, detector: str, score: ScoreDistribution) -> ResidualBlock:
     """Mean and logarithm of the standard deviation, from n normal scores: variances s^2/n and 1/(2 (n - 1))."""
     n = score.n or 0
     variances = [score.sd**2 / n + SCORE_FLOOR**2, 0.5 / (n - 1) + LOG_FLOOR**2]
@@ -275,7 +297,9 @@ def _moments(subject: str, detector: str, score: ScoreDistribution) -> Block:
         scores = p.scores[subject, detector]
         return np.array([scores.mean, np.log(scores.sd)])
 
-    return Block("scores", subject, detector, np.array([score.mean, np.log(score.sd)]), np.diag(variances), read)
+    return ResidualBlock(
+        "scores", subject, detector, np.array([score.mean, np.log(score.sd)]), np.diag(variances), read
+    )
 
 
 def few_objects(observed: Products, subject: str, detector: str) -> bool:
@@ -284,9 +308,9 @@ def few_objects(observed: Products, subject: str, detector: str) -> bool:
     return objects is not None and score is not None and (score.n or 0) > objects.values.size
 
 
-def _objects(predicted: Products, observed: Products) -> list[Block]:
+def _objects(predicted: Products, observed: Products) -> list[ResidualBlock]:
     """Mean score of the objects of a subject; its variance is what the model itself gives single objects."""
-    blocks: list[Block] = []
+    blocks: list[ResidualBlock] = []
     for (subject, detector), objects in observed.object_scores.items():
         there = predicted.object_scores.get((subject, detector))
         values = objects.values[np.isfinite(objects.values)]
@@ -298,13 +322,13 @@ def _objects(predicted: Products, observed: Products) -> list[Block]:
         def read(p: Products, key: tuple[str, str] = key) -> Array:
             return np.array([float(np.mean(p.object_scores[key].values))])
 
-        blocks.append(Block("scores", subject, detector, np.array([values.mean()]), variance, read))
+        blocks.append(ResidualBlock("scores", subject, detector, np.array([values.mean()]), variance, read))
     return blocks
 
 
-def _false_alarms(predicted: Products, observed: Products) -> list[Block]:
+def _false_alarms(predicted: Products, observed: Products) -> list[ResidualBlock]:
     """Logarithm of the false-alarm rate at the thresholds that the data reach 1e-2 and 1e-3 with."""
-    blocks: list[Block] = []
+    blocks: list[ResidualBlock] = []
     seen: set[tuple[str, float]] = set()
     for (subject, detector, unit), curve in observed.roc.items():
         there = predicted.roc.get((subject, detector, unit))
@@ -325,7 +349,7 @@ def _false_alarms(predicted: Products, observed: Products) -> list[Block]:
         def read(p: Products, key: tuple[str, str, str] = key, at: Array = thresholds) -> Array:
             return log_false_alarm_rate(p.roc[key], at)
 
-        blocks.append(Block("roc", background_of(subject), detector, np.log(rates), np.diag(variance), read))
+        blocks.append(ResidualBlock("roc", background_of(subject), detector, np.log(rates), np.diag(variance), read))
     return blocks
 
 

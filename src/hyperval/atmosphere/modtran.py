@@ -1,0 +1,1054 @@
+"""The user's own MODTRAN: started in a folder of its own for the runs that give the terms of a state.
+
+``HYPERVAL_MODTRAN`` names the executable, ``HYPERVAL_MODTRAN_VERSION`` says 4, 5 or 6 (default 6), and
+``HYPERVAL_MODTRAN_DATA`` the DATA folder of versions 4 and 5 (default: beside the executable).
+
+What MODTRAN wrote: channel files (``.chn``), and spectral output (``tape7``, ``.tp7``) in radiance mode.
+
+Fields of ``tape7`` can be blank, so rows are cut at columns and never split at spaces.  Its radiance is per
+wavenumber, W cm-2 sr-1 / cm-1, as in the file.
+
+The terms of equation 3.7 from what MODTRAN wrote.
+
+With the same atmosphere over uniform ground of reflectance rho (3.7 with rho_m = rho_ave = rho):
+
+    ground(rho) = A rho / (1 - S rho)            GRND_RFLT
+    path(rho)   = L_a + B rho / (1 - S rho)      SOL_SCAT, which holds SING_SCAT already
+
+so rho / ground = 1/A - (S/A) rho is a straight line: two albedos above 0 give A and S, the black run gives L_a, the
+brightest B.  DRCT_RFLT / GRND_RFLT tells the sun from the sky.  Emission (PTH_THRML, SURF_EMIS) is part of L_a, as
+the black run has it.
+
+MODTRAN's input for a state: ``tape5`` of versions 4 and 5, JSON of version 6, for the runs that the model needs.
+
+Columns follow the lists of cards in the user's manuals (MODTRAN4 v3r1, MODTRAN 5.2.2); column 51 of card 1A belongs
+to SOLCON there, and real decks have a flag in it.
+
+What a run template of MODTRAN 6 (JSON input) states of the atmosphere, the sun and the ground.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import json
+import os
+import shutil
+import signal
+import subprocess
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from datetime import UTC, datetime, timedelta
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.atmosphere import solar
+from hyperval.atmosphere import state as visibility
+from hyperval.atmosphere.cache import Arrays, cached
+from hyperval.atmosphere.state import AerosolMix, AtmosphericState
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.errors import EngineError, InputError, UsageError, reader
+from hyperval.progress import track
+from hyperval.storage import ending_with_this_process, is_no_program, scratch_folder, sha256_of
+from hyperval.units import radiance_per_wavelength, radiance_to_internal
+
+Array = npt.NDArray[np.float64]
+
+MAX_BYTES = 256 << 20
+_COLUMNS = 26  # numeric columns, then the description
+_RADIANCE = radiance_to_internal("W cm-2 sr-1 nm-1")
+END_MARK = "-9999."
+RADIANCE_COLUMNS = (
+    "FREQ", "TOT_TRANS", "PTH_THRML", "THRML_SCT", "SURF_EMIS", "SOL_SCAT", "SING_SCAT", "GRND_RFLT", "DRCT_RFLT",
+    "TOTAL_RAD", "REF_SOL", "SOL@OBS", "DEPTH", "DIR_EM", "TOA_SUN", "BBODY_T[K]",
+)  # fmt: skip
+# TOTAL_RAD is the sum of these; five digits are printed of each.
+TOTAL_PARTS = ("PTH_THRML", "SURF_EMIS", "SOL_SCAT", "GRND_RFLT")
+SUM_TOLERANCE = 9e-5
+# A channel's radiance [W cm-2 sr-1] is its mean radiance times its width, and the sum of its parts; printed are
+# seven digits of radiances, four decimals of the width.
+_CHANNEL, _MEAN, _WIDTH, _PARTS, _NUMBER = 6, 4, 8, slice(11, 17), 2
+_CHANNEL_TOLERANCE, _WIDTH_STEP_NM = 1e-5, 1e-4
+_LEAST_RADIANCE = 1e-28  # W cm-2 sr-1 / cm-1: below the range of the format's exponent digits nothing adds up
+_LONGEST_HEAD = 2000  # lines of cards before the column names, with user profiles
+_SURREF = slice(73, 80)
+
+
+def text_lines(path: Path, expected: str, limit: int | None = None) -> list[str]:
+    """Lines of a text file, or of a ``.gz`` of one, of at most ``limit`` bytes unpacked; default 256 MiB.
+
+    Raises
+    ------
+    InputError : missing, unreadable or too large; ``expected`` says what the file should have been.
+    """
+    path, limit = Path(path), limit or MAX_BYTES
+    try:
+        if path.stat().st_size > limit:
+            raise InputError(f"larger than {limit} bytes", where=str(path), expected=expected)
+        with gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb") as stream:
+            raw = stream.read(limit + 1)
+    except FileNotFoundError as error:
+        raise InputError("no such file", where=str(path)) from error
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"cannot read: {error}", where=str(path)) from error
+    if len(raw) > limit:
+        raise InputError(f"unpacks to more than {limit} bytes", where=str(path))
+    return raw.decode("ascii", "replace").splitlines()
+
+
+def fixed_columns(line: str, ends: list[int], where: str, *, blank: float | None = None) -> list[float]:
+    """The numbers of one row, cut at the given column ends; ``blank`` stands for an empty field.
+
+    Raises
+    ------
+    InputError : a field that is no finite number, an empty field where ``blank`` is None, or text beyond the
+        last column.
+    """
+    values = []
+    for start, end in zip([0, *ends[:-1]], ends, strict=True):
+        field = line[start:end].strip()
+        if not field and blank is not None:
+            values.append(blank)
+            continue
+        try:
+            value = float(field)
+        except ValueError as error:
+            raise InputError(f"{field!r} in columns {start + 1}-{end}", where=where, expected="a number") from error
+        if not np.isfinite(value):
+            raise InputError(f"a value that is not finite in columns {start + 1}-{end}", where=where)
+        values.append(value)
+    return values
+
+
+@dataclass(frozen=True)
+class ChannelBlock:
+    """One table of a channel file: one run over ground of one reflectance.
+
+    Attributes
+    ----------
+    wavelength_nm : (n,) spectral moments [nm]
+    width_nm : (n,) equivalent widths [nm]
+    radiance : (n,) total radiance [uW cm-2 sr-1 nm-1]
+    thermal : (n,) emitted part of it (path emission, path scatter, surface) [same]
+    path : (n,) solar radiance scattered into the path, from ground of this block's reflectance too [same]
+    ground : (n,) radiance of the viewed ground [same]
+    ground_of_sun : (n,) part of it that the direct sun lights [same]
+    unit_radiance : (n,) mu0 E0 / pi [same]
+    direct, diffuse : (n,) reflectance coefficients A and B [1]
+    spherical_albedo : (n,) [1]
+    path_transmittance : (n,) ground to sensor, direct [1]
+    """
+
+    wavelength_nm: Array
+    width_nm: Array
+    radiance: Array
+    thermal: Array
+    path: Array
+    ground: Array
+    ground_of_sun: Array
+    unit_radiance: Array
+    direct: Array
+    diffuse: Array
+    spherical_albedo: Array
+    path_transmittance: Array
+
+    def reflectance(self) -> float:
+        """Ground reflectance of the run, from ground = F A rho / (1 - S rho); the file does not state it."""
+        full = self.unit_radiance * self.direct
+        bright = full > 0.05 * full.max()
+        if not np.any(bright):
+            return 0.0
+        ratio = self.ground[bright] / full[bright]
+        return float(np.median(ratio / (1.0 + self.spherical_albedo[bright] * ratio)))
+
+    def path_over_black(self) -> Array:
+        """L_a [uW cm-2 sr-1 nm-1]: emission and path radiance less what uniform ground adds to it."""
+        rho = self.reflectance()
+        added = self.unit_radiance * self.diffuse * rho / (1.0 - self.spherical_albedo * rho)
+        return self.thermal + self.path - added
+
+
+@reader
+def read_chn_blocks(path: Path) -> list[ChannelBlock]:
+    """All tables of a channel file, in their order.
+
+    Raises
+    ------
+    InputError : missing, too large, not such a file, a row that contradicts itself, channels missing between the
+        first and the last, tables of different length, or a last line that is cut off.
+    """
+    lines = text_lines(Path(path), "a MODTRAN .chn file")
+    blocks: list[ChannelBlock] = []
+    number = 0
+    while number < len(lines):
+        if not _is_rule(lines[number]):
+            number += 1
+            continue
+        ends = _column_ends(lines[number], f"{path}:{number + 1}")
+        rows: list[list[float]] = []
+        number += 1
+        while number < len(lines) and lines[number].strip():
+            rows.append(_row(lines[number], ends, f"{path}:{number + 1}", len(rows) + 1))
+            number += 1
+        if not rows:
+            raise InputError("a table without rows", where=f"{path}:{number + 1}")
+        if blocks and len(rows) != blocks[0].wavelength_nm.size:
+            raise InputError(
+                f"a table of {len(rows)} channels",
+                where=f"{path}:{number}",
+                expected=f"{blocks[0].wavelength_nm.size}, as in the first table",
+                mend="copy the file again: it is cut short",
+            )
+        # Sensors with overlapping spectrometers list their channels out of order.
+        blocks.append(_block(np.array(sorted(rows, key=lambda row: row[0]))))
+    if not blocks:
+        raise InputError("no channel table", where=str(path), expected="a MODTRAN .chn file")
+    return blocks
+
+
+def _block(t: Array) -> ChannelBlock:
+    width = t[:, 8]
+
+    def density(column: Array) -> Array:
+        """Channel radiance [W cm-2 sr-1] to average spectral radiance."""
+        return np.asarray(column / width * _RADIANCE)
+
+    return ChannelBlock(
+        wavelength_nm=t[:, 0],
+        width_nm=width,
+        radiance=t[:, 4] * _RADIANCE,
+        thermal=density(t[:, 11] + t[:, 12] + t[:, 13]),
+        path=density(t[:, 14] + t[:, 15]),
+        ground=density(t[:, 16]),
+        ground_of_sun=density(t[:, 17]),
+        unit_radiance=density(t[:, 18]),
+        direct=t[:, 21],
+        diffuse=t[:, 22],
+        spherical_albedo=t[:, 23],
+        path_transmittance=t[:, 24],
+    )
+
+
+def _is_rule(line: str) -> bool:
+    return line.startswith("----") and not line.strip("- ")
+
+
+def _column_ends(rule: str, where: str) -> list[int]:
+    """Where each column ends, from the line of dashes under the heads."""
+    ends = [i + 1 for i, c in enumerate(rule) if c == "-" and (i + 1 == len(rule) or rule[i + 1] != "-")]
+    if len(ends) != _COLUMNS + 1:
+        raise InputError(f"{len(ends)} columns", where=where, expected=f"the {_COLUMNS} columns of MODTRAN 5.3 or 6")
+    return ends[:_COLUMNS]
+
+
+def _row(line: str, ends: list[int], where: str, channel: int) -> list[float]:
+    if len(line) < ends[-1]:
+        raise InputError(f"a line of {len(line)} characters", where=where, expected=f"{ends[-1]} or more")
+    values = fixed_columns(line, ends, where)
+    if values[_WIDTH] <= 0.0:
+        raise InputError(f"equivalent width {values[_WIDTH]:g} nm", where=where, expected="a positive width")
+    if values[_NUMBER] != channel:
+        raise InputError(f"channel {values[_NUMBER]:g}", where=where, expected=f"channel {channel}, the next one")
+    whole, product, parts = values[_CHANNEL], values[_MEAN] * values[_WIDTH], sum(values[_PARTS])
+    rounding = _CHANNEL_TOLERANCE * abs(whole)
+    if abs(product - whole) > rounding + abs(values[_MEAN]) * _WIDTH_STEP_NM or abs(parts - whole) > rounding:
+        raise InputError(
+            f"channel radiance {whole:.6E}, mean radiance times width {product:.6E}, sum of its parts {parts:.6E}",
+            where=where, expected="the same three times", mend="copy the file again: it is damaged",
+        )  # fmt: skip
+    return values
+
+
+@dataclass(frozen=True)
+class Tape7Case:
+    """One case of a tape7 file.
+
+    Attributes
+    ----------
+    head : the echoed input cards, as lines
+    columns : name -> (n,) values, NaN where blank; ``FREQ`` is the wavenumber [cm-1]
+    where : file and line of the column names
+    """
+
+    head: tuple[str, ...]
+    columns: dict[str, Array]
+    where: str
+
+    @property
+    def wavenumber_cm(self) -> Array:
+        """(n,) [cm-1], increasing."""
+        return self.columns["FREQ"]
+
+    def column(self, name: str) -> Array:
+        """A column with 0 where the file is blank: a term that the run did not compute."""
+        return np.nan_to_num(self.columns[name], nan=0.0)
+
+    def albedo(self) -> float | None:
+        """Ground reflectance of the run: SURREF of the first card, else 1 - DIR_EM where it is constant."""
+        text = self.head[0][_SURREF] if self.head else ""
+        try:
+            value = float(text)
+        except ValueError:
+            value = -1.0
+        if 0.0 <= value <= 1.0:
+            return value
+        emissivity = self.columns["DIR_EM"]
+        if not np.all(np.isfinite(emissivity)) or np.ptp(emissivity) > 1e-4:
+            return None
+        return round(float(1.0 - np.median(emissivity)), 4)
+
+
+@reader
+def read_tape7(path: Path) -> list[Tape7Case]:
+    """All cases of a ``tape7`` or ``.tp7`` file, packed or not.
+
+    Raises
+    ------
+    InputError : missing, too large, not a tape7, a row that does not fit its columns, radiances that do not
+        sum up to TOTAL_RAD, or no end mark (with file:line).
+    """
+    lines = text_lines(Path(path), "MODTRAN tape7 output")
+    cases: list[Tape7Case] = []
+    number = start = 0
+    while number < len(lines):
+        if not lines[number].lstrip().startswith("FREQ"):
+            number += 1
+            if number - start > _LONGEST_HEAD:
+                raise InputError("no column names", where=f"{path}:{number}", expected="a line that begins with FREQ")
+            continue
+        case, number = _case(lines, start, number, str(path))
+        cases.append(case)
+        start = number
+    if not cases:
+        raise InputError("no table", where=str(path), expected="MODTRAN tape7 output")
+    if any(line.strip() for line in lines[start:]):
+        raise InputError("a case without a table", where=f"{path}:{start + 1}", expected="a whole tape7 file")
+    return cases
+
+
+def _case(lines: list[str], start: int, number: int, path: str) -> tuple[Tape7Case, int]:
+    """The case whose cards begin at ``start`` and whose column names stand at ``number``; and what follows."""
+    where = f"{path}:{number + 1}"
+    ends = _layout(lines[number], where)
+    first = number + 1
+    rows: list[list[float]] = []
+    for i in range(first, len(lines)):
+        line = lines[i]
+        if line.strip().startswith("-9999"):
+            break
+        row = f"{path}:{i + 1}"
+        if line[ends[-1] :].strip():
+            raise InputError(f"text beyond column {ends[-1]}", where=row, expected=f"{len(ends)} columns")
+        values = fixed_columns(line, ends, row, blank=np.nan)
+        if not np.isfinite(values[0]) or (rows and values[0] <= rows[-1][0]):
+            raise InputError(f"wavenumber {values[0]:g}", where=row, expected="wavenumbers that increase")
+        rows.append(values)
+    else:
+        raise InputError("the table has no end", where=where, expected=f"a last line {END_MARK}")
+    if not rows:
+        raise InputError("a table without rows", where=where)
+    columns = dict(zip(RADIANCE_COLUMNS, np.array(rows).T, strict=True))
+    case = Tape7Case(tuple(line.rstrip() for line in lines[start:number]), columns, where)
+    _check_total(case, path, first)
+    return case, i + 1
+
+
+def _layout(heading: str, where: str) -> list[int]:
+    """Where each column ends: its name ends there, so that the widths of another release show in the heading."""
+    names = heading.split()
+    if tuple(names) != RADIANCE_COLUMNS:
+        raise InputError(
+            f"unknown columns: {' '.join(names[:6])} ...",
+            where=where,
+            expected="tape7 of MODTRAN 4 or 5 in radiance mode with the sun (IEMSCT 2)",
+        )
+    ends, at = [], 0
+    for name in names:
+        at = heading.index(name, at) + len(name)
+        ends.append(at)
+    return ends
+
+
+def _check_total(case: Tape7Case, path: str, first: int) -> None:
+    total = case.column("TOTAL_RAD")
+    parts = sum((case.column(name) for name in TOTAL_PARTS), np.zeros_like(total))
+    wrong = np.flatnonzero(np.abs(total - parts) > SUM_TOLERANCE * np.abs(total) + _LEAST_RADIANCE)
+    if wrong.size:
+        i = int(wrong[0])
+        raise InputError(
+            f"TOTAL_RAD {total[i]:.4E} is not the sum of its parts {parts[i]:.4E}",
+            where=f"{path}:{first + i + 1}",
+            expected=" + ".join(TOTAL_PARTS) + f" within {SUM_TOLERANCE:g}",
+        )
+
+
+GREATEST_ALBEDO_OF_AIR = 0.9  # a spherical albedo beyond it is rounding of a ground radiance near zero
+_LEAST_TRANSMITTANCE = 1e-4
+_LINES_NM = 4.0  # resolved lines: a window's level is the largest value this close to it
+_FWHM_PER_WIDTH = 2.0 * np.sqrt(np.log(2.0) / np.pi)  # 0.9394, a Gaussian of that equivalent width
+# Places between absorption bands where a channel's transmittance is scattering alone, nearly.
+_CONTINUUM_NM = (412.0, 443.0, 490.0, 670.0, 780.0, 865.0, 1040.0, 1240.0, 1640.0)
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """A, B and S of the runs: (n,) each, A and B in the unit of the radiances."""
+
+    direct: Array
+    adjacency: Array
+    spherical_albedo: Array
+
+
+def solve_coefficients(
+    albedos: Sequence[float], ground: npt.ArrayLike, path: npt.ArrayLike, spherical_albedo: Array | None = None
+) -> Coefficients:
+    """A, B and S that reproduce the runs (3.7 over uniform ground).
+
+    Parameters
+    ----------
+    albedos : reflectance of each run: one 0, and two different ones above it; the least and the greatest of these
+        are reproduced exactly, others are left as a check
+    ground, path : (runs, n) ground-reflected and scattered radiance, any one unit
+    spherical_albedo : (n,) taken where no light is reflected; None: interpolated from where it is
+
+    Raises
+    ------
+    UsageError : albedos that do not determine the terms.
+    """
+    rho = checked_albedos(albedos, len(albedos))
+    seen, scattered = np.asarray(ground, dtype=float), np.asarray(path, dtype=float)
+    black, low, high = (rho.index(r) for r in (0.0, min(r for r in rho if r > 0.0), max(rho)))
+    lit = (seen[low] > 0.0) & (seen[high] > 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at_low, at_high = rho[low] / seen[low], rho[high] / seen[high]
+        slope = (at_high - at_low) / (rho[high] - rho[low])  # -S/A
+        inverse = at_low - slope * rho[low]  # 1/A
+        s = -slope / inverse
+    known = lit & np.isfinite(s) & (s > -0.01) & (s < GREATEST_ALBEDO_OF_AIR)
+    if spherical_albedo is None:
+        index = np.arange(s.size)
+        spherical_albedo = np.interp(index, index[known], s[known]) if known.any() else np.zeros(s.size)
+    s = np.maximum(np.where(known, s, spherical_albedo), 0.0)
+    from_bright = (1.0 - s * rho[high]) / rho[high]
+    return Coefficients(seen[high] * from_bright, (scattered[high] - scattered[black]) * from_bright, s)
+
+
+def checked_albedos(albedos: Sequence[float], runs: int) -> list[float]:
+    """The albedos of so many runs as a list, when they determine the terms; raises UsageError."""
+    rho = [float(a) for a in albedos]
+    positive = {a for a in rho if a > 0.0}
+    if len(rho) != runs:
+        raise UsageError(f"{len(rho)} albedos for {runs} runs")
+    if rho.count(0.0) != 1 or len(positive) < 2 or len(positive) != len(rho) - 1 or max(rho) > 1.0:
+        raise UsageError(
+            f"albedos {rho}",
+            expected="one run over black ground and two or more over different brighter ground, 0-1",
+            mend="hand in the albedos where the runs do not state them (nan)",
+        )
+    return rho
+
+
+def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
+    """Terms at the wavenumbers of tape7 cases in radiance mode, turned to radiance per wavelength.
+
+    Parameters
+    ----------
+    cases : runs that differ in nothing but the ground
+    albedos : their ground reflectance; None: what the cases say (SURREF, or 1 - DIR_EM)
+
+    Raises
+    ------
+    UsageError : albedos unknown or insufficient.
+    InputError : cases of different wavenumbers.
+    """
+    for case in cases:
+        if not np.array_equal(case.wavenumber_cm, cases[0].wavenumber_cm):
+            raise InputError("other wavenumbers than the first run", where=case.where)
+    stated = [case.albedo() for case in cases] if albedos is None else albedos
+    rho = checked_albedos([np.nan if a is None else a for a in stated], len(cases))
+    nu = cases[0].wavenumber_cm
+
+    def per_wavelength(case: Tape7Case, *names: str) -> Array:
+        """Sum of columns [uW cm-2 sr-1 nm-1], by increasing wavelength."""
+        total = sum((case.column(name) for name in names), np.zeros(nu.size))
+        return radiance_per_wavelength(total, nu)[::-1]
+
+    black, bright = cases[rho.index(0.0)], cases[rho.index(max(rho))]
+    return _terms(
+        rho,
+        [per_wavelength(case, "GRND_RFLT") for case in cases],
+        [per_wavelength(case, "SOL_SCAT") for case in cases],
+        1e7 / nu[::-1],
+        emission=per_wavelength(black, "PTH_THRML", "SURF_EMIS"),
+        sun=per_wavelength(black, "TOA_SUN"),
+        sunlit=per_wavelength(bright, "DRCT_RFLT"),
+        transmittance=black.column("TOT_TRANS")[::-1],
+        reach_nm=_LINES_NM,
+        solved_from=[case.where for case in cases],
+    )
+
+
+def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
+    """Terms at the channels of a channel file's blocks, from their radiances instead of the printed coefficients.
+
+    The printed spherical albedo is used where no light is reflected.  ``albedos`` None: found from each block, to
+    0.01.
+
+    Raises
+    ------
+    UsageError : albedos that do not determine the terms.
+    InputError : blocks of different channels.
+    """
+    for block in blocks:
+        if not np.array_equal(block.wavelength_nm, blocks[0].wavelength_nm):
+            raise InputError("the blocks of the channel file have different channels")
+    stated = [round(b.reflectance(), 2) for b in blocks] if albedos is None else albedos
+    rho = checked_albedos(stated, len(blocks))
+    black, bright = blocks[rho.index(0.0)], blocks[rho.index(max(rho))]
+    terms = _terms(
+        rho,
+        [b.ground for b in blocks],
+        [b.path for b in blocks],
+        black.wavelength_nm,
+        emission=black.thermal,
+        sun=black.unit_radiance,
+        sunlit=bright.ground_of_sun,
+        transmittance=black.path_transmittance,
+        spherical_albedo=black.spherical_albedo,
+    )
+    return replace(terms, fwhm_nm=_FWHM_PER_WIDTH * black.width_nm, diffuser_radiance=black.unit_radiance)
+
+
+def _terms(
+    rho: list[float], ground: Sequence[Array], path: Sequence[Array], wavelength_nm: Array, *,
+    emission: Array, sun: Array, sunlit: Array, transmittance: Array, spherical_albedo: Array | None = None,
+    reach_nm: float = 0.0, **record: object,
+) -> AtmosphericTerms:  # fmt: skip
+    """Terms that reproduce runs.
+
+    ``emission``, ``sun`` and ``transmittance`` are those of the black run, ``sunlit`` is the part of the brightest
+    ground's radiance that the sun lights; ``record`` goes into the provenance.
+    """
+    solution = solve_coefficients(rho, ground, path, spherical_albedo)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        efficiency = np.where(sun > 0.0, solution.direct / sun, 0.0)
+        share = sunlit / max(rho) / solution.direct
+    return AtmosphericTerms(
+        wavelength_nm=wavelength_nm,
+        path_radiance=path[rho.index(0.0)] + emission,
+        direct=solution.direct,
+        adjacency=solution.adjacency,
+        spherical_albedo=solution.spherical_albedo,
+        ground_irradiance=_ground_irradiance(solution.direct, transmittance),
+        gas_transmittance=over_continuum(wavelength_nm, efficiency, reach_nm),
+        provenance={
+            "engine": "MODTRAN",
+            **record,
+            "albedos": rho,
+            "solar_spectrum": "of the MODTRAN run",
+            "emission": "of the black run, part of the path radiance",
+        },
+        diffuse_fraction=_diffuse(share),
+    )
+
+
+def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
+    """Terms from the output of several runs: a channel file of several blocks, or tape7 files of one or more cases.
+
+    Raises
+    ------
+    InputError, UsageError : as :func:`read_tape7`, :func:`read_chn_blocks` and the solvers.
+    """
+    if not paths:
+        raise UsageError("no MODTRAN output named", expected="a .chn file, or one or more tape7 files")
+    if all(_is_chn(path) for path in paths):
+        return terms_from_blocks([b for path in paths for b in read_chn_blocks(path)], albedos)
+    return terms_from_tape7([case for path in paths for case in read_tape7(path)], albedos)
+
+
+def _is_chn(path: Path) -> bool:
+    return Path(path).name.removesuffix(".gz").endswith(".chn")
+
+
+def _ground_irradiance(direct: Array, transmittance: Array) -> Array:
+    """pi A / (direct transmittance of the path) [uW cm-2 nm-1]; NaN where the path is opaque."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(transmittance > _LEAST_TRANSMITTANCE, np.pi * direct / transmittance, np.nan)
+
+
+def _diffuse(sun_share: Array) -> Array:
+    """Sky's part of the irradiance of black ground, 1 - DRCT_RFLT / (A rho); in the dark that of the neighbours."""
+    known = np.isfinite(sun_share)
+    if not known.any():
+        return np.zeros(sun_share.size)
+    index = np.arange(sun_share.size)
+    return np.clip(1.0 - np.interp(index, index[known], sun_share[known]), 0.0, 1.0)
+
+
+@reader
+def read_chn(path: Path) -> AtmosphericTerms:
+    """Terms at the channels of a MODTRAN ``.chn`` (or ``.chn.gz``) file, from the coefficients that it prints.
+
+    Over bright ground they fall short of the radiance in the same file by up to 1 % in all (A 0.1-0.6 %, B 2-9 %):
+    of three runs and more :func:`read_modtran_runs` gives terms that reproduce them.
+
+    The run with the darkest ground gives the path radiance.  The terms are channel averages; the file
+    holds no gas transmittance apart from scattering, so ``gas_transmittance`` is the coefficient A over
+    its continuum through the windows: good for sorting windows from absorption, no more.  The
+    ground irradiance is pi F A / (direct transmittance of the path), NaN where that vanishes.
+
+    Raises
+    ------
+    InputError : missing, not a channel file, a row that does not fit its columns (with file:line).
+    """
+    blocks = read_chn_blocks(path)
+    block = min(blocks, key=ChannelBlock.reflectance)
+    direct = block.unit_radiance * block.direct
+    return AtmosphericTerms(
+        wavelength_nm=block.wavelength_nm,
+        path_radiance=block.path_over_black(),
+        direct=direct,
+        adjacency=block.unit_radiance * block.diffuse,
+        spherical_albedo=block.spherical_albedo,
+        ground_irradiance=_ground_irradiance(direct, block.path_transmittance),
+        gas_transmittance=over_continuum(block.wavelength_nm, block.direct),
+        provenance={"engine": "MODTRAN", "file": str(path), "blocks": len(blocks)},
+        fwhm_nm=_FWHM_PER_WIDTH * block.width_nm,
+        diffuser_radiance=block.unit_radiance,
+    )
+
+
+def over_continuum(wavelength_nm: Array, coefficient: Array, reach_nm: float = 0.0) -> Array:
+    """A coefficient over its continuum through the windows, 0-1; (n,), a stand-in for gas transmittance.
+
+    ``reach_nm`` takes the largest value within that distance of a window, for spectra with resolved lines.
+    """
+    inside = [w for w in _CONTINUUM_NM if wavelength_nm[0] <= w <= wavelength_nm[-1]]
+    if not inside:
+        return np.clip(coefficient / max(float(coefficient.max()), 1e-30), 0.0, 1.0)
+    if reach_nm > 0.0:
+        level = np.array([coefficient[np.abs(wavelength_nm - w) <= reach_nm].max(initial=0.0) for w in inside])
+    else:
+        level = np.interp(inside, wavelength_nm, coefficient)
+    continuum = np.exp(np.interp(np.log(wavelength_nm), np.log(inside), np.log(np.maximum(level, 1e-30))))
+    return np.asarray(np.clip(coefficient / continuum, 0.0, 1.0))
+
+
+# Spectral range and step of the runs: wider than 340-2600 nm; 5 cm-1 is 0.08 nm at 400 nm and 3 nm at 2.5 um.
+FIRST_CM, LAST_CM, STEP_CM = 3800.0, 29500.0, 5.0
+CO2_PPM = 400.0
+STREAMS = 8
+ALBEDOS = (0.0, 0.1, 0.5)  # of the uniform ground of the runs: enough for A, B, S and L_a
+_EARTH_RADIUS_KM = 6371.23
+
+MODELS = {
+    "tropical": (1, "ATM_TROPICAL"),
+    "midlatitude-summer": (2, "ATM_MIDLAT_SUMMER"),
+    "midlatitude-winter": (3, "ATM_MIDLAT_WINTER"),
+    "subarctic-summer": (4, "ATM_SUBARC_SUMMER"),
+    "subarctic-winter": (5, "ATM_SUBARC_WINTER"),
+    "us-standard-1962": (6, "ATM_US_STANDARD_1976"),  # MODTRAN has the one of 1976
+}
+HAZES = {
+    "none": (0, "AER_NONE"),
+    "rural": (1, "AER_RURAL"),
+    "maritime": (4, "AER_MARITIME"),
+    "urban": (5, "AER_URBAN"),
+    "desert": (10, "AER_DESERT"),
+}
+
+
+def _haze(state: AtmosphericState) -> tuple[int, str]:
+    """IHAZE of the card and of the JSON input: none where there is no aerosol, since a range of 0 is a default."""
+    if isinstance(state.aerosol, AerosolMix) or state.aerosol not in HAZES:
+        name = "a mix" if isinstance(state.aerosol, AerosolMix) else state.aerosol
+        raise UsageError(f"aerosol: MODTRAN has no {name}", expected="one of " + ", ".join(HAZES))
+    return HAZES[state.aerosol if state.aerosol_optical_depth > 0.0 else "none"]
+
+
+def _angles(state: AtmosphericState) -> tuple[float, float, float]:
+    """Zenith of the line of sight at the sensor (180: nadir), zenith of the sun, its azimuth less the sensor's.
+
+    A straight line over a round Earth, without refraction; the sun's angles are those at the ground.
+    """
+    zenith, azimuth = state.sun
+    sine = np.sin(np.deg2rad(state.view_zenith_deg)) * (
+        (_EARTH_RADIUS_KM + state.ground_altitude_km) / (_EARTH_RADIUS_KM + state.sensor_altitude_km)
+    )
+    return 180.0 - float(np.rad2deg(np.arcsin(sine))), zenith, (azimuth - state.view_azimuth_deg) % 360.0
+
+
+def _day(state: AtmosphericState) -> int:
+    """Day of the year; for a stated distance the day of the first half-year that has it."""
+    if state.day_of_year is not None:
+        return state.day_of_year
+    if state.time_utc is not None:
+        return solar.parse_utc(state.time_utc).timetuple().tm_yday
+    distance = state.distance_au
+    return min(range(4, 186), key=lambda day: abs(solar.distance_on_day(day) - distance))
+
+
+def tape5(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, version: int = 5) -> str:
+    """The deck: one case for each albedo of uniform ground, radiance with the sun, from the ground to the sensor.
+
+    Parameters
+    ----------
+    state : atmosphere, sun and sensor
+    albedos : reflectance of the ground of each case, 0-1
+    version : 4 or 5, which differ in cards 1, 1A and 4.  Version 4 takes the aerosol as meteorological range (the
+        LOWTRAN rule), version 5 as optical depth at 550 nm
+
+    Raises
+    ------
+    UsageError : no run, an unknown version, or a state that MODTRAN cannot be told.
+    """
+    if version not in (4, 5):
+        raise UsageError(f"no cards of MODTRAN {version}", expected="version 4 or 5")
+    lines: list[str] = []
+    for number, albedo in enumerate(_checked(albedos), 1):
+        lines += _cards(state, albedo, version)
+        lines.append(f"{1 if number < len(albedos) else 0:5d}")  # card 5: another case follows
+    return "\n".join(lines) + "\n"
+
+
+def _checked(albedos: Sequence[float]) -> Sequence[float]:
+    if not albedos or not all(0.0 <= a <= 1.0 for a in albedos):
+        raise UsageError(f"runs over ground of {list(albedos)}", expected="one or more, of reflectance 0 to 1")
+    return albedos
+
+
+def _cards(state: AtmosphericState, albedo: float, version: int) -> list[str]:
+    five, zero, none = version == 5, "     0.000", "    0"
+    haze, depth, ground_km = _haze(state)[0], state.aerosol_optical_depth, state.ground_altitude_km
+    view, sun, azimuth = _angles(state)
+    amount = 0.0
+    if haze:
+        amount = -depth if five else visibility.range_from_aot550(depth, ground_km)
+    columns = _amount("g", state.water_vapour_g_cm2) + _amount("a", state.ozone_atm_cm)
+    end_1a = " F F F F F  0.000000" + 4 * zero + "         0" if five else " F F F F       0.000"
+    return [
+        # 1: MODTRN SPEED (BINARY LYMOLC) MODEL ITYPE IEMSCT IMULT M1-M6 MDEF I_RD2C NOPRNT TPTEMP SURREF
+        f"CM{'F ' if five else '  '}{MODELS[state.model][0]}    2    2   -1{8 * none}    1   0.000{albedo:7.4f}",
+        # 1A: DIS DISAZM (DISALB) NSTR (SFWHM, or LSUN ISUN) CO2MX H2OSTR O3STR, flags, SOLCON and what follows it
+        f"TT{'F' if five else ''}{STREAMS:3d}{'  0.' if five else 'F   0'}{CO2_PPM:10.3f}{columns}{end_1a}",
+        # 2: IHAZE ISEASN IVULCN ICSTL ICLD IVSA VIS WSS WHH RAINRT GNDALT
+        f"{haze:5d}{5 * none}{amount:10.4f}{3 * zero}{ground_km:10.4f}",
+        # 3: H1 H2 ANGLE RANGE BETA RO LENN PHI (CKRANG)
+        f"{state.sensor_altitude_km:10.3f}{ground_km:10.3f}{view:10.3f}{3 * zero}{none}     {zero}"
+        + (zero if five else ""),
+        # 3A1: IPARM IPH IDAY ISOURC; 3A2: PARM1-PARM4 TIME PSIPO ANGLEM G
+        f"   12    2{_day(state):5d}{none}",
+        f"{azimuth:10.4f}{sun:10.4f}{2 * zero}    0.0000{3 * zero}",
+        # 4: V1 V2 DV FWHM YFLAG XFLAG DLIMIT FLAGS (MLFLX VRFRAC)
+        f"{FIRST_CM:10.3f}{LAST_CM:10.3f}{STEP_CM:10.3f}{STEP_CM:10.3f}RW" + (f"{'0':>18}{zero}" if five else ""),
+    ]
+
+
+def _amount(unit: str, value: float | None) -> str:
+    """Ten columns: the unit's letter and the amount; blank keeps the model's own."""
+    return " " * 10 if value is None else f"  {unit}{value:7.5f}"
+
+
+def modtran6_json(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, name: str = "hyperval") -> str:
+    """The input of MODTRAN 6: one case for each albedo of uniform ground, all under one name and so in one output.
+
+    Raises
+    ------
+    UsageError : no run, or a state that MODTRAN cannot be told.
+    """
+    cases = [{"MODTRANINPUT": _json_case(state, a, number, name)} for number, a in enumerate(_checked(albedos))]
+    return json.dumps({"MODTRAN": cases}, indent=2) + "\n"
+
+
+def _json_case(state: AtmosphericState, albedo: float, number: int, name: str) -> dict[str, Any]:
+    view, sun, azimuth = _angles(state)
+    atmosphere: dict[str, Any] = {"MODEL": MODELS[state.model][1], "CO2MX": CO2_PPM}
+    if state.water_vapour_g_cm2 is not None:
+        atmosphere |= {"H2OSTR": state.water_vapour_g_cm2, "H2OUNIT": "g"}
+    if state.ozone_atm_cm is not None:
+        atmosphere |= {"O3STR": state.ozone_atm_cm, "O3UNIT": "a"}
+    haze, haze_name = _haze(state)
+    aerosols: dict[str, Any] = {"IHAZE": haze_name}
+    if haze:
+        aerosols["VIS"] = -state.aerosol_optical_depth  # negative: optical depth at 550 nm
+    return {
+        "NAME": name,
+        "DESCRIPTION": "",
+        "CASE": number,
+        "RTOPTIONS": {
+            "MODTRN": "RT_CORRK_FAST", "LYMOLC": False, "T_BEST": False, "IEMSCT": "RT_SOLAR_AND_THERMAL",
+            "IMULT": "RT_DISORT", "DISALB": False, "NSTR": STREAMS, "SOLCON": 0.0,
+        },
+        "ATMOSPHERE": atmosphere,
+        "AEROSOLS": aerosols,
+        "GEOMETRY": {
+            "ITYPE": 3, "H1ALT": state.sensor_altitude_km, "OBSZEN": view, "IDAY": _day(state),
+            "IPARM": 12, "PARM1": azimuth, "PARM2": sun,
+        },
+        "SURFACE": {
+            "GNDALT": state.ground_altitude_km, "SURFTYPE": "REFL_CONSTANT", "NSURF": 1, "SURREF": albedo,
+        },
+        "SPECTRAL": {
+            "V1": FIRST_CM, "V2": LAST_CM, "DV": STEP_CM,
+            "FWHM": STEP_CM, "YFLAG": "R", "XFLAG": "W", "FLAGS": "W      ", "BMNAME": "05_2013",
+        },
+        "FILEOPTIONS": {"NOPRNT": 1, "CKPRNT": True},
+    }  # fmt: skip
+
+
+_WHAT = "MODTRAN 6 JSON input"
+_MAX_BYTES = 16 << 20
+_MODELS = {name: state for state, (_, name) in MODELS.items()}
+_HAZES = {name: state for state, (_, name) in HAZES.items()}
+_NADIR_DEG = 0.5  # a line of sight this close to the vertical is one
+_COMMON_YEAR = 2018  # the input has a day of the year and no year
+
+
+@reader
+def read_modtran_json(path: Path) -> list[dict[str, Any]]:
+    """The MODTRANINPUT of every case of a MODTRAN 6 JSON input file.
+
+    Raises
+    ------
+    InputError : missing, too large, not JSON, or not MODTRAN input.
+    """
+    try:
+        document = json.loads("\n".join(text_lines(path, _WHAT, _MAX_BYTES)))
+    except json.JSONDecodeError as error:
+        raise InputError(f"not JSON: {error.msg}", where=f"{path}:{error.lineno}") from error
+    except RecursionError as error:
+        raise InputError("not JSON: nested too deeply", where=str(path)) from error
+    cases = document.get("MODTRAN") if isinstance(document, dict) else None
+    if not isinstance(cases, list) or not cases:
+        raise InputError("no list MODTRAN", where=str(path), expected=_WHAT)
+    for number, case in enumerate(cases):
+        if not isinstance(case, dict) or not isinstance(case.get("MODTRANINPUT"), dict):
+            raise InputError("no MODTRANINPUT", where=f"{path}, case {number}", expected=_WHAT)
+    return [case["MODTRANINPUT"] for case in cases]
+
+
+def stated_fields(inputs: dict[str, Any], where: str) -> dict[str, Any]:
+    """Fields of :class:`AtmosphericState` that one case of MODTRAN 6 input states, and no others.
+
+    A meteorological range stands as such, a negative one as ``aot550``; the sun by place and time is turned into
+    angles (the year does not matter to 0.1 degree).
+
+    Raises
+    ------
+    InputError : a value of the wrong kind.
+    """
+    try:
+        sections = [inputs.get(name, {}) for name in ("ATMOSPHERE", "AEROSOLS", "GEOMETRY", "SURFACE")]
+        atmosphere, aerosols, geometry, surface = sections
+        fields: dict[str, Any] = _air(atmosphere) | _template_haze(aerosols) | _sun(geometry)
+        if "GNDALT" in surface:
+            fields["ground_altitude_km"] = float(surface["GNDALT"])
+        if "H1ALT" in geometry:
+            fields["sensor_altitude_km"] = float(geometry["H1ALT"])
+        if 90.0 - abs(float(geometry.get("OBSZEN", 180.0)) - 90.0) <= _NADIR_DEG:
+            fields["view_zenith_deg"] = 0.0
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InputError(f"a value of the wrong kind: {error}", where=where, expected=_WHAT) from error
+    return fields
+
+
+def stated_albedo(inputs: dict[str, Any]) -> float | None:
+    """Ground reflectance of a case over uniform ground; None where it does not state one."""
+    surface = inputs.get("SURFACE", {})
+    if surface.get("SURFTYPE") == "REFL_CONSTANT" and isinstance(surface.get("SURREF"), int | float):
+        return float(surface["SURREF"])
+    name = str(surface.get("SURFP", {}).get("CSALB", ""))
+    if surface.get("NSURF", 1) == 1 and name.startswith("LAMB_CONST_") and name.endswith("_PCT"):
+        return int(name.removeprefix("LAMB_CONST_").removesuffix("_PCT")) / 100.0
+    return None
+
+
+def _air(section: dict[str, Any]) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
+    if section.get("MODEL") in _MODELS:
+        fields["model"] = _MODELS[section["MODEL"]]
+    if str(section.get("H2OUNIT", "")).lower() == "g":
+        fields["water_vapour_g_cm2"] = float(section["H2OSTR"])
+    if str(section.get("O3UNIT", "")).lower() == "a":
+        fields["ozone_atm_cm"] = float(section["O3STR"])
+    return fields
+
+
+def _template_haze(section: dict[str, Any]) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
+    if section.get("IHAZE") in _HAZES:
+        fields["aerosol"] = _HAZES[section["IHAZE"]]
+    amount = float(section.get("VIS", 0.0))
+    if amount != 0.0 and fields.get("aerosol") != "none":
+        fields |= {"aot550": -amount} if amount < 0.0 else {"meteorological_range_km": amount}
+    return fields
+
+
+def _sun(geometry: dict[str, Any]) -> dict[str, Any]:
+    day = int(geometry["IDAY"]) if geometry.get("IDAY") else None
+    fields: dict[str, Any] = {} if day is None else {"day_of_year": day}
+    if geometry.get("IPARM") in (2, 12):
+        fields["solar_zenith_deg"] = float(geometry["PARM2"])
+    elif geometry.get("IPARM") in (1, 11) and day is not None and "GMTIME" in geometry:
+        when = datetime(_COMMON_YEAR, 1, 1, tzinfo=UTC) + timedelta(days=day - 1, hours=float(geometry["GMTIME"]))
+        longitude = (-float(geometry["PARM2"]) + 180.0) % 360.0 - 180.0  # MODTRAN counts west
+        zenith, azimuth = solar.solar_position(float(geometry["PARM1"]), longitude, when)
+        fields |= {"solar_zenith_deg": zenith, "solar_azimuth_deg": azimuth}
+    return fields
+
+
+EXECUTABLE, VERSION, DATA = "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
+TIMEOUT_S = 3600.0
+_NAME = "hyperval"
+_MESSAGE_BYTES = 4000
+_NAMES = [f.name for f in fields(AtmosphericTerms) if f.name not in ("provenance", "solar_lines")]
+_HOW = f"set {EXECUTABLE} to your MODTRAN executable (and {VERSION} to 4, 5 or 6), or choose engine: sixs or table"
+_SCHEME = 1  # raise when the numbers in the cache change their meaning
+
+
+@dataclass(frozen=True)
+class Modtran:
+    """An installed MODTRAN: its executable, version 4, 5 or 6, and for 4 and 5 its DATA folder."""
+
+    executable: Path
+    version: int
+    data: Path | None
+
+
+def configured_modtran() -> Modtran:
+    """The MODTRAN that the environment names.
+
+    Raises
+    ------
+    EngineError : none is named, it cannot be executed, or the version is unknown; the message says how to mend it.
+    """
+    named = os.environ.get(EXECUTABLE, "").strip()
+    if not named:
+        raise EngineError("no MODTRAN is configured", expected=f"{EXECUTABLE} in the environment", mend=_HOW)
+    program = shutil.which(named)
+    if program is None:
+        raise EngineError("not an executable file", where=f"{EXECUTABLE}={named}", mend=_HOW)
+    version = os.environ.get(VERSION, "6").strip()
+    if version not in ("4", "5", "6"):
+        raise EngineError(f"{VERSION}={version}", expected="4, 5 or 6", mend=_HOW)
+    executable = Path(program).resolve()
+    data = os.environ.get(DATA, "").strip()
+    folder = Path(data) if data else executable.parent / "DATA"
+    if not folder.is_dir():
+        if data:
+            raise EngineError("not a folder", where=f"{DATA}={data}", expected="the DATA folder of MODTRAN")
+        folder = None  # type: ignore[assignment]
+    return Modtran(executable, int(version), folder.resolve() if folder else None)
+
+
+def run_modtran(deck: str, modtran: Modtran, folder: Path, timeout_s: float = TIMEOUT_S) -> Path:
+    """Start MODTRAN on a deck in ``folder`` and return its output file: a ``.tp7``, ``tape7`` or ``.chn``.
+
+    Raises
+    ------
+    EngineError : it cannot be started, takes longer than ``timeout_s``, fails, or leaves no output.
+    """
+    if modtran.version == 6:
+        named, candidates = [f"{_NAME}.json"], [f"{_NAME}.tp7", f"{_NAME}.chn"]
+    else:
+        named, candidates = [], ["tape7", "tape5.tp7"]
+        if modtran.data is not None:
+            (folder / "DATA").symlink_to(modtran.data)
+    (folder / "".join(named or ["tape5"])).write_text(deck, encoding="ascii")
+    _start([str(modtran.executable), *named], folder, timeout_s)
+    for name in candidates:
+        if (folder / name).is_file():
+            return folder / name
+    raise EngineError(
+        f"MODTRAN left none of {', '.join(candidates)}: {_last_words(folder)}",
+        where=str(modtran.executable),
+        mend=f"check that {VERSION} is right (now {modtran.version}) and that MODTRAN runs by itself",
+    )
+
+
+def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | None = None) -> AtmosphericTerms:
+    """The terms of a state by the configured MODTRAN: runs over ground of 0, 0.1 and 0.5, solved and cached.
+
+    Raises
+    ------
+    EngineError : no MODTRAN, or it failed.
+    InputError : its output cannot be read.
+    UsageError : a state that MODTRAN cannot be told.
+    """
+    modtran = configured_modtran()
+    six = modtran.version == 6
+    deck = modtran6_json(state, name=_NAME) if six else tape5(state, version=modtran.version)
+    binary = _fingerprint(str(modtran.executable), modtran.executable.stat().st_mtime_ns)
+    inputs = {"scheme": _SCHEME, "binary": binary, "version": modtran.version, "deck": deck}
+
+    def compute() -> Arrays:
+        with scratch_folder("modtran") as scratch:
+            for _ in track([0], f"MODTRAN {modtran.version}", total=1, show=show_progress):
+                output = run_modtran(deck, modtran, Path(scratch))
+            terms = read_modtran_runs([output], ALBEDOS)
+        values = {name: getattr(terms, name) for name in _NAMES if getattr(terms, name) is not None}
+        # The cache takes no NaN: irradiance that cannot be told is stored as -1.
+        return {name: np.nan_to_num(array, nan=-1.0) for name, array in values.items()}
+
+    values: dict[str, Any] = dict(cached(folder, "modtran", inputs, compute))
+    irradiance = values.pop("ground_irradiance")
+    return AtmosphericTerms(
+        **values,
+        ground_irradiance=np.where(irradiance < 0.0, np.nan, irradiance),
+        provenance={
+            "engine": f"MODTRAN {modtran.version}",
+            "executable_sha256": binary,
+            "albedos": list(ALBEDOS),
+            "solar_spectrum": "of the MODTRAN run",
+            "emission": "of the black run, part of the path radiance",
+            "state": state.model_dump(mode="json"),
+        },
+    )
+
+
+@lru_cache(maxsize=4)
+def _fingerprint(executable: str, changed_ns: int) -> str:
+    return sha256_of(Path(executable))
+
+
+def _start(command: list[str], folder: Path, timeout_s: float) -> None:
+    """Run the command in ``folder``; what it says goes to a file, and its children end with it."""
+    with open(folder / "messages.txt", "wb") as messages:
+        try:
+            process = subprocess.Popen(  # noqa: S603
+                ending_with_this_process(command), cwd=folder, stdin=subprocess.DEVNULL, stdout=messages,
+                stderr=messages, start_new_session=True,
+            )  # fmt: skip
+        except OSError as error:
+            raise EngineError(f"MODTRAN cannot be started: {error.strerror}", where=command[0], mend=_HOW) from error
+        try:
+            code = process.wait(timeout=timeout_s)
+        except subprocess.TimeoutExpired as error:
+            raise EngineError(f"MODTRAN ran longer than {timeout_s:g} s", where=command[0]) from error
+        finally:
+            if process.poll() is None:
+                with contextlib.suppress(OSError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+    if is_no_program(code):
+        raise EngineError(f"MODTRAN cannot be started: {_last_words(folder)}", where=command[0], mend=_HOW)
+    if code != 0:
+        raise EngineError(
+            f"MODTRAN ended with code {code}: {_last_words(folder)}",
+            where=command[0],
+            mend="run it by itself to see that licence and data are in place",
+        )
+
+
+def _last_words(folder: Path) -> str:
+    with open(folder / "messages.txt", "rb") as messages:
+        messages.seek(0, os.SEEK_END)
+        messages.seek(max(messages.tell() - _MESSAGE_BYTES, 0))
+        text = messages.read().decode("utf-8", "replace")
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1][:200] if lines else "no message"

@@ -1,0 +1,229 @@
+"""Absorption that oxygen owes to collisions: the smooth bands at 1.27 and 1.06 um.
+
+Two molecules that meet absorb where one alone does not, so the absorption coefficient goes with the
+product of two densities (binary absorption):
+
+    k(nu) = K(nu) rho_O2 rho_air        tau = K(nu) integral of rho_O2 rho_air dz
+
+Densities are in amagat (one at 273.15 K and 1013.25 hPa), K in cm-1 amagat-2, for air of 21 % oxygen.
+The 6S engine knows the lines of these bands only.
+
+What MODTRAN 6 has over the embedded engine: gases by air mass and water, aerosol's path, spherical albedo.
+
+The band model of 6S is off by a pattern that is the same in every state, so it is corrected.  In each channel
+
+    T_MODTRAN / T_6S = exp(-dry(nm) a - water(nm) u)
+
+with a the air on the light's way [atm, slanted] and u the water on it [g cm-2, slanted].  Two further
+patterns belong to the rural aerosol: how much of it 6S sees in the path radiance, and its part in the spherical
+albedo, which the aerosol of the free troposphere does not share.
+The numbers (``engine_ratio.csv``) and their errors come from ``validation/atmosphere/engine_ratio.py``;
+docs/atmosphere.md tells how well they predict states that they were not made from.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, fields
+from functools import cache
+from importlib import resources
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import expn
+
+from hyperval.atmosphere import state as visibility
+from hyperval.atmosphere.state import AtmosphericState, Profile, column_g_cm2, pressure_at, pressures_at, scaled_profile
+
+Array = npt.NDArray[np.float64]
+
+FILE: Final = "engine_ratio.csv"
+# Slanted amounts up to which the states of MODTRAN reach.  Beyond them absorption grows with the root of the
+# amount, as that of strong lines does, with the slope it has there.
+GREATEST_AIR_ATM, GREATEST_WATER_G_CM2 = 1.8, 4.6
+# From this height on LOWTRAN's profile is the same for every haze: finer aerosol than the rural type.
+FREE_TROPOSPHERE_KM = 5.0
+# At most this part of what 6S absorbs is taken back: the absorption of strong lines grows with the root of their
+# amount, so that with half of it left more water lets no more light through.
+_GREATEST_SHARE_BACK = 0.5
+_STANDARD_HPA = 1013.25
+
+
+@dataclass(frozen=True)
+class Way:
+    """Air [atm] and water [g cm-2] on a slanted way."""
+
+    air_atm: float
+    water_g_cm2: float
+
+
+@dataclass(frozen=True)
+class EngineRatio:
+    """Corrections by wavelength, (n,) each.
+
+    Attributes
+    ----------
+    wavelength_nm : increasing [nm]
+    dry : optical depth per slanted atmosphere of air [1]
+    water : optical depth per slanted g cm-2 of water vapour [cm2 g-1]
+    path : factor on the rural aerosol's part of the path radiance [1]
+    albedo : factor on the rural aerosol's part of the spherical albedo [1]
+    """
+
+    wavelength_nm: Array
+    dry: Array
+    water: Array
+    path: Array
+    albedo: Array
+
+    def gas(self, wavelength_nm: Array, air_atm: float, water_g_cm2: float) -> Array:
+        """(n,) factor on the transmittance of the gases over a way with so much air and water [1]."""
+        air = _strong_line(air_atm, GREATEST_AIR_ATM)
+        water = _strong_line(water_g_cm2, GREATEST_WATER_G_CM2)
+        depth = self.dry * air + self.water * water
+        return np.asarray(np.exp(-np.interp(wavelength_nm, self.wavelength_nm, depth)))
+
+    def within(self, wavelength_nm: Array, way: Way, dry_depth: Array, water_depth: Array) -> EngineRatio:
+        """The ratio at (n,) wavelengths; neither part takes back more than half of the engine's depth on a way.
+
+        What water has too much of in all states alike stands in ``dry``, so that both depths count for it.
+        """
+        air = _strong_line(way.air_atm, GREATEST_AIR_ATM)
+        water = _strong_line(way.water_g_cm2, GREATEST_WATER_G_CM2)
+        at = [np.interp(wavelength_nm, self.wavelength_nm, getattr(self, f.name)) for f in fields(self)[1:]]
+        at[0] = np.maximum(at[0], -_GREATEST_SHARE_BACK * (dry_depth + water_depth) / air)
+        at[1] = np.maximum(at[1], -_GREATEST_SHARE_BACK * water_depth / water)
+        return EngineRatio(wavelength_nm, *at)
+
+    def aerosol_path(self, wavelength_nm: Array) -> Array:
+        """(n,) factor on the path radiance of rural aerosol [1]."""
+        return np.asarray(np.interp(wavelength_nm, self.wavelength_nm, self.path))
+
+    def spherical_albedo(self, wavelength_nm: Array, own: Array, molecules: Array, low_share: float) -> Array:
+        """(n,) spherical albedo under rural aerosol, from the engine's ``own`` and that of the molecules alone [1].
+
+        S = S_molecules + albedo * low_share * (S_own - S_molecules) with the share of the depth below the free
+        troposphere (:func:`low_share`): the finer aerosol above sends next to nothing back.
+        """
+        factor = np.interp(wavelength_nm, self.wavelength_nm, self.albedo)
+        return np.asarray(molecules + factor * low_share * (own - molecules))
+
+
+def low_share(state: AtmosphericState) -> float:
+    """Share of the aerosol's depth below the free troposphere, by LOWTRAN's profile [1].
+
+    Where more of the haze is stated to lie below an aircraft than the profile has, no more is above than it leaves.
+    """
+    depth, ground = state.aerosol_optical_depth, state.ground_altitude_km
+    if depth == 0.0:
+        return 1.0
+    above = 1.0 - visibility.fraction_below(depth, ground, max(FREE_TROPOSPHERE_KM, ground + 1.0))
+    if state.aerosol_share_below is not None:
+        above = min(above, 1.0 - state.aerosol_share_below)
+    return 1.0 - above
+
+
+def molecular_albedo(depth: Array) -> Array:
+    """(n,) spherical albedo of molecules of an optical depth (n,) [1].
+
+    [3 t - (4 + 2 t) E3(t) + 2 exp(-t)] / (4 + 3 t).  Source: Vermote & Tanre, J. Quant. Spectrosc. Radiat. Transfer
+    47, 305-314, 1992.
+
+    Examples
+    --------
+    >>> molecular_albedo(np.array([0.01, 0.1])).round(4).tolist()
+    [0.0097, 0.084]
+    """
+    t = np.asarray(depth, dtype=float)
+    return np.asarray((3.0 * t - (4.0 + 2.0 * t) * expn(3, t) + 2.0 * np.exp(-t)) / (4.0 + 3.0 * t))
+
+
+def ways(state: AtmosphericState) -> tuple[Way, Way]:
+    """From the sun to the ground, and from there to the sensor as well."""
+    ground, sensor = state.ground_altitude_km, state.sensor_altitude_km
+    profile = scaled_profile(state.model, ground, state.water_vapour_g_cm2, state.ozone_atm_cm)
+    mu0, mu_v = np.cos(np.deg2rad([state.sun[0], state.view_zenith_deg]))
+    air = pressure_at(profile, ground) / _STANDARD_HPA
+    water = column_g_cm2(profile, profile.water_g_m3, ground)
+    above_air = above_water = 0.0
+    if not state.in_space:
+        above_air = pressure_at(profile, sensor) / _STANDARD_HPA
+        above_water = column_g_cm2(profile, profile.water_g_m3, sensor)
+    down = Way(float(air / mu0), float(water / mu0))
+    return down, Way(
+        float(down.air_atm + (air - above_air) / mu_v),
+        float(down.water_g_cm2 + (water - above_water) / mu_v),
+    )
+
+
+@cache
+def engine_ratio() -> EngineRatio:
+    """The numbers that the package ships."""
+    text = resources.files("hyperval.atmosphere").joinpath(FILE).read_text("utf-8")
+    rows = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
+    next(rows)  # the heading
+    return EngineRatio(*np.array([[float(x) for x in row] for row in rows]).T)
+
+
+def _strong_line(amount: float, greatest: float) -> float:
+    """The amount, beyond the greatest one growing with its root and no jump in value or slope."""
+    return amount if amount <= greatest else 2.0 * float(np.sqrt(amount * greatest)) - greatest
+
+
+OXYGEN: Final = 0.2095  # mole fraction in dry air
+_STP_K, _STP_HPA = 273.15, 1013.25
+_STEP_KM = 0.05
+_CM_PER_KM = 1e5
+
+# 1.27 um: wavenumber [cm-1] and K [1e-9 cm-1 amagat-2].  Maté et al., J. Geophys. Res. 104 (1999), 30585-30590, as
+# taken up by the MT_CKD continuum (Mlawer et al., Phil. Trans. R. Soc. A 370, 2012, 2520-2556); O2-O2 and O2-N2
+# together.  Least squares on its values every 10 cm-1, straight in the logarithm between: rms 0.2 %, at
+# most 1.3 % of the peak; band strength 0.1 % smaller.
+_BAND_1270: Final = np.array([
+    (7550, 2.98), (7650, 12.2), (7700, 29.3), (7750, 66.7), (7800, 169), (7830, 319), (7850, 451), (7865, 613),
+    (7880, 768), (7895, 802), (7910, 764), (7930, 599), (7950, 429), (7970, 321), (7990, 247), (8020, 175),
+    (8060, 121), (8100, 85.1), (8150, 52.7), (8200, 29.1), (8260, 13.4), (8320, 5.28), (8400, 2.94), (8490, 1.99),
+]).T  # fmt: skip
+
+# 1.06 um: two Lorentz profiles, damped below their centres, fitted to sunlight seen through the atmosphere by
+# Mlawer et al., J. Geophys. Res. 103 (1998), 3859-3863, with the factor that MT_CKD puts to it.
+# Centre [cm-1], half width [cm-1], strength [cm-1 per 1e20 molecules cm-2 and amagat].
+_BAND_1060: Final = ((9375.0, 58.96, 1.166e-4), (9439.0, 45.04, 3.086e-5))
+_DAMPING_CM, _FACTOR_1060 = 176.1, 1.054
+_RANGE_1060_CM = (9100.0, 11000.0)
+_LOSCHMIDT_1E20 = 0.268678  # molecules in a cubic centimetre at one amagat [1e20]
+
+
+def binary_coefficient(wavenumber_cm: Array) -> Array:
+    """Binary absorption coefficient K of oxygen in air [cm-1 amagat-2] at wavenumbers [cm-1].
+
+    Zero outside 7550-8490 and 9100-11000 cm-1.  The values hold at 296 K and are used at every temperature.
+    """
+    nu = np.asarray(wavenumber_cm, dtype=np.float64)
+    at, strength = _BAND_1270
+    first = np.exp(np.interp(nu, at, np.log(strength * 1e-9)))
+    first = np.where((nu >= at[0]) & (nu <= at[-1]), first, 0.0)
+    second = np.zeros_like(nu)
+    for centre, width, area in _BAND_1060:
+        damping = np.exp(np.minimum(nu - centre, 0.0) / _DAMPING_CM)
+        second += area * damping / (np.pi * width * (1.0 + ((nu - centre) / width) ** 2))
+    inside = (nu >= _RANGE_1060_CM[0]) & (nu <= _RANGE_1060_CM[1])
+    return np.asarray(first + np.where(inside, second * _FACTOR_1060 * _LOSCHMIDT_1E20, 0.0))
+
+
+def collision_column(profile: Profile, bottom_km: float, top_km: float | None = None) -> float:
+    """Integral of rho_O2 rho_air over altitude [amagat2 cm], up to the top of the profile by default."""
+    highest = float(profile.altitude_km[-1])
+    top = highest if top_km is None else min(top_km, highest)
+    if top <= bottom_km:
+        return 0.0
+    z = np.linspace(bottom_km, top, int(np.ceil((top - bottom_km) / _STEP_KM)) + 1)
+    temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
+    air = (pressures_at(profile, z) / _STP_HPA) * (_STP_K / temperature)  # amagat
+    return float(OXYGEN * np.trapezoid(air**2, z) * _CM_PER_KM)
+
+
+def continuum_depth(wavelength_nm: Array, profile: Profile, bottom_km: float, top_km: float | None = None) -> Array:
+    """Vertical optical depth of the collision-induced bands between two altitudes, (n,)."""
+    return binary_coefficient(1e7 / wavelength_nm) * collision_column(profile, bottom_km, top_km)

@@ -1,0 +1,427 @@
+"""Where baselines stand, and how they are written: one number a line, so that a change reads as one.
+
+What a tolerance of a baseline may not be.
+
+The file of one baseline: what was accepted, how far it may move, why, when, with what.
+
+Which rows of a run a baseline keeps: every planned one, and what stands behind it.
+
+The numbers of one sensor that a baseline keeps: signal, noise, and what the standard scenarios make of it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from datetime import UTC, datetime
+from fnmatch import fnmatchcase
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+import hyperval
+from hyperval.config import FILL_IN, Model, load_model
+from hyperval.errors import HypervalError, UsageError, reader
+from hyperval.metrics import metric_of
+from hyperval.metrics.metric import Of
+from hyperval.metrics.table import DIGITS, Tolerance, default_tolerance
+from hyperval.predict import Origins, predict
+from hyperval.processing.roc_model import detection_at
+from hyperval.results import Outcome, Result
+from hyperval.scenario import builtin_scenarios, load_scenario
+from hyperval.sensor.noise import NoiseBreakdown, NoiseModel
+from hyperval.sensor.specification import Sensor
+from hyperval.sensor_check.suite import FALSE_ALARM, LEVELS, MIDDLE, Engine, summary_regions, sunlit_radiance
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.storage import write_text
+
+# A tolerance of more than the number itself, or than its own 95 % interval, accepts anything.
+LARGEST = {"value": 1.0, "interval": 1.0, "unit": 0.1}
+
+
+def objection(metric: str, tolerance: Tolerance, accepted: float | None, half_width: float | None) -> str | None:
+    """What is wrong with a tolerance, None when nothing is."""
+    limit = LARGEST[tolerance.of]
+    if not 0.0 <= tolerance.tolerance <= limit:
+        return f"a tolerance of {tolerance.tolerance:g} of {tolerance.of}: never above {limit:g}, never below 0"
+    if tolerance.of == "interval" and not half_width:
+        return "a tolerance of the interval needs half_width"
+    if accepted is None:
+        return None
+    width = tolerance.width(accepted, half_width)
+    low, high = metric_of(metric).low, metric_of(metric).high
+    if math.isfinite(low) and accepted - width <= low and accepted + width >= high:
+        return f"{metric} lies between {low:g} and {high:g}: a tolerance of {width:g} can never fail"
+    return None
+
+
+def looser_than_default(metric: str, tolerance: Tolerance, accepted: float, half_width: float | None) -> bool:
+    """True where the tolerance lets the number move further than the default of its kind would."""
+    usual = default_tolerance(metric, half_width).width(accepted, half_width)
+    return tolerance.width(accepted, half_width) > usual * (1.0 + 1e-9)
+
+
+def rounded(value: float) -> float | None:
+    """The number as a baseline keeps it; None where there is none (NaN, infinity)."""
+    return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+
+
+Kind = Literal["campaign", "sensor"]
+SEPARATOR = " | "
+
+
+class Accepted(Model):
+    """One accepted number; ``accepted`` is null where the comparison could not be made."""
+
+    accepted: float | None = Field(description="the number, null where the comparison could not be made")
+    tolerance: float = Field(description="how far it may move")
+    of: Of = Field(description="what the tolerance is a part of: the value, half its 95 % interval, or its unit")
+    half_width: float | None = Field(None, gt=0, description="half of the 95 % interval when it was accepted")
+    outcome: Literal["agrees", "disagrees", "undecided", "skipped", "none"] = Field(
+        "none", description="what the comparison concluded"
+    )
+    why: str | None = Field(None, min_length=1, description="needed where the tolerance is above the default")
+
+    @property
+    def limit(self) -> Tolerance:
+        """The tolerance with what it is a part of."""
+        return Tolerance(self.tolerance, self.of)
+
+    @property
+    def width(self) -> float:
+        """Largest tolerated difference, in the metric's unit."""
+        return self.limit.width(self.accepted or 0.0, self.half_width)
+
+
+class Baseline(Model):
+    """The accepted numbers of one campaign or sensor."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    kind: Kind
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    reason: str = Field(min_length=1, description="why these numbers were accepted")
+    date: str = Field(pattern=r"^\d{4}-\d{2}-\d{2}$", description="when they were last accepted")
+    versions: dict[str, str] = Field(description="versions they were computed with")
+    metrics: dict[str, Accepted] = Field(min_length=1, description='"product | subject | method | metric": number')
+
+    @model_validator(mode="after")
+    def _sound(self) -> Baseline:
+        """Refuse tolerances that nothing can break, and those loosened without a word."""
+        for key, item in self.metrics.items():
+            metric = split_key(key)[-1]
+            wrong = objection(metric, item.limit, item.accepted, item.half_width)
+            if wrong:
+                raise ValueError(f"{key}: {wrong}")
+            if item.accepted is None or item.why is not None:
+                continue
+            if looser_than_default(metric, item.limit, item.accepted, item.half_width):
+                raise ValueError(f"{key}: a tolerance above the default needs 'why'")
+        return self
+
+
+def key_of(product: str, subject: str, method: str, metric: str) -> str:
+    """The name of a number in a baseline."""
+    return SEPARATOR.join((product, subject, method, metric))
+
+
+def split_key(key: str) -> tuple[str, str, str, str]:
+    """Product, subject, method, metric of a name; ValueError when it is none."""
+    product, first, rest = key.partition(SEPARATOR)
+    parts = rest.rsplit(SEPARATOR, 2)
+    if not first or len(parts) != 3:
+        raise ValueError(f"{key!r} is not 'product | subject | method | metric'")
+    return product, parts[0], parts[1], parts[2]
+
+
+@reader
+def load_baseline(path: Path) -> Baseline:
+    """Read and check a baseline.
+
+    Raises
+    ------
+    InputError : no such file.
+    UsageError : every mistake with its line: a tolerance above 1 or that can never fail, one above the default
+        without a reason, a candidate whose reason is still to be given.
+    """
+    return load_model(Baseline, path)
+
+
+# A planned row is often an absolute value or a verdict; these say which way and how far the two sides moved.
+BEHIND: Mapping[str, tuple[str, ...]] = {
+    "radiance": ("median_difference_ratio_*", "spectral_angle"),
+    "toa_reflectance": ("median_difference_ratio_*", "spectral_angle", "fraction_inside_stated*"),
+    "snr": ("median_difference_ratio_*",),
+    "reflectance": ("median_difference_ratio_*", "spectral_angle"),
+    "scores": ("score_mean_predicted", "score_mean_observed", "score_sd_ratio"),
+    "roc": ("pd_predicted@*", "pd_measured@*"),
+    "abundance": ("area_predicted", "area_observed", "area_ratio"),
+}
+_ORDER = (Outcome.ERROR, Outcome.DISAGREES, Outcome.SKIPPED, Outcome.UNDECIDED, Outcome.AGREES, Outcome.NONE)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One number of a run: its value (NaN without one), half its 95 % interval, its outcome, and a reason."""
+
+    value: float
+    half_width: float | None = None
+    outcome: Outcome = Outcome.NONE
+    unit: str = "1"
+    reason: str = ""
+
+
+def campaign_metrics(rows: Iterable[Result]) -> dict[str, Measured]:
+    """The numbers of one campaign that a baseline keeps, sorted by name.
+
+    Every planned row that is not about a single band, whether it gates or informs, and for the subjects and
+    methods of those the rows of :data:`BEHIND`.  Of a row that several gates cover the worst outcome counts.
+    """
+    whole = [row for row in rows if not row.per_band]
+    planned = [row for row in whole if row.planned]
+    subjects = {
+        (r.product, pattern.strip(), r.method) for r in planned for pattern in (r.subject, *r.subject.split(","))
+    }
+    named = {row.product: BEHIND[row.product] for row in planned if row.product in BEHIND}
+    behind = [
+        row
+        for row in whole
+        if any(fnmatchcase(row.metric, m) for m in named.get(row.product, ()))
+        and any(
+            row.product == product and fnmatchcase(row.subject, subject) and fnmatchcase(row.method, method)
+            for product, subject, method in subjects
+        )
+    ]
+    metrics: dict[str, Measured] = {}
+    for row in [*planned, *behind]:
+        key = key_of(row.product, row.subject, row.method, row.metric)
+        new = _measured(row)
+        old = metrics.get(key)
+        metrics[key] = new if old is None else replace(old, outcome=min(old.outcome, new.outcome, key=_ORDER.index))
+    return dict(sorted(metrics.items()))
+
+
+def skipped_reason(rows: Iterable[Result]) -> str | None:
+    """Why a campaign as a whole was skipped, None when any of its rows was made."""
+    rows = list(rows)
+    if rows and all(row.outcome is Outcome.SKIPPED for row in rows):
+        return rows[0].reason
+    return None
+
+
+def _measured(row: Result) -> Measured:
+    half = (row.upper - row.lower) / 2.0
+    known = math.isfinite(half) and half > 0
+    return Measured(row.value, half if known else None, row.outcome, row.unit, row.reason)
+
+
+Array = npt.NDArray[np.float64]
+METHOD = "sensor"
+# Lines of the sun (CH, Mg, H alpha) and of oxygen: a response of another width sees them deeper or less deep.
+LINES_NM = (430.0, 517.0, 656.0, 762.0)
+# Errors of transmission are zero in most sensor files; this rate shows what they would do.
+BIT_ERROR_RATE = 1e-9
+
+
+def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Measured]:
+    """Every number of a sensor, sorted by name.
+
+    Median SNR (without C_R) at the reference radiances, G, each noise term as a radiance, by spectral region; the
+    reference radiance in bands at lines; P_D at P_FA 1e-3 and the radiance of the white panel at the oxygen band in
+    the standard scenarios.
+
+    Parameters
+    ----------
+    engine : stands in for the atmosphere engine
+    """
+    axis, noise = sensor.axis, sensor.noise()
+    metrics = dict(_bands(axis)) | dict(_noise(axis, noise)) | dict(_scenarios(sensor, engine))
+    return dict(sorted(metrics.items()))
+
+
+def _item(product: str, subject: str, metric: str, value: float, unit: str = "1") -> tuple[str, Measured]:
+    return key_of(product, subject, METHOD, metric), Measured(float(value), unit=unit)
+
+
+def _bands(axis: SpectralAxis) -> Iterator[tuple[str, Measured]]:
+    yield _item("bands", "all", "band_count", len(axis))
+    yield _item("bands", "good", "band_count", int(axis.good.sum()))
+    level = sunlit_radiance(axis, MIDDLE)
+    for line in LINES_NM:
+        at = _band_at(axis, line)
+        if at is not None:
+            yield _item("bands", f"{line:g} nm", "reference_radiance", level[at], "uW cm-2 sr-1 nm-1")
+
+
+def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
+    """The band nearest a wavelength, None where it is further off than its width."""
+    at = int(np.argmin(np.abs(axis.centre_nm - wavelength_nm)))
+    return at if abs(axis.centre_nm[at] - wavelength_nm) <= axis.fwhm_nm[at] else None
+
+
+def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[tuple[str, Measured]]:
+    for region, here in summary_regions(axis).items():
+        gain = np.median(noise.electrons_per_radiance[here])  # (3.13)
+        yield _item("noise", region, "median_electrons_per_radiance", gain, "electrons per uW cm-2 sr-1 nm-1")
+        for level in LEVELS:
+            snr = noise.snr(sunlit_radiance(axis, level), calibration=False)[here]  # (3.20)
+            yield _item("snr", f"reflectance {level:g}, {region}", "median_snr", np.median(snr))
+        parts = noise.breakdown(sunlit_radiance(axis, MIDDLE))
+        for term in _terms(parts):
+            value = np.median(np.sqrt(np.abs(getattr(parts, term)[here])))
+            yield _item("noise", region, f"median_noise_{term}", value, "uW cm-2 sr-1 nm-1")
+        if noise.measured is None:
+            wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE, bit_error_per="bit")
+            variance = wrong.breakdown(sunlit_radiance(axis, MIDDLE)).bit_errors  # (3.19)
+            value = np.median(np.sqrt(variance[here]))
+            metric = f"median_bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"
+            yield _item("noise", region, metric, value, "uW cm-2 sr-1 nm-1")
+
+
+def _terms(parts: NoiseBreakdown) -> list[str]:
+    """The terms of (3.15)-(3.19) that the sensor has; the others are zero, or what rounding leaves."""
+    floor = 1e-9 * parts.total
+    return [f.name for f in fields(parts) if np.any(np.abs(getattr(parts, f.name)) > floor)]
+
+
+def _scenarios(sensor: Sensor, engine: Engine | None) -> Iterator[tuple[str, Measured]]:
+    oxygen = _band_at(sensor.axis, LINES_NM[-1])
+    for name in builtin_scenarios():
+        try:
+            prediction = predict(load_scenario(name), Origins(sensor=sensor, engine=engine, show_progress=False))
+        except HypervalError as error:
+            key = key_of("scenario", name, METHOD, "runs")
+            yield key, Measured(np.nan, outcome=Outcome.SKIPPED, reason=str(error))
+            continue
+        for (subject, detector, unit), curve in prediction.roc.items():
+            if unit == "pixel":
+                pd = float(detection_at(curve, FALSE_ALARM))
+                yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{FALSE_ALARM:g}", pd)
+        white = prediction.radiance.get("white panel")
+        if white is not None and oxygen is not None:
+            subject = f"{name}, {LINES_NM[-1]:g} nm"
+            yield _item("scenario", subject, "white_panel_radiance", white.mean[oxygen], "uW cm-2 sr-1 nm-1")
+
+
+DEFAULT_FOLDER = Path("validation/baselines")
+SENSORS = "sensors"
+# What a change of numbers may come from besides this project.
+PACKAGES = ("numpy", "scipy")
+
+
+def baseline_path(folder: Path, kind: Kind, name: str) -> Path:
+    """The file of a baseline: ``folder``/NAME.yaml, sensors in a folder of their own."""
+    return folder / (f"{name}.yaml" if kind == "campaign" else f"{SENSORS}/{name}.yaml")
+
+
+def candidate_path(folder: Path, kind: Kind, name: str) -> Path:
+    """Where the numbers of a run without a baseline are left, beside where they would be accepted."""
+    return baseline_path(folder, kind, name).with_suffix(".candidate.yaml")
+
+
+def stored(folder: Path, kind: Kind, name: str) -> Baseline | None:
+    """The baseline of a campaign or sensor, None when there is none.
+
+    Raises
+    ------
+    UsageError : mistakes in the file, or a file of something else.
+    """
+    path = baseline_path(folder, kind, name)
+    if not path.is_file():
+        return None
+    baseline = load_baseline(path)
+    if (baseline.kind, baseline.name) != (kind, name):
+        raise UsageError(
+            f"is the baseline of {baseline.kind} {baseline.name!r}", where=str(path), expected=f"{kind} {name}"
+        )
+    return baseline
+
+
+def accepted_of(measured: Mapping[str, Measured], before: Mapping[str, Accepted]) -> dict[str, Accepted]:
+    """Measured numbers as a baseline keeps them; tolerances that stand in ``before`` are kept, not loosened."""
+    return {key: _accepted(key, new, before.get(key)) for key, new in sorted(measured.items())}
+
+
+def _accepted(key: str, new: Measured, old: Accepted | None) -> Accepted:
+    value, half = rounded(new.value), rounded(new.half_width) if new.half_width else None
+    limit = old.limit if old else default_tolerance(split_key(key)[-1], half)
+    if limit.of == "interval" and half is None:  # the interval is gone: its part of it means nothing any more
+        limit = default_tolerance(split_key(key)[-1])
+    return Accepted.model_validate(
+        {
+            "accepted": value,
+            "tolerance": limit.tolerance,
+            "of": limit.of,
+            "half_width": half if limit.of == "interval" else None,
+            "outcome": new.outcome.value,
+            "why": old.why if old else None,
+        }
+    )
+
+
+def versions(packages: Mapping[str, str] | None = None, python: str | None = None) -> dict[str, str]:
+    """What the numbers were computed with: of a run's record where it is given, of this process otherwise."""
+    there = packages if packages is not None else {name: metadata.version(name) for name in PACKAGES}
+    known = {name: there[name] for name in PACKAGES if name in there}
+    return {"hyperval": hyperval.__version__, "python": python or platform.python_version(), **known}
+
+
+def today() -> str:
+    """The date, of SOURCE_DATE_EPOCH where that is set."""
+    text = os.environ.get("SOURCE_DATE_EPOCH", "")
+    if text and not text.isdigit():
+        raise UsageError(f"SOURCE_DATE_EPOCH is {text!r}", expected="seconds since 1970")
+    now = datetime.fromtimestamp(int(text), UTC) if text else datetime.now(UTC)
+    return now.date().isoformat()
+
+
+def write_baseline(
+    path: Path,
+    kind: Kind,
+    name: str,
+    reason: str,
+    used: Mapping[str, str],
+    metrics: Mapping[str, Accepted],
+    *,
+    candidate: bool = False,
+) -> None:
+    """Write one baseline, or a candidate whose reason and date are still to be given."""
+    what = f"{FILL_IN}: why these numbers are right" if candidate else reason
+    lines = [
+        f"# Accepted numbers of the {kind} {name}.  "
+        "`hyperval baseline accept` renews them; tolerances are set by hand.",
+        "schema: 1",
+        f"kind: {kind}",
+        f"name: {json.dumps(name)}",
+        f"reason: {_text(what)}",
+        f"date: {_text(today())}",
+        f"versions: {{{', '.join(f'{key}: {_text(value)}' for key, value in used.items())}}}",
+        "metrics:",
+        *(f"  {_text(key)}: {_line(item)}" for key, item in sorted(metrics.items())),
+    ]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _line(item: Accepted) -> str:
+    entries = item.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    entries = {"accepted": item.accepted, **{k: v for k, v in entries.items() if k != "accepted"}}
+    return "{" + ", ".join(f"{key}: {_scalar(value)}" for key, value in entries.items()) + "}"
+
+
+def _scalar(value: object) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, str):
+        return value if value.isalpha() else _text(value)
+    return repr(value)
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False)

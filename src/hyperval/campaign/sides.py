@@ -1,0 +1,584 @@
+"""Curves that only figures need: eigenvalue spectra with their sampling bands, and tails.
+
+Scenarios that leave to the collection what it tells: fractions of the classes, fills of the targets.
+
+What header, map and truth of the collection say, held against what the scenarios of the campaign say of it.
+
+The collection of a campaign: its files resolved, simulated where it is, and observed once.
+
+The predictions of a campaign's scenarios as the one side of its comparison.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rasterio.crs import CRS
+from rasterio.warp import transform as reproject
+
+from hyperval.atmosphere.solar import parse_utc
+from hyperval.campaign.job import SIMULATED, Job
+from hyperval.campaign.schema import Campaign, scenarios_of
+from hyperval.collection import Detection
+from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
+from hyperval.compare.products import SPREAD
+from hyperval.datasets import InputLog
+from hyperval.errors import UsageError
+from hyperval.imagery.acquisition import time_notes
+from hyperval.imagery.placing import sun_zenith_deg
+from hyperval.imagery.truth import TargetObject
+from hyperval.observe import Observed
+from hyperval.observe import observe as observe_collection
+from hyperval.observe.detection import scored_pixels, target_groups
+from hyperval.observe.mixtures import RegionLaws
+from hyperval.observe.place import Place
+from hyperval.observe.spread import class_sets
+from hyperval.observe.truth_images import fills_of
+from hyperval.prediction.departure import Departure, geometry_of, pixels_of_object
+from hyperval.prediction.inputs import Sources
+from hyperval.prediction.unmixing import predicted_areas, predicted_classification
+from hyperval.processing.intervals import clopper_pearson
+from hyperval.processing.laws import exceedance_of_distance
+from hyperval.processing.roc import average_roc
+from hyperval.processing.sample import SamplingBand
+from hyperval.products import (
+    Abundance,
+    ClassificationError,
+    ObservedProducts,
+    PixelDistribution,
+    PredictedProducts,
+    Products,
+    RocCurve,
+)
+from hyperval.report.run import EigenvalueSpectrum, TailCurve
+from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario, Target
+from hyperval.scene.fill import touched_counts
+from hyperval.storage import scratch_folder
+
+if TYPE_CHECKING:
+    from hyperval.predict import Origins
+    from hyperval.prediction.inputs import Read
+
+
+def with_measured_fractions(scenario: Scenario, place: Place | None) -> Scenario:
+    """The scenario with the fractions of ``scene.fractions: measured``; as it is where they are stated.
+
+    A class counts the pixels of the region of its name, else of the one that its statistics come from; targets,
+    their guard and what the collection leaves out do not count.
+
+    Raises
+    ------
+    UsageError : no image, a class without a region, or no pixel in any.
+    """
+    if scenario.scene.fractions == "stated":
+        return scenario
+    if place is None:
+        raise UsageError(
+            f"scenario {scenario.name!r}: scene.fractions is measured, and the campaign has no image",
+            mend="take it out: the stated fractions then hold",
+        )
+    counts = [int(np.count_nonzero(place.pixels_of(_region_of(c, place)))) for c in scenario.scene.classes]
+    total = sum(counts)
+    if total == 0:
+        raise UsageError(f"scenario {scenario.name!r}: no pixel in the regions of its classes")
+    classes = [
+        c.model_copy(update={"fraction": n / total}) for c, n in zip(scenario.scene.classes, counts, strict=True)
+    ]
+    return scenario.model_copy(update={"scene": scenario.scene.model_copy(update={"classes": classes})})
+
+
+def _region_of(surface: BackgroundClass, place: Place) -> str:
+    spread = surface.covariance.measured if surface.covariance is not None else None
+    for name in (surface.name, surface.spectrum.measured, spread):
+        if name is not None and name in place.regions:
+            return name
+    raise UsageError(
+        f"scene.fractions is measured, and class {surface.name!r} has no region",
+        expected="one of " + ", ".join(place.regions) if place.regions else "a region of its name",
+    )
+
+
+def with_fills_of_truth(
+    scenarios: Sequence[Scenario], place: Place | None, detection: Detection | None
+) -> list[Scenario]:
+    """The scenarios with ``fill: {truth: true}`` replaced by the fills of the objects of the same subject.
+
+    Raises
+    ------
+    UsageError : a subject whose objects the truth does not know, or not by the fill of their pixels.
+    """
+    if not any(_asks(item) for scenario in scenarios for item in scenario.scene.targets):
+        return list(scenarios)
+    groups: dict[str, list[TargetObject]] = {}
+    if place is not None and detection is not None:
+        for target in detection.targets:
+            groups |= target_groups(place.targets, target, detection.group)
+    known = fills_of(groups)
+
+    def fill(stated: Fill | None, subject: str) -> Fill | None:
+        if stated is None or stated.truth is None:
+            return stated
+        if subject not in known:
+            raise UsageError(
+                f"fill: {{truth: true}} of {subject!r}: the truth does not tell the fills of its pixels",
+                expected="one of " + ", ".join(known) if known else "targets from a finer image or from abundances",
+                mend="name the subject as detection.group does, or state its fill",
+            )
+        return Fill(listed=known[subject])
+
+    def with_fill(item: Target) -> Target:
+        subjects = [s.model_copy(update={"fill": fill(s.fill, s.name)}) for s in item.subjects]
+        return item.model_copy(update={"fill": fill(item.fill, item.name), "subjects": subjects})
+
+    out = []
+    for scenario in scenarios:
+        scene = scenario.scene.model_copy(update={"targets": [with_fill(item) for item in scenario.scene.targets]})
+        out.append(scenario.model_copy(update={"scene": scene}))
+    return out
+
+
+def _asks(item: Target) -> bool:
+    return any(population.fill.truth is not None for population in item.populations)
+
+
+# A flight line is seldom longer; over this distance the sun's zenith angle changes by a tenth of a degree.
+MAX_KM = 10.0
+MAX_SUN_DEG = 1.0  # a path of 1 % more or less at a zenith angle of 30 degrees
+_KM_PER_DEGREE = 111.2
+# Half a pixel of three is common where targets lie at random on the grid; a factor of 1.5 is another footprint.
+MAX_PIXEL_RATIO = 1.5
+MAX_LENGTH_RATIO = 1.05
+
+
+def header_notes(place: Place | None, scenarios: Sequence[Scenario]) -> list[str]:
+    """Warnings where the cube was taken at another time or place than a scenario says."""
+    if place is None:
+        return []
+    notes: list[str] = []
+    where = centre_of(place)
+    sun = sun_zenith_deg(place.cube.raster)
+    for scenario in scenarios:
+        state = scenario.atmosphere
+        if state is None:
+            continue
+        if state.time_utc is not None:
+            notes += time_notes(place.cube.extras, parse_utc(str(state.time_utc)), scenario.name)
+        latitude, longitude = state.latitude_deg, state.longitude_deg
+        if sun is not None and abs(sun[0] - state.sun[0]) > MAX_SUN_DEG:
+            notes.append(
+                f"warning: the sun stands at a zenith angle of {sun[0]:.2f} degrees in {sun[1]}, at "
+                f"{state.sun[0]:.2f} in scenario {scenario.name!r}"
+            )
+        if where is not None and latitude is not None and longitude is not None:
+            km = distance_km(where, (latitude, longitude))
+            if km > MAX_KM:
+                notes.append(
+                    f"warning: the cube lies at latitude {where[0]:.3f}, longitude {where[1]:.3f}, {km:.0f} km "
+                    f"from the place of scenario {scenario.name!r} ({latitude:g}, {longitude:g})"
+                )
+    return list(dict.fromkeys(notes))
+
+
+def centre_of(place: Place) -> tuple[float, float] | None:
+    """Latitude and longitude of the middle of the cube [degrees], by its map or its table; None without."""
+    raster, table = place.cube.raster, place.table
+    crs = table.crs if table is not None else raster.crs
+    if crs is None:
+        return None
+    if table is not None:
+        x, y = table.middle
+    elif raster.transform is None:
+        return None
+    else:
+        x, y = raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
+    longitude, latitude = reproject(crs, CRS.from_epsg(4326), [x], [y])[:2]
+    return (latitude[0], longitude[0]) if math.isfinite(latitude[0]) and math.isfinite(longitude[0]) else None
+
+
+def distance_km(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Distance of two near places (latitude, longitude) in degrees, on a sphere."""
+    north = a[0] - b[0]
+    east = ((a[1] - b[1] + 180.0) % 360.0 - 180.0) * math.cos(math.radians(0.5 * (a[0] + b[0])))
+    return _KM_PER_DEGREE * math.hypot(north, east)
+
+
+def truth_notes(place: Place | None, detection: Detection | None, scenarios: Sequence[Scenario]) -> list[str]:
+    """Warnings where a scenario's geometry counts other pixels, or states other lengths, than truth and image.
+
+    A prediction of 12 pixels for each object, beside a truth that scores 3, is of another population: its P_D by
+    pixel is too low and that by object too high, and nothing else in the table would say why.
+    """
+    if place is None or detection is None:
+        return []
+    groups: dict[str, list[TargetObject]] = {}
+    for target in detection.targets:
+        groups |= target_groups(place.targets, target, detection.group)
+    notes = []
+    for scenario in scenarios:
+        for item in scenario.scene.targets:
+            for population in item.populations:
+                geometry, members = population.fill.geometry, groups.get(population.name)
+                if geometry is not None and members:
+                    differences = ", ".join(_differences(place, geometry, _pixels(population.fill), members))
+                    if differences:
+                        notes.append(f"warning: {population.name!r} of scenario {scenario.name!r}: {differences}")
+    return list(dict.fromkeys(notes))
+
+
+def _pixels(fill: Fill) -> float:
+    """Pixels that the prediction counts for an object, on average over its places on the grid."""
+    if fill.geometry is not None and fill.geometry.pixels == "touched":
+        return float(np.mean(touched_counts(geometry_of(fill))))
+    return float(pixels_of_object(fill))
+
+
+def _differences(place: Place, geometry: Geometry, stated: float, members: Sequence[TargetObject]) -> Iterator[str]:
+    counted = float(np.mean([np.count_nonzero(scored_pixels(o, place)[1]) for o in members]))
+    if max(counted / stated, stated / counted) > MAX_PIXEL_RATIO:
+        yield f"the prediction counts {stated:.3g} pixels for each object, the truth {counted:.3g}"
+    if place.pixel_area_m2 is not None:
+        pixel = math.sqrt(place.pixel_area_m2)
+        if _apart(pixel, geometry.gsd_m):
+            yield f"its pixels are {geometry.gsd_m:g} m wide (gsd_m), those of the image {pixel:.3g} m"
+    sides = [o.side_m for o in members if math.isfinite(o.side_m)]
+    if sides and geometry.side_m is not None and _apart(float(np.mean(sides)), geometry.side_m):
+        yield f"its sides are {geometry.side_m:g} m (side_m), those of the truth {np.mean(sides):.3g} m"
+
+
+def _apart(a: float, b: float) -> bool:
+    return max(a / b, b / a) > MAX_LENGTH_RATIO
+
+
+class Inputs:
+    """Files of one campaign: resolved, recorded, simulated ones among them."""
+
+    def __init__(self, path: Path):
+        self.log = InputLog.of_file(path)
+        self.simulated: Path | None = None
+        self._seen: set[Path] = set()
+
+    def resolve(self, reference: str) -> Path:
+        """The path of a reference; ``simulated:NAME`` is a file of the simulated collection."""
+        if reference.startswith(SIMULATED):
+            if self.simulated is None:
+                raise UsageError(f"{reference!r}: this campaign simulates nothing", mend="set collection.simulate")
+            path = self.log.add(self.simulated / Path(reference.removeprefix(SIMULATED)).name, reference)
+        else:
+            path = self.log.resolve(reference)
+        self._seen.add(path.resolve())
+        return path
+
+    def record_beside(self, paths: Sequence[Path]) -> None:
+        """Record files that were read beside those that were named, such as a cube's header."""
+        for path in paths:
+            if path.resolve() in self._seen:
+                continue
+            simulated = self.simulated is not None and path.is_relative_to(self.simulated)
+            self.log.add(path, f"{SIMULATED}{path.name}" if simulated else None)
+
+
+@dataclass(frozen=True)
+class Collected:
+    """A campaign and what its collection says, while the files, simulated ones too, are there."""
+
+    campaign: Campaign
+    inputs: Inputs
+    scenarios: Sequence[Scenario]
+    observed: Observed
+    seed: int | None
+
+    def resolver(self, scenario: Scenario) -> Callable[[str], Path]:
+        """Finds the files that a scenario names, and records them with the campaign's.
+
+        References of a scenario are relative to its own file.
+        """
+        folder, inputs = scenario.folder, self.inputs
+
+        def resolve(reference: str) -> Path:
+            if reference.startswith((SIMULATED, "data:")) or folder is None or folder == inputs.log.base:
+                return inputs.resolve(reference)
+            return inputs.log.add(InputLog(folder).resolve(reference))
+
+        return resolve
+
+    def origins(self, scenario: Scenario, show_progress: bool | None) -> Origins:
+        """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
+        observed = self.observed
+        from hyperval.predict import Origins
+
+        return Origins(
+            observed.observation.axis, self._laws.statistics(scenario), self.resolver(scenario),
+            show_progress=show_progress, left_out=lambda: self._laws.left_out(scenario), read=self._read,
+        )  # fmt: skip
+
+    @cached_property
+    def _read(self) -> Read:
+        return {}
+
+    @cached_property
+    def _laws(self) -> RegionLaws:
+        return RegionLaws(self.observed)
+
+
+@contextmanager
+def collected(
+    job: Job,
+    *,
+    question: Callable[[Sequence[Scenario], Inputs], Campaign] | None = None,
+    show_progress: bool | None = None,
+) -> Iterator[Collected]:
+    """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
+
+    Parameters
+    ----------
+    question : the campaign to observe in place of the job's, once its files are there
+
+    Raises
+    ------
+    MissingDataError : files of a registered data set that are not on this machine.
+    HypervalError : anything else that the user can mend.
+    """
+    campaign, inputs = job.campaign, Inputs(job.path)
+    with ExitStack() as stack:
+        scenarios = [
+            one for s in campaign.scenarios for one in scenarios_of(s, inputs.resolve, inputs.log.base, campaign.run)
+        ]
+        seed = None
+        if campaign.collection.simulate:
+            scratch = stack.enter_context(scratch_folder("simulated"))
+            seed = _simulate(campaign.collection.simulate, inputs, scratch, show_progress)
+        if question is not None:
+            campaign = question(scenarios, inputs)
+        observed = observe_collection(
+            campaign.collection,
+            campaign.detection,
+            inputs.resolve,
+            classification=campaign.classification,
+            show_progress=show_progress,
+        )
+        if observed.place is not None:
+            inputs.record_beside(observed.place.source_files)
+        scenarios = [with_measured_fractions(scenario, observed.place) for scenario in scenarios]
+        scenarios = with_fills_of_truth(scenarios, observed.place, campaign.detection)
+        yield Collected(campaign, inputs, scenarios, observed, seed)
+
+
+def _simulate(reference: str, inputs: Inputs, scratch: Path, show_progress: bool | None) -> int:
+    from hyperval.simulate import load_scene, simulate
+    from hyperval.simulate.inputs import load_inputs
+
+    path = inputs.resolve(reference)
+    scene = load_scene(path)
+    simulate(scene, scratch, inputs=load_inputs(scene, path.parent), show_progress=show_progress)
+    inputs.simulated = scratch
+    return scene.seed
+
+
+def predicted_side(
+    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[Departure] | None = None
+) -> PredictedProducts:
+    """What is compared: the predictions, and those that need to know how the campaign looks at its collection.
+
+    These are the errors of its classifier and the areas by its unmixing.
+
+    Parameters
+    ----------
+    truths : how the truth departs from each scenario, that of the predictions; None: not at all
+    """
+    detected = side.observed.detected
+    nominal = detected.nominal_area_m2 if detected is not None else {}
+    stated = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
+    return replace(
+        joined(side, side.scenarios, predictions),
+        classification=_classification(side, merged(predictions)),
+        abundance={**stated, **_areas(side, predictions, truths)},
+    )
+
+
+def joined(
+    side: Collected, scenarios: Sequence[Scenario], predictions: Sequence[PredictedProducts]
+) -> PredictedProducts:
+    """The predictions of scenarios in one, with the campaign's pools and without what came from its collection."""
+    whole = without_circles(merged(predictions), scenarios, side.observed.place)
+    if side.campaign.detection is None:
+        return whole
+    return replace(whole, roc=with_pools(whole.roc, side.observed.observation, side.campaign.detection))
+
+
+def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
+    """One prediction out of several scenarios on the same axis; no subject may stand in two of them."""
+    first, *rest = predictions
+    if not rest:
+        return first
+    parts: dict[str, Any] = {}
+    for field in fields(Products):
+        values = [getattr(p, field.name) for p in predictions]
+        if not isinstance(values[0], Mapping) or field.name == "provenance":
+            continue
+        joined: dict[Any, Any] = {}
+        for value in values:
+            twice = sorted(str(k) for k in set(joined) & set(value))
+            if twice:
+                raise UsageError(f"two scenarios predict the {field.name} of {twice[0]}")
+            joined.update(value)
+        parts[field.name] = joined
+    notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
+    return PredictedProducts(
+        axis=first.axis,
+        **parts,
+        notes=notes,
+        provenance={"scenarios": [dict(p.provenance) for p in predictions]},
+        expected_scores={key: score for p in predictions for key, score in p.expected_scores.items()},
+    )
+
+
+def without_circles(
+    prediction: PredictedProducts, scenarios: Sequence[Scenario], place: Place | None = None
+) -> PredictedProducts:
+    """The prediction without what was taken from the collection it is compared with: that agrees whatever is wrong.
+
+    A covariance that was measured on other pixels than those of its subject stays: one part of the scene predicts
+    the other.  ``place`` tells the pixels; without it every measured covariance counts as the subject's own.
+    """
+    surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
+    taken = {s.name for s in surfaces if s.spectrum.measured is not None}
+    spread = {
+        s.name
+        for s in surfaces
+        if s.covariance is not None
+        and s.covariance.measured is not None
+        and _shares_pixels(place, s.name, s.covariance.measured)
+    }
+    radiance, reflectance = (
+        {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in spectra.items() if k not in taken}
+        for spectra in (prediction.radiance, prediction.reflectance)
+    )
+    fitted = {c.name for x in scenarios for c in x.scene.classes if c.tail_dof == "measured"}
+    tails = {k: v for k, v in prediction.distribution.items() if k not in fitted}
+    prediction = replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails)
+    if not taken:
+        return prediction
+    note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
+    return replace(prediction, notes=(*prediction.notes, note))
+
+
+def _shares_pixels(place: Place | None, subject: str, region: str) -> bool:
+    """Whether a subject's region has pixels of another one; taken to be so where it is not known."""
+    if place is None or subject not in place.regions or region not in place.regions:
+        return True
+    return bool(np.any(place.regions[subject] & place.regions[region]))
+
+
+def with_pools(
+    predicted: Mapping[tuple[str, str, str], RocCurve], observation: ObservedProducts, detection: Detection
+) -> dict[tuple[str, str, str], RocCurve]:
+    """The predicted curves with those of the campaign's pools, averaged as the collection counts its targets."""
+    out = dict(predicted)
+    for pool in detection.pools:
+        for name, detector, unit in observation.roc:
+            keys = [(subject, detector, unit) for subject in pool.subjects]
+            if name != pool.name or not all(key in predicted for key in keys):
+                continue
+            counts = [observation.roc[key].n_target or 0 for key in keys]
+            out[name, detector, unit] = average_roc([predicted[key] for key in keys], counts)
+    return out
+
+
+def _classification(side: Collected, prediction: PredictedProducts) -> Mapping[tuple[str, str], ClassificationError]:
+    """The errors of the campaign's classifier, in the quantity of its image."""
+    task = side.campaign.classification
+    if task is None:
+        return prediction.classification
+    quantity = str(side.observed.observation.provenance.get("quantity", "radiance"))
+    return predicted_classification(prediction, class_sets(task), task.features, quantity, task.seed)
+
+
+def _areas(
+    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[Departure] | None
+) -> dict[tuple[str, str], Abundance]:
+    """The areas that unmixing would find, by (subject, method); empty where the campaign does not unmix."""
+    out: dict[tuple[str, str], Abundance] = {}
+    unmixed, detection = side.observed.unmixed, side.campaign.detection
+    if unmixed is None or detection is None or detection.unmixing is None:
+        return out
+    truths = truths or [Departure() for _ in side.scenarios]
+    for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
+        out |= predicted_areas(
+            scenario,
+            prediction,
+            unmixed.subjects,
+            unmixed.bands,
+            unmixed.covariances,
+            unmixed.pixel_area_m2,
+            Sources(prediction.axis, side.observed.statistics, side.resolver(scenario)),
+            draws=detection.unmixing.draws,
+            seed=detection.unmixing.seed,
+            departure=truth,
+        )
+    return out
+
+
+MOST_SUBJECTS = 6  # in each quantity; those with the most pixels
+
+
+def spread_curves(
+    prediction: PredictedProducts, observation: ObservedProducts
+) -> tuple[dict[tuple[str, str], EigenvalueSpectrum], dict[str, TailCurve]]:
+    """How the pixels of both sides spread: eigenvalues by (subject, quantity), tails by subject."""
+    return eigenvalue_spectra(prediction, observation), tail_curves(prediction, observation)
+
+
+def eigenvalue_spectra(
+    prediction: PredictedProducts, observation: ObservedProducts
+) -> dict[tuple[str, str], EigenvalueSpectrum]:
+    """Eigenvalues of the classes that both sides hold, by (subject, quantity), with the band of chance alone."""
+    out = {}
+    for quantity in SPREAD:
+        left, right = getattr(prediction, quantity), getattr(observation, quantity)
+        common = [s for s in right if s in left and right[s].n and right[s].pixel_covariance is not None]
+        for subject in sorted(common, key=lambda s: -right[s].n)[:MOST_SUBJECTS]:
+            sample = sampled(
+                left[subject],
+                right[subject],
+                observation.axis,
+                prediction.distribution.get(subject),
+                observation.distribution.get(subject),
+                MOST_EIGENVALUES,
+            )
+            if sample is None or isinstance(sample, str):
+                continue
+            low, high = SamplingBand.limits(sample.band.eigenvalues)
+            out[subject, quantity] = EigenvalueSpectrum(
+                sample.measured.eigenvalues, sample.band.eigenvalues.mean(axis=0), low, high, sample.n
+            )
+    return out
+
+
+def tail_curves(prediction: PredictedProducts, observation: ObservedProducts) -> dict[str, TailCurve]:
+    """Tails in the leading components, by subject of the collection."""
+    out = {}
+    for subject, law in observation.distribution.items():
+        known = prediction.distribution.get(subject)
+        if law.distance is not None and law.exceedance is not None and law.leading_dimension is not None:
+            out[subject] = _curve(law, None if known is None else known.tail_dof)
+    return out
+
+
+def _curve(distribution: PixelDistribution, predicted_dof: float | None) -> TailCurve:
+    distance, share = np.asarray(distribution.distance), np.asarray(distribution.exceedance)
+    n, dimension = distribution.n or 1, distribution.leading_dimension or 1
+    lower, upper = clopper_pearson(share * n, np.full(share.size, n))
+    normal = exceedance_of_distance(distance, dimension, np.inf)
+    fitted = exceedance_of_distance(distance, dimension, distribution.leading_tail_dof)
+    predicted = None if predicted_dof is None else exceedance_of_distance(distance, dimension, predicted_dof)
+    return TailCurve(
+        np.sqrt(distance), share, lower, upper, predicted, normal, fitted,
+        predicted_dof, distribution.leading_tail_dof, dimension, n,
+    )  # fmt: skip

@@ -1,0 +1,717 @@
+"""The web application.
+
+Commands about accepted numbers.
+
+Commands about public data sets.
+
+Commands on finished runs, and on the numbers in them.
+
+The command that writes the first draft of a campaign.
+
+Commands that run the model or the pipeline many times: studies, benchmarks, planted errors.
+
+Commands that run the model, the pipeline, or both.
+
+Commands about sensors.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from hyperval.cli.shared import (
+    AnyOutput,
+    Output,
+    Scheduler,
+    app,
+    finished,
+    note,
+    print_table,
+    say_verdicts,
+    say_warnings,
+    settings,
+)
+from hyperval.errors import UsageError
+
+if TYPE_CHECKING:
+    from hyperval.baseline.check import Checked, Difference
+
+
+Campaigns = Annotated[list[Path] | None, typer.Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
+Sensors = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--sensors", metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."
+    ),
+]
+Baselines = Annotated[Path | None, typer.Option(help="Folder of accepted numbers [validation/baselines].")]
+Finished = Annotated[
+    Path | None,
+    typer.Option("--from", help="Folder of a finished validate of these campaigns, read instead of run."),
+]
+
+
+@app.command()
+def check(
+    campaigns: Campaigns = None,
+    sensors: Sensors = None,
+    junit: Annotated[Path | None, typer.Option(help="File for the verdicts as JUnit XML.")] = None,
+    output: AnyOutput = None,
+    baselines: Baselines = None,
+    source: Finished = None,
+    everything: Annotated[bool, typer.Option("--all", help="Print the numbers that are as accepted, too.")] = False,
+) -> int:
+    """Run campaigns and sensors, and compare with what was accepted."""
+    from hyperval.baseline import check as run
+    from hyperval.baseline.accepted import DEFAULT_FOLDER
+
+    if baselines is not None and not baselines.is_dir():
+        raise UsageError("no such folder", where=str(baselines), mend="name the folder of accepted numbers")
+    outcome = run(
+        campaigns or [],
+        sensors or [],
+        baselines=baselines or DEFAULT_FOLDER,
+        source=source,
+        output=output,
+        junit=junit,
+        show_progress=settings.show_progress,
+    )
+    header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
+    shown = [d for item in outcome.checked for d in item.differences if everything or d.words]
+    lonely = [
+        (r.campaign, r.metric, "", "", "", "", str(r.outcome))
+        for c in outcome.checked
+        if not c.differences
+        for r in c.rows
+    ]
+    print_table(header, [*map(_cells, shown), *lonely])
+    skipped: dict[str, list[str]] = {}
+    for item in outcome.checked:
+        _tell(item, baselines or DEFAULT_FOLDER)
+        if item.run.skipped is not None:
+            skipped.setdefault(item.run.skipped, []).append(item.run.owner)
+    for reason, owners in skipped.items():
+        note(f"{', '.join(owners)}: skipped: {reason}")
+    if output is not None:
+        note(f"results in {output}")
+    return outcome.exit_code
+
+
+def _cells(d: Difference) -> tuple[str, ...]:
+    known = d.accepted is not None and d.accepted.accepted is not None
+    return (
+        d.owner,
+        d.key,
+        f"{d.accepted.accepted:.6g}" if d.accepted and d.accepted.accepted is not None else "-",
+        f"{d.now.value:.6g}" if d.now and d.now.value == d.now.value else "-",
+        f"{d.change:+.3g}" if d.change == d.change else "-",
+        f"{d.accepted.width:.3g}" if d.accepted and known else "-",
+        str(d.outcome),
+    )
+
+
+def _tell(item: Checked, baselines: Path) -> None:
+    """One line of summary, and each number that is not as accepted in words."""
+    from hyperval.results import Outcome
+
+    wrong = [row for row in item.rows if row.outcome is Outcome.DISAGREES]
+    for row in wrong:
+        print(f"{row.campaign}: {row.product} {row.subject} {row.method}: {row.reason}", file=sys.stderr)
+    if item.differences and not wrong:
+        note(f"{item.run.owner}: {len(item.differences)} numbers as accepted")
+    elif item.differences:
+        note(f"{item.run.owner}: {len(wrong)} of {len(item.differences)} numbers are not as accepted")
+        causes = _likely_causes(item)
+        note(f"  likely cause: {causes}")
+        note(f"  if the change is meant: {item.run.acceptance(baselines)}")
+
+
+def _likely_causes(item: Checked) -> str:
+    """What differs between the run and the one that was accepted, as far as both say."""
+    from hyperval.baseline.accepted import load_baseline
+
+    then = load_baseline(item.baseline).versions
+    changed = [f"{k} {then[k]} is now {v}" for k, v in item.run.versions.items() if k in then and then[k] != v]
+    return (
+        "; ".join(changed) or "the code, the campaign's files or its data: the versions of all packages are as accepted"
+    )
+
+
+baseline_app = typer.Typer(help="Accepted numbers of campaigns and sensors.", no_args_is_help=True)
+app.add_typer(baseline_app, name="baseline")
+
+
+@baseline_app.callback()
+def baseline() -> None:
+    """Accepted numbers of campaigns and sensors."""
+
+
+@baseline_app.command("accept")
+def baseline_accept(
+    reason: Annotated[str, typer.Option(help="Why the new numbers are right.")],
+    campaigns: Campaigns = None,
+    sensors: Sensors = None,
+    baselines: Baselines = None,
+    source: Finished = None,
+) -> int:
+    """Take the numbers of a run as those that later runs must give; prints what changes."""
+    from hyperval.baseline import accept
+    from hyperval.baseline.accepted import DEFAULT_FOLDER
+
+    done = accept(
+        campaigns or [],
+        sensors or [],
+        reason=reason,
+        baselines=baselines or DEFAULT_FOLDER,
+        source=source,
+        show_progress=settings.show_progress,
+    )
+    header = ("where", "metric", "accepted before", "accepted now")
+    print_table(header, [(c.owner, c.key, _in_words(c.old), _in_words(c.new)) for c in done.changes])
+    for name in done.unchanged:
+        note(f"{name}: nothing changed")
+    for name, why in done.skipped.items():
+        note(f"{name}: skipped: {why}")
+    for name, path in done.written.items():
+        note(f"{name}: written to {path}")
+    if done.written:
+        note('add to the changelog, under "Science changes":')
+        note(f"- {done.date}: {' '.join(reason.split())} (baselines: {', '.join(done.written)})")
+    return done.exit_code
+
+
+def _in_words(item: object) -> str:
+    from hyperval.baseline.accepted import Accepted
+
+    if not isinstance(item, Accepted):
+        return "-"
+    value = "no value" if item.accepted is None else f"{item.accepted:.6g}"
+    loose = f", loosened: {item.why}" if item.why else ""
+    return f"{value} ({item.outcome}, tolerance {item.tolerance:g} of {item.of}{loose})"
+
+
+data_app = typer.Typer(help="Public data sets: list, fetch, verify.", no_args_is_help=True)
+app.add_typer(data_app, name="data")
+
+
+@data_app.command("list")
+def data_list() -> int:
+    """List the registered data sets and whether they are on this machine."""
+    from hyperval.datasets import files_at_hand, missing, registry
+
+    rows = []
+    for name, entry in registry().items():
+        if not entry.public:
+            count = files_at_hand(name)
+            where = f"{count} files here" if count else f"held by {entry.holder}: {entry.obtain}"
+            rows.append((name, "-", entry.licence, where, entry.title))
+            continue
+        lacking = len(missing(name))
+        here = "here" if not lacking else f"{lacking} of {len(entry.files)} files missing"
+        size = sum(file.size for file in entry.files) / 1e6
+        rows.append((name, f"{size:.1f} MB", entry.licence, here, entry.title))
+    print_table(("name", "size", "licence", "state", "title"), rows)
+    return 0
+
+
+@data_app.command("fetch")
+def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data sets.")]) -> int:
+    """Bring data sets into the user's cache; every file is checked against its digest."""
+    from hyperval.datasets import cache_dir, dataset, fetch
+
+    for entry in [dataset(name) for name in names]:
+        new = fetch(entry.name, show_progress=settings.show_progress)
+        note(f"{entry.name}: {len(new)} files fetched into {cache_dir()}" if new else f"{entry.name}: complete")
+        note(f"  licence {entry.licence}; please cite: {entry.citation}")
+    return 0
+
+
+@data_app.command("verify")
+def data_verify(
+    names: Annotated[list[str] | None, typer.Argument(help="Names of data sets; all when none is named.")] = None,
+) -> int:
+    """Compare the files at hand with their digests; exit code 3 when one is missing or differs."""
+    from hyperval.datasets import dataset, registry, verify
+    from hyperval.errors import InputError
+
+    for name in names or []:
+        if not dataset(name).public:
+            note(f"{name}: not public, so no checksums are registered")
+    checks = [(name, check) for name in names or registry() for check in verify(name)]
+    print_table(("set", "file", "state"), [(name, check.path, check.state) for name, check in checks])
+    return 0 if all(check.state == "ok" for _, check in checks) else InputError.exit_code
+
+
+@app.command()
+def compare(
+    one: Annotated[Path, typer.Argument(metavar="A", help="A folder of results.")],
+    other: Annotated[Path, typer.Argument(metavar="B", help="Another, of the same campaign.")],
+    output: Output,
+) -> int:
+    """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures."""
+    from hyperval.report.side_by_side import compare_runs
+
+    return finished(compare_runs(one, other, output), output)
+
+
+@app.command()
+def drift(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders that validate wrote.")],
+    metric: Annotated[str, typer.Option(help="Which number is followed.")] = "bias_ratio",
+    product: Annotated[str, typer.Option(help="Product of its row.")] = "radiance",
+    subject: Annotated[str, typer.Option(help="Subject of its row.")] = "site",
+    within: Annotated[
+        tuple[float, float] | None, typer.Option(help="Accepted change in a year, lowest and highest.")
+    ] = None,
+) -> int:
+    """Print a row for each day of finished runs, and the change in a year with its interval."""
+    from hyperval.compare.rows import drift as drift_of
+    from hyperval.errors import UsageError
+    from hyperval.report.stored import days_of
+    from hyperval.results import Outcome
+
+    if within is not None and not within[0] < within[1]:
+        raise UsageError(f"--within {within[0]:g} {within[1]:g} holds no range", expected="lowest, highest")
+    days = days_of(folders, product, subject, metric)
+    print_table(
+        ("time", "campaign", metric, "lower", "upper"),
+        [
+            (
+                f"{d.when:%Y-%m-%dT%H:%M:%SZ}",
+                d.row.campaign,
+                *(f"{x:.6g}" for x in (d.row.value, d.row.lower, d.row.upper)),
+            )
+            for d in days
+        ],
+    )
+    trend = drift_of([d.year for d in days], [d.row.value for d in days])
+    words = f"{metric} changes by {trend.per_year:+.3g} in a year, 95 % interval "
+    words += f"{trend.lower:+.3g} to {trend.upper:+.3g}"
+    if within is None:
+        note(f"{words} ({trend.n} days)")
+        return 0
+    outcome = trend.outcome(*within)
+    note(f"{words} ({trend.n} days): {outcome} with {within[0]:g} to {within[1]:g}")
+    return {Outcome.AGREES: 0, Outcome.DISAGREES: 1}.get(outcome, 5)
+
+
+class FigureFormat(StrEnum):
+    """Formats of a figure."""
+
+    PDF = "pdf"
+    SVG = "svg"
+    PNG = "png"
+
+
+class Style(StrEnum):
+    """Looks of a figure."""
+
+    HOUSE = "house"
+    JOURNAL = "journal"
+
+
+@app.command()
+def figures(
+    run: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of one campaign, scenario or collection.")],
+    output: Output,
+    kind: Annotated[FigureFormat, typer.Option("--format", help="Format of the files.")] = FigureFormat.PDF,
+    style: Annotated[
+        Style, typer.Option("--style", help="journal: two columns wide, in its letters, untitled.")
+    ] = Style.HOUSE,
+) -> int:
+    """Draw the figures of a finished run for print, from its folder."""
+    from hyperval.campaign.sides import spread_curves
+    from hyperval.report.figures import figures_to_folder
+    from hyperval.report.style import Print
+
+    print_as = Print(kind.value, style is Style.JOURNAL)
+    return finished(figures_to_folder(run, output, print_as, spread_curves), output)
+
+
+@app.command()
+def metrics(
+    name: Annotated[str | None, typer.Argument(help="One metric, with everything the table says of it.")] = None,
+) -> int:
+    """List the metrics: range, interval, how each is judged and what moves it."""
+    from hyperval.metrics import metric_of
+    from hyperval.metrics.table import HEADER, entry, listed
+
+    if name is None:
+        print_table(HEADER, [tuple(str(x) for x in row) for row in listed()])
+    else:
+        print("\n".join(entry(metric_of(name))).strip())
+    return 0
+
+
+@app.command()
+def init(
+    cube: Annotated[Path, typer.Option(help="The image: data file, ENVI header, GeoTIFF, NetCDF or HDF5 product.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for campaign.yaml; made where it is not.")],
+    regions: Annotated[list[Path] | None, typer.Option(help="Files of regions of interest.")] = None,
+    targets: Annotated[Path | None, typer.Option(help="Regions, mask or list (CSV) of the targets.")] = None,
+    spectra: Annotated[
+        list[Path] | None, typer.Option(help="Files or folders of field spectra, named as regions and targets.")
+    ] = None,
+    header: Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")] = None,
+    quantity: Annotated[
+        Literal["radiance", "reflectance"] | None, typer.Option(help="What the image holds, where it does not say.")
+    ] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of the radiance, where the image does not say.")] = None,
+    sensor: Annotated[str | None, typer.Option(help="Sensor of the library, or a sensor file.")] = None,
+    time: Annotated[str | None, typer.Option(help="Time of the line, UTC: 2012-09-20T16:31:00Z.")] = None,
+    altitude_km: Annotated[float | None, typer.Option(help="Sensor above sea level [km].")] = None,
+    pixel_size_m: Annotated[float | None, typer.Option(help="Ground size of a pixel, without a map position.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the campaign; default: that of the folder.")] = None,
+) -> int:
+    """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
+    import re
+
+    from hyperval.campaign.starter import StarterSources, starter_campaign
+    from hyperval.storage import write_text
+
+    path = output / "campaign.yaml"
+    if path.exists():
+        raise UsageError("is there already", where=str(path), mend="name another folder with --output (-o)")
+    own = name or re.sub(r"[^a-z0-9]+", "-", output.resolve().name.lower()).strip("-") or "campaign"
+    sources = StarterSources(
+        cube, regions or (), targets, spectra or (), header, quantity, unit, sensor, time, altitude_km, pixel_size_m
+    )
+    text, guesses = starter_campaign(sources, output, own)
+    output.mkdir(parents=True, exist_ok=True)
+    write_text(path, text)
+    for guess in guesses:
+        note(f"guess: {guess}")
+    to_fill = text.count("FILL_IN:")
+    note(f"{path}: {f'{to_fill} values to fill in, then' if to_fill else 'now'}: hyperval validate --dry-run {path}")
+    return 0
+
+
+@app.command()
+def study(
+    study_file: Annotated[Path, typer.Argument(metavar="STUDY", help="A study file.")],
+    output: Output,
+    scheduler: Scheduler = None,
+) -> int:
+    """Evaluate a trade-off study; an interrupted run goes on where it stopped."""
+    from hyperval.study.run import study_to_folder
+
+    code = study_to_folder(study_file, output, scheduler=scheduler, show_progress=settings.show_progress)
+    return finished(code, output)
+
+
+@app.command()
+def benchmark(
+    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
+    output: Output,
+    extend: Annotated[
+        list[Path] | None,
+        typer.Option("--extend", help="A Python file that registers detectors; it is run."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the resampling.")] = 0,
+    scheduler: Scheduler = None,
+) -> int:
+    """Rank all detectors on every campaign."""
+    from hyperval.scoreboard.one import benchmark as run
+
+    code = run(
+        campaigns,
+        output,
+        extensions=extend or [],
+        seed=seed,
+        scheduler=scheduler,
+        show_progress=settings.show_progress,
+    )
+    return finished(code, output)
+
+
+@app.command()
+def power(
+    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for the tables; replaced as a whole.")
+    ] = None,
+    accept: Annotated[bool, typer.Option("--accept", help="Take the tables as those that reports show.")] = False,
+) -> int:
+    """Plant standard errors in the model, one at a time: which gates turn?"""
+    from hyperval.campaign.power import power as run
+
+    tables = run(campaigns, output=output, accept=accept, show_progress=settings.show_progress)
+    done = [item.table for item in tables if item.table is not None]
+    names = list(dict.fromkeys(name for table in done for name in table.errors))
+    print_table(
+        ("planted error", *(table.campaign for table in done)),
+        [(name, *(table.errors[name].words for table in done)) for name in names],
+    )
+    for item in tables:
+        if item.skipped:
+            note(f"{item.campaign}: skipped: {item.skipped}")
+        elif item.table is not None:
+            note(f"{item.campaign}: {item.table.sentence}")
+        for change in item.changes:
+            note(f"{item.campaign}: {change}")
+    if output is not None:
+        note(f"results in {output}")
+    if not done:
+        return 5
+    return 1 if not accept and any(item.changes for item in tables) else 0
+
+
+@app.command()
+def predict(
+    scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of a built-in scenario.")],
+    output: Output,
+) -> int:
+    """Run the forward model alone."""
+    from hyperval.campaign.forward import predict_to_folder
+
+    return finished(predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
+
+
+@app.command()
+def observe(
+    campaign: Annotated[Path, typer.Argument(help="A campaign file.")],
+    output: Output,
+    write_reflectance: Annotated[
+        Literal["envi", "cog"] | None,
+        typer.Option(help="Write the cube after the empirical line too: ENVI, or a cloud-optimised GeoTIFF."),
+    ] = None,
+) -> int:
+    """Run the empirical pipeline alone: what the collected imagery says."""
+    from hyperval.campaign.run import observe as run
+
+    code = run(campaign, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
+    say_warnings(output)
+    return finished(code, output)
+
+
+@app.command()
+def validate(
+    campaigns: Annotated[list[Path], typer.Argument(help="Campaign files.")],
+    output: AnyOutput = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run", help="List files, values to fill in, comparisons, and criteria that can never be met."
+        ),
+    ] = False,
+    junit: Annotated[Path | None, typer.Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
+    scheduler: Scheduler = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 1 where a gate is undecided or skipped, too.")
+    ] = False,
+    again: Annotated[
+        bool, typer.Option("--again", help="Run also what stands in the output and would come out the same.")
+    ] = False,
+) -> int:
+    """Predict, observe, compare: the main job."""
+    if dry_run:
+        return _dry_run(campaigns)
+    if output is None:
+        raise UsageError("no folder for the results", mend="name one with --output (-o)")
+    from hyperval.campaign.run import validate as run
+    from hyperval.storage import write_text
+
+    code = run(
+        campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note,
+        show_progress=settings.show_progress,
+    )  # fmt: skip
+    if junit is not None:
+        write_text(junit, (output / "junit.xml").read_text("utf-8"))
+    note(f"results in {output}")
+    say_warnings(output)
+    say_verdicts(output)
+    return code
+
+
+@app.command()
+def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], output: Output) -> int:
+    """Write a simulated collection with its truth."""
+    from hyperval.simulate import simulate_to_folder
+
+    return finished(simulate_to_folder(scene, output, show_progress=settings.show_progress), output)
+
+
+def _dry_run(campaigns: list[Path]) -> int:
+    from hyperval.campaign.dry_run import WRONG, dry_run, overview, summary
+    from hyperval.errors import InputError
+
+    items = dry_run(campaigns)
+    header = ("campaign", "kind", "state", "what", "detail")
+    print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in overview(items)])
+    for line in summary(items):
+        note(line)
+    if any(i.state == WRONG for i in items):
+        return UsageError.exit_code
+    return InputError.exit_code if any(i.lacking for i in items) else 0
+
+
+sensor_app = typer.Typer(help="Sensors: those of the package, and new ones.", no_args_is_help=True)
+app.add_typer(sensor_app, name="sensor")
+
+
+@sensor_app.command("list")
+def sensor_list() -> int:
+    """List the sensors that come with the package."""
+    from hyperval.sensor.specification import library_names, load_sensor
+
+    rows = []
+    for sensor in map(load_sensor, library_names()):
+        centre = sensor.axis.centre_nm
+        span = f"{centre.min():.0f}-{centre.max():.0f} nm"
+        rows.append((sensor.name, str(centre.size), span, sensor.specification.title))
+    print_table(("name", "bands", "range", "title"), rows)
+    return 0
+
+
+@sensor_app.command("show")
+def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")]) -> int:
+    """Print a sensor's specification as YAML: every number with its source."""
+    import yaml
+
+    from hyperval.sensor.specification import load_sensor
+
+    entries = load_sensor(name).specification.model_dump(mode="json", by_alias=True, exclude_none=True)
+    print(yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100), end="")
+    return 0
+
+
+@sensor_app.command("check")
+def sensor_check(
+    name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for the datasheet; replaced as a whole.")
+    ] = None,
+    vary: Annotated[
+        float, typer.Option(min=1.0, max=90.0, help="By how much each assumed number is varied [%].")
+    ] = 20.0,
+) -> int:
+    """Run the acceptance suite on a sensor; with --output, write its datasheet."""
+    from hyperval.report.verdict import gate_fails, limits_text
+    from hyperval.sensor_check.page import check_to_folder
+
+    check = check_to_folder(name, output, vary=vary / 100.0, show_progress=settings.show_progress)
+    decided = [r for r in check.table if r.planned]
+    rows = [
+        (str(r.outcome), r.product, r.subject, r.metric, f"{r.value:.4g}", limits_text(r), r.reason) for r in decided
+    ]
+    print_table(("outcome", "part", "subject", "check", "value", "limit", "remark"), rows)
+    failed = sum(gate_fails(r) for r in decided)
+    note(f"{check.sensor.name}: {len(decided) - failed} of {len(decided)} checks passed" if failed
+         else f"{check.sensor.name}: accepted, {len(decided)} checks")  # fmt: skip
+    return finished(check.exit_code, output) if output is not None else check.exit_code
+
+
+@sensor_app.command("new")
+def sensor_new(
+    name: Annotated[str, typer.Argument(help="Short name of the sensor.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The file to write; default: NAME.yaml here.")
+    ] = None,
+    arms: Annotated[str, typer.Option(help="Its spectrometers, with commas between.")] = "VNIR",
+) -> int:
+    """Write a sensor file to be filled in from a data sheet."""
+    from hyperval.sensor_check.skeleton import skeleton
+    from hyperval.storage import write_text
+
+    path = output if output is not None else Path(f"{name}.yaml")
+    text = skeleton(name, [arm.strip() for arm in arms.split(",")])
+    if path.exists():
+        raise UsageError("is there already", where=str(path), mend="name another file with --output (-o)")
+    write_text(path, text)
+    note(f"{path}: replace every FILL_IN, then: hyperval sensor check {path}")
+    return 0
+
+
+_MB = 1_000_000
+
+
+@app.command()
+def serve(
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8000,
+    host: Annotated[str, typer.Option(help="Address that it listens at; this machine alone by default.")] = "127.0.0.1",
+    name: Annotated[
+        list[str] | None,
+        typer.Option(help="Name under which browsers reach it, besides localhost; may be repeated."),
+    ] = None,
+    folder: Annotated[Path | None, typer.Option(help="Runs and uploads; by default in the user's data folder.")] = None,
+    campaigns: Annotated[Path | None, typer.Option(help="Folder of campaigns that may be run from the pages.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder whose cubes, regions and spectra may be named in the pages.")
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for predictions.")] = 2,
+    long_workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
+    scheduler: Scheduler = None,
+    memory_mb: Annotated[int, typer.Option(min=500, help="Memory of one process.")] = 3000,
+    seconds: Annotated[float, typer.Option(min=1, help="Longest study or campaign.")] = 3600.0,
+    queue: Annotated[int, typer.Option(min=1, max=10_000, help="Runs that may wait.")] = 64,
+    connections: Annotated[
+        int, typer.Option(min=4, max=100_000, help="Connections of one address; of a proxy before it, all of them.")
+    ] = 256,
+    upload_mb: Annotated[int, typer.Option(min=1, max=2000, help="Largest upload.")] = 64,
+    kept_mb: Annotated[int, typer.Option(min=1, help="Finished runs that are kept; the oldest go first.")] = 5000,
+    kept_days: Annotated[float, typer.Option(min=0.01, help="How long finished runs are kept.")] = 30.0,
+    https: Annotated[
+        bool, typer.Option("--https", help="A proxy before it speaks HTTPS: cookies go no other way.")
+    ] = False,
+) -> int:
+    """Serve the web application, to browsers of this machine by default."""
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # the workers share the processors
+    import platformdirs
+
+    place = folder or Path(platformdirs.user_data_dir("hyperval")) / "web"
+    keep_caches(place)
+
+    try:
+        import uvicorn
+
+        from hyperval.web.app import make_app
+        from hyperval.web.guard import connections_of
+    except ModuleNotFoundError as error:
+        raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
+    from hyperval.web.store import LOOPBACK, Limits, ServerSettings
+
+    limits = Limits(
+        upload_bytes=upload_mb * _MB, long_seconds=seconds, memory_bytes=memory_mb * _MB, quick_workers=workers,
+        long_workers=long_workers, queue=queue, kept_bytes=kept_mb * _MB, kept_days=kept_days,
+    )  # fmt: skip
+    for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
+        if given is not None and not given.is_dir():
+            raise UsageError("is no folder", where=str(given), expected=words)
+    names = tuple(n.lower() for n in name or ())
+    settings = ServerSettings(place, campaigns, (*LOOPBACK, *names), https, limits, data)
+    if scheduler is not None:
+        from hyperval.web.workers import Cluster
+
+        crews = (Cluster(scheduler, queue, limits.quick_seconds), Cluster(scheduler, queue, limits.long_seconds))
+    else:
+        crews = None
+    application = make_app(settings, crews)
+    for words in application.state.store.notices:
+        note(words)
+    note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C ends it")
+    uvicorn.run(
+        application, host=host, port=port, log_level="warning", access_log=False, server_header=False,
+        proxy_headers=False, timeout_keep_alive=30, ws="none", http=connections_of(connections),
+    )  # fmt: skip
+    return 0
+
+
+def keep_caches(place: Path) -> None:
+    """Keep what is computed once in the server's folder, where its user has no home, as that of a service."""
+    from hyperval.datasets import cache_dir
+
+    try:
+        cache_dir().parent.mkdir(parents=True, exist_ok=True)
+        writable = os.access(cache_dir().parent, os.W_OK)
+    except OSError:
+        writable = False
+    if not writable:
+        os.environ["HYPERVAL_CACHE"] = str(place / "cache")
+        os.environ.setdefault("MPLCONFIGDIR", str(place / "cache" / "matplotlib"))

@@ -1,0 +1,710 @@
+"""How well a region's pixels know the law of its scores: a jackknife over parts of the image.
+
+Neighbouring pixels resemble each other, so that parts are left out and no pixels (Künsch, Ann. Stat. 17,
+1217-1241, 1989).
+
+Mixtures of normal or t laws, fitted by expectation and maximisation in a few dimensions.
+
+A class such as "built-up" is roofs, roads and cars: clusters, and no single law.  The fit is for standardised
+values, of mean 0 and covariance 1 in all.
+
+Components of a class in all bands, from a mixture fitted in its few leading components.
+
+Tails of the pixels about their mean: degrees of freedom of a multivariate t, from Mahalanobis distances.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+from scipy import special
+from scipy.special import chdtrc, digamma, fdtrc, gammaln, ndtr
+
+from hyperval.errors import UsageError
+from hyperval.processing.intervals import Z95
+from hyperval.processing.sample import EigenDirections
+from hyperval.scene.statistics import Components
+
+Array = npt.NDArray[np.float64]
+
+LEAST_COMPONENT_DOF, MOST_DOF = (
+    2.05,
+    200.0,
+)  # of t laws: the covariance is finite; beyond, nobody tells it from the normal law
+STEPS = 100
+_TOLERANCE = 1e-4  # of the penalised log likelihood of one pixel
+_LLOYD = 10
+_FIRST_DOF = 10.0
+TRIED_DOF = (None, 16.0, 8.0, 4.0)
+
+
+@dataclass(frozen=True, eq=False)
+class MixtureFit:
+    """K laws in P dimensions.
+
+    Attributes
+    ----------
+    weights, means, scales : (K,), (K, P), (K, P, P); the covariance is the scale times dof/(dof - 2)
+    dof : degrees of freedom common to all; inf: normal laws
+    history : penalised log likelihood of a pixel at every step
+    """
+
+    weights: Array
+    means: Array
+    scales: Array
+    dof: float
+    history: tuple[float, ...] = ()
+
+    @cached_property
+    def inverse_roots(self) -> Array:
+        """(K, P, P) inverses of the Cholesky factors of the scales."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.scales)))
+
+    def log_densities(self, x: Array) -> tuple[Array, Array]:
+        """log of weight times density, and the squared distance over the scale, (K, n) each, of values (n, P)."""
+        return self._log_densities(_monomials(x))
+
+    def _log_densities(self, monomials: Array) -> tuple[Array, Array]:
+        inverse, p = self.inverse_roots, self.means.shape[1]
+        precision = inverse.transpose(0, 2, 1) @ inverse
+        towards = np.einsum("kij,kj->ki", precision, self.means)
+        at_zero = np.einsum("ki,ki->k", towards, self.means)
+        upper, lower = np.triu_indices(p)
+        products = precision[:, upper, lower] * np.where(upper == lower, 1.0, 2.0)
+        squares = np.concatenate([at_zero[:, None], -2.0 * towards, products], axis=1) @ monomials
+        np.maximum(squares, 0.0, out=squares)  # rounding alone leaves it
+        constant = np.log(self.weights) + np.log(np.einsum("kii->ki", inverse)).sum(axis=1)
+        if np.isinf(self.dof):
+            return (constant - 0.5 * p * np.log(2.0 * np.pi))[:, None] - 0.5 * squares, squares
+        nu = self.dof
+        constant += gammaln(0.5 * (nu + p)) - gammaln(0.5 * nu) - 0.5 * p * np.log(nu * np.pi)
+        return constant[:, None] - 0.5 * (nu + p) * np.log1p(squares / nu), squares
+
+    def log_density(self, x: Array) -> Array:
+        """(n,) log density of values (n, P)."""
+        return _total(self.log_densities(x)[0])[0]
+
+    def shares(self, x: Array) -> tuple[Array, Array]:
+        """(K, n) probability that a value belongs to a law, and the weight it has in the moments of that law.
+
+        The weight is (dof + P)/(dof + d^2) of a t law (Peel & McLachlan, Stat. Comput. 10, 339-348, 2000), 1 of a
+        normal one.
+        """
+        log_parts, squares = self.log_densities(x)
+        return _total(log_parts)[1], _weight(squares, self.dof, x.shape[1])
+
+
+def fit_mixture(
+    values: npt.ArrayLike,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    dof: float | None = np.inf,
+    prior_pixels: float | None = None,
+    starts: int = 2,
+) -> MixtureFit:
+    """The mixture of greatest penalised likelihood, of some starts.
+
+    A component of few pixels would shrink onto them: each scale has an inverse Wishart prior worth
+    ``prior_pixels``, about a ball of the volume that is left to each of K components, K^(-2/P) (Fraley & Raftery,
+    J. Classif. 24, 155-181, 2007).  Expectation and maximisation never lower the likelihood that is so penalised.
+
+    Parameters
+    ----------
+    values : (n, P) standardised: mean 0 and covariance 1 in all
+    count : K components
+    dof : of t laws; inf: normal laws; None: fitted, one for all
+    prior_pixels : None: P + 1
+
+    Raises
+    ------
+    UsageError : fewer values than 2 K.
+    """
+    x = np.asarray(values, dtype=float)
+    n, p = x.shape
+    if count < 1 or n < 2 * count:
+        raise UsageError(f"{count} components of {n} pixels", expected="two pixels or more for each component")
+    prior = p + 1.0 if prior_pixels is None else prior_pixels
+    fits = (_from_start(x, _nearest_of_centres(x, count, rng), dof, prior) for _ in range(starts if count > 1 else 1))
+    return max(fits, key=lambda fit: fit.history[-1])
+
+
+def fit_again(values: Array, fit: MixtureFit) -> MixtureFit:
+    """The fit to other values (n, P), from where it stands, with as many laws; degrees of freedom stay if chosen.
+
+    What a sample without one of its parts makes of the mixture; a fresh start could end in another maximum.
+    """
+    chosen = np.isinf(fit.dof) or fit.dof in TRIED_DOF
+    return _from_start(values, fit.shares(values)[0], fit.dof if chosen else None, values.shape[1] + 1.0)
+
+
+def _from_start(x: Array, probability: Array, dof: float | None, prior: float) -> MixtureFit:
+    """Expectation and maximisation from probabilities (K, n)."""
+    n, p = x.shape
+    count = probability.shape[0]
+    ball = count ** (-2.0 / p)
+    nu = _FIRST_DOF if dof is None else dof
+    weight = np.ones_like(probability)
+    monomials = _monomials(x)
+    upper, lower = np.triu_indices(p)
+    history: list[float] = []
+    fit = None
+    for _ in range(STEPS):
+        size = probability.sum(axis=1)
+        alive = size > 1e-8 * n  # a component that no pixel belongs to has no law
+        if not alive.all():
+            probability, weight, size = probability[alive], weight[alive], size[alive]
+            ball *= (count / size.size) ** (2.0 / p)
+            count = size.size
+            history.clear()  # another mixture, with another likelihood
+        both = probability * weight
+        moments = both @ monomials.T
+        total = moments[:, 0]
+        means = moments[:, 1 : p + 1] / total[:, None]
+        scales = np.empty((count, p, p))
+        scatter = moments[:, p + 1 :] - total[:, None] * means[:, upper] * means[:, lower]
+        scales[:, upper, lower] = scales[:, lower, upper] = scatter
+        scales = (scales + prior * ball * np.eye(p)) / (size + prior)[:, None, None]
+        if dof is None and history:
+            nu = _better_dof(nu, p, probability, weight)
+        fit = MixtureFit(size / size.sum(), means, scales, nu)
+        log_parts, squares = fit._log_densities(monomials)
+        log_density, probability = _total(log_parts)
+        history.append(float(log_density.mean()) - _penalty(fit.inverse_roots, ball, prior) / n)
+        weight = _weight(squares, nu, p)
+        if len(history) > 1 and history[-1] - history[-2] < _TOLERANCE:
+            break
+    assert fit is not None  # noqa: S101 - STEPS is positive
+    return replace(fit, history=tuple(history))
+
+
+def _monomials(x: Array) -> Array:
+    """(1 + P + P (P + 1)/2, n) the powers of values (n, P) up to the second: a square form is linear in them."""
+    upper, lower = np.triu_indices(x.shape[1])
+    columns = x.T
+    return np.concatenate([np.ones((1, x.shape[0])), columns, columns[upper] * columns[lower]])
+
+
+def _weight(squares: Array, dof: float, dimensions: int) -> Array:
+    return np.ones_like(squares) if np.isinf(dof) else (dof + dimensions) / (dof + squares)
+
+
+def _total(log_parts: Array) -> tuple[Array, Array]:
+    """log of the sum (n,) of parts (K, n), and the share of each in it; scipy's logsumexp is thrice as slow."""
+    top = log_parts.max(axis=0)
+    parts = np.exp(log_parts - top)
+    total = parts.sum(axis=0)
+    parts /= total
+    return top + np.log(total), parts
+
+
+def _penalty(inverse_roots: Array, ball: float, prior: float) -> float:
+    """Minus the log density of the prior of all scales about ``ball`` times the unit matrix, up to a constant."""
+    log_det = -2.0 * np.log(np.einsum("kii->ki", inverse_roots)).sum()
+    return float(0.5 * prior * (log_det + ball * np.sum(inverse_roots**2)))
+
+
+def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
+    """Degrees of freedom of greatest expected likelihood, given shares and weights at ``nu`` (Peel & McLachlan)."""
+    known = float((probability * (np.log(weight) - weight)).sum() / probability.sum())
+    known += float(digamma(0.5 * (nu + p)) - np.log(0.5 * (nu + p)))
+
+    def slope(v: float) -> float:
+        return math.log(0.5 * v) - float(digamma(0.5 * v)) + 1.0 + known
+
+    if slope(LEAST_COMPONENT_DOF) <= 0.0:
+        return LEAST_COMPONENT_DOF
+    return MOST_DOF if slope(MOST_DOF) >= 0.0 else float(scipy.optimize.brentq(slope, LEAST_COMPONENT_DOF, MOST_DOF))
+
+
+def _nearest_of_centres(x: Array, count: int, rng: np.random.Generator) -> Array:
+    """(K, n) 1 for the nearest of K centres, by the iterations of Lloyd from spread-out pixels (k-means++)."""
+    centres = x[rng.integers(x.shape[0])][None]
+    away = np.sum((x - centres[0]) ** 2, axis=1)
+    for _ in range(count - 1):
+        total = float(away.sum())
+        at = rng.choice(x.shape[0], p=away / total) if total > 0.0 else rng.integers(x.shape[0])
+        centres = np.vstack([centres, x[at]])
+        away = np.minimum(away, np.sum((x - x[at]) ** 2, axis=1))
+    nearest = np.zeros((count, x.shape[0]))
+    for _ in range(_LLOYD):
+        which = np.argmin(np.sum(centres**2, axis=1)[:, None] - 2.0 * centres @ x.T, axis=0)
+        nearest = (np.arange(count)[:, None] == which).astype(float)
+        size = nearest.sum(axis=1)
+        centres = np.where(size[:, None] > 0, (nearest @ x) / np.maximum(size, 1.0)[:, None], centres)
+    return nearest
+
+
+def chosen_count(
+    values: npt.ArrayLike,
+    block: npt.ArrayLike,
+    counts: Sequence[int],
+    rng: np.random.Generator,
+    *,
+    dof: float | None = np.inf,
+    folds: int = 4,
+) -> tuple[int, Array]:
+    """The number of components that predicts other parts of the image best, and what each number scored.
+
+    Whole blocks of the image are left out in turns, as neighbours are alike: a pixel would predict the one beside
+    it however many components there are.  The score is the log density of the pixels left out.  Of the numbers
+    whose score is within one standard error of the best, by blocks, the smallest counts (Breiman et al.,
+    Classification and Regression Trees, 1984, 3.4.3): what is beyond it may be chance.
+
+    Parameters
+    ----------
+    values : (n, P) standardised
+    block : (n,) number of the block of the image that each pixel lies in
+    counts : numbers of components, increasing; those that the pixels do not carry are left out
+
+    Returns
+    -------
+    number of components, and (len(counts),) mean log density of pixels left out; -inf of numbers not tried
+
+    Raises
+    ------
+    UsageError : fewer than two blocks.
+    """
+    x = np.asarray(values, dtype=float)
+    fold, at = _folds(block, folds, rng)
+    score, each = np.full(len(counts), -np.inf), []
+    for i, count in enumerate(counts):
+        # Fewer pixels than that for each component of the smallest part, and it knows no covariance.
+        if any(np.count_nonzero(fold != f) < count * (x.shape[1] + 1) for f in np.unique(fold)):
+            break
+        each.append(np.bincount(at, _left_out_density(x, fold, count, dof, rng)))
+        score[i] = each[-1].sum() / len(x)
+        if i >= 2 and score[i] < score[i - 1] < score[i - 2]:
+            break  # past its top
+    best = int(np.argmax(score))
+    for i in range(best):
+        behind = each[best] - each[i]
+        if behind.sum() <= np.sqrt(behind.size) * behind.std(ddof=1):
+            return int(counts[i]), score
+    return int(counts[best]), score
+
+
+def chosen_dof(
+    values: npt.ArrayLike, block: npt.ArrayLike, count: int, rng: np.random.Generator, *, folds: int = 4
+) -> float | None:
+    """Degrees of freedom, of t laws in number ``count``, that predict left-out blocks best; None: as fitted.
+
+    The pixels of a sample lie nearer to its own clusters than those of another part of the image do.
+    """
+    x, fold = np.asarray(values, dtype=float), _folds(block, folds, rng)[0]
+    return max(TRIED_DOF, key=lambda dof: float(_left_out_density(x, fold, count, dof, rng).sum()))
+
+
+def _folds(
+    block: npt.ArrayLike, folds: int, rng: np.random.Generator
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """(n,) part of the image that a pixel is left out with, and its block counted from 0."""
+    at = np.unique(np.asarray(block), return_inverse=True)[1].reshape(-1)
+    blocks = int(at.max(initial=-1)) + 1
+    if blocks < 2:
+        raise UsageError(
+            "the pixels lie in one block of the image: the number of components can not be chosen by leaving "
+            "blocks out",
+            mend="state it, such as mixture: 3",
+        )
+    return np.asarray((rng.permutation(blocks) % min(folds, blocks))[at]), at
+
+
+def _left_out_density(
+    x: Array, fold: npt.NDArray[np.intp], count: int, dof: float | None, rng: np.random.Generator
+) -> Array:
+    """(n,) log density of each value by the mixture of the other parts."""
+    density = np.empty(len(x))
+    for f in np.unique(fold):
+        fit = fit_mixture(x[fold != f], count, rng, dof=dof, starts=1)
+        density[fold == f] = fit.log_density(x[fold == f])
+    return density
+
+
+COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)
+DIMENSIONS = 6  # leading components of the class; clusters differ in what varies most
+# Fewer pixels than that have no clusters that another sample would show again.
+FEWEST_PIXELS = 200
+# The number of clusters is chosen on so many pixels, thinned evenly.
+MOST_CHOOSING = 5000
+_LEAST_VARIANCE = 1e-10  # of the greatest: below it a component is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class ClassMixture:
+    """The mixture that the pixels of a class are, in the leading components that it was fitted in.
+
+    Attributes
+    ----------
+    mean : (B,) of the pixels
+    lead : bands of the leading components
+    directions : (bands of ``lead``, P) that make a pixel's departure from the mean its standardised values
+    fit : in those
+    """
+
+    mean: Array
+    lead: npt.NDArray[np.intp]
+    directions: Array
+    fit: MixtureFit
+
+    def components(self, pixels: Array) -> Components | None:
+        """The laws in all bands, by the share that each pixel (n, B) has in each; None where one is left."""
+        return self._moments(pixels, self._standardised(pixels), self.fit)
+
+    def components_without(self, pixels: Array, part: npt.NDArray[np.intp], number: int) -> Components | None:
+        """The same without the pixels of one part of the image, the fit made again from where it stands."""
+        rest = pixels[part != number]
+        values = self._standardised(rest)
+        return self._moments(rest, values, fit_again(values, self.fit))
+
+    def _standardised(self, pixels: Array) -> Array:
+        return np.asarray((pixels - self.mean)[:, self.lead] @ self.directions)
+
+    def _moments(self, pixels: Array, values: Array, fit: MixtureFit) -> Components | None:
+        centred = pixels - pixels.mean(axis=0)
+        probability, weight = fit.shares(values)
+        size = probability.sum(axis=1)
+        kept = size > 1.0  # a law of less than one pixel has no covariance, and no alarms
+        if np.count_nonzero(kept) < 2:
+            return None
+        probability, weight, size = probability[kept], weight[kept], size[kept]
+        both = probability * weight
+        offsets = (both @ centred) / both.sum(axis=1)[:, None]
+        # The scale of a t law is the weighted scatter over the unweighted number; n/(n - 1) as for the class.
+        n = pixels.shape[0]
+        inflation = (1.0 if np.isinf(fit.dof) else fit.dof / (fit.dof - 2.0)) * n / max(n - 1, 1)
+        covariances = np.empty((size.size, pixels.shape[1], pixels.shape[1]))
+        for k in range(size.size):
+            away = centred - offsets[k]
+            covariances[k] = inflation * (away * both[k, :, None]).T @ away / size[k]
+        shrunk = shrunk_covariances(covariances, size)
+        return Components(size / size.sum(), offsets, 0.5 * (shrunk + shrunk.transpose(0, 2, 1)), fit.dof)
+
+
+def class_mixture(
+    pixels: npt.ArrayLike,
+    block: npt.ArrayLike,
+    count: int | Literal["auto"],
+    *,
+    tails: bool,
+    lead: npt.NDArray[np.intp] | None = None,
+    seed: int = 0,
+    counts: Sequence[int] = COUNTS,
+) -> ClassMixture | None:
+    """The mixture that pixels (n, B) of a class are; None where one law is all that they show.
+
+    The laws are fitted in the leading components of the class, where clusters differ; the moments of all bands
+    follow from the share that each pixel has in each law, shrunk by :func:`shrunk_covariances`.
+
+    Parameters
+    ----------
+    block : (n,) number of the block of the image that each pixel lies in, for the choice of the number
+    count : K, or "auto" for the number that predicts left-out blocks best
+    tails : t laws in place of normal ones, whose degrees of freedom are fitted; of the number that was chosen by
+        blocks, by blocks too: tails are what a sample has too few pixels of
+    lead : bands in which the leading components are taken; None: all
+
+    Raises
+    ------
+    UsageError : too few pixels or blocks.
+    """
+    x = np.asarray(pixels, dtype=float)
+    rng = np.random.default_rng(seed)
+    mean = x.mean(axis=0)
+    lead = np.arange(x.shape[1]) if lead is None else lead
+    used = (x - mean)[:, lead]
+    values, vectors = np.linalg.eigh(used.T @ used / max(x.shape[0] - 1, 1))
+    values, vectors = values[::-1], vectors[:, ::-1]
+    keep = min(DIMENSIONS, int(np.count_nonzero(values > _LEAST_VARIANCE * values[0])))
+    if keep == 0 or (count == "auto" and x.shape[0] < FEWEST_PIXELS):
+        return None
+    # The sign of an eigenvector is nobody's choice; the starts of the fit shall not depend on it.
+    vectors = vectors[:, :keep]
+    vectors = vectors * np.sign(vectors[np.argmax(np.abs(vectors), axis=0), np.arange(keep)])
+    directions = vectors / np.sqrt(values[:keep])
+    leading = used @ directions
+    dof: float | None = None if tails else np.inf
+    thin = slice(None, None, -(-x.shape[0] // MOST_CHOOSING))
+    some, where = leading[thin], np.asarray(block)[thin]
+    number = count if count != "auto" else chosen_count(some, where, counts, rng, dof=dof)[0]
+    if number == 1:
+        return None
+    if tails and count == "auto":
+        dof = chosen_dof(some, where, number, rng)
+    return ClassMixture(mean, lead, directions, fit_mixture(leading, number, rng, dof=dof))
+
+
+def shrunk_covariances(covariances: Array, pixels: Array) -> Array:
+    """Covariances (K, B, B) shrunk towards their pooled one, by how much they differ from it beyond chance.
+
+    In a direction of the pooled covariance the variance of one component over the pooled one scatters by 2/n_k
+    where all are alike.  What it scatters by beyond that, t^2, on average over directions and components, is how
+    much they truly differ; the best linear guess between its own variance and the pooled one gives the latter the
+    weight (2/n_k)/(2/n_k + t^2) (empirical Bayes; Efron & Morris, J. Am. Stat. Assoc. 68, 117-130, 1973).
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> alike = np.array([np.cov(rng.standard_normal((20, 4)).T) for _ in range(50)])
+    >>> shrunk = shrunk_covariances(alike, np.full(50, 20.0))
+    >>> bool(np.abs(shrunk - np.eye(4)).mean() < 0.5 * np.abs(alike - np.eye(4)).mean())
+    True
+    """
+    share = pixels / pixels.sum()
+    pooled = np.tensordot(share, covariances, 1)
+    values, vectors = np.linalg.eigh(pooled)
+    used = values > _LEAST_VARIANCE * values[-1]
+    own = np.einsum("bp,kbc,cp->kp", vectors[:, used], covariances, vectors[:, used], optimize=True) / values[used]
+    chance = 2.0 / pixels
+    excess = max(float(share @ (np.mean((own - 1.0) ** 2, axis=1) - chance)), 0.0)
+    part = (chance / (chance + excess))[:, None, None]
+    return np.asarray((1.0 - part) * covariances + part * pooled)
+
+
+# The search is over a = 1/nu; below the first value a t cannot be told from the normal by any sample, above the
+# second the covariance is no longer finite.
+_LEAST, _MOST = 1e-6, 0.499
+_HALF_DROP = 1.920729410347062  # half the 0.95 quantile of chi-square with one degree of freedom
+_SCALE_STEPS = 60
+LEADING_SHARE = 0.99  # of the variance, in the leading components that tails are measured in as well
+FEWEST_LEADING, MOST_LEADING = 2, 6
+LEAST_DOF = 2.05  # only a very heavy tail has no covariance; such a fit is held just above it
+
+
+@dataclass(frozen=True)
+class TailFit:
+    """Degrees of freedom of a multivariate t.
+
+    Attributes
+    ----------
+    dof : maximum-likelihood nu; inf where the normal law is the most likely
+    lower, upper : 95 % limits by profile likelihood; upper inf where the normal law is inside
+    normality_p_value : probability of such a likelihood ratio if the pixels are normal
+    n : distances behind it
+    dimension : bands or components of which they are distances
+    """
+
+    dof: float
+    lower: float
+    upper: float
+    normality_p_value: float
+    n: int
+    dimension: int
+
+
+def tail_log_likelihood(inverse_dof: float, squared_distances: Array, dimension: int) -> float:
+    """Greatest log likelihood of squared Mahalanobis distances (n,) under a multivariate t, whatever the scale.
+
+    d^2 nu/(nu - 2)/(p s) follows F(p, nu), chi-square over p in the limit nu -> inf (Kotz & Nadarajah,
+    Multivariate t Distributions, 2004, section 1.2).  The scale s is free: where tails are heavy the sample's own
+    covariance misses it by more than the tail's shape allows.
+    """
+    d, p = squared_distances, dimension
+    if inverse_dof < _LEAST:
+        s = float(np.mean(d)) / p
+        constant = -0.5 * p * np.log(2.0 * s) - gammaln(0.5 * p)
+        return float(np.sum((0.5 * p - 1.0) * np.log(d) - 0.5 * d / s) + d.size * constant)
+    nu = 1.0 / inverse_dof
+    width = _t_width(d, p, nu)
+    constant = gammaln(0.5 * (nu + p)) - gammaln(0.5 * nu) - gammaln(0.5 * p) - 0.5 * p * np.log(width)
+    body = (0.5 * p - 1.0) * np.log(d) - 0.5 * (nu + p) * np.log1p(d / width)
+    return float(np.sum(body) + d.size * constant)
+
+
+def _t_width(d: Array, p: int, nu: float) -> float:
+    """The width w = s (nu - 2) of greatest likelihood: mean of (nu + p)/p d/(w + d) is 1."""
+    ratio = (nu + p) / p
+    low, high = 1e-6 * float(np.median(d)) * nu / p, 1e6 * float(d.max()) * nu
+    for _ in range(_SCALE_STEPS):
+        middle = float(np.sqrt(low * high))
+        if ratio * float(np.mean(d / (middle + d))) > 1.0:
+            low = middle
+        else:
+            high = middle
+        if high < low * (1.0 + 1e-9):
+            break
+    return float(np.sqrt(low * high))
+
+
+def left_out_distances(squared_distances: npt.ArrayLike, pixels: float) -> Array:
+    """Squared distances by mean and covariance of the other pixels, from those by the statistics of all.
+
+    A far pixel stretches the covariance that it is measured by, so that no distance exceeds (n - 1)^2/n.  Removing
+    the pixel (Sherman & Morrison) gives (n - 2) (n/(n - 1))^2 q/(1 - q n/(n - 1)) with q = d^2/(n - 1).
+    """
+    n = float(pixels)
+    q = np.asarray(squared_distances, dtype=float) / (n - 1.0)
+    # A pixel that alone spans a direction has no finite distance from the others.
+    rest = np.maximum(1.0 - q * n / (n - 1.0), 1e-9)
+    return np.asarray((n - 2.0) * (n / (n - 1.0)) ** 2 * q / rest)
+
+
+def fit_tail_dof(
+    squared_distances: npt.ArrayLike,
+    dimension: int,
+    *,
+    estimated_on: int | None = None,
+    independent: float | None = None,
+) -> TailFit:
+    """Maximum-likelihood degrees of freedom with profile-likelihood limits.
+
+    Parameters
+    ----------
+    squared_distances : (n,) of pixels from their mean, by their covariance; those of 0 are left out
+    dimension : bands p
+    estimated_on : pixels that mean and covariance were estimated on, these among them; None where both are known.
+        Distances are then taken from the other pixels; for normal pixels those follow T^2, which is a t with
+        n - 1 - p degrees of freedom, and its inverse is taken off
+    independent : of these distances, as many count as independent; the likelihood is taken to that power over n
+
+    Raises
+    ------
+    UsageError : fewer than ten distances, or no more pixels than bands.
+    """
+    fit, at, top, end, d = _most_likely(squared_distances, dimension, estimated_on, independent)
+    normal = fit(0.0)
+
+    def drop(a: float) -> float:
+        return top - fit(a) - _HALF_DROP
+
+    high = end if drop(end) < 0 else float(scipy.optimize.brentq(drop, at, end))
+    low = 0.0 if at == 0.0 or drop(0.0) <= 0 else float(scipy.optimize.brentq(drop, 0.0, at))
+    # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
+    # (Self & Liang 1987).
+    p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0
+    return TailFit(_inverse(at), _inverse(high), _inverse(low), p_value, int(d.size), dimension)
+
+
+def dof_of_distances(squared_distances: npt.ArrayLike, dimension: int, *, estimated_on: int) -> float:
+    """The degrees of freedom of :func:`fit_tail_dof` without their limits; at least 2.05, where a covariance is."""
+    return max(_inverse(_most_likely(squared_distances, dimension, estimated_on, None)[1]), LEAST_DOF)
+
+
+def _most_likely(
+    squared_distances: npt.ArrayLike, dimension: int, estimated_on: int | None, independent: float | None
+) -> tuple[Callable[[float], float], float, float, float, Array]:
+    """Log likelihood of 1/nu, where it is greatest, how great, the end of its range, the distances that count."""
+    d = np.asarray(squared_distances, dtype=float)
+    d = d[np.isfinite(d) & (d > 0)]
+    if d.size < 10:
+        raise UsageError(f"{d.size} distances say nothing of tails", expected="ten or more")
+    offset = 0.0
+    if estimated_on is not None:
+        if estimated_on <= dimension + 3:
+            raise UsageError(f"{estimated_on} pixels for distances in {dimension} bands", expected="more pixels")
+        d = left_out_distances(d, estimated_on)
+        offset = 1.0 / (estimated_on - 1.0 - dimension)
+    weight = 1.0 if independent is None else min(independent / d.size, 1.0)
+
+    def fit(a: float) -> float:
+        return weight * tail_log_likelihood(a + offset, d, dimension)
+
+    best = scipy.optimize.minimize_scalar(
+        lambda a: -fit(a), bounds=(0.0, _MOST - offset), method="bounded", options={"xatol": 1e-9}
+    )
+    at, top, normal = float(best.x), -float(best.fun), fit(0.0)
+    if at <= 2.0 * _LEAST or top <= normal:
+        at, top = 0.0, max(normal, top)
+    return fit, at, top, _MOST - offset, d
+
+
+def _inverse(a: float) -> float:
+    return 1.0 / a if a > 0 else float("inf")
+
+
+def exceedance_of_distance(squared_distance: npt.ArrayLike, dimension: int, dof: float) -> Array:
+    """Probability that a pixel of a normal (dof inf) or t law lies farther out than this, of any shape."""
+    d = np.asarray(squared_distance, dtype=float)
+    if np.isinf(dof):
+        return np.asarray(chdtrc(dimension, d))
+    return np.asarray(fdtrc(dimension, dof, d * dof / (dof - 2.0) / dimension))
+
+
+def leading_count(variances: Array, total: float) -> int:
+    """How many leading components tails are measured in: those that hold 99 % of the ``total`` variance, 2 to 6."""
+    count = int(np.searchsorted(np.cumsum(variances) / total, LEADING_SHARE)) + 1
+    return min(max(count, FEWEST_LEADING), MOST_LEADING, variances.size)
+
+
+def squared_mahalanobis(pixels: npt.ArrayLike, mean: npt.ArrayLike, vectors: Array, values: Array) -> Array:
+    """Squared distances (n,) of pixels (n, B) from a mean, in the directions (B, P) with variances (P,)."""
+    z = (np.asarray(pixels, dtype=float) - np.asarray(mean, dtype=float)) @ vectors
+    return np.asarray(np.einsum("ij,ij->i", z / values, z))
+
+
+Index = npt.NDArray[np.intp]
+
+_HALVINGS = 4  # 16 parts
+_FEWEST = 8  # pixels of a part
+
+
+def compact_parts(lines: npt.ArrayLike, samples: npt.ArrayLike) -> Index:
+    """(n,) number of the part that each pixel lies in: 16 parts of as many pixels, halved along their longer side.
+
+    Fewer parts where they would have fewer than 8 pixels.
+
+    Examples
+    --------
+    >>> lines, samples = np.indices((4, 16)).reshape(2, -1)
+    >>> compact_parts(lines, samples).reshape(4, 16)[::2, ::2].tolist()
+    [[0, 0, 2, 2, 4, 4, 6, 6], [1, 1, 3, 3, 5, 5, 7, 7]]
+    """
+    places = np.stack([np.asarray(lines), np.asarray(samples)])
+    n = places.shape[1]
+    part = np.zeros(n, np.intp)
+    for _ in range(min(_HALVINGS, int(np.log2(max(n / _FEWEST, 1.0))))):
+        half = np.zeros(n, np.intp)
+        for number in range(int(part.max()) + 1):
+            own = np.flatnonzero(part == number)
+            longer = int(np.argmax(np.ptp(places[:, own], axis=1)))
+            order = own[np.lexsort((places[1 - longer, own], places[longer, own]))]
+            half[order[order.size // 2 :]] = 1
+        part = 2 * part + half
+    return part
+
+
+def jackknife_directions(values: npt.ArrayLike) -> Array:
+    """(G, ...) independent directions of error of a statistic, from its values (G, ...) with each part left out.
+
+    Their squares add up to the jackknife's variance (G - 1)/G sum (v_g - v)^2 (Miller, Biometrika 61, 1-15, 1974),
+    widened by (t/1.96)^2 with G - 1 degrees of freedom, so that +-1.96 u is the 95 % interval (JCGM 100:2008, G.3).
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).normal(size=400)
+    >>> means = [np.delete(x.reshape(16, 25), g, axis=0).mean() for g in range(16)]
+    >>> u = np.sqrt((jackknife_directions(means) ** 2).sum())
+    >>> bool(0.7 < u / (x.std() / 20) < 1.5)
+    True
+    """
+    v = np.asarray(values, dtype=float)
+    parts = v.shape[0]
+    widening = special.stdtrit(parts - 1.0, 0.975) / Z95
+    return np.asarray(widening * np.sqrt((parts - 1.0) / parts) * (v - v.mean(axis=0)))
+
+
+def moments_without_each(pixels: Array, part: Index) -> Iterator[tuple[Array, Array]]:
+    """Mean (B,) and covariance (B, B) of the pixels (n, B) without each of their parts; none of a single part."""
+    centre = pixels.mean(axis=0)
+    away = [pixels[part == g] - centre for g in range(int(part.max(initial=0)) + 1)]
+    products = [x.T @ x for x in away]
+    sums, whole = [x.sum(axis=0) for x in away], np.sum(products, axis=0)
+    for x, product, own in zip(away, products, sums, strict=True) if len(away) > 1 else ():
+        n = pixels.shape[0] - x.shape[0]
+        mean = -own / n  # what is left out and what is left sum to nought
+        yield centre + mean, (whole - product - n * np.outer(mean, mean)) / max(n - 1, 1)
+
+
+def leading_tail_dof(pixels: Array, mean: Array, covariance: Array) -> float:
+    """Degrees of freedom of the t that pixels (n, B) follow in the leading components of their covariance."""
+    directions = EigenDirections.of(covariance)
+    count = leading_count(directions.values, float(np.trace(covariance)))
+    distances = squared_mahalanobis(pixels, mean, directions.vectors[:, :count], directions.values[:count])
+    return dof_of_distances(distances, count, estimated_on=pixels.shape[0])

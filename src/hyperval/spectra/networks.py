@@ -1,0 +1,393 @@
+"""A day of a RadCalNet site: surface and top-of-atmosphere reflectance every half hour, with the state of the air.
+
+A file is tab-separated text: the site, one column a half hour, the state, reflectance every 10 nm, and after an
+empty line the standard uncertainties of all of it in the same columns.  ``.input`` holds what was measured on the
+ground, ``.output`` what the network computed for the top of the atmosphere, seen from nadir; the text of the two
+does not tell them apart.  9996 and above: no value.
+
+Surface reflectance of HYPERNETS (L2A): a sequence of views, its errors by kind with their correlation.
+
+The network's files are NetCDF-4 with the conventions of CoMet: relative uncertainties in percent, one random, one
+systematic with a matrix of its correlation between wavelengths (in which a dimension stands twice).  The matrix is
+stored to two decimals, and so has small negative eigenvalues; these are left out.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import InputError, UsageError, reader
+from hyperval.hdf5 import check_hdf5
+from hyperval.paths import checked_file
+from hyperval.spectra.readers_record import MAX_BYTES, Record, SpectrumErrors
+
+Array = npt.NDArray[np.float64]
+
+HDF5_MARK = b"\x89HDF\r\n\x1a\n"
+MAX_WAVELENGTHS, MAX_SERIES = 5000, 2000
+_NAMES = (
+    "wavelength", "reflectance", "std_reflectance", "u_rel_random_reflectance", "u_rel_systematic_reflectance",
+    "err_corr_systematic_reflectance", "viewing_zenith_angle", "viewing_azimuth_angle", "solar_zenith_angle",
+    "solar_azimuth_angle", "acquisition_time", "quality_flag", "n_valid_scans",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class HypernetsSequence:
+    """One sequence.
+
+    Attributes
+    ----------
+    site, latitude_deg, longitude_deg : where
+    wavelength_nm : (W,)
+    reflectance : (S, W) hemispherical-conical, by series [1]
+    scan_deviation : (S, W) standard deviation between the scans of a series [1]
+    random, systematic : (S, W) standard uncertainties [1]
+    stored_correlation : (W, W) of the systematic errors between wavelengths, as it stands in the file
+    view_zenith_deg, view_azimuth_deg, solar_zenith_deg, solar_azimuth_deg : (S,) azimuths east of north
+    times : (S,) UTC
+    flags : (S,) quality flags, 0 where nothing is amiss
+    scans : (S,) valid scans behind each
+    """
+
+    site: str
+    latitude_deg: float
+    longitude_deg: float
+    wavelength_nm: Array
+    reflectance: Array
+    scan_deviation: Array
+    random: Array
+    systematic: Array
+    stored_correlation: Array
+    view_zenith_deg: Array
+    view_azimuth_deg: Array
+    solar_zenith_deg: Array
+    solar_azimuth_deg: Array
+    times: tuple[datetime, ...]
+    flags: npt.NDArray[np.int64]
+    scans: npt.NDArray[np.int64]
+    source: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(S,) names of the series: number and direction of view."""
+        pairs = zip(self.view_zenith_deg, self.view_azimuth_deg, strict=True)
+        return tuple(f"series {i}: zenith {z:.0f} azimuth {a:.0f}" for i, (z, a) in enumerate(pairs, start=1))
+
+    @cached_property
+    def correlation(self) -> Array:
+        """(W, W) the stored correlation without the negative eigenvalues of its rounding, the diagonal 1."""
+        values, vectors = np.linalg.eigh(0.5 * (self.stored_correlation + self.stored_correlation.T))
+        made = (vectors * np.clip(values, 0.0, None)) @ vectors.T
+        scale = np.sqrt(np.diag(made))
+        made /= np.outer(scale, scale)
+        made.setflags(write=False)
+        return np.asarray(made)
+
+    def errors(self, series: int) -> SpectrumErrors:
+        """Errors of one series by kind; ``series`` counts from 0."""
+        return SpectrumErrors(self.random[series], self.systematic[series], self.correlation)
+
+
+def is_hypernets(raw: bytes) -> bool:
+    """Whether the content is of the network: HDF5 that names its processor."""
+    return raw.startswith(HDF5_MARK) and b"hypernets_processor" in raw
+
+
+def hypernets_records(path: Path) -> list[Record]:
+    """The series as spectra, named by number and direction of view, with their errors; flagged ones say so."""
+    sequence = read_hypernets(path)
+    return [
+        Record(
+            name, sequence.wavelength_nm, sequence.reflectance[i], str(path), sequence.scan_deviation[i],
+            int(sequence.scans[i]) or None, "nm", "fraction", None,
+            (f"quality flags {sequence.flags[i]:#x}",) if sequence.flags[i] else (), errors=sequence.errors(i),
+        )
+        for i, name in enumerate(sequence.names)
+    ]  # fmt: skip
+
+
+@reader
+def read_hypernets(path: Path | str) -> HypernetsSequence:
+    """Read an L2A file.
+
+    Raises
+    ------
+    InputError : missing, too large, not an L2A file of the network, or values that cannot be.
+    """
+    import xarray as xr
+
+    path = checked_file(path, what="HYPERNETS file", most=MAX_BYTES)
+    check_hdf5(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the dimension that stands twice
+            with xr.open_dataset(path, engine="h5netcdf") as data:
+                lacking = [name for name in _NAMES if name not in data.variables]
+                if lacking:
+                    raise InputError(
+                        f"holds no {lacking[0]}", where=str(path), expected="a HYPERNETS file of level L2A"
+                    )
+                count = {name: data[name].size for name in ("wavelength", "acquisition_time")}
+                if count["wavelength"] > MAX_WAVELENGTHS or count["acquisition_time"] > MAX_SERIES:
+                    raise InputError("too many wavelengths or series", where=str(path), expected="one sequence")
+                values = {name: np.asarray(data[name].values, dtype=float) for name in _NAMES}
+                about = {k: data.attrs.get(k) for k in ("site_id", "site_latitude", "site_longitude")}
+    except (InputError, UsageError):
+        raise
+    except Exception as error:  # whatever a damaged file makes of the libraries
+        raise InputError(
+            f"cannot be read: {error}", where=str(path), expected="a HYPERNETS file of level L2A"
+        ) from error
+    return _checked(values, about, str(path))
+
+
+def _checked(values: dict[str, Array], about: dict[str, object], where: str) -> HypernetsSequence:
+    nm, rho = values["wavelength"], values["reflectance"].T
+    size = nm.size
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_NAMES[1:5], (size, rho.shape[0]))
+    shapes |= dict.fromkeys(_NAMES[6:], (rho.shape[0],)) | {"err_corr_systematic_reflectance": (size, size)}
+    for name, shape in shapes.items():
+        if values[name].shape != shape:
+            raise InputError(f"{name} has shape {values[name].shape}", where=where, expected=str(shape))
+    if size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0):
+        raise InputError("wavelengths do not increase within 200 to 3000 nm", where=where)
+    matrix = values["err_corr_systematic_reflectance"]
+    if not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01):
+        raise InputError("a correlation beyond -1 to 1, or other than 1 with itself", where=where)
+    relative = {kind: 0.01 * values[f"u_rel_{kind}_reflectance"].T for kind in ("random", "systematic")}
+    if any(np.any(u < 0.0) for u in relative.values()):
+        raise InputError("uncertainties below 0", where=where)
+    flags, scans = (np.nan_to_num(values[name]).astype(np.int64) for name in ("quality_flag", "n_valid_scans"))
+    try:
+        latitude, longitude = float(str(about["site_latitude"])), float(str(about["site_longitude"]))
+        times = tuple(datetime.fromtimestamp(t, UTC) for t in values["acquisition_time"])
+    except (ValueError, OverflowError, OSError) as error:
+        raise InputError(f"place or time is missing: {error}", where=where, expected="a whole L2A file") from error
+    random, systematic = (relative[kind] * np.abs(rho) for kind in ("random", "systematic"))
+    return HypernetsSequence(
+        str(about["site_id"]), latitude, longitude, nm, rho, values["std_reflectance"].T, random, systematic,
+        matrix, values["viewing_zenith_angle"], values["viewing_azimuth_angle"], values["solar_zenith_angle"],
+        values["solar_azimuth_angle"], times, flags, scans, where,
+    )  # fmt: skip
+
+
+NO_VALUE = 9996.0  # and above, up to 9999: night, bad weather, outside the instrument's range, other causes
+STATE = {
+    "P": "pressure_hpa", "T": "temperature_k", "WV": "water_vapour_g_cm2", "O3": "ozone_dobson",
+    "AOD": "aot550", "Ang": "angstrom_exponent",
+}  # fmt: skip
+SURFACE, TOP = "reflectance", "top-of-atmosphere reflectance"
+_KINDS = {".input": SURFACE, ".output": TOP}
+_DOBSON_PER_ATM_CM = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class RadCalNetDay:
+    """One daily file; arrays are NaN where the file holds no value.
+
+    Attributes
+    ----------
+    site, latitude_deg, longitude_deg, altitude_m : of the heading
+    quantity : "reflectance" of the surface, or "top-of-atmosphere reflectance"
+    times : (T,) UTC
+    state, state_uncertainty : name of ``STATE`` -> (T,) pressure [hPa], temperature [K], water vapour [g cm-2],
+        ozone [Dobson], aerosol optical depth at 550 nm, Angstrom exponent, and their standard uncertainties
+    wavelength_nm : (W,)
+    values, uncertainty : (T, W) reflectance and its standard uncertainty [1]
+    source : the file
+    """
+
+    site: str
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    quantity: str
+    times: tuple[datetime, ...]
+    state: Mapping[str, Array]
+    state_uncertainty: Mapping[str, Array]
+    wavelength_nm: Array
+    values: Array
+    uncertainty: Array
+    source: str
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """(T,) the time of each column, such as 04:00."""
+        return tuple(f"{t:%H:%M}" for t in self.times)
+
+    @property
+    def valid(self) -> tuple[str, ...]:
+        """Labels of the half hours with a spectrum and the whole state."""
+        whole = np.isfinite(np.stack(list(self.state.values()))).all(axis=0)
+        whole &= np.isfinite(self.values).sum(axis=1) >= 2
+        return tuple(label for label, good in zip(self.labels, whole, strict=True) if good)
+
+    def column(self, label: str) -> int:
+        """Number of a half hour by its label; raises UsageError where it holds no value."""
+        if label not in self.valid:
+            what = "holds no value" if label in self.labels else "is none of the file"
+            raise UsageError(f"the half hour {label} {what}", where=self.source, expected=", ".join(self.valid))
+        return self.labels.index(label)
+
+    def at(self, label: str) -> dict[str, float]:
+        """State of a half hour and its standard uncertainties, names with ``u_`` before them; ozone in atm cm."""
+        i = self.column(label)
+        numbers = {name: float(values[i]) for name, values in self.state.items()}
+        numbers |= {f"u_{name}": float(values[i]) for name, values in self.state_uncertainty.items()}
+        for name in ("ozone", "u_ozone"):
+            numbers[f"{name}_atm_cm"] = numbers.pop(f"{name}_dobson") / _DOBSON_PER_ATM_CM
+        return numbers
+
+
+@reader
+def read_radcalnet(path: Path | str) -> RadCalNetDay:
+    """Read a daily file.
+
+    Raises
+    ------
+    InputError : missing, too large, not of this form, or values that cannot be.
+    UsageError : a name that ends in neither .input nor .output.
+    """
+    path = checked_file(path, what="daily file of RadCalNet", most=MAX_BYTES)
+    return day_of(path.read_text("utf-8", errors="replace"), path)
+
+
+def is_radcalnet(head: bytes) -> bool:
+    """Whether a file begins as the network's do."""
+    return head.startswith(b"Site:") and b"\nLat:" in head.replace(b"\r", b"")
+
+
+def radcalnet_records(text: str, path: Path) -> list[Record]:
+    """The valid half hours of a file as spectra, named by their time; the spread is the standard uncertainty."""
+    day = day_of(text, path)
+    return [
+        Record(
+            label, day.wavelength_nm, day.values[i], str(path), day.uncertainty[i], None, "nm", "fraction",
+            None if day.quantity == SURFACE else day.quantity,
+        )
+        for label in day.valid
+        for i in (day.labels.index(label),)
+    ]  # fmt: skip
+
+
+def day_of(text: str, path: Path) -> RadCalNetDay:
+    """A daily file from its text; errors as for :func:`read_radcalnet`."""
+    quantity = _KINDS.get(path.suffix.lower())
+    if quantity is None:
+        raise UsageError(
+            "the text of RadCalNet's files does not say whether the surface or the top of the atmosphere is meant",
+            where=str(path), expected="a name that ends in .input (surface) or .output (top of the atmosphere)",
+        )  # fmt: skip
+    rows = _Rows(text, path)
+    site = rows.words("Site")[0]
+    latitude, longitude, altitude = (float(rows.numbers(key, 1)[0]) for key in ("Lat", "Lon", "Alt"))
+    year = rows.numbers("Year")
+    count = year.size
+    days, clock = rows.numbers("DOY(U)", count), rows.words("UTC", count)
+    times = tuple(_time(y, d, c, rows.here) for y, d, c in zip(year, days, clock, strict=True))
+    if any(b <= a for a, b in pairwise(times)):
+        raise InputError("the half hours do not follow each other", where=rows.here, expected="increasing UTC")
+    rows.skip("DOY(L)", "Local")
+    state = {name: rows.numbers(key, count) for key, name in STATE.items()}
+    rows.skip("Type")
+    nm, values = rows.spectra(count)
+    doubt = {name: rows.numbers(key, count) for key, name in STATE.items()}
+    u_nm, uncertainty = rows.spectra(count)
+    if not np.array_equal(nm, u_nm):
+        raise InputError("uncertainties at other wavelengths than the values", where=str(path))
+    if np.nanmin(uncertainty, initial=0.0) < 0 or any(np.nanmin(u, initial=0.0) < 0 for u in doubt.values()):
+        raise InputError("uncertainties below 0", where=str(path))
+    wrong = np.isfinite(values) & ~((values > -0.1) & (values < 2.0))
+    if wrong.any():
+        raise InputError(
+            f"{int(wrong.sum())} values such as {values[wrong][0]:g} are neither a reflectance nor a mark",
+            where=str(path), expected=f"a fraction, or {NO_VALUE:g} to 9999 where there is none",
+        )  # fmt: skip
+    return RadCalNetDay(
+        site, latitude, longitude, altitude, quantity, times, state, doubt, nm, values, uncertainty, str(path)
+    )
+
+
+class _Rows:
+    """The lines of a file, taken in order."""
+
+    def __init__(self, text: str, path: Path) -> None:
+        self.path = path
+        self.lines = [
+            (i, [w.strip() for w in line.split("\t")])
+            for i, line in enumerate(text.splitlines(), start=1)
+            if line.strip()
+        ]
+        self.next = 0
+
+    @property
+    def here(self) -> str:
+        """``file:line`` of the line that was taken last."""
+        return f"{self.path}:{self.lines[min(max(self.next - 1, 0), len(self.lines) - 1)][0]}"
+
+    def words(self, key: str, count: int | None = None) -> list[str]:
+        """What follows ``key:`` in the next line."""
+        line = self.lines[self.next][1] if self.next < len(self.lines) else ["the end of the file"]
+        self.next += 1
+        if line[0] != f"{key}:":
+            raise InputError(f"{line[0][:40]!r} where {key!r} belongs", where=self.here, expected=f"{key}: and values")
+        cells = [w for w in line[1:] if w]
+        if not cells or (count is not None and len(cells) != count):
+            wanted = "values" if count is None else f"{count} values"
+            raise InputError(f"{len(cells)} values of {key}", where=self.here, expected=wanted)
+        return cells
+
+    def numbers(self, key: str, count: int | None = None) -> Array:
+        """The same as numbers, NaN where there is no value."""
+        return _numbers(self.words(key, count), self.here)
+
+    def skip(self, *keys: str) -> None:
+        """Pass over lines that say nothing new."""
+        for key in keys:
+            self.words(key)
+
+    def spectra(self, count: int) -> tuple[Array, Array]:
+        """(W,) wavelengths and (count, W) values of the lines that begin with a number."""
+        at, rows = [], []
+        while self.next < len(self.lines) and not self.lines[self.next][1][0].endswith(":"):
+            words = [w for w in self.lines[self.next][1] if w]
+            self.next += 1
+            if len(words) != count + 1:
+                raise InputError(f"{len(words) - 1} values", where=self.here, expected=f"{count}, one a half hour")
+            row = _numbers(words, self.here, marks=False)
+            at.append(row[0])
+            rows.append(np.where(row[1:] >= NO_VALUE, np.nan, row[1:]))
+        nm = np.array(at)
+        if nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 300 and nm[-1] < 3000):
+            raise InputError("no increasing wavelengths in nm", where=self.here, expected="400 to 2500 nm")
+        return nm, np.array(rows).T
+
+
+def _numbers(words: Sequence[str], where: str, marks: bool = True) -> Array:
+    try:
+        values = np.array([float(w) for w in words])
+    except ValueError as error:
+        raise InputError("not a row of numbers", where=where, expected="numbers separated by tabulators") from error
+    if not np.all(np.isfinite(values)):
+        raise InputError("a number is missing", where=where, expected=f"{NO_VALUE:g} to 9999 where there is none")
+    return np.where(values >= NO_VALUE, np.nan, values) if marks else values
+
+
+def _time(year: float, day: float, clock: str, where: str) -> datetime:
+    try:
+        start = datetime.strptime(f"{int(year):04d} {clock}", "%Y %H:%M").replace(tzinfo=UTC)
+    except ValueError as error:
+        raise InputError(f"not a time: {clock!r}", where=where, expected="UTC as HH:MM") from error
+    if not 1 <= day <= 366:
+        raise InputError(f"day {day:g} of the year", where=where, expected="1 to 366")
+    return start + timedelta(days=int(day) - 1)

@@ -1,0 +1,678 @@
+"""Text files of field spectrometers: SVC and GER .sig, Spectral Evolution .sed.
+
+Spectra in text: columns by commas, blanks, tabs or semicolons under any header; ENVI plots; ECOSTRESS.
+
+Tables with one spectrum a row: metadata, then a column for each wavelength (EcoSIS, spectrolab, EMIT).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperval.errors import InputError, UsageError
+from hyperval.spectra.readers_record import MAX_ROWS, Record
+from hyperval.units import only_wavelength_unit
+
+Array = npt.NDArray[np.float64]
+MAX_HEADER_LINES = 1000
+MAX_COLUMNS = 2000
+MAX_TITLE = 1000
+_ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
+
+# No part of a pattern may begin in more than one place of what the part before it takes: a line of a million digits
+# or blanks would take hours.
+_NUMBER = re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
+_WHOLE = re.compile(r"^[-+]?[0-9]+$")
+_END = re.compile(r"^>+\s*End\b")  # of the numbers, in files of Ocean Optics
+_UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
+_SPREAD = re.compile(r"stand\w*[ _.]*dev|std|(?<![a-z])sd(?![a-z])|sigma|uncertainty", re.IGNORECASE)
+_WAVE = re.compile(r"wave|wvl|lambda", re.IGNORECASE)
+_WAVENUMBER = re.compile(r"wave\s*number|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
+# What titles say of values that are no reflectance.
+_QUANTITIES = {
+    "radiance": r"(?<![a-z])(radiance|rdn)(?![a-z])",
+    "irradiance": r"(?<![a-z])irradiance",
+    "absorbance": r"^abs\.?$|^abs(\.|\s*[(\[])|log\w*\s*\(?\s*1\s*/\s*r|-\s*log",
+    "counts": r"(?-i:(?<![A-Za-z0-9])DN(?![A-Za-z0-9]))|(?<![a-z])(raw )?counts?(?![a-z])|digital number",
+    "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance)",
+}
+_NM = re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE)
+_UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
+
+
+def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = None) -> list[Record]:
+    """Spectra of a text file: the first column is the wavelength, the others values.
+
+    A column whose title says standard deviation belongs to the one before it; a column that repeats the
+    wavelengths is left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
+    """
+    header, table, first_line = number_table(text, path)
+    titles = _titles(header, table.shape[1])
+    where = str(path)
+    if columns is None and _is_index(table, titles):
+        table, titles = table[:, 1:], titles[1:]
+    if columns is not None:
+        picked = [_column(c, titles, where) for c in columns]
+        if len(picked) not in (2, 3):
+            raise UsageError("columns are (wavelength, value) or (wavelength, value, standard deviation)", where=where)
+        table, titles = table[:, picked], [titles[i] for i in picked]
+        spread = {1: 2} if len(picked) == 3 else {}
+    else:
+        spread = {}
+        for i in range(2, len(titles)):
+            if _SPREAD.search(titles[i]) and i - 1 not in spread.values():
+                spread[i - 1] = i
+    unmeasured = {i for i in spread.values() if not table[:, i].any()}
+    if table.shape[1] < 2:
+        raise InputError(
+            "a single column",
+            where=f"{path}:{first_line}",
+            expected="a wavelength and a value in every row",
+            mend="where the wavelengths have a file of their own, name it (wavelengths)",
+        )
+    whole = "\n".join(header)
+    unit = wavelength_unit_in(titles[0], whole, where)
+    count = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole)
+    wavelength = table[:, 0]
+    ends = [float(e) for key in ("First", "Last") if _NUMBER.match(e := _entry(whole, f"{key} X Value") or "")]
+    count_stated = _entry(whole, "Number of X Values")
+    check_stated(wavelength, where, count=count_stated, ends=(ends[0], ends[1]) if len(ends) == 2 else None)
+    records = []
+    for i in range(1, table.shape[1]):
+        if i in spread.values() or (i > 1 and np.array_equal(table[:, i], wavelength)):
+            continue
+        y_units, name = _entry(whole, "Y Units?"), _entry(whole, "Name")
+        records.append(
+            Record(
+                name=titles[i] or (name or ""),
+                wavelength=wavelength,
+                values=table[:, i],
+                where=where,
+                standard_deviation=table[:, spread[i]] if spread.get(i, i) not in {i, *unmeasured} else None,
+                notes=("a standard deviation of 0 everywhere is none",) if spread.get(i) in unmeasured else (),
+                n=int(count.group(1)) if count else None,
+                wavelength_unit=unit,
+                reflectance_unit=reflectance_unit_in(y_units or titles[i]),
+                quantity="a standard deviation"
+                if columns is None and _SPREAD.search(titles[i])
+                else quantity_in(y_units or titles[i]),
+                unit=power_unit_in(y_units or titles[i]),
+            )
+        )
+    if len(records) == 1:
+        only = records[0]
+        records[0] = Record(**{**only.__dict__, "name": path.stem if only.name in ("", *titles) else only.name})
+        return records
+    return [Record(**{**r.__dict__, "name": r.name or f"column {k + 1}"}) for k, r in enumerate(records)]
+
+
+def column_record(text: str, path: Path, grid_text: str, grid: Path) -> Record:
+    """A spectrum of a library that keeps values and wavelengths in files of one column each."""
+    header, values, _ = number_table(text, path)
+    grid_header, wavelength, _ = number_table(grid_text, grid)
+    if values.shape[1] != 1 or wavelength.shape != values.shape:
+        raise InputError(
+            f"{values.shape[0]} rows of {values.shape[1]} columns",
+            where=str(path),
+            expected=f"one column of {len(wavelength)} rows, as in {grid}",
+        )
+    name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
+    return Record(
+        name=name.group(1).strip() if name else path.stem,
+        wavelength=wavelength[:, 0],
+        values=values[:, 0],
+        where=str(path),
+        wavelength_unit=wavelength_unit_in(" ".join(grid_header), "", str(grid)),
+    )
+
+
+def usgs_rows(text: str) -> int | None:
+    """How many numbers a USGS file of one column holds below "Record=NUMBER: TITLE"; None for another file."""
+    lines = text.split("\n")
+    if not re.search(r"\bRecord\s*=\s*[0-9]+\s*:", lines[0]):
+        return None
+    rows = [line for line in lines[1:] if line.strip()]
+    return len(rows) if rows and all(_only_number(line) for line in rows) else None
+
+
+def plot_records(text: str, path: Path) -> list[Record]:
+    """Spectra of an ENVI ASCII plot file; it states no unit of the wavelengths unless the title does."""
+    header, table, _ = number_table(text, path)
+    titles = {}
+    for line in header:
+        match = re.match(r"^Column ([0-9]{1,6}):\s*(.*?)(~~[0-9]+)?$", line[:MAX_TITLE])
+        if match:
+            titles[int(match.group(1)) - 1] = match.group(2)
+    if sorted(titles) != list(range(table.shape[1])) or table.shape[1] < 2:
+        raise InputError(f"{len(titles)} titles for {table.shape[1]} columns", where=str(path))
+    return [
+        Record(
+            name=titles[i],
+            wavelength=table[:, 0],
+            values=table[:, i],
+            where=str(path),
+            wavelength_unit=wavelength_unit_in(titles[0], "", str(path)),
+            reflectance_unit=reflectance_unit_in(titles[i]),
+            quantity=quantity_in(titles[i]),
+        )
+        for i in range(1, table.shape[1])
+    ]
+
+
+def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Array, int]:
+    """Header lines, the (rows, columns) numbers below them, and the line where the numbers begin.
+
+    A whole number alone above the rows is their count.
+
+    Raises
+    ------
+    InputError : no numbers, rows of different length, text among the numbers, too many rows, or not as many as the
+        file says.
+    """
+    header: list[str] = []
+    rows: list[list[float]] = []
+    start, stated, ended = 0, None, False
+    for number, line in enumerate(text.splitlines(), start=first):
+        if not line.strip():
+            continue
+        cells = _cells(line)
+        numbers = len(cells) > 0 and all(_NUMBER.match(c) for c in cells)
+        if not rows and not (numbers and (len(cells) > 1 or not header or _only_number(line))):
+            header.append(line.strip())
+            if len(header) > MAX_HEADER_LINES:
+                raise InputError(f"no numbers in the first {MAX_HEADER_LINES} lines", where=str(path))
+            continue
+        if rows and _END.match(line) and not ended:
+            ended = True
+            continue
+        if not numbers or ended:
+            raise InputError(
+                f"not a row of numbers: {line.strip()[:60]!r}",
+                where=f"{path}:{number}",
+                expected="one row of numbers per channel",
+            )
+        if len(rows) == 1 and len(rows[0]) == 1 < len(cells) and rows[0][0].is_integer():
+            stated, rows, start = str(int(rows[0][0])), [], 0
+        if rows and len(cells) != len(rows[0]):
+            raise InputError(f"{len(cells)} columns", where=f"{path}:{number}", expected=f"{len(rows[0])}, as above")
+        if len(rows) >= MAX_ROWS or len(cells) > MAX_COLUMNS:
+            raise InputError(f"more than {MAX_ROWS} rows or {MAX_COLUMNS} columns", where=f"{path}:{number}")
+        start = start or number
+        rows.append([float(c.replace("d", "e").replace("D", "e")) for c in cells])
+    if not rows:
+        raise InputError(
+            "the file holds no numbers",
+            where=str(path),
+            expected="a wavelength and a value in every row, or a spectrum a row under titles that are wavelengths",
+        )
+    table = np.array(rows)
+    check_stated(table[:, 0], str(path), count=stated, ends=None)
+    return header, table, start
+
+
+def check_stated(wavelength: Array, where: str, *, count: str | None, ends: tuple[float, float] | None) -> None:
+    """Refuse a table that has not as many rows, or not the first and last wavelength, that the file states.
+
+    Parameters
+    ----------
+    count : number of rows as it stands in the file
+    ends : the two ends in either order, each with a fiftieth of itself to spare
+
+    Raises
+    ------
+    InputError : another number of rows or other ends.
+    """
+    mend = "copy the file again: it is damaged or cut short"
+    if count is not None and not (count.strip().isdecimal() and int(count[:9]) == wavelength.size):
+        raise InputError(
+            f"{wavelength.size} rows", where=where, expected=f"{count.strip()[:20]}, as it states", mend=mend
+        )
+    if ends is not None:
+        stated, ends_nm = np.array(sorted(ends)), np.array([wavelength.min(), wavelength.max()])
+        if not np.all(np.abs(ends_nm - stated) <= _ENDS * np.abs(stated)):
+            raise InputError(
+                f"wavelengths from {ends_nm[0]:g} to {ends_nm[1]:g}",
+                where=where,
+                expected=f"{stated[0]:g} to {stated[1]:g}, as it states",
+                mend=mend,
+            )
+
+
+def check_last_line(text: str, where: str) -> None:
+    """Refuse a table of one format whose last line has no end and fewer digits than the one above: it was cut."""
+    if not text or text[-1] in "\r\n":
+        return
+    above, last = (line.split() for line in text.splitlines()[-2:])
+    digits = [len(cells[-1].partition(".")[2]) for cells in (above, last) if cells]
+    if len(above) != len(last) or digits[-1] < digits[0]:
+        raise InputError(
+            f"the last line is cut: {' '.join(last)[:60]!r}",
+            where=where,
+            mend="copy the file again: it is cut short",
+        )
+
+
+def reflectance_unit_in(title: str) -> str | None:
+    """The reflectance unit that a column title states, None when it states none."""
+    if re.search(r"%\s*\*\s*100", title):
+        return "scaled:10000"
+    if "%" in title or re.search(r"percent", title, re.IGNORECASE):
+        return "percent"
+    if re.search(r"\[1(\.0)?\]|fraction", title, re.IGNORECASE):
+        return "fraction"
+    return None
+
+
+def quantity_in(title: str) -> str | None:
+    """Reflectance, radiance, irradiance or another quantity where a column title says so, else None."""
+    if re.search(r"reflect|(?<![a-z])rfl(?![a-z])", title, re.IGNORECASE):
+        return None if re.search("radiance", title, re.IGNORECASE) else "reflectance"
+    for quantity, pattern in _QUANTITIES.items():
+        if match := re.search(pattern, title.strip(), re.IGNORECASE):
+            return quantity or match.group().lower()
+    return None
+
+
+def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
+    """Wavelength unit in the title of the first column, else in an "X Units" or "Wavelength" header line.
+
+    Raises
+    ------
+    InputError : they say wavenumbers.
+    """
+    lines = [title] + [
+        line
+        for line in header.splitlines()
+        if re.match(
+            r"^\W*(X Units?|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)", line, re.IGNORECASE
+        )
+    ]
+    for line in lines:
+        nm, um = bool(_NM.search(line)), bool(_UM.search(line))
+        if nm != um:
+            return "nm" if nm else "um"
+        if _WAVENUMBER.search(line):
+            raise InputError(
+                f"wavenumbers: {line[:60]!r}",
+                where=where,
+                expected="wavelengths in nm or um",
+                mend="convert them: a wavelength in nm is 1e7 over the wavenumber in cm-1",
+            )
+    return None
+
+
+def power_unit_in(text: str) -> str | None:
+    """The unit of a radiance or irradiance, such as W/m^2/sr/nm or uW cm-2 sr-1 nm-1, in the project's words.
+
+    None where the text holds none that is known.
+    """
+    match = re.search(r"(?<![a-z])(m|u|µ|μ)?W(?![a-z])[^()\[\]]*", text, re.IGNORECASE)
+    if match is None:
+        return None
+    words = match.group()
+    # Below the fraction bar stand an area, perhaps a solid angle, and a wavelength.
+    area = re.search(r"(?<![a-z])(c?)m(?:\^|\*\*)?-?[2²]", words, re.IGNORECASE)
+    per = re.search(r"(?<![a-z])([nuµμ])m(?!\w*[2²])", words[1:], re.IGNORECASE)
+    if area is None or per is None:
+        return None
+    watt = {"": "W", "m": "mW"}.get((match.group(1) or "").lower(), "uW")
+    angle = "sr-1 " if re.search(r"(?<![a-z])sr(?![a-z])", words, re.IGNORECASE) else ""
+    return f"{watt} {'cm' if area.group(1) else 'm'}-2 {angle}{'nm' if per.group(1).lower() == 'n' else 'um'}-1"
+
+
+def _entry(header: str, key: str) -> str | None:
+    """What a header line says behind ``key:``; None where it says nothing."""
+    line = re.search(rf"^[^\w\n]*{key}[ \t]*:[ \t]*(\S.*)$", header, re.IGNORECASE | re.MULTILINE)
+    return line[1].strip() if line else None
+
+
+def _cells(line: str) -> list[str]:
+    text = line.strip()
+    if '"' in text and not any(set(part) & set(",;\t") for part in text.split('"')[1::2]):
+        text = text.replace('"', "")  # as some spreadsheets export numbers
+    if ";" in text:  # as spreadsheets export where the comma is the decimal sign
+        cells = [c.strip() for c in text.rstrip(";").split(";")]
+        return [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in cells]
+    blanks = text.split()
+    commas = [c for c in blanks if _DECIMAL_COMMA.match(c)]
+    if len(blanks) > 1 and commas and all(c in commas or _WHOLE.match(c) for c in blanks):
+        return [c.replace(",", ".") for c in blanks]
+    return [c for c in re.split(r"[,\s]+", text) if c]
+
+
+def _only_number(line: str) -> bool:
+    return bool(_NUMBER.match(line.strip()))
+
+
+def _titles(header: list[str], count: int) -> list[str]:
+    """Titles of the columns from the last header line, its units behind those of the line above; "" without any.
+
+    Where the last line does not fit, one further up does that begins with a title of wavelengths.
+    """
+    if not header:
+        return [""] * count
+    titles = _split_titles(header[-1], count)
+    if any(titles):
+        above = _split_titles(header[-2], count) if len(header) > 1 and _are_units(titles) else []
+        return [f"{a} {t}".strip() for a, t in zip(above, titles, strict=True)] if any(above) else titles
+    for line in reversed(header[:-1]):
+        further = _split_titles(line, count)
+        if _WAVE.match(further[0]):
+            return further
+    return titles
+
+
+def _are_units(titles: list[str]) -> bool:
+    return all(_UNIT_TITLE.match(t) for t in titles)
+
+
+def _is_index(table: Array, titles: list[str]) -> bool:
+    """Whether the first column counts the rows, and the second has the title of wavelengths."""
+    if table.shape[1] < 3 or _WAVE.search(titles[0]) or not _WAVE.search(titles[1]):
+        return False
+    return bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
+
+
+def _split_titles(line: str, count: int) -> list[str]:
+    line = line.lstrip("#;%/ \t")
+    best: list[str] = []
+    for pattern in (";", "\t", ",", r"\s{2,}", r"\s+"):
+        parts = [p.strip().strip('"') for p in re.split(pattern, line)]
+        if len(parts) == count:
+            return parts
+        if len(parts) > count and pattern in (";", "\t", ",") and not best and _WAVE.search(parts[0]):
+            best = parts[:count]
+    return best or [""] * count
+
+
+def _column(wanted: str | int, titles: list[str], where: str) -> int:
+    if isinstance(wanted, int):
+        if not 0 <= wanted < len(titles):
+            raise UsageError(f"no column {wanted}", where=where, expected=f"0 to {len(titles) - 1}")
+        return wanted
+    if titles.count(wanted) != 1:
+        raise UsageError(f"no column {wanted!r}", where=where, expected="one of " + ", ".join(t or "?" for t in titles))
+    return titles.index(wanted)
+
+
+FEWEST_BANDS = 4
+MAX_CELLS = 2_000_000
+_BEFORE = r"(?:(?:x|r|wl|wvl|wave|wavelength|lambda|refl|reflectance|nm)[_. ]?)?"  # no b: that counts bands
+_WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?(nm|um)?$", re.IGNORECASE)
+_FIRST_TITLE = re.compile(r"^\W*(wave|wvl|wl\b|lambda|nm\b)(?!.*units)", re.IGNORECASE)
+_NAMES = (
+    "name", "sample_name", "sample name", "spectrum", "spectra", "sample", "sample_id", "id", "fname", "names",
+)  # fmt: skip
+
+
+def is_row_table(text: str) -> bool:
+    """Whether the first line has wavelengths as titles of its last columns, behind others or at once."""
+    first, _, rest = text.partition("\n")
+    delimiter = _delimiter(first)
+    titles = next(csv.reader(io.StringIO(first, newline=""), delimiter=delimiter), [])
+    if _first_band(titles) is None:
+        return False
+    # Numbers under "wavelength" are wavelengths, and the other columns spectra that go by a number.
+    return not (_FIRST_TITLE.match(titles[0]) and _is_number(rest.split(delimiter, 1)[0].strip(' "')))
+
+
+def _delimiter(line: str) -> str:
+    """What divides the cells of a line: of tabulator, semicolon and comma the most frequent."""
+    return max("\t;,", key=line.count)
+
+
+def row_records(text: str, path: Path) -> list[Record]:
+    """The spectra of a table with one in each row.
+
+    A name comes from the first column of an obvious title whose values differ, else the spectra are numbered.  The
+    columns ``Wavelength Units`` and ``Measurement Units`` are read where they stand; a percent that the values
+    contradict is not believed, and the unit must be stated.
+
+    Raises
+    ------
+    InputError : rows of another length than the first, cells that are no numbers, or more than can be a table.
+    """
+    delimiter = _delimiter(text.split("\n", 1)[0])
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
+    try:
+        titles = _without_end([t.strip() for t in next(reader)])
+        first = _first_band(titles) or 0
+        rows: list[tuple[int, list[str]]] = []
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            where = f"{path}:{reader.line_num}"
+            cells = _without_end([cell.strip() for cell in cells], len(titles))
+            if delimiter != ",":
+                cells[first:] = [cell.replace(",", ".") for cell in cells[first:]]
+            if len(cells) != len(titles):
+                raise InputError(f"{len(cells)} cells", where=where, expected=f"{len(titles)}, as in the first line")
+            rows.append((reader.line_num, cells))
+            if len(rows) > MAX_ROWS or len(rows) * len(titles) > MAX_CELLS:
+                raise InputError(f"more than {MAX_ROWS} rows or {MAX_CELLS} cells", where=where)
+    except csv.Error as error:
+        raise InputError(f"not a CSV file: {error}", where=f"{path}:{reader.line_num}") from error
+    if not rows:
+        raise InputError("the table has titles and no spectrum", where=str(path))
+    lower = [t.lower() for t in titles[:first]]
+    column = next((c for n in _NAMES if n in lower and _differ(rows, c := lower.index(n))), None)
+    return [
+        replace(
+            _record(dict(zip(lower, cells, strict=False)), titles[first:], cells[first:], f"{path}:{number}"),
+            name=cells[column] if column is not None else f"row {i}",
+        )
+        for i, (number, cells) in enumerate(rows, start=1)
+    ]
+
+
+def _record(about: dict[str, str], titles: list[str], cells: list[str], where: str) -> Record:
+    """The spectrum of a row by the titles of its bands, and what the columns before them say of it."""
+    try:
+        values = np.array([float(c) if c and c.lower() not in ("na", "nan") else np.nan for c in cells])
+    except ValueError:
+        bad = next(t for t, c in zip(titles, cells, strict=True) if not _is_number(c))
+        raise InputError(f"the cell under {bad!r} is no number", where=where) from None
+    suffix = _WAVELENGTH.match(titles[0])
+    unit = (suffix[2] if suffix else None) or wavelength_unit_in(about.get("wavelength units", ""), "", where)
+    percent, doubt = "percent" in about.get("measurement units", "").lower(), None
+    if percent and np.nanmax(values, initial=0.0) <= 1.5:
+        percent = False
+        doubt = f"the file says percent, and the values reach {np.nanmax(values):.3g}"
+    return Record(
+        "", _wavelengths(titles), values, where,
+        wavelength_unit=unit, reflectance_unit="percent" if percent else None, doubt=doubt,
+        quantity=quantity_in(about.get("measurement quantity", about.get("measurement", ""))),
+    )  # fmt: skip
+
+
+def _wavelengths(titles: list[str]) -> Array:
+    """The numbers in titles that are wavelengths."""
+    return np.array([float(_WAVELENGTH.match(t.strip())[1]) for t in titles])  # type: ignore[index]
+
+
+def _first_band(titles: list[str]) -> int | None:
+    """Where the titles become wavelengths that increase or fall to the end; None where they do not."""
+    titles = _without_end(titles)
+    first = len(titles)
+    while first and _WAVELENGTH.match(titles[first - 1].strip()):
+        first -= 1
+    numbers = _wavelengths(titles[first:])
+    if numbers.size < FEWEST_BANDS or only_wavelength_unit(numbers) is None:
+        return None
+    step = np.diff(numbers)
+    return first if np.all(step > 0) or np.all(step < 0) else None
+
+
+def _without_end(cells: list[str], least: int = 0) -> list[str]:
+    """The cells without empty ones at the end, which a comma before the end of a line leaves."""
+    while len(cells) > least and not cells[-1].strip():
+        cells = cells[:-1]
+    return cells
+
+
+def _differ(rows: list[tuple[int, list[str]]], column: int) -> bool:
+    values = [cells[column] for _, cells in rows]
+    return all(values) and len(set(values)) == len(values)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or "nan")
+    except ValueError:
+        return cell.lower() == "na"
+    return True
+
+
+# What the maker says that the numbers of a .sig file, times 1e-10, are in; the file names the quantity alone.
+SVC_UNITS = {"radiance": "W cm-2 sr-1 nm-1", "irradiance": "W cm-2 nm-1"}
+SVC_SCALE = 1e-10
+# How the title of a column of a .sed file begins, and its usual forms.
+_SED_COLUMNS = {
+    "reflectance": (r"reflect|tgt\.?\s*/\s*ref", "'Reflect. %', 'Reflect. [1.0]' or 'Tgt./Ref. %'"),
+    "radiance": (r"rad\w*\.?\s*\(target", "'Rad. (Target)'"),
+    "irradiance": (r"irr\w*\.?\s*\(target", "'Irr. (Target)'"),
+}
+
+
+def svc_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
+    """A spectrum of an SVC .sig file: columns wavelength [nm], reference, target, reflectance [percent].
+
+    ``quantity`` "radiance" or "irradiance" takes the target's column where ``units=`` says so; otherwise the
+    reflectance.  The three detectors follow one another and overlap unless the file was matched.
+
+    Raises
+    ------
+    InputError : not such a file, or a target in counts where radiance is asked for.
+    """
+    entries, table = _signature(text, path, (4,), "wavelength, reference, target, reflectance in percent")
+    name = entries.get("name", "").removesuffix(".sig") or path.stem
+    units = entries.get("units", "").split(",")[-1].strip().lower()
+    if quantity in SVC_UNITS:
+        if units not in SVC_UNITS:
+            raise InputError(f"the target is in {units or 'an unknown unit'}, not in {quantity}", where=str(path))
+        return Record(
+            name, table[:, 0], SVC_SCALE * table[:, 2], str(path),
+            wavelength_unit="nm", quantity=units, unit=SVC_UNITS[units],
+            notes=(f"{units} taken as {SVC_SCALE:g} {SVC_UNITS[units]}, the maker's unit",),
+        )  # fmt: skip
+    if not table[:, 3].any():
+        raise InputError(
+            f"no reflectance: a single scan of {units or 'an unknown quantity'}",
+            where=str(path),
+            expected="target over white reference in the fourth column",
+        )
+    return Record(
+        name=name,
+        wavelength=table[:, 0],
+        values=table[:, 3],
+        where=str(path),
+        wavelength_unit="nm",
+        reflectance_unit="percent",
+        quantity="reflectance",
+    )
+
+
+def ger_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
+    """A spectrum of a GER .sig file: wavelength [nm], target, reference, and perhaps reflectance [percent].
+
+    Where the fourth column is missing, target over reference is the reflectance.
+
+    Raises
+    ------
+    InputError : not such a file, or another quantity than a reflectance.
+    """
+    if quantity in SVC_UNITS:
+        raise InputError(
+            f"the unit of the {quantity} in a GER file is not known",
+            where=str(path),
+            mend="convert the target's column to a table of wavelength and value, and state its unit",
+        )
+    entries, table = _signature(text, path, (3, 4), "wavelength, target, reference, perhaps reflectance in percent")
+    target, reference = table[:, 1], table[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(reference > 0, target / reference, np.nan)
+    values = table[:, 3] if table.shape[1] == 4 else ratio
+    return Record(
+        entries.get("name", "").removesuffix(".sig") or path.stem, table[:, 0], values, str(path),
+        wavelength_unit="nm", reflectance_unit="percent" if table.shape[1] == 4 else "fraction",
+        quantity="reflectance",
+    )  # fmt: skip
+
+
+def _signature(text: str, path: Path, columns: tuple[int, ...], expected: str) -> tuple[dict[str, str], Array]:
+    """The entries ``key= value`` above the line ``data=`` of a .sig file, and the numbers below it."""
+    lines = text.splitlines()
+    entries: dict[str, str] = {}
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        key, equals, value = line.partition("=")
+        if not equals:
+            raise InputError(f"not of the form 'key= value': {line[:60]!r}", where=f"{path}:{number}")
+        entries[key.strip().lower()] = value.strip()
+        if key.strip().lower() == "data":
+            break
+    else:
+        raise InputError("no 'data=' line", where=str(path))
+    header, table, start = number_table("\n".join(lines[number:]), path, first=number + 1)
+    if header or table.shape[1] not in columns:
+        raise InputError(f"{table.shape[1]} columns", where=f"{path}:{start}", expected=expected)
+    check_last_line(text, str(path))
+    return entries, table
+
+
+def sed_record(text: str, path: Path, quantity: str = "reflectance") -> Record:
+    """A spectrum of a Spectral Evolution .sed file: the column "Reflect. %", "Reflect. [1.0]" or "Tgt./Ref. %".
+
+    ``quantity`` "radiance" or "irradiance" takes the column "Rad. (Target)" or "Irr. (Target)", whose unit stands
+    in the line ``Units:``.
+    """
+    lines = text.splitlines()
+    begin = next((i for i, line in enumerate(lines) if line.strip().lower() == "data:"), None)
+    if begin is None or begin + 1 >= len(lines):
+        raise InputError("no 'Data:' line", where=str(path))
+    titles = [t.strip() for t in lines[begin + 1].split("\t")]
+    power = quantity in ("radiance", "irradiance")
+    wanted = quantity if power else "reflectance"
+    pattern, forms = _SED_COLUMNS[wanted]
+    columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
+    if len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE):
+        raise InputError(
+            f"no {wanted} column: " + ", ".join(titles),
+            where=f"{path}:{begin + 2}",
+            expected=f"Wvl and one column {forms}",
+        )
+    unit = None if power else reflectance_unit_in(titles[columns[0]])
+    if unit is None and not power:
+        raise InputError(f"the unit of {titles[columns[0]]!r} is not known", where=f"{path}:{begin + 2}")
+    stated = next((x.partition(":")[2] for x in lines[:begin] if x.lower().startswith("units:")), "")
+    table = _sed_table(text, lines, begin, len(titles), path)
+    return Record(
+        path.stem, table[:, 0], table[:, columns[0]], str(path), wavelength_unit="nm", reflectance_unit=unit,
+        quantity=wanted, unit=power_unit_in(stated) if power else None,
+    )  # fmt: skip
+
+
+def _sed_table(text: str, lines: list[str], begin: int, columns: int, path: Path) -> Array:
+    """The numbers below the titles, as many rows and columns as the file says and over the range that it says."""
+    header, table, start = number_table("\n".join(lines[begin + 2 :]), path, first=begin + 3)
+    stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
+    named = next((int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))), columns)
+    if header or table.shape[1] != columns or named != columns:
+        what = f"{table.shape[1]} columns under {columns} titles"
+        raise InputError(what, where=f"{path}:{start}", expected=f"{named} of both, as it states")
+    ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
+    check_stated(
+        table[:, 0], str(path), count=stated.get("channels"),
+        ends=(float(ends[1]), float(ends[2])) if ends else None,
+    )  # fmt: skip
+    check_last_line(text, str(path))
+    return table

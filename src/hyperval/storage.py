@@ -1,0 +1,430 @@
+"""Programs that end with the process that starts them.
+
+Claims on files by running processes: gone with the process, however it ends.
+
+Writing files whole or not at all, and naming what was read.
+
+Folders of output: replaced whole, by one run at a time; one that holds files of somebody else is refused.
+
+A folder bears a list of the files that a run wrote (``.hyperval.json``).  The new content is made inside, under a
+name of its own, and takes the place of the old file by file; the file that makes it a folder of results is taken
+away first and comes back last, and a change that was cut off is finished by the next run into the folder.  Nothing
+is written or removed beside the folder, so that neighbours, mounts, links and the working directory need no care.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+from hyperval.errors import HypervalError, InputError, UsageError
+
+try:
+    import fcntl
+except ImportError:  # no such claims on this system: everything goes on without
+    fcntl = None  # type: ignore[assignment]
+
+_QUIET_S = 60.0  # the number of a process on another machine may be that of none here
+
+
+class Claim:
+    """A file that one process claims for itself until it releases it or ends.
+
+    Parameters
+    ----------
+    path : the file; made where it is not there, with the number of the process in it
+
+    Raises
+    ------
+    BlockingIOError : another process claims it.
+    OSError : it cannot be made.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        while True:
+            self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+            try:
+                self._lock()
+                if self._is_current():
+                    break
+            except BaseException:
+                os.close(self._handle)
+                raise
+            os.close(self._handle)  # removed by the one that had it, between opening and claiming
+        os.ftruncate(self._handle, 0)
+        os.write(self._handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+
+    def release(self) -> None:
+        """Remove the file where it still is the claimed one, and let go."""
+        if self._is_current():
+            self.path.unlink(missing_ok=True)
+        os.close(self._handle)
+
+    def _lock(self) -> None:
+        if fcntl is None:
+            return
+        try:
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise
+        except OSError:  # a file system without claims
+            return
+
+    def _is_current(self) -> bool:
+        mine = os.fstat(self._handle)
+        try:
+            there = os.lstat(self.path)
+        except OSError:
+            return False
+        return (mine.st_dev, mine.st_ino) == (there.st_dev, there.st_ino)
+
+
+def claimed_by(path: Path) -> str:
+    """The words of the process that claims ``path``, empty where they cannot be read."""
+    try:
+        with open(path, "rb") as stream:
+            return stream.read(200).decode("utf-8", "replace").strip()
+    except OSError:
+        return ""
+
+
+def is_left(path: Path, process: int) -> bool:
+    """Whether a file or folder was left by a process of this machine that ended a while ago."""
+    try:
+        if time.time() - os.lstat(path).st_mtime < _QUIET_S:
+            return False
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:  # it is gone, or the process is another user's
+        return False
+    return False
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside ``path``; it takes the place of ``path`` when the block ends well.
+
+    What a killed process left of ``path`` is removed first.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    prefix = f".{path.name[:60]}.hyperval-"  # the name itself may be as long as a name can be
+    left = re.compile(re.escape(prefix) + r"(\d+)-[a-z0-9_]{8}" + re.escape(path.suffix))
+    for name in os.listdir(path.parent):
+        match = left.fullmatch(name)
+        if match and is_left(path.parent / name, int(match[1])):
+            (path.parent / name).unlink(missing_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f"{prefix}{os.getpid()}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with open(temporary, "rb") as written:
+            os.fsync(written.fileno())
+        os.chmod(temporary, 0o666 & ~umask())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text whole, with Unix line ends."""
+    with whole_file(path) as temporary:
+        temporary.write_bytes(text.encode("utf-8"))
+
+
+@contextmanager
+def scratch_folder(purpose: str, beside: Path | None = None) -> Iterator[Path]:
+    """Give a folder for temporary files, removed at the end; those that killed processes left are removed first.
+
+    Parameters
+    ----------
+    purpose : one word that stands in its name
+    beside : the folder in which it is made, made where it is not there; default: that of temporary files
+    """
+    place = Path(tempfile.gettempdir()) if beside is None else beside
+    place.mkdir(parents=True, exist_ok=True)
+    start = f".hyperval-{purpose}-" if beside is not None else f"hyperval-{purpose}-"
+    remove_left(place, start)
+    with tempfile.TemporaryDirectory(prefix=f"{start}{os.getpid()}-", dir=place, ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
+
+
+def remove_left(place: Path, start: str) -> None:
+    """Remove the folders in ``place`` that killed processes left: ``start``, their number, eight letters."""
+    exact = re.compile(re.escape(start) + r"(\d+)-[a-z0-9_]{8}")
+    for name in os.listdir(place):
+        match = exact.fullmatch(name)
+        if match and is_left(place / name, int(match[1])):
+            shutil.rmtree(place / name, ignore_errors=True)
+
+
+def decoded(raw: bytes) -> str:
+    """Text in UTF-8 (with or without mark) or else Latin-1."""
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file's content, in hexadecimal; of a folder that of the names and digests of its files."""
+    if path.is_dir():
+        listed = [f"{p.relative_to(path).as_posix()}\0{sha256_of(p)}\n" for p in files_within(path)]
+        return hashlib.sha256("".join(listed).encode()).hexdigest()
+    try:
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", where=str(path)) from error
+
+
+def git_blob_of(path: Path) -> str:
+    """The id that git gives a file's content, in hexadecimal: SHA-1 of ``blob SIZE`` and a zero byte before it."""
+    digest = hashlib.sha1(b"blob %d\0" % path.stat().st_size, usedforsecurity=False)
+    with open(path, "rb") as stream:
+        while part := stream.read(1 << 20):
+            digest.update(part)
+    return digest.hexdigest()
+
+
+def has_digest(path: Path, digest: str) -> bool:
+    """Whether a file has the digest ``sha256:HEX`` or ``git-blob:HEX``."""
+    kind, _, value = digest.partition(":")
+    return (sha256_of(path) if kind == "sha256" else git_blob_of(path)) == value
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file, or of all files of a folder."""
+    return sum(p.stat().st_size for p in files_within(path)) if path.is_dir() else path.stat().st_size
+
+
+def installed_file(package: str, *parts: str) -> Path:
+    """A file of an installed package, which is not imported for it."""
+    spec = find_spec(package)
+    assert spec is not None  # noqa: S101
+    assert spec.origin is not None  # noqa: S101
+    return Path(spec.origin).parent.joinpath(*parts)
+
+
+def files_within(folder: Path) -> list[Path]:
+    """The files below a folder, in the order of their names."""
+    return sorted(p for p in folder.rglob("*") if p.is_file())
+
+
+def umask() -> int:
+    """The permissions that this process takes from what it makes."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+LIST = ".hyperval.json"
+RECORD = ".hyperval-made-of.json"  # what the results of a campaign were made of
+LOCK = ".hyperval.lock"
+PARTIAL = ".hyperval-partial"
+_NEW = ".hyperval-new-"
+_SWAP = ".hyperval-swap"
+
+
+class FolderKind(NamedTuple):
+    """A kind of output folder: what it is in words, and the file without which it is none."""
+
+    name: str
+    marker: str
+
+
+RESULTS = FolderKind("results", "results.json")
+COLLECTION = FolderKind("a simulated collection", "truth.json")
+POWER = FolderKind("power tables", "power.csv")
+_MARKERS = dict((RESULTS, COLLECTION, POWER))
+
+
+class Unplaced(HypervalError):
+    """Results that are complete and could not be put where they belong; the message names where they are."""
+
+
+@contextmanager
+def whole_folder(path: Path, kind: FolderKind = RESULTS) -> Iterator[Path]:
+    """Give an empty folder whose content takes the place of that of ``path`` when the block ends well.
+
+    Whatever happens before, ``path`` keeps what it holds.  A link is followed and stays.
+
+    Raises
+    ------
+    UsageError : ``path`` is a file, holds anything that no run wrote or something else than ``kind``, is written by
+        another run at this moment, or cannot be written.
+    Unplaced : the new content is complete but could not be put there.
+    """
+    try:
+        place = Path(path).resolve()
+    except (OSError, RuntimeError) as error:
+        raise _no_folder(Path(path), error) from error
+    with _claimed(place, Path(path)):
+        _finish(place)
+        _refuse_foreign(place, kind)
+        try:
+            new = Path(tempfile.mkdtemp(prefix=_NEW, dir=place))
+        except OSError as error:
+            raise _no_folder(place, error) from error
+        try:
+            yield new
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True)
+            raise
+        try:
+            listing = {"schema": 1, "kind": kind.name, "files": sorted(_names(new))}
+            (new / LIST).write_text(json.dumps(listing, indent=1) + "\n", "utf-8")
+            os.rename(new, place / _SWAP)
+            _finish(place)
+        except OSError as error:
+            is_new = new.exists()
+            raise Unplaced(
+                f"the results could not be put here: {error.strerror or error}",
+                where=str(place),
+                mend=f"they are complete in {new}: copy them from there before the next run"
+                if is_new
+                else "mend that and run again: the next run into this folder finishes the change",
+            ) from error
+
+
+def partial_folder(path: Path) -> Path:
+    """Where a run into ``path`` keeps what it finished so far."""
+    return Path(path).resolve() / PARTIAL
+
+
+def _refuse_foreign(place: Path, kind: FolderKind) -> None:
+    """Raise UsageError where the folder holds what no run wrote, or another kind; hidden files stay as they are."""
+    listing = _list(place)
+    foreign = sorted(_names(place) - (listing[1] if listing else set()))
+    if foreign:
+        more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
+        raise UsageError(
+            f"holds files that no run wrote there: {', '.join(foreign[:3])}{more}",
+            where=str(place),
+            mend="move them, or name a new folder or an empty one",
+        )
+    if listing is not None and listing[0] != kind.name:
+        raise UsageError(
+            f"holds {listing[0]}, not {kind.name}", where=str(place), mend="name a new folder, or an empty one"
+        )
+
+
+@contextmanager
+def _claimed(place: Path, given: Path) -> Iterator[None]:
+    """The folder, made where it is not there, and nobody else's for the block."""
+    try:
+        if place.exists() and not place.is_dir():
+            raise UsageError("is a file", where=str(given), expected="a folder for the output")
+        made = not place.exists()
+        place.mkdir(parents=True, exist_ok=True)
+        lock = Claim(place / LOCK)
+    except BlockingIOError as error:
+        raise UsageError(
+            f"another run writes here ({claimed_by(place / LOCK) or 'it does not say which'})",
+            where=str(given),
+            mend="wait until it ends, or name another folder",
+        ) from error
+    except OSError as error:
+        raise _no_folder(given, error) from error
+    done = False
+    try:
+        yield
+        done = True
+    finally:
+        lock.release()
+        if made and not done:
+            with suppress(OSError):
+                place.rmdir()
+
+
+def _no_folder(path: Path, error: Exception) -> UsageError:
+    why = getattr(error, "strerror", None) or str(error)
+    return UsageError(f"no folder can be made here: {why}", where=str(path)[:300], mend="name another folder")
+
+
+def _finish(place: Path) -> None:
+    """Finish a change that was cut off and remove what a killed run left; the folder is claimed."""
+    listing = _list(place / _SWAP)
+    if listing is not None:
+        _swap_content(place, *listing)
+    for left in (*place.glob(_NEW + "*"), place / _SWAP):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _swap_content(place: Path, kind: str, new: set[str]) -> None:
+    """Put the files of the swap folder in the place of the old ones; called again, it goes on where it ended."""
+    swap, marker, before = place / _SWAP, _MARKERS[kind], _list(place)
+    if (swap / marker).is_file():
+        (place / marker).unlink(missing_ok=True)
+    for name in sorted((before[1] if before else set()) - new):
+        (place / name).unlink(missing_ok=True)
+        for folder in PurePosixPath(name).parents[:-1]:
+            with suppress(OSError):  # others are left in it, or it went before
+                (place / folder).rmdir()
+    for name in [*sorted(new - {marker}), marker, LIST]:
+        if (swap / name).is_file():  # else moved before
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(swap / name, place / name)
+
+
+def _names(folder: Path) -> set[str]:
+    """Files below a folder that are not hidden, and the records of campaigns."""
+    entries = (p for p in folder.rglob("*") if p.is_file() or p.is_symlink())
+    inner = (p.relative_to(folder) for p in entries)
+    shown = (p for p in inner if not any(part.startswith(".") for part in p.parent.parts))
+    return {p.as_posix() for p in shown if p.name == RECORD or not p.name.startswith(".")}
+
+
+def _list(folder: Path) -> tuple[str, set[str]] | None:
+    """Kind and files by the list in a folder; None where there is none that can be read."""
+    try:
+        content = json.loads((folder / LIST).read_bytes())
+        files = {str(PurePosixPath(name)) for name in content["files"]}
+        if content["schema"] != 1 or any(".." in PurePosixPath(f).parts or f.startswith("/") for f in files):
+            return None
+        return (str(content["kind"]), files) if content["kind"] in _MARKERS else None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+_NOT_STARTED = (126, 127)  # exit codes of setpriv, as of a shell
+
+
+def ending_with_this_process(command: Sequence[str]) -> list[str]:
+    """The command line by which a program ends with the process that starts it, killed ones too.
+
+    It is the command itself where the system has no such way: there the program goes on until it is done.
+    """
+    return [*_tie(), *command]
+
+
+def is_no_program(code: int) -> bool:
+    """Whether a command that ends with this process ended with ``code`` since it could not be started."""
+    return bool(_tie()) and code in _NOT_STARTED
+
+
+@cache
+def _tie() -> tuple[str, ...]:
+    """The program that asks Linux for it and then becomes the command: nothing runs between fork and exec here."""
+    tie = (shutil.which("setpriv") or "", "--pdeathsig", "KILL", "--")
+    try:
+        done = subprocess.run([*tie, "true"], capture_output=True, check=False)  # noqa: S603 - a program of the system
+    except OSError:
+        return ()
+    return () if done.returncode else tie  # a small system's own setpriv may not know the option

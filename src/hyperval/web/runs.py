@@ -1,0 +1,309 @@
+"""Campaigns of the server's folder, and those that a session brought: what there is, and running them.
+
+Pages of runs: how they stand, what came of them, files to take away.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter, Query, Request
+from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
+
+from hyperval.config import load_yaml
+from hyperval.errors import HypervalError
+from hyperval.report.html import PICTURES, script_hashes
+from hyperval.web.desk import Order
+from hyperval.web.pages import page, session_of
+from hyperval.web.refusal import FieldMistake, Refused
+from hyperval.web.store import COLLECTION, ENDED, ServerSettings, WebRun, view_name
+
+router = APIRouter(include_in_schema=False)
+_NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9][A-Za-z0-9_.@+-]{0,120}")
+_OWN = {"scenario.yaml": "text/yaml", "study.yaml": "text/yaml", "campaign.yaml": "text/yaml"}
+_TYPES = {
+    ".csv": "text/csv", ".json": "application/json", ".nc": "application/x-netcdf", ".svg": "image/svg+xml",
+    ".png": "image/png", ".tif": "image/tiff", ".html": "text/html", ".xml": "application/xml",
+    ".parquet": "application/octet-stream",
+}  # fmt: skip
+
+
+def run_of(request: Request, run_id: str) -> WebRun:
+    """A run of this session.
+
+    Raises
+    ------
+    Refused : there is none by that name, or it is another session's.
+    """
+    try:
+        run: WebRun = request.app.state.store.run(run_id, session_of(request).owner)
+    except KeyError:
+        raise Refused(404, "there is no such run in this session") from None
+    return run
+
+
+@router.get("/runs")
+def runs_page(request: Request) -> Response:
+    """Every run of this session."""
+    return page(request, "runs.html.j2", runs=request.app.state.store.runs(session_of(request).owner))
+
+
+@router.get("/runs/{run_id}")
+def run_page(request: Request, run_id: str, beside: str | None = None) -> Response:
+    """A run: its numbers and charts, or how far it is."""
+    run = run_of(request, run_id)
+    desk, store = request.app.state.desk, request.app.state.store
+    other = run_of(request, beside) if beside else None
+    others = [r for r in store.runs(run.owner, run.kind) if r.id != run.id and r.state == "finished"]
+    rows = _beside(run, other) if run.kind == "prediction" and run.state == "finished" else []
+    maps = (store.place(run.id) / "results" / "scores").is_dir()
+    files = files_of(store.place(run.id), run)
+    pictures, figures = figures_of(files)
+    return page(
+        request, "run.html.j2", run=run, maps=maps, progress=desk.progress(run), others=others[:50], other=other,
+        rows=rows, ended=run.state in ENDED, source=_source(run),
+        files=files, pictures=pictures, figures=figures,
+    )  # fmt: skip
+
+
+def figures_of(files: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Pictures of the scene with the first score maps, which stand beside each other, and all other figures."""
+    figures = [name for name in files if name.startswith("figures/") and name.endswith((".svg", ".png"))]
+    pictures = [name for name in (f"figures/{p}.png" for p in PICTURES) if name in figures]
+    return pictures, [name for name in figures if name not in pictures]
+
+
+def _source(run: WebRun) -> str:
+    return {"prediction": "scenario.yaml", "study": "study.yaml", "pipeline": "campaign.yaml"}.get(run.kind, "")
+
+
+def _beside(run: WebRun, other: WebRun | None) -> list[dict[str, Any]]:
+    """Rows of P_D, with those of another run and the difference."""
+
+    def key(row: dict[str, Any]) -> tuple[Any, ...]:
+        return row["subject"], row["detector"], row["unit"], row["pfa"]
+
+    earlier = {key(row): row for row in (other.summary.get("detection", ()) if other else ())}
+    rows = []
+    every = run.summary.get("detection", ())
+    pixels = {(*key(row)[:2], row["pfa"]): row["pd"] for row in every if row["unit"] == "pixel"}
+    for row in every:
+        if row["unit"] == "object" and pixels.get((*key(row)[:2], row["pfa"])) == row["pd"]:
+            continue  # objects of one pixel: nothing new
+        before = earlier.get(key(row))
+        known = before is not None and None not in (before["pd"], row["pd"])
+        difference = row["pd"] - before["pd"] if known and before is not None else None
+        rows.append({**row, "earlier": before["pd"] if before else None, "difference": difference})
+    return rows
+
+
+def files_of(place: Path, run: WebRun) -> list[str]:
+    """Names of the files that a run offers."""
+    if run.state != "finished":
+        return []
+    if run.kind == "prediction":
+        return ["results.csv", "products.nc", "results.json", "provenance.json", "report.html"]
+    results = place / "results"
+    paths = [p for p in sorted(results.rglob("*")) if p.is_file() and not p.name.startswith(".")]
+    return [name for p in paths if _NAME.fullmatch(name := p.relative_to(results).as_posix())]
+
+
+@router.get("/runs/{run_id}/state")
+def run_state(request: Request, run_id: str) -> Response:
+    """How far a run is."""
+    run = run_of(request, run_id)
+    progress = request.app.state.desk.progress(run)
+    return JSONResponse({"state": run.state, "reason": run.reason, "ended": run.state in ENDED, **progress})
+
+
+@router.get("/runs/{run_id}/charts")
+def run_charts(request: Request, run_id: str, beside: str | None = None) -> Response:
+    """Charts of a prediction, beside another one where one is named."""
+    run = run_of(request, run_id)
+    other = run_of(request, beside) if beside else None
+    if run.kind != "prediction" or (other and (other.kind, other.state) != ("prediction", "finished")):
+        raise Refused(409, "charts are of predictions that have finished")
+    desk, store = request.app.state.desk, request.app.state.store
+    name = view_name(f"charts-{other.id}" if other else "charts")
+    path = desk.view(run, "draw", name, earlier=str(store.place(other.id)) if other else None)
+    return FileResponse(path, media_type="application/json")
+
+
+@router.get("/runs/{run_id}/files/{name:path}")
+def run_file(request: Request, run_id: str, name: str) -> Response:
+    """A file of a run; those of a prediction are written when the first is asked for."""
+    return file_of(request, run_of(request, run_id), name)
+
+
+def file_of(request: Request, run: WebRun, name: str) -> Response:
+    """A file of a run.
+
+    Raises
+    ------
+    Refused : it has none of that name.
+    """
+    place = request.app.state.store.place(run.id)
+    if not _NAME.fullmatch(name) or ".." in name:
+        raise Refused(404, "this run has no such file")
+    if name == "campaign.zip":
+        raise Refused(410, "campaign.yaml stands in its place: the files that were sent go into collection/ beside it")
+    if name in _OWN:
+        path, kind = place / name, _OWN[name]
+    else:
+        if run.kind == "prediction":
+            request.app.state.desk.view(run, "files", "results/results.csv")
+        path, kind = place / "results" / name, _TYPES.get(Path(name).suffix, "application/octet-stream")
+    if not path.is_file() or not path.resolve().is_relative_to(place.resolve()):
+        raise Refused(404, "this run has no such file")
+    shown = {".html", ".svg", ".png"} & {path.suffix}
+    headers = {"content-disposition": f'{"inline" if shown else "attachment"}; filename="{run.name}-{path.name}"'}
+    if path.suffix == ".html":  # the page of a report has scripts of its own, and these alone
+        headers["content-security-policy"] = (
+            f"default-src 'none'; img-src data: 'self'; style-src 'unsafe-inline'; script-src {script_hashes()}; "
+            "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        )
+    return FileResponse(path, media_type=kind, headers=headers)
+
+
+@router.post("/runs/{run_id}/cancel")
+def run_cancel(request: Request, run_id: str) -> Response:
+    """Call a run off."""
+    request.app.state.desk.cancel(run_of(request, run_id).id)
+    return RedirectResponse(f"/runs/{run_id}", status_code=303)
+
+
+@router.post("/runs/{run_id}/remove")
+def run_remove(request: Request, run_id: str) -> Response:
+    """Forget a run."""
+    run = run_of(request, run_id)
+    if run.state not in ENDED:
+        raise Refused(409, "it still runs: cancel it first")
+    request.app.state.store.remove(run.id)
+    return RedirectResponse("/runs", status_code=303)
+
+
+_MAP = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,100}")
+
+
+@dataclass(frozen=True)
+class Known:
+    """A campaign that may be run: its name, title and description, and its file, which stays on the server."""
+
+    name: str
+    title: str
+    description: str
+    path: Path
+
+
+def known_campaigns(request: Request) -> dict[str, Known]:
+    """Campaigns by name: those of the folder of campaigns, then those of this session."""
+    out = {one.name: one for one in campaigns_of(request.app.state.settings)}
+    store = request.app.state.store
+    for run in store.runs(session_of(request).owner, "pipeline"):
+        path = store.place(run.id) / "campaign.yaml"
+        if run.state == "finished" and path.is_file():
+            out[f"run:{run.id}"] = Known(f"run:{run.id}", run.title or run.name, "Brought by this session.", path)
+    return out
+
+
+def campaigns_of(settings: ServerSettings) -> Iterator[Known]:
+    """The campaigns of a server's folder; a file is read again when it has changed."""
+    for path in sorted(settings.campaigns.glob("*/campaign*.yaml")) if settings.campaigns is not None else ():
+        with suppress(OSError):
+            state = path.stat()
+            yield from _read(path, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=256)
+def _read(path: Path, changed: int, size: int) -> tuple[Known, ...]:
+    """The campaign of a file, where it is one."""
+    try:
+        data = load_yaml(path)[0]
+    except HypervalError:
+        return ()
+    name = str(data.get("name", path.parent.name))
+    # A file of several runs has places that each fills in: {line}.
+    title, description = (re.sub(r"\{\w+\}", "…", str(data.get(key, ""))) for key in ("title", "description"))
+    return (Known(name, title or name, description, path),)
+
+
+@router.get("/validate")
+def campaigns_page(request: Request) -> Response:
+    """Campaigns with their verdicts over time."""
+    runs = request.app.state.store.runs(session_of(request).owner, "validation")
+    return page(request, "validate.html.j2", campaigns=known_campaigns(request), runs=runs)
+
+
+@router.post("/validate")
+async def campaign_run(request: Request) -> Response:
+    """Run a campaign."""
+    form = await request.form()
+    name = form.get("campaign")
+    run = order_campaign(request, name if isinstance(name, str) else "")
+    return RedirectResponse(f"/runs/{run.id}", status_code=303)
+
+
+def order_campaign(request: Request, name: str) -> WebRun:
+    """Order the run of a campaign.
+
+    Raises
+    ------
+    Refused : there is no such campaign, or no room.
+    """
+    known = known_campaigns(request).get(name)
+    if known is None:
+        raise Refused(422, [FieldMistake("campaign", "no campaign of this server goes by that name")])
+    own = known.name if not known.name.startswith("run:") else "campaign"
+    order = Order("validation", own, known.title, arguments={"path": str(known.path)})
+    run: WebRun = request.app.state.desk.order(session_of(request).owner, order)
+    return run
+
+
+def maps_of(place: Path) -> list[str]:
+    """Names of the score maps of a run."""
+    folder = place / "results" / "scores"
+    return sorted(p.stem for p in folder.glob("*.tif")) if folder.is_dir() else []
+
+
+@router.get("/runs/{run_id}/map")
+def map_page(request: Request, run_id: str, name: str | None = None) -> Response:
+    """A score map with a threshold to move."""
+    run = run_of(request, run_id)
+    maps = maps_of(request.app.state.store.place(run.id))
+    if not maps or (name is not None and name not in maps):
+        raise Refused(404, "this run has no such score map")
+    return page(request, "map.html.j2", run=run, maps=maps, name=name or maps[0])
+
+
+@router.get("/runs/{run_id}/map.json")
+def map_data(request: Request, run_id: str, name: str) -> Response:
+    """A score map, 16 bits a pixel, with the measured curves that go with it."""
+    run = run_of(request, run_id)
+    if not _MAP.fullmatch(name) or name not in maps_of(request.app.state.store.place(run.id)):
+        raise Refused(404, [FieldMistake("name", "this run has no such score map")])
+    path = request.app.state.desk.view(run, "score_map", view_name(f"map-{name}"), name=name)
+    return FileResponse(path, media_type="application/json")
+
+
+@router.get("/runs/{run_id}/pixel.json")
+def pixel_data(
+    request: Request, run_id: str, line: int = Query(ge=0, lt=1_000_000), sample: int = Query(ge=0, lt=1_000_000)
+) -> Response:
+    """The chart of a pixel's spectrum beside the predicted ones."""
+    run = run_of(request, run_id)
+    if run.kind != "validation":
+        raise Refused(409, "spectra of pixels stand beside predictions, which a validation has")
+    known = next((k for k in known_campaigns(request).values() if run.name in (k.name, k.path.parent.name)), None)
+    if known is None:
+        raise Refused(409, "the campaign of this run is no longer there")
+    arguments: dict[str, Any] = {"path": str(known.path), "line": line, "sample": sample}
+    if "simulate" in (load_yaml(known.path)[0].get("collection") or {}):  # which goes when the campaign has run
+        request.app.state.desk.view(run, COLLECTION, COLLECTION, path=str(known.path))
+    path = request.app.state.desk.view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments)
+    return FileResponse(path, media_type="application/json")

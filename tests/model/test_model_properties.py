@@ -1,0 +1,388 @@
+"""Whatever can be moved, moved in three ways: the value in the scenario's file, a study, and an input of a budget.
+
+The paths are those that the program itself lists, so that a new one is covered at once: what the rules below can
+not move fails.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+import yaml
+
+from hyperval import api
+from hyperval.atmosphere import AtmosphericTable, write_table
+from hyperval.errors import UsageError
+from hyperval.predict import predict, predictions
+from hyperval.prediction.departure import PATHS, ColumnKind, batch_column, combined, every_path, input_path
+from hyperval.prediction.uncertainty import given_of
+from hyperval.scenario import Scenario, load_scenario
+from hyperval.scene.builtin import builtin_class
+from hyperval.scene.statistics import ClassStatistics, Components
+from hyperval.settings import setting, with_settings
+from hyperval.spectra.axis import SpectralAxis
+from hyperval.statistics_library import write_statistics_library
+
+EQUAL = 1e-9  # relative
+# A probability follows from a logarithm, and what differs by a rounding of the score differs far out by more; a
+# noise-free mean has none of it.  Below these a difference is no difference.
+FLOOR = {"pd": 1e-12, "threshold": 1e-12, "score mean": 1e-12}
+AXIS = SpectralAxis(np.array([450.0, 490, 550, 600, 670, 745, 865, 1050, 1240, 1650, 2130, 2250]), np.full(12, 10.0))
+
+SCENARIO = """
+schema: 1
+name: paths
+atmosphere: {engine: table, table: sky.nc, aot550: 0.2, water_vapour_g_cm2: 2.0, ozone_atm_cm: 0.3,
+             sensor_altitude_km: 1, solar_zenith_deg: 35, solar_azimuth_deg: 180, day_of_year: 210}
+sensor: sensor.yaml
+sensor_changes: {calibration_error_percent: 0.7, signal_factor: 1.1, fixed_noise_factor: 1.2, bits: 12}
+sensor_operation: {frames_averaged: 2, spatial_binning: [2, 1], wavelength_shift_nm: 0.5}
+scene:
+  classes:
+    - {name: asphalt, fraction: 0.5, gain: 1.2, spectrum: {builtin: asphalt}}
+    - {name: grass, fraction: 0.3, spectrum: {builtin: grass}}
+    - {name: soil, fraction: 0.2, spectrum: {constant: 0.25},
+       covariance: {relative_sd: 0.1, correlation_nm: 200, band_sd: 0.01}}
+  panels: [{name: panel, spectrum: {constant: 0.4}}]
+  targets:
+    - name: plank
+      spectrum: {builtin: yellow-paint-plank}
+      host: asphalt
+      gain: 1.1
+      illumination: {beam: 0.8, sky_view: 0.9}
+      subjects:
+        - {name: small, fill: {fixed: 0.05}}
+        - {name: loose, fill: {mean: 0.1, sd: 0.03}}
+    - name: wide
+      spectrum: {constant: 0.5}
+      covariance: {relative_sd: 0.05}
+      host: soil
+      fill: {geometry: {side_m: 0.5, gsd_m: 1.5, psf_fwhm_pixels: 0.8, phase: centred, pixels: ranked, n: 3}}
+processing: {detectors: [cem], bands: {drop_bad: false}, false_alarm_grid: {lowest: 1.0e-6, per_decade: 2}}
+"""
+NO_LIGHT = {
+    "atmosphere": None, "sensor_changes": None, "sensor_operation": None, "scene.targets.plank.illumination": None
+}  # fmt: skip
+MIXTURE = {"spectrum": {"library": "classes.nc", "record": "field"}, "mixture": "auto"}
+TAILS = {"scene.classes.grass.tail_dof": 9.0, "scene.classes.asphalt.tail_dof": 4.0}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "base": {},
+    "thesis": {"formulation": "thesis"},
+    "tails": TAILS,
+    "mixtures": {f"scene.classes.soil.{k}": v for k, v in MIXTURE.items()}
+    | {"scene.classes.soil.covariance": None, **TAILS},
+    "reflectance domain": NO_LIGHT,
+    "radiance domain": {"processing.elm": "none", "processing.detectors": ["cem", "cem-correlation", "smf"]},
+    "PCA": {"processing.features": {"pca": 5}, "processing.detectors": ["cem", "cem-correlation"]},
+    "correlation CEM": {"processing.detectors": ["cem-correlation"]},
+    "darkest pixel": {"processing.elm": {"darkest_pixel": 10_000}},
+    "stated surroundings": {"scene.adjacency": {"effective_neighbours": 50, "spectrum": {"constant": 0.2}}},
+}
+SPECTRAL = [
+    {"name": f"{kind}/{s}/{nm:.0f}", "kind": kind, "subject": s, "band_nm": nm}
+    for kind in ("radiance", "snr")
+    for s in ("asphalt", "panel")
+    for nm in (490.0, 865.0)
+]
+Key = tuple[str, ...]
+PFA = (1e-2, 1e-4)
+WHOLE = ("base", "mixtures")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scenario's file with an atmosphere, a sensor and a library of statistics beside it."""
+    here = tmp_path_factory.mktemp("model")
+    (here / "base.yaml").write_text(SCENARIO)
+    assumed = "assumed: for tests"
+    sensor = {
+        "schema": 1, "name": "twelve", "title": "Twelve bands", "source": assumed,
+        "bands": {"table": [[float(nm), 10.0, 1] for nm in AXIS.centre_nm], "source": assumed},
+        "measured_noise": {"table": [[400.0, 0.004, 0.5, 0.0], [2500.0, 0.001, 0.5, 0.0]], "source": assumed},
+        "calibration_error_percent": {"value": 0.1, "source": assumed},
+    }  # fmt: skip
+    (here / "sensor.yaml").write_text(yaml.safe_dump(sensor))
+    write_table(sky(), here / "sky.nc")
+    soil, away = builtin_class("soil", AXIS), np.linspace(0.01, 0.04, len(AXIS))
+    wide = soil.covariance + 1e-5 * np.eye(len(AXIS))
+    parts = Components(np.array([0.8, 0.2]), np.array([-0.2 * away, 0.8 * away]), np.array([wide, 0.4 * wide]), 12.0)
+    field = ClassStatistics("field", AXIS, soil.mean, parts.covariance, 500, "made", None, parts)
+    write_statistics_library(here / "classes.nc", [field])
+    return here
+
+
+def sky() -> AtmosphericTable:
+    """Smooth terms over optical depth."""
+    w, aot = np.arange(400.0, 2301.0, 20.0), np.array([0.0, 0.2, 0.5, 1.0])
+    depth = aot[:, None]
+    haze, gas = 1.0 - np.exp(-depth * 550.0 / w), np.exp(-0.2 * np.exp(-(((w - 1050.0) / 300.0) ** 2)))
+    gas = gas * np.ones_like(depth)
+    quantities = {
+        "path": 0.03 * (450.0 / w) ** 3 + 0.12 * haze,
+        "direct": 0.8 * gas * np.exp(-0.6 * depth * 550.0 / w),
+        "adjacency": 0.15 * haze * gas,
+        "spherical_albedo": 0.05 * (450.0 / w) ** 3 + 0.15 * haze * np.ones_like(gas),
+        "ground": 0.9 * gas * np.exp(-0.2 * depth),
+        "gas": gas,
+        "diffuse": 0.1 + 0.5 * haze * np.ones_like(gas),
+    }  # fmt: skip
+    axes = {"aot550": aot}
+    fixed = {
+        "water_vapour_g_cm2": 2.0, "ozone_atm_cm": 0.3, "ground_altitude_km": 0.0, "sensor_altitude_km": 1.0,
+        "solar_zenith_deg": 35.0, "view_zenith_deg": 0.0,
+    }  # fmt: skip
+    return AtmosphericTable(w, axes, fixed, quantities)
+
+
+def file_of(variant: str) -> str:
+    """Name of the file of a variant."""
+    return f"{variant.replace(' ', '-')}.yaml"
+
+
+def in_file(scenario: Scenario, path: str) -> bool:
+    """Whether the path is that of an entry of the file."""
+    try:
+        return setting(scenario, path) is not None
+    except UsageError:
+        return False
+
+
+def variant_of(folder: Path, variant: str) -> Scenario:
+    """A variant of the scenario, from a file of its own."""
+    path = folder / file_of(variant)
+    data = with_settings(load_scenario(folder / "base.yaml"), VARIANTS[variant])
+    path.write_text(yaml.safe_dump(data.model_dump(mode="json", by_alias=True, exclude_unset=True)))
+    return load_scenario(path)
+
+
+def candidates(stated: Any) -> list[Any]:
+    """Other values than the one that stands there."""
+    if isinstance(stated, list | tuple):
+        return [[candidates(x)[i] for x in stated] for i in range(3)]
+    if isinstance(stated, int) and not isinstance(stated, bool):
+        return [stated + 1, stated - 1, stated + 2]
+    return [1.04 * stated, 0.96 * stated, 0.03] if stated else [0.03, 0.5, 3.0]
+
+
+def moved_in_file(scenario: Scenario, path: str) -> tuple[Any, Scenario] | None:
+    """Another value at an entry of the file, and the scenario with it; None where every other value is refused."""
+    for value in candidates(setting(scenario, path)):
+        try:
+            return value, with_settings(scenario, {path: value})
+        except UsageError:
+            continue
+    return None
+
+
+def numbers(p: Any) -> dict[Key, np.ndarray]:
+    """Everything that a prediction says, as arrays."""
+    out = {
+        (product, name): e.mean
+        for product in ("radiance", "snr", "reflectance")
+        for name, e in getattr(p, product).items()
+    }
+    for name, e in p.radiance.items():
+        out["spread", name] = np.sqrt(np.diag(e.pixel_covariance))
+    for key, score in p.scores.items():
+        out["score mean", *key], out["score sd", *key] = np.array([score.mean]), np.array([score.sd])
+    for key, curve in p.roc.items():
+        out["pd", *key], out["threshold", *key] = curve.pd, curve.threshold
+    return out
+
+
+def difference(ours: Mapping[Key, Any], theirs: Mapping[Key, Any]) -> float:
+    """Greatest relative difference, of what lies above its floor."""
+    worst = 0.0
+    for key, a in ours.items():
+        b = np.asarray(theirs[key])
+        np.testing.assert_array_equal(np.isnan(a), np.isnan(b), str(key))
+        away = np.abs(a - b) - FLOOR.get(key[0], 0.0)
+        worst = max(worst, float(np.nanmax(away / np.maximum(np.abs(b), 1e-300), initial=0.0)))
+    return worst
+
+
+def studied(folder: Path, variant: str, scenario: Scenario, values: Mapping[str, Any]) -> dict[str, dict[Key, float]]:
+    """path -> outputs with another value there, by one study that moves one input after the other."""
+    outputs = [o for o in SPECTRAL if scenario.atmosphere is not None]
+    outputs += [
+        {
+            "name": f"pd/{p.name}/{d}/{unit}/{i}",
+            "kind": "pd",
+            "subject": p.name,
+            "detector": d,
+            "by": unit,
+            "pfa": pfa,
+        }
+        for t in scenario.scene.targets
+        for p in t.populations
+        for d in scenario.processing.detectors
+        for unit in ("pixel", "object")
+        for i, pfa in enumerate(PFA)
+    ]
+    keys = [tuple(o["name"].split("/")) for o in outputs]
+    outputs = [{**o, "name": f"o{k}"} for k, o in enumerate(outputs)]
+    # What is a column of numbers stands there beside the stated value, which must not disturb it.
+    listed = {p: [setting(scenario, p)] * (batch_column(scenario, p).kind != "anew") + [v] for p, v in values.items()}
+    study = {
+        "schema": 1, "name": "paths", "scenario": file_of(variant), "design": {"kind": "one-at-a-time"},
+        "inputs": [{"name": f"i{k}", "path": p, "values": v} for k, (p, v) in enumerate(listed.items())],
+        "outputs": outputs,
+    }  # fmt: skip
+    (folder / "study.yaml").write_text(yaml.safe_dump(study))
+    table = api.study(folder / "study.yaml", show_progress=False).to_dataframe()
+    rows = iter(table[[o["name"] for o in outputs]].to_numpy())
+    first, found = dict(zip(keys, next(rows), strict=True)), {}
+    for path, of_path in listed.items():
+        here = [dict(zip(keys, next(rows), strict=True)) for _ in of_path]
+        assert len(here) == 1 or difference(here[0], first) < EQUAL, f"{path}: the value that stands there"
+        found[path] = here[-1]
+    assert next(rows, None) is None
+    return found
+
+
+def as_studied(p: Any, keys: Iterable[Key]) -> dict[Key, float]:
+    """What a study asks, of a prediction, where that has it: a P_FA of its grid."""
+    out: dict[Key, float] = {}
+    for key in keys:
+        if key[0] == "pd":
+            curve = p.roc[key[1], key[2], key[3]]
+            at = np.flatnonzero(np.abs(np.log(curve.pfa / PFA[int(key[4])])) < 1e-9)
+            if at.size:
+                out[key] = float(curve.pd[at[0]])
+        else:
+            out[key] = float(getattr(p, key[0])[key[1]].mean[np.argmin(np.abs(p.axis.centre_nm - float(key[2])))])
+    return out
+
+
+def away_from(nominal: Any) -> np.ndarray:
+    """Another value of an input: a number, or one for each band or fill."""
+    at = np.asarray(nominal, float)
+    if np.all(np.isinf(at)):
+        return np.array([6.0])
+    return np.where(at == 0.0, 0.02, 1.03 * at)
+
+
+def twin(scenario: Scenario, path: str, value: np.ndarray) -> dict[str, Any] | None:
+    """Entries of the file that say the same as an input at another value; None where it has no words for it."""
+    pattern = re.sub(r"\[.*\]", "*", path)
+    name = path.partition("[")[2].partition("]")[0]
+    v, scene = float(value.ravel()[0]), scenario.scene
+    match pattern:
+        case "light.irradiance" if scenario.atmosphere is not None:
+            distance = scenario.atmosphere.distance_au / np.sqrt(v)
+            return {"atmosphere.day_of_year": None, "atmosphere.earth_sun_distance_au": distance}
+        case "light.surroundings" if scene.adjacency.spectrum is not None:
+            return {"scene.adjacency.spectrum.constant": v * (scene.adjacency.spectrum.constant or 0.0)}
+        case "sensor.electrons" if scenario.sensor_changes is not None:
+            return {"sensor_changes.signal_factor": v * scenario.sensor_changes.signal_factor}
+        case "sensor.wavelength_shift_nm" if scenario.sensor_operation is not None:
+            return {
+                "sensor_operation.wavelength_shift_nm": v
+                + setting(scenario, pattern.replace("sensor", "sensor_operation"))
+            }
+        case "surfaces.*.mean" if name == "panel":
+            return {"scene.panels.panel.spectrum.constant": v}
+        case "surfaces.*.spread" if name == "wide":
+            return {"scene.targets.wide.covariance.relative_sd": 0.05 * v}
+        case "surfaces.*.tail_dof":
+            return {f"scene.classes.{name}.tail_dof": v}
+        case "fill.*" if name in ("small", "loose"):
+            return {f"scene.targets.plank.subjects.{name}.fill.{'fixed' if name == 'small' else 'mean'}": v}
+        case "fraction.*":
+            rest = (1.0 - v) / sum(c.fraction for c in scene.classes if c.name != name)
+            return {
+                f"scene.classes.{c.name}.fraction": v if c.name == name else rest * c.fraction for c in scene.classes
+            }
+        case "blur":
+            return {"scene.targets.wide.fill.geometry.psf_fwhm_pixels": v}
+    return None
+
+
+def same_line(path: str, value: float) -> dict[str, float] | None:
+    """Gain and offset of what a line gives whose panel truly reflects ``value`` times what it is taken for."""
+    if path not in ("line.dark", "line.bright"):
+        return None
+    dark, bright = (0.1 * value, 0.6) if path == "line.dark" else (0.1, 0.6 * value)
+    gain = 0.5 / (bright - dark)
+    return {"line.gain": gain, "line.offset": 0.1 - gain * dark}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, variant):
+    scenario = variant_of(folder, variant)
+    given = given_of(scenario)
+    paths = [p for p in every_path(given) if in_file(scenario, p)]
+    values: dict[str, Any] = {}
+    truths = {}
+    refused = set()
+    for path in paths:
+        if (there := moved_in_file(scenario, path)) is not None:
+            try:
+                values[path], truths[path] = there[0], predict(there[1])
+                continue
+            except UsageError:  # a state that the table does not have
+                with pytest.raises(UsageError):
+                    predict(scenario, departure=input_path(given, path).to(np.asarray(there[0])))
+        refused.add(re.sub(r"\[.*\]", "*", path))
+    assert refused <= {
+        "schema", "scene.classes.*.fraction", "atmosphere.water_vapour_g_cm2", "atmosphere.ozone_atm_cm",
+        "atmosphere.sensor_altitude_km", "atmosphere.ground_altitude_km", "atmosphere.solar_zenith_deg",
+        "atmosphere.view_zenith_deg",
+    }, "moved by nothing that this suite knows"  # fmt: skip
+    wrong = []
+    plain = [p for p, v in values.items() if not isinstance(v, list)]
+    moved = predictions(scenario, (input_path(given, p).to(np.asarray(values[p])) for p in plain))
+    for path, found in zip(plain, moved, strict=True):
+        if difference(numbers(found), numbers(truths[path])) > EQUAL:
+            wrong.append(f"moved: {path} at {values[path]}")
+    # What is read anew goes through one function whatever the variant: two of them stand for all.
+    moving = {p: v for p, v in values.items() if variant in WHOLE or batch_column(scenario, p).kind != "anew"}
+    of_light = {p: v for p, v in moving.items() if p.startswith("atmosphere.")}  # each costs a run of the engine
+    rest = {p: v for p, v in moving.items() if p not in of_light}
+    for path, row in [x for v in (of_light, rest) if v for x in studied(folder, variant, scenario, v).items()]:
+        if difference(as_studied(truths[path], row), row) > EQUAL:
+            wrong.append(f"study: {path} at {values[path]}")
+    assert not wrong
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_an_input_moved_among_others_alone_and_in_the_file_gives_the_same(folder, variant):
+    scenario = variant_of(folder, variant)
+    given = given_of(scenario)
+    paths = [p for p in every_path(given) if not in_file(scenario, p)]
+    assert {re.sub(r"\[.*\]", "*", p) for p in paths} <= set(PATHS)
+    values = {p: away_from(input_path(given, p).nominal) for p in paths}
+    stated = numbers(predict(scenario))
+    wrong, moving = [], set()
+    among = predictions(scenario, (input_path(given, p).to(v) for p, v in values.items()))
+    for found, (path, value) in zip(among, values.items(), strict=True):
+        here, at = numbers(found), input_path(given, path)
+        if difference(here, numbers(predict(scenario, departure=at.to(value)))) > EQUAL:
+            wrong.append(f"{path}: alone")
+        if np.all(np.isfinite(at.nominal)):
+            unmoved = predict(scenario, departure=at.to(np.asarray(at.nominal, float)))
+            if difference(numbers(unmoved), stated) > EQUAL:
+                wrong.append(f"{path}: at the value that stands there")
+        entries = twin(scenario, path, value)
+        if entries and difference(here, numbers(predict(with_settings(scenario, entries)))) > EQUAL:
+            wrong.append(f"{path}: {entries}")
+        if (line := same_line(path, float(value.ravel()[0]))) is not None and scenario.formulation == "corrected":
+            both = combined(*(input_path(given, p).to(np.array([v])) for p, v in line.items()))
+            if difference(here, numbers(predict(scenario, departure=both))) > EQUAL:
+                wrong.append(f"{path}: {line}")
+        if difference(here, stated) > EQUAL:
+            moving.add(re.sub(r"\[.*\]", "*", path))
+    assert not wrong
+    assert variant != "base" or moving == {re.sub(r"\[.*\]", "*", p) for p in paths}
+
+
+def test_every_column_of_a_batch_is_moved(folder):
+    """A kind of column that no variant moves would go without a comparison."""
+    scenarios = [variant_of(folder, v) for v in VARIANTS]
+    moved = {batch_column(s, p).kind for s in scenarios for p in every_path(given_of(s))}
+    assert moved >= set(get_args(ColumnKind)) - {"pfa"}

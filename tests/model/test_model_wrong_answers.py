@@ -1,0 +1,119 @@
+"""Numbers that were wrong, by definitions and by truths that are moved one at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+from stand_in_atmosphere import blue_and_haze, smooth_terms, sunlight
+
+from hyperval.config import parse_yaml, validate
+from hyperval.predict import Origins, predict, predictions
+from hyperval.prediction.departure import input_path
+from hyperval.prediction.uncertainty import given_of
+from hyperval.products import PredictedProducts, background_of
+from hyperval.scenario import Scenario
+from hyperval.spectra.axis import SpectralAxis
+
+AXIS = SpectralAxis(np.linspace(450.0, 2250.0, 30), np.full(30, 20.0))
+TEXT = """
+schema: 1
+name: small
+atmosphere: {aot550: 0.2, sensor_altitude_km: 1, solar_zenith_deg: 30, solar_azimuth_deg: 0, day_of_year: 200}
+sensor: prospectir-vs
+scene:
+  classes:
+    - {name: asphalt, fraction: 0.6, spectrum: {builtin: asphalt}}
+    - {name: grass, fraction: 0.4, spectrum: {builtin: grass}}
+  panels: [{name: panel, spectrum: {builtin: grey-panel-30}}]
+  targets:
+    - name: plank
+      spectrum: {builtin: yellow-paint-plank}
+      host: asphalt
+      subjects: [{name: full, fill: {fixed: 1.0}}, {name: tenth, fill: {fixed: 0.1}}]
+processing: {detectors: [cem], bands: {drop_bad: false}, false_alarm_grid: {lowest: 1.0e-5, per_decade: 4}}
+"""
+
+
+def scenario(extra: str = "", **replaced: str) -> Scenario:
+    """The scene, with words of its text replaced and more after it."""
+    text = TEXT + extra
+    for old, new in replaced.items():
+        assert old in text
+        text = text.replace(old, new)
+    data, lines = parse_yaml(text)
+    return validate(Scenario, data, lines, "text")
+
+
+ORIGINS = Origins(
+    axis=AXIS,
+    engine=lambda state: smooth_terms(*blue_and_haze(state.aot550 or 0.2), sunlight(), 0.7 * sunlight() / np.pi),
+)
+
+
+def run(s: Scenario, **how) -> PredictedProducts:
+    """The prediction on thirty bands under a stand-in for the engine."""
+    return predict(s, ORIGINS, **how)
+
+
+@pytest.mark.parametrize("form", ["corrected", "thesis"])
+@pytest.mark.parametrize("elm", ["none", "{reflectances: [0.1, 0.6]}"])
+def test_correlation_filter_is_that_of_the_correlation_matrix(elm, form):
+    """w = R^-1 t / (t R^-1 t), R = Sigma + mu mu^T of what the line leaves (Harsanyi, 1993)."""
+    s = scenario(**{"[cem]": f"[cem-correlation], elm: {elm}", "small": f"small\nformulation: {form}"})
+    p = run(s)
+    seen = p.radiance if elm == "none" else p.reflectance
+    classes = [(c.fraction, seen[c.name]) for c in s.scene.classes]
+    mean = sum(f * e.mean for f, e in classes)
+    second = sum(f * (e.pixel_covariance + np.outer(e.mean, e.mean)) for f, e in classes)
+    target = seen["full"].mean
+    w = np.linalg.solve(second, target)
+    w /= target @ w
+    key = background_of("tenth"), "cem-correlation"
+    assert p.scores[key].mean == pytest.approx(w @ mean, rel=1e-6)
+    assert p.scores[key].sd == pytest.approx(np.sqrt(w @ second @ w - (w @ mean) ** 2), rel=1e-6)
+
+
+@pytest.mark.parametrize("form", ["corrected", "thesis"])
+def test_budget_of_a_field_spectrum_holds_what_the_surroundings_do(form):
+    """Half the difference of two truths, for every subject; by D_A alone asphalt's radiance had 8 % less."""
+    u = "uncertainty: {field_spectra: [{subject: asphalt, relative: 0.05}]}\n"
+    s = scenario(u, small=f"small\nformulation: {form}")
+    p, at = run(s), input_path(given_of(s, ORIGINS), "surfaces.[asphalt].mean")
+    up, down = (run(s, departure=at.to(f * np.asarray(at.nominal))) for f in (1.05, 0.95))
+    for product in ("radiance", "snr", "reflectance"):
+        for name, estimate in getattr(p, product).items():
+            half = 0.5 * np.abs(getattr(up, product)[name].mean - getattr(down, product)[name].mean)
+            found = estimate.budget.get("field spectrum", np.zeros(len(AXIS)))
+            floor = 1e-6 * np.abs(estimate.mean).max()
+            np.testing.assert_allclose(found, half, rtol=2e-3, atol=floor, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("entry", "path"),
+    [
+        ("field_spectra: [{subject: grass, relative: 0.05, correlation: random}]", "surfaces.[grass].mean"),
+        ("noise: {relative: 0.3, correlation: random}", "sensor.noise"),
+    ],
+)
+def test_interval_of_detection_follows_every_direction(entry, path):
+    """Thirty independent bands; of the spectrum of a class 8 were followed, of light and sensor 24."""
+    s = scenario(f"uncertainty: {{{entry}}}\n", **{"[cem]": "[cem], elm: none"})
+    curve, at = run(s).roc["tenth", "cem", "pixel"], input_path(given_of(s, ORIGINS), path)
+    nominal = np.broadcast_to(at.nominal, len(AXIS))
+    step = 0.05 * nominal if "surfaces" in path else np.full(len(AXIS), 0.3)
+    ends = np.concatenate([nominal + np.diag(step), nominal - np.diag(step)])
+    moved = predictions(s, map(at.to, ends), ORIGINS, object_curves=False)
+    z = np.array([ndtri(p.roc["tenth", "cem", "pixel"].pd) for p in moved])
+    variance = ((0.5 * (z[: len(AXIS)] - z[len(AXIS) :])) ** 2).sum(axis=0)
+    width = (ndtri(curve.pd_upper) - ndtri(curve.pd_lower)) / (2.0 * 1.959964)
+    inner = np.abs(ndtri(curve.pd)) < 2.0
+    assert inner.sum() > 4
+    # 2,048 draws of the curves, whose even part belongs to the interval too.
+    np.testing.assert_allclose(width[inner], np.sqrt(variance)[inner], rtol=0.04)
+
+
+@pytest.mark.parametrize(("relative", "says"), [(0.01, False), (0.3, True)])
+def test_a_prediction_says_where_errors_shift_detection_by_much_of_their_spread(relative, says):
+    s = scenario(f"uncertainty: {{field_spectra: [{{subject: grass, relative: {relative}, correlation: random}}]}}\n")
+    assert any("shift the mean of P_D" in note for note in run(s).notes) is says

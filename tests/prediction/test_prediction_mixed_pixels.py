@@ -1,0 +1,208 @@
+"""A pixel that a target fills in part keeps the law of its host: limits, drawn pixels, one law everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import stdtr
+from test_prediction_mixtures import drawn, of_region, two_clusters
+from uncertain_scene import AXIS, scenario
+
+from hyperval.predict import Origins, predict
+from hyperval.prediction.cases import batch_of, case_of
+from hyperval.prediction.departure import Departure
+from hyperval.processing.roc_model import ClassScores, Host, RocScores, mixing, object_detection_probability
+from hyperval.scene.builtin import builtin_class
+
+BANDS = len(AXIS)
+LINEAR = ("cem", "cem-correlation", "matched-filter")
+SQUARE = "{geometry: {side_m: 1, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 3}}"
+
+
+def scene(fill: str = "{fixed: 0.1}", tail: object = "null", detectors: str = "cem", host: str = "asphalt"):
+    """Planks on a host whose class has the tail, beside another class."""
+    return scenario(
+        "",
+        **{
+            "spectrum: {builtin: grass}}": "spectrum: {measured: field}, mixture: auto, tail_dof: measured}",
+            "spectrum: {builtin: asphalt}}": f"spectrum: {{builtin: asphalt}}, tail_dof: {tail}}}",
+            "host: asphalt": f"host: {host}\n      covariance: {{relative_sd: 0.05}}",
+            "fill: {fixed: 0.1}": f"fill: {fill}",
+            "detectors: [cem]": f"elm: none, samples: 4000, detectors: [{detectors}]",
+        },
+    )
+
+
+def run(of, components=None, **kwargs):
+    origins = Origins(AXIS, {"field": of_region(components)})
+    return predict(of, origins, **kwargs), case_of(of, origins, Departure())
+
+
+def host_exceedance(curve, made, case, detector, host):
+    """P(score > x) of the host's class alone at the thresholds of a curve: its part of (3.33)."""
+    batch = batch_of([case])
+    scores = batch.scores("tenth", detector).classes
+    own = [j for j, law in enumerate(batch.settings.grounds[0].laws) if law.owner == batch.class_names.index(host)]
+    total, part = 0.0, scores.fraction[0, own] / scores.fraction[0, own].sum()
+    for j, p in zip(own, part, strict=True):
+        m, s, nu = scores.mean[0, j], scores.sd[0, j], scores.dof[0, j]
+        law = stats.norm(m, s) if np.isinf(nu) else stats.t(nu, m, s * np.sqrt((nu - 2.0) / nu))
+        total = total + p * law.sf(curve.threshold)
+    return total
+
+
+@pytest.mark.parametrize("detector", LINEAR)
+@pytest.mark.parametrize("dof", [2.2, 4.0, 9.0, 60.0])
+def test_an_empty_pixel_passes_as_often_as_its_host(dof, detector):
+    # The fill of 1e-9 leaves the score where it is: what remains is the quadrature over the tails.
+    for fill in ("{fixed: 1e-9}", "{mean: 1e-8, sd: 1e-9}"):
+        made, case = run(scene(fill, dof, detector))
+        for unit in ("pixel", "object"):
+            curve = made.roc["tenth", detector, unit]
+            expected = host_exceedance(curve, made, case, detector, "asphalt")
+            some = expected > 1e-9
+            assert some.sum() > 100
+            assert curve.pd[some] == pytest.approx(expected[some], rel=2e-5)
+
+
+@pytest.mark.parametrize("dof", [2.2, 4.0, 9.0])
+@pytest.mark.parametrize("fill", [1e-3, 1e-2])
+def test_a_little_target_takes_little_from_the_host(dof, fill):
+    made, case = run(scene(f"{{fixed: {fill}}}", dof))
+    curve = made.roc["tenth", "cem", "pixel"]
+    least = (1.0 - fill) ** dof * host_exceedance(curve, made, case, "cem", "asphalt")
+    assert np.all(curve.pd >= (1.0 - 1e-6) * least)
+
+
+def test_one_class_alone_never_falls_below_its_own_false_alarms():
+    # The case of the report: P_D was 2.7e-7 at P_FA = 1e-3 and 8e-190 at 1e-6.
+    text = scene("{fixed: 0.001}", 4)
+    alone = text.model_copy(update={"scene": text.scene.model_copy(update={"classes": [
+        c.model_copy(update={"fraction": 1.0}) for c in text.scene.classes if c.name == "asphalt"]})})  # fmt: skip
+    curve = predict(alone, Origins(AXIS)).roc["tenth", "cem", "pixel"]
+    assert np.all(curve.pd > 0.99 * curve.pfa)
+    assert np.all(curve.pd < 2.0 * curve.pfa)
+
+
+def test_a_full_pixel_is_normal():
+    tailed, plain = (run(scene("{fixed: 1.0}", tail))[0] for tail in (3.0, "null"))
+    a, b = (p.scores["tenth", "cem"] for p in (tailed, plain))
+    assert (a.mean, a.sd) == pytest.approx((b.mean, b.sd), rel=1e-12)
+    assert a.density == pytest.approx(b.density, rel=1e-9)
+
+
+@pytest.mark.parametrize(("dof", "host"), [(3.0, "asphalt"), (8.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
+@pytest.mark.parametrize("fill", [0.0, 0.05, 0.3])
+def test_detections_are_those_of_drawn_pixels(dof, host, fill):
+    # 1,000,000 pixels; thresholds within 4.5 standard deviations: by chance fails in 5e-4 of all runs together.
+    components, n, rng = two_clusters(dof if host == "grass" else np.inf), 1_000_000, np.random.default_rng(11)
+    made, case = run(
+        scene(f"{{fixed: {max(fill, 1e-9)}}}", dof if host == "asphalt" else "null", host=host), components
+    )
+    curve, group = made.roc["tenth", "cem", "pixel"], batch_of([case]).groups[0]
+    filters, plank = group.filters["plank", "cem"][0], case.setup.surfaces["plank"]
+    if host == "grass":
+        behind = drawn(components, n, rng)
+    else:
+        asphalt = builtin_class("asphalt", AXIS)
+        z = rng.standard_normal((n, BANDS)) * np.sqrt((dof - 2.0) / rng.chisquare(dof, n))[:, None]
+        behind = asphalt.mean + z @ np.linalg.cholesky(asphalt.covariance).T
+    own = plank.mean + rng.standard_normal((n, BANDS)) @ np.linalg.cholesky(plank.covariance + 1e-15 * np.eye(BANDS)).T
+    pixels = fill * own + (1.0 - fill) * behind
+    scores = pixels[:, group.bands] @ filters.weights[0] - filters.offset[0]
+    for level in (0.5, 0.1, 1e-2, 1e-3, 1e-4):
+        at = int(np.argmin(np.abs(np.log(curve.pfa / level))))
+        p = curve.pd[at]
+        assert abs(float(np.mean(scores > curve.threshold[at])) - p) < 4.5 * np.sqrt(p * (1.0 - p) / n) + 3.0 / n
+
+
+@pytest.mark.parametrize(("dof", "host"), [(3.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
+@pytest.mark.parametrize("fill", ["{fixed: 0.1}", SQUARE])
+def test_drawn_objects_have_the_law_of_their_curve(dof, host, fill):
+    components = two_clusters(dof if host == "grass" else np.inf)
+    made, _ = run(scene(fill, dof if host == "asphalt" else "null", host=host), components, objects=True)
+    curve = made.roc["tenth", "cem", "object"]
+    draws = np.sort(made.object_scores["tenth", "cem"].values, axis=None)
+    found = 1.0 - np.searchsorted(draws, curve.threshold) / draws.size
+    # The greatest error of a sampled distribution of 38,400: 0.0083 once in a thousand.
+    assert found == pytest.approx(curve.pd, abs=0.0083)
+    far = curve.pd < 2e-3  # a few per cent of what lies far out: 5 standard deviations
+    assert np.all(np.abs(found - curve.pd)[far] < 5.0 * np.sqrt(curve.pd[far] / draws.size) + 2.0 / draws.size)
+
+
+@pytest.mark.parametrize(("dof", "host"), [(4.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
+def test_ace_sees_the_same_pixels(dof, host):
+    # 400,000 pixels and 4,000 draws of the model: within 4.5 standard deviations of both (its error as stated).
+    components, n, rng = two_clusters(dof if host == "grass" else np.inf), 400_000, np.random.default_rng(12)
+    of = scene("{fixed: 0.03}", dof if host == "asphalt" else "null", "ace", host)
+    made, case = run(of, components)
+    curve, ground = made.roc["tenth", "ace", "pixel"], case.setup.surfaces
+    names, fractions = ("grass", "asphalt"), (0.7, 0.3)
+    mean = sum(f * ground[k].mean for f, k in zip(fractions, names, strict=True))
+    away = [ground[k].mean - mean for k in names]
+    spread = sum(f * (ground[k].covariance + np.outer(d, d)) for f, k, d in zip(fractions, names, away, strict=True))
+    if host == "grass":
+        behind = drawn(components, n, rng)
+    else:
+        z = rng.standard_normal((n, BANDS)) * np.sqrt((dof - 2.0) / rng.chisquare(dof, n))[:, None]
+        behind = ground["asphalt"].mean + z @ np.linalg.cholesky(ground["asphalt"].covariance).T
+    plank = ground["plank"]
+    own = plank.mean + rng.standard_normal((n, BANDS)) @ np.linalg.cholesky(plank.covariance + 1e-15 * np.eye(BANDS)).T
+    root = np.linalg.inv(np.linalg.cholesky(spread))
+    y, axis = (0.03 * own + 0.97 * behind - mean) @ root.T, root @ (plank.mean - mean)
+    scores = (y @ axis) ** 2 / np.einsum("ij,ij->i", y, y) / (axis @ axis)
+    for level in (0.3, 0.1, 1e-2, 1e-3):
+        at = int(np.argmin(np.abs(np.log(curve.pfa / level))))
+        p = curve.pd[at]
+        error = np.sqrt(p * (1.0 - p) * (1.0 / n + 1.0 / 4000))
+        assert abs(float(np.mean(scores > curve.threshold[at])) - p) < 4.5 * error
+
+
+def test_the_mixing_variable_gives_the_moments_and_the_tail():
+    for nu in (2.1, 3.0, 5.0, 20.0, 1000.0):
+        factor, probability = mixing(np.array([nu, np.inf]))
+        assert (probability.sum(axis=1)) == pytest.approx([1.0, 1.0], abs=1e-12)
+        assert factor[1] == pytest.approx(1.0)
+        host = Host(
+            np.ones((1, 1)), np.zeros(1), np.ones(1), ClassScores(*np.array([[[1.0]], [[0.0]], [[1.0]], [[nu]]]))
+        )
+        z = np.array([0.0, 1.0, 3.0, 10.0])
+        expected = stdtr(nu, -z * np.sqrt(nu / (nu - 2.0)))
+        found = host.exceedance(z[None], np.zeros((1, 1)), np.ones((1, 1)))[0, :, 0]
+        assert found == pytest.approx(expected, rel=2e-7, abs=1e-14)
+
+
+def tailed(fills: np.ndarray, dof: float) -> tuple[np.ndarray, np.ndarray, Host]:
+    """Scores of pixels whose target adds little spread, and their host."""
+    laws = ClassScores(*np.array([[[1.0]], [[0.0]], [[0.1]], [[dof]]]))
+    sds = np.sqrt((1.0 - fills) ** 2 * 0.01 + fills**2 * 4e-4 + 1e-4 * fills)
+    return fills[None], sds[None], Host(1.0 - fills[None], np.zeros(1), np.array([0.01]), laws)
+
+
+@pytest.mark.parametrize("dof", [2.5, 6.0])
+def test_many_fills_are_read_between_some_of_them(dof):
+    fills = np.random.default_rng(5).beta(0.6, 0.6, 4 * 90)
+    means, sds, host = tailed(fills, dof)
+    x = np.linspace(0.0, 3.0, 40)[None]
+    plain = host.exceedance(x, means, sds)[0].reshape(40, 90, 4)
+    expected = (1.0 - np.prod(1.0 - plain, axis=2)).mean(axis=1)
+    shape = (1, 90, 4)
+    found = object_detection_probability(x, means.reshape(shape), sds.reshape(shape), host)[0]
+    assert found == pytest.approx(expected, rel=3e-3)
+
+
+@pytest.mark.parametrize("pd", [0.02, 0.5, 0.97])
+def test_false_alarms_at_a_detection_and_the_area_follow_the_same_law(pd):
+    fills = np.array([0.05, 0.3])
+    means, sds, host = tailed(fills, 3.5)
+    background = ClassScores(*np.array([[[0.6, 0.4]], [[0.0, 0.05]], [[0.1, 0.08]], [[3.5, np.inf]]]))
+    made = RocScores(background, np.zeros(1, int), means, sds, np.array([[0.4, 0.6]]), None, host)
+    pfa = 10.0 ** made.log10_false_alarm(np.array([pd]))
+    assert made.detection(pfa[:, None])[0, 0] == pytest.approx(pd, abs=1e-9)
+    grid = np.geomspace(1e-9, 1.0 - 1e-9, 20_001)[None]
+    grid = np.unique(np.concatenate([grid, 1.0 - grid], axis=1))[None]
+    assert made.auc()[0] == pytest.approx(np.trapezoid(made.detection(grid)[0], grid[0]), abs=2e-6)
+    x = np.linspace(-0.5, 1.0, 7)[None]
+    slope = (made.detection_above(x - 1e-5) - made.detection_above(x + 1e-5)) / 2e-5
+    assert made.target_density(x) == pytest.approx(slope, rel=1e-6)

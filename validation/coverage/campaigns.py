@@ -1,0 +1,217 @@
+"""Whole verdicts: small simulated campaigns whose model is exactly right, and how many of them find it wrong.
+
+Sizes, layouts, numbers of bands, noise and planks vary from campaign to campaign.  The criteria and their ranges
+are those of share2012-twin.  Counted are campaigns with any criterion "not met", and of every interval that a
+criterion looks at how often it lies above the truth, and how often below.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import yaml
+from counts import Key
+from world import engine
+
+from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
+from hyperval.campaign.job import job_of
+from hyperval.campaign.one import run_campaign
+from hyperval.compare import objects, products
+from hyperval.compare.covariance import compare_covariance
+from hyperval.config import parse_yaml
+from hyperval.metrics import Kind, metric_of
+from hyperval.results import Outcome, Result, Role
+from hyperval.spectra.axis import in_window
+
+TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
+PANELS = ("white-panel", "black-panel")
+CLASSES = {"grass": "grass-field", "asphalt": "asphalt-court"}
+PLANKS = {"yellow": "asphalt", "green": "grass"}
+LAYOUTS = ("lines", "samples", "unequal", "stripes", "quarters")
+BANDS = (12, 16, 24, 32, 48)
+ASSUMED = "assumed: for the study of coverage"
+ATMOSPHERE = {
+    "aot550": 0.2, "water_vapour_g_cm2": 2.0, "sensor_altitude_km": 1.0, "solar_zenith_deg": 30.0,
+    "solar_azimuth_deg": 0.0, "day_of_year": 200,
+}  # fmt: skip
+
+
+def painted(layout: str, lines: int, samples: int) -> list[tuple[str, list[int], list[int]]]:
+    """Rectangles of the two classes, the greatest grass and the greatest asphalt first."""
+    whole_lines, whole_samples = [0, lines], [0, samples]
+    if layout == "lines":
+        return [("grass", [0, lines // 2], whole_samples), ("asphalt", [lines // 2, lines], whole_samples)]
+    if layout == "samples":
+        return [("grass", whole_lines, [0, samples // 2]), ("asphalt", whole_lines, [samples // 2, samples])]
+    if layout == "unequal":
+        return [("grass", [0, lines // 3], whole_samples), ("asphalt", [lines // 3, lines], whole_samples)]
+    if layout == "stripes":
+        cut = [0, lines * 3 // 8, lines * 3 // 4, lines * 7 // 8, lines]
+        rows = [[a, b] for a, b in pairwise(cut)]
+        return [(("grass", "asphalt")[i % 2], row, whole_samples) for i, row in enumerate(rows)]
+    half = [[0, lines // 2], [lines // 2, lines]], [[0, samples // 2], [samples // 2, samples]]
+    return [(("grass", "asphalt")[(i + j) % 2], half[0][i], half[1][j]) for i in (0, 1) for j in (0, 1)]
+
+
+def world(number: int, seed: int) -> dict[str, dict[str, Any]]:
+    """The files of one campaign, by name: sensor, scene, scenario, campaign."""
+    rng = np.random.default_rng([seed, number])
+    usable = np.arange(430.0, 2400.0, 2.0)
+    usable = usable[in_window(usable)]
+    centres = usable[np.linspace(0, usable.size - 1, int(rng.choice(BANDS))).astype(int)]
+    lines, samples = int(rng.integers(72, 121)), int(rng.integers(72, 121))
+    layout = LAYOUTS[number % len(LAYOUTS)]
+    areas = painted(layout, lines, samples)
+    noise = float(rng.uniform(0.5, 3.0))
+    sensor = {
+        "schema": 1, "name": "small-sensor", "title": "A sensor of few bands", "source": ASSUMED,
+        "bands": {"table": [[float(c), 10.0, 1] for c in centres], "source": ASSUMED},
+        "measured_noise": {
+            "table": [[nm, a * noise, 0.5, 0.0] for nm, a in ((400.0, 0.004), (1000.0, 0.003), (2500.0, 0.001))],
+            "source": ASSUMED,
+        },
+        "calibration_error_percent": {"value": float(rng.uniform(0.05, 0.3)), "source": ASSUMED},
+    }  # fmt: skip
+    where = {name: next((a, b) for surface, a, b in areas if surface == name) for name in CLASSES}
+    groups, subjects = [], {}
+    for colour, host in PLANKS.items():
+        rows, columns = where[host]
+        first = rows[0] + (14 if host == "grass" else 2)  # below the panels
+        area = {"lines": [first, rows[1]], "samples": [columns[0] + 2, columns[1] - 2]}
+        room = ((rows[1] - first) // 6) * ((columns[1] - columns[0] - 4) // 6)
+        fill, count = round(float(rng.uniform(0.05, 0.3)), 3), int(min(room, rng.integers(12, 61)))
+        groups.append(
+            {"name": f"{colour}-plank", "material": f"{colour}-paint-plank", "host": host, "fill": fill,
+             "count": count, "area": area, "spacing_pixels": 6}
+        )  # fmt: skip
+        subjects[colour] = [{"name": f"{colour}-plank", "fill": {"fixed": fill}}]
+    grass = where["grass"]
+    scene = {
+        "schema": 1, "name": "small", "mode": "closure", "seed": int(rng.integers(1 << 40)), "lines": lines,
+        "samples": samples, "gsd_m": 1.0, "map": {"utm_zone": 18, "easting_m": 275400.0, "northing_m": 4753700.0},
+        "atmosphere": ATMOSPHERE, "sensor": "sensor.yaml", "psf_fwhm_pixels": 1.0, "counts_per_radiance": 1000.0,
+        "layout": [{"surface": name, "lines": a, "samples": b} for name, a, b in areas],
+        "panels": [
+            {"name": name, "surface": name, "lines": [grass[0][0] + 2, grass[0][0] + 10],
+             "samples": [grass[1][0] + 1 + 8 * i, grass[1][0] + 9 + 8 * i], "border_pixels": 0}
+            for i, name in enumerate(PANELS)
+        ],
+        "regions": [{"name": name, "surface": surface, "border_pixels": 0} for surface, name in CLASSES.items()],
+        "target_guard_pixels": 2, "targets": groups,
+    }  # fmt: skip
+    scenario = {
+        "schema": 1, "name": "small", "atmosphere": ATMOSPHERE, "sensor": "sensor.yaml",
+        "scene": {
+            "classes": [
+                {"name": region, "fraction": 0.5, "spectrum": {"builtin": surface}}
+                for surface, region in CLASSES.items()
+            ],
+            "fractions": "measured",
+            "adjacency": {"effective_neighbours": None},
+            "panels": [{"name": name, "spectrum": {"builtin": name}} for name in PANELS],
+            "targets": [
+                {"name": colour, "spectrum": {"builtin": f"{colour}-paint-plank"}, "host": CLASSES[host],
+                 "subjects": subjects[colour]}
+                for colour, host in PLANKS.items()
+            ],
+        },
+        "processing": {"elm": {"reflectances": [0.1, 0.6]}, "detectors": ["cem"]},
+    }  # fmt: skip
+    return {"sensor": sensor, "scene": scene, "scenario": scenario, "campaign": campaign(groups, centres)}
+
+
+def campaign(groups: list[dict[str, Any]], centres: np.ndarray) -> dict[str, Any]:
+    """The twin's campaign on the files of another collection, with its own subjects."""
+    data, _ = parse_yaml((TWIN / "campaign.yaml").read_text())
+    data = dict(data)
+    collection = data["collection"] = {**data["collection"]}
+    del collection["simulate"]
+    collection["cube"] = {"path": "collection/small_rad.img", "quantity": "radiance", "unit": "uW cm-2 sr-1 nm-1"}
+    collection["regions"] = [{"file": "collection/regions.geojson", "coordinates": "pixel"}]
+    collection["targets"] = {**collection["targets"], "csv": "collection/targets.csv"}
+    collection["empirical_line"] = {
+        "panels": [{"region": name, "spectrum": {"builtin": name}} for name in PANELS]  # read without error
+    }
+    data["detection"] = {**data["detection"], "detectors": ["cem"]}
+    data["detection"].pop("bands", None)
+    nearest = sorted({float(centres[np.argmin(np.abs(centres - nm))]) for nm in (450.0, 560.0, 1650.0)})
+    data["classification"] = {
+        "classes": list(CLASSES.values()),
+        "features": [{"name": "1 band", "bands_nm": nearest[:1]}, {"name": "3 bands", "bands_nm": nearest}],
+    }
+    names = [g["name"] for g in groups]
+    for gate in data["comparisons"]:
+        if gate["product"] == "roc":
+            gate["subjects"] = names
+    collection["leave_out"] = collection["snr_regions"] = list(PANELS)
+    for gate in data["comparisons"]:
+        gate["subjects"] = [s for s in gate["subjects"] if not s.startswith("grey")]
+    data["comparisons"] = [gate for gate in data["comparisons"] if gate["subjects"]]
+    del data["attribution"]
+    return {**data, "name": "small", "scenarios": ["scenario.yaml"]}
+
+
+def terms(state: AtmosphericState) -> AtmosphericTerms:
+    """The stand-in without light from the surroundings, since the model is told of classes, not of panels there."""
+    found = engine(state)
+    none = np.zeros_like(found.adjacency)
+    return replace(found, adjacency=none, spherical_albedo=none)
+
+
+def rows_of(number: int, seed: int) -> list[Result]:
+    """Simulate, observe, predict, compare and judge one campaign."""
+    from hyperval.scene.builtin import builtin_class
+    from hyperval.simulate import SceneFile, simulate
+    from hyperval.simulate.inputs import SimulationInputs, sensor_numbers
+
+    files = world(number, seed)
+    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
+        folder = Path(name)
+        for stem, data in files.items():
+            (folder / f"{stem}.yaml").write_text(yaml.dump(data, Dumper=_Plain, sort_keys=False))
+        sensor = sensor_numbers(str(folder / "sensor.yaml"))
+        scene = SceneFile.model_validate(files["scene"])
+        classes = {name: builtin_class(name, sensor.axis) for name in scene.materials()}
+        inputs = SimulationInputs(sensor, terms(scene.atmosphere).at_bands(sensor.axis), classes)
+        simulate(scene, folder / "collection", inputs=inputs, show_progress=False)
+        stack.enter_context(patch("hyperval.prediction.cases.atmospheric_terms", lambda state, **_: terms(state)))
+        stack.enter_context(patch.multiple(objects, REPLICATES=1000, POWER_DRAWS=20))
+        stack.enter_context(patch.object(products, "compare_covariance", of_classes))
+        report = run_campaign(job_of(folder / "campaign.yaml"), show_progress=False)
+    return list(report.table)
+
+
+def of_classes(*sides: Any, subject: str, **options: Any) -> list[Result]:
+    """Rows of the covariances of classes: no criterion looks at others, whose draws take half of the time."""
+    return compare_covariance(*sides, subject=subject, **options) if subject in CLASSES.values() else []
+
+
+def counted(rows: Iterable[Result]) -> Iterator[tuple[Key, list[float]]]:
+    """Whether any criterion is not met; the intervals of each metric that lie above their truth, and below it."""
+    rows = [row for row in rows if row.role is Role.GATE]
+    wrong = any(row.outcome in (Outcome.DISAGREES, Outcome.ERROR) for row in rows)
+    yield ("campaign", "all", "any criterion not met", "small"), [float(wrong)]
+    sides: dict[tuple[str, str], list[tuple[bool, bool]]] = {}
+    for row in rows:
+        known = metric_of(row.metric)
+        if known.kind is Kind.QUANTITY and "_abs_" not in row.metric and np.isfinite(row.lower + row.upper):
+            side = row.lower > known.agreement, row.upper < known.agreement
+            sides.setdefault((row.product, row.metric), []).append(side)
+    for (product, metric), found in sides.items():
+        for side, which in enumerate(("above", "below")):
+            yield (product, metric, f"95 % interval {which} its truth", "small"), [float(f[side]) for f in found]
+
+
+class _Plain(yaml.SafeDumper):
+    """Writes every entry out: the strict reader refuses anchors."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
