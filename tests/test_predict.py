@@ -288,15 +288,6 @@ def test_spectrum_from_a_file_is_relative_to_the_scenario(tmp_path):
     assert p.reflectance["full"].mean == pytest.approx(0.1 + AXIS.centre_nm / 10000, abs=1e-5)
 
 
-def test_scene_statistics_hold_the_targets():
-    plain = run()
-    s = scenario(**{"fill: {fixed: 0.1}": "fill: {fixed: 0.1}, scene_fraction: 0.05",
-                          "{detectors:": "{filter_statistics: scene, detectors:"})  # fmt: skip
-    contaminated = predict(s, Origins(axis=AXIS, engine=engine))
-    # Targets in the statistics raise the filter's mean: the background then scores below zero on average.
-    assert contaminated.scores[background_of("tenth"), "cem"].mean < plain.scores[background_of("tenth"), "cem"].mean
-
-
 def test_objects_are_found_more_often_than_their_pixels():
     s = scenario(ATMOSPHERE, **{
         "{mean: 0.15, sd: 0.05}": "{geometry: {side_m: 0.4, gsd_m: 1, psf_fwhm_pixels: 1, pixels: ranked, n: 4}}"
@@ -391,22 +382,6 @@ def test_scores_hold_the_adjacency_term():
         )
     term = f.variance(p.reflectance["full"].pixel_covariance - still.reflectance["full"].pixel_covariance)
     assert term > 1e-3 * p.scores["full", "cem"].sd ** 2  # the term matters for this test
-
-
-def test_filter_over_the_whole_scene_is_that_of_the_mixture():
-    s = scenario(**{
-        "fill: {fixed: 0.1}": "fill: {fixed: 0.1}, scene_fraction: 0.05",
-        "{detectors:": "{filter_statistics: scene, detectors:",
-    })  # fmt: skip
-    p = predict(s, Origins(axis=AXIS, engine=engine))
-    seen = [p.reflectance[n] for n in ("grass", "asphalt", "tenth")]
-    f = [0.7 * 0.95, 0.3 * 0.95, 0.05]
-    means, covs = [e.mean for e in seen], [e.pixel_covariance for e in seen]
-    mean = average_reflectance(f, means)
-    detector = matched_filter_weights(p.reflectance["full"].mean, mean, mixture_covariance(f, means, covs))
-    expected = float(detector.score(0.7 * means[0] + 0.3 * means[1]))
-    assert p.scores[background_of("tenth"), "cem"].mean == pytest.approx(expected, rel=1e-8)
-    assert p.scores["tenth", "cem"].mean == pytest.approx(float(detector.score(means[2])), rel=1e-8)
 
 
 def test_gains_multiply_the_covariances():

@@ -28,6 +28,8 @@ FILL_IN = "FILL_IN"
 # Keys of the version before that are gone, for one version: what stands in their place.
 GONE = {
     "surroundings_altitude_km": "surroundings are as high as the site: ground_altitude_km",
+    "filter_statistics": "filters are made on the background, as 'background' did: leave it out",
+    "scene_fraction": "filters are made on the background alone: leave it out",
     "precision": "covariances are always summed in float64, as 'exact' did: leave it out",
 }
 

@@ -6,20 +6,10 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-    TransferSpeedColumn,
-)
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 T = TypeVar("T")
 _step: ContextVar[str] = ContextVar("step", default="")
@@ -62,7 +52,7 @@ def working(what: str, *, show: bool | None = None) -> Iterator[None]:
     if not _shown(show):
         yield
         return
-    with _bar(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()) as bar:
+    with _bar("TimeElapsed") as bar:
         bar.add_task(_step.get() + what, total=None)
         yield
 
@@ -71,8 +61,15 @@ def _shown(show: bool | None) -> bool:
     return sys.stderr.isatty() if show is None else show
 
 
-def _bar(*columns: Any) -> Progress:
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+def _bar(*columns: str) -> Progress:
+    """A bar of the task's name, itself, and columns of these names; what draws it is loaded when somebody watches."""
+    from rich import progress
+    from rich.console import Console
+
+    parts = [getattr(progress, f"{name}Column")() for name in ("Bar", *columns)]
+    return progress.Progress(
+        progress.TextColumn("{task.description}"), *parts, console=Console(stderr=True), transient=True
+    )
 
 
 def track(items: Iterable[T], what: str, total: int | None = None, *, show: bool | None = None) -> Iterator[T]:
@@ -86,8 +83,7 @@ def track(items: Iterable[T], what: str, total: int | None = None, *, show: bool
     if not _shown(show):
         yield from items
         return
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    with _bar(*columns, TaskProgressColumn(), TimeRemainingColumn()) as bar:
+    with _bar("MofNComplete", "TaskProgress", "TimeRemaining") as bar:
         yield from bar.track(items, description=_step.get() + what, total=total)
 
 
@@ -108,8 +104,7 @@ def watch_lines(
             yield part
 
     def watched(parts: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
-        columns = TextColumn("{task.description}"), BarColumn(), DownloadColumn()
-        with _bar(*columns, TransferSpeedColumn(), TimeRemainingColumn()) as bar:
+        with _bar("Download", "TransferSpeed", "TimeRemaining") as bar:
             task = bar.add_task(_step.get() + what, total=lines * bytes_per_line)
             for part in counted(parts):
                 bar.advance(task, (part[0].stop - part[0].start) * bytes_per_line)

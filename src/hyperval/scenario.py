@@ -499,7 +499,6 @@ class TargetSubject(Model):
 
     name: str = Field(min_length=1)
     fill: Fill
-    scene_fraction: float = Field(0.0, ge=0, lt=1, description="part of all pixels, for filter_statistics: scene")
     position_m: tuple[float, float] | None = Field(
         None,
         description="centre along lines and samples [m] in a frame common to all subjects: targets beside each "
@@ -652,9 +651,6 @@ class Processing(Model):
         4000, ge=100, le=200_000, description="random pixels per class for detectors that have no closed form (ace)"
     )
     seed: int = Field(0, ge=0, description="of those pixels")
-    filter_statistics: Literal["background", "scene"] = Field(
-        "background", description="the filter's mean and covariance: background alone, or with the target pixels"
-    )
     filter_classes: list[str] = Field(
         default_factory=list, description="classes that give the filter its statistics; empty: all of them"
     )

@@ -35,7 +35,7 @@ def test_each_node_is_run_with_the_depth_of_the_law(monkeypatch, tmp_path):
     monkeypatch.setattr(sixs, "parse_monochromatic", parse)
     monkeypatch.setattr(sixs, "sixs_fingerprint", lambda: "a stand-in")
     state = AtmosphericState(angstrom_exponent=0.2, **STATE)
-    node = sixs._scattering(state, sixs._Setting(sixs.Geometry(30.0, 0.0, 0.0), 0.0, None), tmp_path, False)
+    node = sixs._scattering(state, sixs._Setting(sixs.SunAndView(30.0, 0.0, 0.0), 0.0, None), tmp_path, False)
     assert node["depth_aerosol"] == pytest.approx(0.3 * (NODES_NM / 550.0) ** -0.2, rel=1e-5)  # decks have six decimals
 
 

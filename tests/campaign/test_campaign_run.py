@@ -18,6 +18,7 @@ from hyperval.campaign.provenance import command_without_output
 from hyperval.campaign.schema import load_campaign
 from hyperval.errors import MissingDataError, UsageError
 from hyperval.results import COLUMNS, Cause, Outcome
+from hyperval.storage import LIST
 from hyperval.units import wavelength_to_nm
 from small_campaign import SmallCampaign, scene_data, write_yaml
 
@@ -199,17 +200,18 @@ def test_two_campaigns_of_one_name_are_refused(make_small, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("before", [None, '{\n "schema_version": 1,\n "hyperval_version": "0.0.1"}'])
+@pytest.mark.parametrize(
+    "before", [{}, {"results.json": "{}", LIST: '{"schema": 1, "kind": "results", "files": ["results.json"]}'}]
+)
 def test_a_single_broken_campaign_leaves_what_was_there(small, tmp_path, before):
     out = tmp_path / "out"
-    if before:
-        out.mkdir()
-        (out / "results.json").write_text(before)
+    for name, text in before.items():
+        out.mkdir(exist_ok=True)
+        (out / name).write_text(text)
     (small.collection / "small_rad.img").unlink()
     assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 3
-    assert out.exists() is (before is not None)
-    if before:
-        assert files_of(out) == {"results.json": before.encode()}
+    assert out.exists() is bool(before)
+    assert not before or {p.name: p.read_text() for p in out.iterdir()} == before
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["small", *(["out"] if before else [])])
 
 
@@ -218,7 +220,7 @@ def test_a_folder_of_something_else_is_never_replaced(small, tmp_path, capsys):
     out.mkdir()
     (out / "thesis.tex").write_text("years of work")
     assert cli.run(["-q", "validate", str(small.write()), "-o", str(out)]) == 2
-    assert "holds files, and not results of an earlier run" in capsys.readouterr().err
+    assert "holds files that no run wrote there: thesis.tex" in capsys.readouterr().err
     assert files_of(out) == {"thesis.tex": b"years of work"}
 
 

@@ -166,4 +166,4 @@ def test_files_of_arrays_are_called_what_they_are(tmp_path: Path, values):
     for name, kind in (("scene.mat", "MATLAB"), ("scene.npy", "NumPy")):
         with pytest.raises(InputError, match=f"{kind}.*not read as a cube") as caught:
             open_raster(tmp_path / name)
-        assert "Other formats" in str(caught.value.mend)
+        assert "docs/formats.md, Cubes" in str(caught.value.mend)

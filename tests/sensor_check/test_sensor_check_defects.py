@@ -181,8 +181,13 @@ def sigma_in_resampling(patch: Patch) -> None:
 
 
 def resampling(change: Callable[[Any], Any]) -> Callable[[Patch], None]:
+    """Changes the bands of several spectra at once, which the responses are tried with, and not those of the sun."""
     average = bands_module.band_average
-    return lambda patch: patch.setattr(bands_module, "band_average", lambda w, y, axis: change(average(w, y, axis)))
+
+    def changed_average(w: Any, y: Any, axis: Any) -> Any:
+        return change(average(w, y, axis)) if np.ndim(y) > 1 else average(w, y, axis)
+
+    return lambda patch: patch.setattr(bands_module, "band_average", changed_average)
 
 
 def noise_sum(patch: Patch) -> None:

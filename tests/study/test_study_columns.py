@@ -139,11 +139,6 @@ ALL_OF_A_KIND = {
     "features": {"processing.features": {"pca": 6}},
     "mnf": {"processing.features": {"mnf": 5}},
     "darkest pixel": {"processing.elm": {"darkest_pixel": 10_000}},
-    "targets in the statistics": {
-        "processing.filter_statistics": "scene",
-        "scene.targets.plank.subjects": [{"name": "plank", "fill": {"fixed": 0.05}, "scene_fraction": 0.02}],
-        "scene.targets.plank.fill": None,
-    },
     "classes of the filter": {"processing.filter_classes": ["asphalt", "soil"]},
     "ace": {"processing.detectors": ["ace", "cem"], "processing.samples": 400},
 }

@@ -74,12 +74,12 @@ def test_task_is_called_off(pool):
 
 def test_processes_end_with_a_server_that_was_killed(tmp_path):
     code = (
-        "import sys, time; from hyperval.web.workers import Pool, Job\n"
+        "import sys, time; from hyperval.web.workers import WorkerPool, WorkerTask\n"
         "if __name__ == '__main__':\n"
         f"    sys.path.insert(0, {str(HERE)!r})\n"
-        "    pool = Pool(1, 4, 60.0, 10**9, 'web_tasks')\n"
-        "    print(pool.submit(Job('pid', {})).future.result(30.0), flush=True)\n"
-        f"    pool.submit(Job('write', {{'path': {str(tmp_path / 'sign')!r}}}))\n"
+        "    pool = WorkerPool(1, 4, 60.0, 10**9, 'web_tasks')\n"
+        "    print(pool.submit(WorkerTask('pid', {})).future.result(30.0), flush=True)\n"
+        f"    pool.submit(WorkerTask('write', {{'path': {str(tmp_path / 'sign')!r}}}))\n"
         "    time.sleep(60)\n"
     )
     (tmp_path / "server.py").write_text(code)

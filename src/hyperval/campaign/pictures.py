@@ -124,10 +124,6 @@ def quicklook(observed: Observed) -> Quicklook | None:
     """
     if observed.place is None:
         return None
-    import spectral  # not before the imagery is done with: 5 MB
-    from skimage.exposure import adjust_gamma
-    from skimage.util import img_as_ubyte
-
     cube = observed.place.cube
     centre = cube.axis.centre_nm
     bands = [int(np.argmin(np.abs(centre - at))) for at, _ in COLOURS]
@@ -148,8 +144,8 @@ def quicklook(observed: Observed) -> Quicklook | None:
     colours = np.empty(picture.shape, np.uint8)
     for first in range(0, len(picture), LINES_TOGETHER):  # the whole picture in float64 would be the run's peak
         part = (picture[first : first + LINES_TOGETHER] - offset) / gain
-        shown = spectral.get_rgb(np.nan_to_num(part), (0, 1, 2), bounds=[(0.0, high)] * 3)
-        colours[first : first + LINES_TOGETHER] = img_as_ubyte(adjust_gamma(np.clip(shown, 0.0, 1.0), GAMMA))
+        shown = np.clip(np.nan_to_num(part) / high, 0.0, 1.0)
+        colours[first : first + LINES_TOGETHER] = np.rint(255.0 * shown**GAMMA)
     del picture
     size = observed.place.pixel_area_m2
     shown_regions = [n for n in observed.place.regions if n not in observed.place.by_rule]

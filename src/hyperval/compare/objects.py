@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special, stats
+import scipy
 
 from hyperval.compare.rows import RowMaker
 from hyperval.errors import UsageError
@@ -166,7 +166,7 @@ def judged_together(predicted: Mapping[str, ObjectScores], measured: Mapping[str
     span = np.quantile(expected, [0.025, 0.975], method="nearest") / n
     outside = _test(-count, -expected, -central(wide).sum(axis=2))
     distance = distance_from_uniform(reference)
-    z, x = special.ndtri(u), special.ndtri(reference)
+    z, x = scipy.special.ndtri(u), scipy.special.ndtri(reference)
     trend, interval, drift = _trend(z, x, np.array(strength))
     return Together(
         count / n,
@@ -205,7 +205,7 @@ def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
     """
     if z.size > MOST_JOINED:
         return None
-    w = special.ndtri(wide)
+    w = scipy.special.ndtri(wide)
     half = x.shape[0] // 2
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 
@@ -217,7 +217,7 @@ def _joint_test(z: Array, x: Array, wide: Array) -> Test | None:
 
 def _trend(z: Array, drawn_scores: Array, strength: Array) -> tuple[float, tuple[float, float], Test | None]:
     """Drift of the normal scores along the rank of the expected score, its interval and its test."""
-    place = stats.rankdata(strength, method="dense")
+    place = scipy.stats.rankdata(strength, method="dense")
     if place.max() < 2:
         return math.nan, (math.nan, math.nan), None
     x = (place - place.mean()) / (place.max() - 1.0)
@@ -435,11 +435,11 @@ def compare_area_errors(
         model = np.array([predicted[k].area_m2 - nominal for k in keys])
         spread = np.array([predicted[k].standard_uncertainty for k in keys])
         n = len(keys)
-        half = float(stats.t.ppf(0.975, n - 1) * np.std(error, ddof=1) / math.sqrt(n))
+        half = float(scipy.stats.t.ppf(0.975, n - 1) * np.std(error, ddof=1) / math.sqrt(n))
         bias, expected = float(error.mean()), float(model.mean())
         limits = Z95 * float(np.sqrt(np.sum(spread**2))) / n
         rmse = float(np.sqrt(np.mean(error**2)))
-        low, high = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
+        low, high = np.sqrt(n / scipy.stats.chi2.ppf([0.975, 0.025], n))
         rows += [
             make.row("area_bias_observed", bias, half=half, unit="m2", n=n),
             make.row("area_bias_predicted", expected, half=limits, unit="m2", n=n),

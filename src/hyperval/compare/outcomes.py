@@ -13,8 +13,8 @@ from fnmatch import fnmatchcase
 from typing import Literal
 
 import numpy as np
+import scipy
 from pydantic import Field, model_validator
-from scipy import stats
 
 from hyperval.compare.rows import COMPARISON
 from hyperval.config import Model
@@ -262,7 +262,9 @@ def tail_probability(row: Result) -> float:
         if math.isinf(known.high) and equal == 1.0 and min(value, end) > 0.0:
             equal, value, end = 0.0, math.log(value), math.log(end)
         reach = abs(end - value)
-        return 2.0 * float(stats.norm.sf(Z95 * abs(value - equal) / reach)) if reach > 0.0 else float(value == equal)
+        return (
+            2.0 * float(scipy.stats.norm.sf(Z95 * abs(value - equal) / reach)) if reach > 0.0 else float(value == equal)
+        )
     if known.two_sided:
         return min(2.0 * min(row.value, 1.0 - row.value), 1.0)
     return row.value
@@ -325,7 +327,7 @@ def detectable_departure(row: Result, low: float, high: float) -> float:
         return row.detectable
     if known.kind is not Kind.QUANTITY or math.isnan(known.agreement) or math.isnan(row.upper - row.lower):
         return math.nan
-    reach = 1.0 + float(stats.norm.ppf(0.8) / stats.norm.ppf(0.975))
+    reach = 1.0 + float(scipy.special.ndtri(0.8) / scipy.special.ndtri(0.975))
     below, above = row.value - row.lower, row.upper - row.value
     if row.lower <= known.low:
         below = max(below, above)
@@ -353,7 +355,7 @@ def detectable_share(n: int, least: float) -> float:
     disagrees = [k for k in good if clopper_pearson(int(k), n)[1] < least]
     if not disagrees:
         return math.nan
-    return 1.0 - float(stats.beta.ppf(0.2, disagrees[-1] + 1, n - disagrees[-1])) if disagrees[-1] < n else 1.0
+    return 1.0 - float(scipy.stats.beta.ppf(0.2, disagrees[-1] + 1, n - disagrees[-1])) if disagrees[-1] < n else 1.0
 
 
 def _by_gate(row: Result, gate: Gate) -> Result:

@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from hyperval.errors import UsageError
 from hyperval.metrics import Evidence
@@ -240,5 +240,5 @@ def drift(years: npt.ArrayLike, values: npt.ArrayLike) -> Drift:
     slope = float(centred @ y / (centred @ centred))
     residual = y - y.mean() - slope * centred
     scatter = math.sqrt(float(residual @ residual) / (t.size - 2))
-    half = float(stats.t.ppf(0.975, t.size - 2)) * scatter / math.sqrt(float(centred @ centred))
+    half = float(scipy.stats.t.ppf(0.975, t.size - 2)) * scatter / math.sqrt(float(centred @ centred))
     return Drift(slope, slope - half, slope + half, scatter, int(t.size))

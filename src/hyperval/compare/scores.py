@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from hyperval.compare.rows import RowMaker, scientific
 from hyperval.processing.alarm_blocks import LEAST_EXPECTED_ALARMS, false_alarm_ratio
@@ -24,7 +24,7 @@ def sd_ratio_interval(predicted_sd: float, observed_sd: float, n: int) -> tuple[
     (n - 1) s^2/sigma^2 follows chi-square, so predicted/sigma lies between (predicted/s) sqrt(chi2_a/(n - 1)) and
     the same with chi2_(1 - a).
     """
-    low, high = np.sqrt(stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
+    low, high = np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
     return predicted_sd / observed_sd * float(low), predicted_sd / observed_sd * float(high)
 
 
@@ -56,7 +56,7 @@ def compare_scores(
         n = observed.n
         difference = predicted.mean - observed.mean
         known = n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd
-        half = stats.t.ppf(0.975, n - 1) * observed.sd / np.sqrt(n) if known and n is not None else np.nan
+        half = scipy.stats.t.ppf(0.975, n - 1) * observed.sd / np.sqrt(n) if known and n is not None else np.nan
         out = [
             make.row("score_mean_predicted", predicted.mean, n=predicted.n),
             make.row("score_mean_observed", observed.mean, half=half, n=n),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, stats
+import scipy
 
 from hyperval.compare.rows import RowMaker, comparable_bands, median_interval, regions, size_intervals
 from hyperval.errors import UsageError
@@ -62,8 +62,8 @@ class ChiSquare:
         if p <= 0 or nu <= p:
             return float("nan")
         if math.isinf(nu):
-            return float(stats.chi2.sf(self.value, p))
-        return float(stats.f.sf(self.value * (nu - p + 1.0) / (nu * p), p, nu - p + 1.0))
+            return float(scipy.stats.chi2.sf(self.value, p))
+        return float(scipy.stats.f.sf(self.value * (nu - p + 1.0) / (nu * p), p, nu - p + 1.0))
 
 
 def z_scores(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
@@ -258,22 +258,22 @@ def _detectable(unit: float, dof: int, nu: float) -> float:
     if dof <= 0 or nu <= dof or not unit > 0.0:
         return math.nan
     if math.isinf(nu):
-        limit = float(stats.chi2.isf(POWER_LEVEL / 2.0, dof))
+        limit = float(scipy.stats.chi2.isf(POWER_LEVEL / 2.0, dof))
 
         def power(x: float) -> float:
-            return float(stats.ncx2.sf(limit, dof, x))
+            return float(scipy.stats.ncx2.sf(limit, dof, x))
     else:
-        limit = float(stats.f.isf(POWER_LEVEL / 2.0, dof, nu - dof + 1.0))
+        limit = float(scipy.stats.f.isf(POWER_LEVEL / 2.0, dof, nu - dof + 1.0))
 
         def power(x: float) -> float:
-            return float(stats.ncf.sf(limit, dof, nu - dof + 1.0, x))
+            return float(scipy.stats.ncf.sf(limit, dof, nu - dof + 1.0, x))
 
     high = 10.0
     while power(high) < POWER:
         high *= 4.0
         if high > 1e9:
             return math.nan
-    return math.sqrt(float(optimize.brentq(lambda x: power(x) - POWER, 1e-9, high, rtol=1e-6)) / unit)
+    return math.sqrt(float(scipy.optimize.brentq(lambda x: power(x) - POWER, 1e-9, high, rtol=1e-6)) / unit)
 
 
 def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:

@@ -9,11 +9,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import shapely
 from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError, NotGeoreferencedWarning
@@ -21,6 +20,9 @@ from rasterio.features import rasterize
 from rasterio.warp import transform as reproject
 
 from hyperval.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    import shapely
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -340,11 +342,15 @@ class RegionDrawing:
 
 def polygon_of(rings: Sequence[Array]) -> shapely.Geometry:
     """The exterior less the holes; where sides cross, the parts that are enclosed an odd number of times."""
+    import shapely
+
     return shapely.make_valid(shapely.Polygon(rings[0], rings[1:]))
 
 
 def area_inside(polygon: shapely.Geometry, shape: tuple[int, int]) -> float:
     """Area of what an image (lines, samples) holds of a polygon [pixels]."""
+    import shapely
+
     return float(polygon.intersection(shapely.box(0, 0, shape[1], shape[0])).area)
 
 

@@ -14,12 +14,11 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 from affine import Affine
 from pydantic import Field
 from rasterio.crs import CRS
@@ -33,6 +32,9 @@ from hyperval.imagery.arrays import ArrayRaster, Hdf5Store, MemoryStore, OpenedF
 from hyperval.imagery.description import Description
 from hyperval.imagery.envi import crs_of, crs_of_wkt, gdal_transform, transform_of
 from hyperval.units import RADIANCE_UNIT, radiance_to_internal, wavelength_to_nm
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = npt.NDArray[np.float64]
 MAX_BANDS = 20_000
@@ -536,6 +538,8 @@ def open_labelled(path: Path, variable: str | None = None, engine: str | None = 
 
 def _groups(path: Path, engine: str | None) -> list[tuple[str, xr.Dataset]]:
     """The groups of a file, their arrays not yet read."""
+    import xarray as xr
+
     if path.is_file():  # whatever the engine, HDF5 is read by the one library
         check_hdf5(path)
     try:
@@ -563,6 +567,8 @@ def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None
     ------
     InputError, UsageError : as for :func:`open_labelled`.
     """
+    import xarray as xr
+
     path = Path(str(array.encoding.get("source") or "xarray"))
     if isinstance(array, xr.DataArray):
         array = array.to_dataset(name=array.name or "array")
@@ -726,6 +732,8 @@ class XarrayStore(OpenedFile):
 
     def open(self) -> xr.Dataset:
         """The group; InputError when no installed engine opens it."""
+        import xarray as xr
+
         try:
             with unpacking():
                 return xr.open_dataset(
@@ -748,6 +756,8 @@ class XarrayStore(OpenedFile):
 
 def unpacking() -> AbstractContextManager[Any]:
     """Without the warning that an array has two no-data values: both are taken as such."""
+    import xarray as xr
+
     return warnings.catch_warnings(action="ignore", category=xr.SerializationWarning)
 
 

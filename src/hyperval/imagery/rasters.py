@@ -8,20 +8,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import spectral
-import xarray as xr
 from affine import Affine
 from rasterio.crs import CRS
-from spectral.io.bilfile import BilFile
-from spectral.io.bipfile import BipFile
-from spectral.io.bsqfile import BsqFile
-from spectral.io.spyfile import SpyFile
-from xarray.backends import BackendArray
-from xarray.core import indexing
 
 from hyperval.envi_header import header_beside, read_header
 from hyperval.errors import InputError, UsageError, reader
@@ -32,6 +24,11 @@ from hyperval.imagery.products import labelled_array, open_tree
 from hyperval.imagery.tiff import TIFF_SUFFIXES, TiffRaster, image_of, open_tiff
 from hyperval.paths import checked_file, checked_folder
 from hyperval.spectra.axis import SpectralAxis
+
+if TYPE_CHECKING:
+    import spectral
+    import xarray as xr
+    from spectral.io.spyfile import SpyFile
 
 _HDF5 = "HDF5 or NetCDF-4"
 _ARRAYS = (_HDF5, "NetCDF-3")
@@ -195,7 +192,6 @@ def file_scaling(raster: Raster, *, quantity: str, unit: str | None, scale: floa
     return scaled(gain, offset, note, quantity=quantity, unit=unit, scale=scale)
 
 
-_SPY_FILES = {"bil": BilFile, "bip": BipFile, "bsq": BsqFile}
 _SPY_METADATA = ("map info", "coordinate system string", "data ignore value", "default bands")
 
 
@@ -205,6 +201,8 @@ def cube_to_spy(cube: Any) -> SpyFile | spectral.image.ImageArray:
     SPy divides stored values by ``scale_factor``, which is 1/gain here; of ignore values it knows nothing, so that
     they come as numbers (``metadata["data ignore value"]``) from a mapped file and as NaN from a loaded one.
     """
+    from spectral.io import bilfile, bipfile, bsqfile
+
     gain, raster = cube.gain, cube.raster
     bands = _band_info(cube.axis)
     whole = np.array_equal(cube.stored_band, np.arange(raster.bands))
@@ -213,12 +211,48 @@ def cube_to_spy(cube: Any) -> SpyFile | spectral.image.ImageArray:
         metadata = {key: header.entries[key] for key in _SPY_METADATA if key in header.entries}
         shape = raster.lines, raster.samples, raster.bands
         params = _params(shape, str(raster.path), header.dtype, header.header_offset, header.byte_order)
-        image = _SPY_FILES[header.interleave](params, metadata)
+        files = {"bil": bilfile.BilFile, "bip": bipfile.BipFile, "bsq": bsqfile.BsqFile}
+        image = files[header.interleave](params, metadata)
         image.scale_factor = 1.0 / float(gain[0])
         image.bands = bands
         return image
     values = np.concatenate([block.values for block in cube.blocks(dtype=np.float32)])
     return _image_array(values, bands, str(raster.path))
+
+
+def _lazy_cube(cube: Any) -> Any:
+    """The values of a cube as xarray takes them, which is loaded here: a run needs none of it."""
+    from xarray.backends import BackendArray
+    from xarray.core import indexing
+
+    class LazyCube(BackendArray):
+        """The values of a cube, read by lines when xarray asks for them."""
+
+        def __init__(self, cube: Any) -> None:
+            self.cube = cube
+            self.shape = (cube.lines, cube.samples, cube.bands)
+            self.dtype = np.dtype(np.float64)
+
+        def __reduce__(self) -> tuple[Any, ...]:
+            return _lazy_cube, (self.cube,)
+
+        def __getitem__(self, key: indexing.ExplicitIndexer) -> npt.NDArray[Any]:
+            part = indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
+            return np.asarray(part)
+
+        def _read(self, key: tuple[Any, ...]) -> npt.NDArray[Any]:
+            lines = np.arange(self.cube.lines)[key[0]]
+            wanted = np.atleast_1d(lines)
+            if not wanted.size:
+                values = np.empty((0, *self.shape[1:]))[:, key[1], key[2]]
+            elif np.ptp(wanted) + 1 <= 4 * wanted.size:
+                first = int(wanted.min())
+                values = self.cube.read(first, int(np.ptp(wanted)) + 1).values[wanted - first][:, key[1], key[2]]
+            else:
+                values = np.concatenate([self.cube.read(int(n), 1).values[:, key[1], key[2]] for n in wanted])
+            return values if np.ndim(lines) else values[0]
+
+    return LazyCube(cube)
 
 
 def cube_to_xarray(cube: Any) -> xr.DataArray:
@@ -227,7 +261,10 @@ def cube_to_xarray(cube: Any) -> xr.DataArray:
     Parts are read when they are asked for; ``fwhm`` and ``good`` stand beside the wavelengths, and the position as
     ``spatial_ref`` with ``GeoTransform``, as rioxarray has it.
     """
-    lazy = indexing.LazilyIndexedArray(_LazyCube(cube))
+    import xarray as xr
+    from xarray.core import indexing
+
+    lazy = indexing.LazilyIndexedArray(_lazy_cube(cube))
     coords: dict[str, Any] = {
         "wavelength": ("wavelength", cube.axis.centre_nm, {"units": "nm", "standard_name": "radiation_wavelength"}),
         "fwhm": ("wavelength", cube.axis.fwhm_nm, {"units": "nm"}),
@@ -243,6 +280,8 @@ def cube_to_xarray(cube: Any) -> xr.DataArray:
 
 def map_to_xarray(values: npt.NDArray[Any], transform: Any, crs: str | None, name: str) -> xr.DataArray:
     """A map (line, sample), such as a detector's score, with its position."""
+    import xarray as xr
+
     array = xr.DataArray(values, dims=("line", "sample"), name=name)
     place = None if transform is None else Affine(*tuple(transform)[:6])
     return _placed(array, place, None if crs is None else CRS.from_user_input(crs))
@@ -250,6 +289,8 @@ def map_to_xarray(values: npt.NDArray[Any], transform: Any, crs: str | None, nam
 
 def map_to_spy(values: npt.NDArray[Any], name: str) -> spectral.image.ImageArray:
     """A map (line, sample) as an image of SPy with one band."""
+    import spectral
+
     return _image_array(np.asarray(values)[:, :, None], spectral.BandInfo(), name)
 
 
@@ -260,8 +301,12 @@ def raster_of(image: Any, variable: str | None = None) -> Raster:
     ------
     UsageError : another kind of object, or an image without wavelengths.
     """
-    if isinstance(image, xr.DataArray | xr.Dataset):
+    xarray = sys.modules.get("xarray")  # where it was never loaded, nothing is an array of it
+    if xarray is not None and isinstance(image, xarray.DataArray | xarray.Dataset):
         return labelled_array(image, variable)
+    import spectral
+    from spectral.io.spyfile import SpyFile
+
     if isinstance(image, SpyFile) and Path(f"{image.filename}").is_file():
         headers = [Path(image.filename).with_suffix(".hdr"), Path(f"{image.filename}.hdr")]
         if any(h.is_file() for h in headers):
@@ -291,31 +336,6 @@ def _plain(image: Any) -> Any:
     return np.asarray(image) if isinstance(image, np.ndarray) else image
 
 
-class _LazyCube(BackendArray):
-    """The values of a cube, read by lines when xarray asks for them."""
-
-    def __init__(self, cube: Any) -> None:
-        self.cube = cube
-        self.shape = (cube.lines, cube.samples, cube.bands)
-        self.dtype = np.dtype(np.float64)
-
-    def __getitem__(self, key: indexing.ExplicitIndexer) -> npt.NDArray[Any]:
-        part = indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
-        return np.asarray(part)
-
-    def _read(self, key: tuple[Any, ...]) -> npt.NDArray[Any]:
-        lines = np.arange(self.cube.lines)[key[0]]
-        wanted = np.atleast_1d(lines)
-        if not wanted.size:
-            values = np.empty((0, *self.shape[1:]))[:, key[1], key[2]]
-        elif np.ptp(wanted) + 1 <= 4 * wanted.size:
-            first = int(wanted.min())
-            values = self.cube.read(first, int(np.ptp(wanted)) + 1).values[wanted - first][:, key[1], key[2]]
-        else:
-            values = np.concatenate([self.cube.read(int(n), 1).values[:, key[1], key[2]] for n in wanted])
-        return values if np.ndim(lines) else values[0]
-
-
 def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> xr.DataArray:
     if transform is None and crs is None:
         return array
@@ -330,6 +350,8 @@ def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> x
 
 
 def _band_info(axis: SpectralAxis) -> spectral.BandInfo:
+    import spectral
+
     bands = spectral.BandInfo()
     bands.centers, bands.bandwidths = axis.centre_nm.tolist(), axis.fwhm_nm.tolist()
     bands.band_unit, bands.band_quantity = "nm", "Wavelength"
@@ -348,6 +370,8 @@ def _params(
 
 
 def _image_array(values: npt.NDArray[Any], bands: spectral.BandInfo, filename: str) -> spectral.image.ImageArray:
+    import spectral
+
     params = _params(values.shape, filename, values.dtype)
     source = SimpleNamespace(params=lambda: params, metadata={}, bands=bands, filename=filename)
     return spectral.image.ImageArray(values, source)

@@ -20,7 +20,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
-import shapely
 from rasterio.crs import CRS
 from scipy import ndimage
 from skimage.measure import label
@@ -550,6 +549,8 @@ def _names(layer: str, fields: dict[str, Any], count: int, name_field: str | Non
 def _draw(drawing: RegionDrawing, wkb: bytes | None, place: Any, where: str) -> None:
     if wkb is None:
         raise InputError("a feature without geometry", where=where)
+    import shapely
+
     try:
         geometry = shapely.from_wkb(bytes(wkb), on_invalid="fix")  # a ring that is not closed is
     except shapely.errors.ShapelyError:

@@ -33,7 +33,7 @@ from hyperval.observe.site_spectra import (
     spectral_estimate,
     wavelength_notes,
 )
-from hyperval.observe.spread import classification_errors, mean_error, pixel_distances
+from hyperval.observe.spread import TOGETHER, classification_errors, mean_error, pixel_distances
 from hyperval.processing.elm import EmpiricalLine, LineError
 from hyperval.processing.laws import LEAST_DOF
 from hyperval.processing.region_statistics import PackedMasks, region_statistics
@@ -323,9 +323,15 @@ def _some_pixels(place: Place, name: str) -> Array:
     region = place.region(name)
     count = int(np.count_nonzero(region))
     step = -(-count // min(MAX_SNR_PIXELS, MAX_SNR_NUMBERS // place.cube.bands))
-    where = nth_pixels(region, np.arange(0, count, step))
+    lines, samples = nth_pixels(region, np.arange(0, count, step))
     del region  # a byte a pixel
-    return place.cube.spectra(where)
+    values, n = np.empty((lines.size, place.cube.bands)), 0
+    for start in range(0, lines.size, TOGETHER):
+        some = slice(start, start + TOGETHER)
+        part = place.cube.spectra((lines[some], samples[some]))
+        values[n : n + len(part)] = part
+        n += len(part)
+    return values[:n]
 
 
 def _shrunk(sample: SampleStatistics, intensity: float) -> SampleStatistics:

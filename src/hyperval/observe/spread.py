@@ -5,7 +5,7 @@ Measured error of a Gaussian maximum-likelihood classifier, trained on some line
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -260,16 +260,18 @@ def _independence(
     """Independent pixels behind the variance of each leading component, and the share of independent distances."""
     count = min(COMPONENTS, directions.values.size)
 
+    def project(pixels: Array) -> Array:
+        scores = (pixels - mean) @ directions.vectors
+        scores /= np.sqrt(directions.values)
+        # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
+        far = np.log([np.einsum("nk,nk->n", s, s) + 1e-12 for s in (scores, scores[:, :leading])])
+        return np.concatenate([scores[:, :count].T, far])
+
     def quantities() -> Iterator[tuple[Array, Mask]]:
-        for pixels, inside in pixels_of_windows(place, region, bands, rng):
-            pixels -= mean  # in place, as one window of all bands is a good part of what memory is to hold
-            scores = pixels @ directions.vectors
-            del pixels
-            scores /= np.sqrt(directions.values)
-            # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
-            far = np.log([np.einsum("nk,nk->n", s, s) + 1e-12 for s in (scores, scores[:, :leading])])
-            far -= far.mean(axis=1, keepdims=True) if inside.any() else 0.0
-            yield _on_window(np.concatenate([scores[:, :count].T, far]), inside), inside
+        for values, inside in projected_windows(place, region, bands, rng, project):
+            if inside.any():
+                values[count:] -= values[count:].mean(axis=1, keepdims=True)
+            yield _on_window(values, inside), inside
 
     correlation = lag_correlation(quantities(), REACH).significant()
     shares = neighbour_shares(region, REACH, rng)
@@ -285,27 +287,29 @@ def _on_window(quantities: Array, inside: Mask) -> Array:
     return out
 
 
-def pixels_of_windows(
-    place: Place, region: Mask, bands: npt.NDArray[Any], rng: np.random.Generator
+def projected_windows(
+    place: Place,
+    region: Mask,
+    bands: npt.NDArray[Any],
+    rng: np.random.Generator,
+    project: Callable[[Array], Array],
 ) -> Iterator[tuple[Array, Mask]]:
-    """Values (n, b) of some bands at a region's valid pixels in each window, and which of its pixels they are."""
-    for corner in correlation_windows(region, rng):
-        yield _window(place, region, bands, corner)  # not kept here: one window at a time is in memory
+    """What ``project`` makes (K, n) of a region's valid pixels (n, b) in each window, and which of its pixels they are.
 
-
-def _window(place: Place, region: Mask, bands: npt.NDArray[Any], corner: tuple[int, int]) -> tuple[Array, Mask]:
-    rows, columns = (slice(a, a + WINDOW) for a in corner)
-    inside = region[rows, columns].copy()
-    lines, samples = np.nonzero(inside)
-    values, valid = np.empty((lines.size, bands.size)), np.empty(lines.size, bool)
-    for some in range(0, lines.size, TOGETHER):
-        part = slice(some, some + TOGETHER)
-        pixels, valid[part] = place.cube.marked_pixels((lines[part] + corner[0], samples[part] + corner[1]))
-        np.take(pixels, bands, axis=1, out=values[part], mode="clip")  # no copy between
-        del pixels
-    valid &= np.isfinite(values).all(axis=1)
-    inside[inside] = valid
-    return values if valid.all() else values[valid], inside
+    A part of a window is in memory at a time: whole windows of all bands would be half of what a run takes.
+    """
+    for row, column in correlation_windows(region, rng):
+        inside = region[row : row + WINDOW, column : column + WINDOW].copy()
+        lines, samples = np.nonzero(inside)
+        valid, parts = np.empty(lines.size, bool), []
+        for start in range(0, lines.size, TOGETHER):
+            part = slice(start, start + TOGETHER)
+            pixels, known = place.cube.marked_pixels((lines[part] + row, samples[part] + column))
+            pixels = pixels[:, bands]
+            valid[part] = known & np.isfinite(pixels).all(axis=1)
+            parts.append(project(pixels[valid[part]]))
+        inside[inside] = valid
+        yield np.concatenate(parts, axis=1), inside
 
 
 def correlation_windows(region: Mask, rng: np.random.Generator) -> list[tuple[int, int]]:
@@ -347,11 +351,8 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     along = components(inner, rng)
 
     def windows() -> Iterator[tuple[Array, Mask]]:
-        for pixels, inside in pixels_of_windows(place, region, known, rng):
-            pixels -= mean  # in place: a window of all bands is 9 MB
-            scores = _on_window(along.scores(pixels), inside)
-            del pixels  # before the next window is read
-            yield scores, inside
+        for scores, inside in projected_windows(place, region, known, rng, lambda x: along.scores(x - mean)):
+            yield _on_window(scores, inside), inside
 
     reach = min(REACH, max(*region.shape) - 1)
     independent, of_variance = independent_pixels(windows(), neighbour_shares(region, reach, rng), n, reach)

@@ -196,7 +196,7 @@ class Batch:
         _, first, which = np.unique(self.alike()[numbers], return_index=True, return_inverse=True)
         one, of_one = at.rows(first), seen.rows(first)
         spectra = [(detector, spectrum[first]) for detector, spectrum in wanted]
-        filters, problems = designer.design(one, of_one, spectra, lambda u: self.filter_populations(group, first[u]))
+        filters, problems = designer.design(one, of_one, spectra)
         made = {}
         for n, f in zip(names, filters, strict=True):
             means, sds = law_scores(one, of_one, f)
@@ -206,8 +206,6 @@ class Batch:
 
     def alike(self, target: str | None = None) -> Index:
         """(U,) the same number for settings with the same filters, and the same target where one is named."""
-        if self.scenario.processing.filter_statistics == "scene":  # the filters follow from fills and targets too
-            return np.arange(len(self.settings))
         names = [] if target is None else [target]
         return self.once(("alike", target), lambda: self.settings.alike(names))
 
@@ -225,20 +223,6 @@ class Batch:
         """(V, F) what a filter looks for, in the units of the image."""
         line, at = group.at.view.library_line(), group.at
         return retrieved_reflectance(line, at.levels(self.signatures[target][None, group.bands]))[:, 0]
-
-    def filter_populations(self, group: Group, u: int) -> list[Population]:
-        """Target pixels that the statistics of the filter of setting ``u`` hold, if any."""
-        if self.scenario.processing.filter_statistics != "scene":
-            return []
-        point = int(np.flatnonzero(self.points.setting == group.numbers[u])[0])
-        own = []
-        for t, target in enumerate(self.targets):
-            for p, population in enumerate(target.populations):
-                if population.scene_fraction > 0:
-                    fill = self.fill_of(point, t, p)
-                    pixels = self.population_at(group, u, point, t, fill)
-                    own.append(replace(pixels, part=population.scene_fraction))
-        return own
 
     def population_at(self, group: Group, u: int, point: int, target: int, fill: FillDistribution) -> Population:
         """Pixels of one target as the detector of setting ``u`` sees them, by the moments of their fill (3.12)."""

@@ -140,7 +140,7 @@ def _evaluation(batch: Batch, point: int, target: int, pfa: Array) -> _AceEvalua
         mean = seen.means[u, m]
         if law.offset is not None:
             mean = mean + np.sqrt(gain) * seen.slope[u] * law.offset
-        as_part = Population(0.0, gain * law.covariance, seen.around[u, m], mean, seen.noise[u, m])
+        as_part = Population(gain * law.covariance, seen.around[u, m], mean, seen.noise[u, m])
         pixels.append(as_part)
         classes.append(
             ace_exceedance(
@@ -161,8 +161,7 @@ def _evaluation(batch: Batch, point: int, target: int, pfa: Array) -> _AceEvalua
 
 
 def _base(batch: Batch, group: Group, u: int) -> FilterBase:
-    populations = batch.filter_populations(group, u)
-    mixture = group.designer.mixture(group.at, group.seen, u, populations)
+    mixture = group.designer.mixture(group.at, group.seen, u)
     return group.designer.base(mixture, lambda reflectance: noise_of(group.at, group.seen, u, reflectance))
 
 

@@ -32,7 +32,6 @@ from hyperval.processing.packed import (
     diagonal_places,
     factor,
     near_singular,
-    packed,
     solved,
     unpacked,
 )
@@ -65,23 +64,18 @@ class Filters:
 
 @dataclass(frozen=True)
 class Population:
-    """Target pixels in the statistics of a filter, as parts of the background are.
+    """Target pixels as a detector sees them.
 
     Attributes
     ----------
-    part : of the scene [1]
     covariance : (F, F) of reflectance, gains and light included (3.12)
     around, mean, noise : (F,) as those of a class in :class:`Seen`
     """
 
-    part: float
     covariance: Array
     around: Array
     mean: Array
     noise: Array
-
-
-PopulationsOf = Callable[[int], Sequence[Population]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,23 +178,16 @@ class Designer:
         self._mixed: tuple[Array, bytes, Array] | None = None
         self._around: tuple[Ground, Array] | None = None
 
-    def mixture(self, at: Settings, seen: Seen, u: int, populations: Sequence[Population] = ()) -> Mixture:
+    def mixture(self, at: Settings, seen: Seen, u: int) -> Mixture:
         """The background that the filter of setting ``u`` is built on (3.8, 3.11 of what is seen)."""
         ground = at.grounds[at.which[u]]
         fractions = np.where(self._chosen, at.fractions[u], 0.0)
         chosen = fractions > 0.0
-        parts = np.array([p.part for p in populations])
-        fractions = fractions[chosen] * ((1.0 - parts.sum()) / (1.0 if self._chosen.all() else fractions.sum()))
-        weights = np.concatenate([fractions, parts])
+        fractions = fractions[chosen] / (1.0 if self._chosen.all() else fractions.sum())
         reflectance = self._reflectance(ground, fractions * at.gains[u][chosen], chosen)
         around, means, noise = seen.around[u][chosen], seen.means[u][chosen], seen.noise[u][chosen]
-        if populations:
-            reflectance = reflectance + sum(p.part * packed(p.covariance) for p in populations)
-            around = np.vstack([around, *(p.around for p in populations)])
-            means = np.vstack([means, *(p.mean for p in populations)])
-            noise = np.vstack([noise, *(p.noise for p in populations)])
-        mean, slope = weights @ means, seen.slope[u]
-        under = np.sqrt(weights)[:, None] / slope
+        mean, slope = fractions @ means, seen.slope[u]
+        under = np.sqrt(fractions)[:, None] / slope
         return Mixture(
             mean,
             reflectance,
@@ -208,7 +195,7 @@ class Designer:
             slope,
             under * around,
             under * (means - mean),
-            weights @ noise / slope**2,
+            fractions @ noise / slope**2,
         )
 
     def base(self, mixture: Mixture, noise_at: Callable[[Array], Array]) -> FilterBase:
@@ -232,13 +219,12 @@ class Designer:
         at: Settings,
         seen: Seen,
         wanted: Sequence[tuple[str, Array]],
-        populations: PopulationsOf | None = None,
     ) -> tuple[list[Filters], dict[int, UsageError]]:
         """Filters for pairs of detector and spectrum as seen (U, F); setting -> what is wrong with it."""
         each = [Filters(np.full((len(at), self._size), np.nan), np.full(len(at), np.nan)) for _ in wanted]
         problems: dict[int, UsageError] = {}
         for u in range(len(at)):
-            mixture = self.mixture(at, seen, u, populations(u) if populations else ())
+            mixture = self.mixture(at, seen, u)
             spectra = [(detector, spectrum[u]) for detector, spectrum in wanted]
             try:
                 if self.processing.features is None:
@@ -479,7 +465,7 @@ def responses(at: Settings, seen: Seen, filters: Filters, material: Material) ->
 def target_population(
     at: Settings, seen: Seen, u: int, material: Material, fill: FillDistribution, target_gain: float
 ) -> Population:
-    """Target pixels of setting ``u`` by the moments of their fill, as a class of part 0 of the scene (3.12)."""
+    """Target pixels of setting ``u`` by the moments of their fill (3.12)."""
     one = at.rows(np.array([u]))
     row, number = one.view, material.host
     here = Material(material.name, number, material.beam[u : u + 1], material.sky[u : u + 1])
@@ -502,4 +488,4 @@ def target_population(
     weight = np.sqrt(gain * np.asarray(row.adjacency_weight()).reshape(-1)[0])
     around = row.adjacency_slope(under_sky[None, None])[0, 0] / k * weight
     noise = row.noise_variance(level[None, None])[0, 0] / k**2
-    return Population(0.0, covariance, around, (level - offset) / k, noise)
+    return Population(covariance, around, (level - offset) / k, noise)

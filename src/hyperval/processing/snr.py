@@ -10,6 +10,8 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.products import SpectralEstimate
 
+_TOGETHER = 2048  # pixels whose distances from their mean are in memory at once
+
 Array = npt.NDArray[np.float64]
 
 
@@ -42,8 +44,8 @@ def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
     if bands < 3:
         raise UsageError(f"{bands} bands: a band needs two neighbours to be told from noise", expected="3 or more")
     mean = x.mean(axis=0)
-    z = x - mean
-    return _estimate(mean, _noise(z.T @ z / (n - 3), mean, n - 3), n)
+    parts = (x[start : start + _TOGETHER] - mean for start in range(0, n, _TOGETHER))  # a copy of all takes 16 MB
+    return _estimate(mean, _noise(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3), n)
 
 
 def snr_from_moments(mean: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:

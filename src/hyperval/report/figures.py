@@ -18,12 +18,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
@@ -44,6 +43,9 @@ from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look, Print, ho
 from hyperval.results import ResultTable
 from hyperval.spectra.axis import in_window
 from hyperval.storage import whole_folder
+
+if TYPE_CHECKING:
+    pass
 
 COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
 TEXT_GREY = "#444444"
@@ -485,6 +487,8 @@ def figures_to_folder(run: Path, output: Path, print_as: Print, curves: Curves |
 
 def drawings_of(run: Path, print_as: Print, curves: Curves | None = None) -> list[Drawing]:
     """The figures of the products of a folder, and of the reasons that its table holds."""
+    import xarray as xr
+
     path, rows, record = (Path(run) / name for name in ("products.nc", "results.json", "provenance.json"))
     sides = read_products(path)
     with xr.open_dataset(path, engine="h5netcdf") as head:

@@ -32,7 +32,6 @@ import h5netcdf
 import h5py
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 import hyperval
 from hyperval.errors import InputError, reader
@@ -492,6 +491,8 @@ def read_products(path: Path) -> tuple[PredictedProducts | None, ObservedProduct
     path = Path(path)
     if not path.is_file():
         raise InputError("no such file", where=str(path), expected="products.nc of a finished run")
+    import xarray as xr
+
     sides: list[Any] = []
     try:
         tree = xr.open_groups(path, engine="h5netcdf")

@@ -23,9 +23,6 @@ from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.text import Annotation
 
 from hyperval.spectra.axis import ABSORPTION_BANDS_NM, SpectralAxis
 from hyperval.units import PLAUSIBLE_NM
@@ -117,6 +114,8 @@ def _usual_below(axes: Axes) -> float:
 
 def _words_beside(axes: Axes, renderer: Any, dpi: float) -> float:
     """Space [in] that annotations at the right edge of the panel take beside it."""
+    from matplotlib.text import Annotation
+
     ends = [
         text.get_window_extent(renderer).x1
         for text in axes.texts

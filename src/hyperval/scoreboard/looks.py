@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import spectral
-from scipy import stats
 
 from hyperval.campaign.schema import Campaign
 from hyperval.collection import Detection
@@ -273,7 +273,7 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
             if own is not None:
                 make = RowMaker(PRODUCT, target.name, f"{PEER}-{name}/pixel")
                 both = np.isfinite(own) & np.isfinite(scores)
-                value = float(stats.spearmanr(own[both], scores[both]).statistic)
+                value = float(scipy.stats.spearmanr(own[both], scores[both]).statistic)
                 rows.append(make.row("score_rank_correlation", value, n=int(both.sum()), reason=_version()))
     return rows
 
@@ -281,7 +281,7 @@ def peer_rows(observed: Observed, detection: Detection | None, resolve: Callable
 def _subject_rows(make: RowMaker, pixels: Array, noise: Array) -> list[Result]:
     if not pixels.size or not noise.size:
         return [make.skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")]
-    share = stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
+    share = scipy.stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
     return [make.row("auc", float(share), n=int(pixels.size), reason=_version())]
 
 

@@ -181,7 +181,6 @@ BatchColumns = Mapping[BatchColumn, npt.NDArray[Any]]
 TermsAt = Callable[[Mapping[str, npt.NDArray[Any]], int], AtmosphericTerms]
 _OF_A_SETTING = ("atmosphere", "changes", "operation", "fraction", "gain", "kappa")
 # Where target pixels are part of the filter's statistics, what moves them moves the filter.
-_OF_TARGETS = ("target_gain", "beam", "sky", "fill")
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,8 +264,7 @@ def batch_of_columns(stage: Stage, columns: BatchColumns, n: int) -> Batch:
     columns : what moves -> (n,) values
     """
     setup = stage.setup
-    whole = setup.scenario.processing.filter_statistics == "scene"
-    shared = [column for column in columns if column.kind in _OF_A_SETTING or (whole and column.kind in _OF_TARGETS)]
+    shared = [column for column in columns if column.kind in _OF_A_SETTING]
     first, setting = distinct([columns[column] for column in shared], n)
     settings = _settings(stage, {column: columns[column][first] for column in shared}, first.size)
     points = _points(setup, columns, setting)

@@ -11,7 +11,8 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 import numpy.typing as npt
-from scipy import linalg, optimize, stats
+import scipy
+from scipy import linalg
 
 from hyperval.errors import UsageError
 from hyperval.prediction.departure import Given
@@ -188,7 +189,7 @@ class Ranking:
     @property
     def times_too_wide(self) -> float:
         """How many times too wide the stated uncertainties are at least: c^2 r^T C^-1 r = chi2_n at the level."""
-        return float(np.sqrt(stats.chi2.ppf(TOO_WIDE_LEVEL, self.dof) / max(self.chi_square, 1e-300)))
+        return float(np.sqrt(scipy.stats.chi2.ppf(TOO_WIDE_LEVEL, self.dof) / max(self.chi_square, 1e-300)))
 
     @property
     def too_wide(self) -> bool:
@@ -366,7 +367,7 @@ class Explanation:
     @property
     def p_value(self) -> float:
         """Probability of a residual at least this large with the widened covariance."""
-        return float(stats.chi2.sf(self.chi_square, self.dof))
+        return float(scipy.stats.chi2.sf(self.chi_square, self.dof))
 
 
 class Whitened:
@@ -414,7 +415,7 @@ class Whitened:
     @property
     def p_value(self) -> float:
         """Probability of a residual at least this large when the stated uncertainties hold."""
-        return float(stats.chi2.sf(self.chi_square, self.dof))
+        return float(scipy.stats.chi2.sf(self.chi_square, self.dof))
 
 
 def explanation(data: Whitened, columns: npt.ArrayLike, *, budgeted: bool, most: float = np.inf) -> Explanation:
@@ -473,7 +474,7 @@ def _best_tau_squared(s: Array, q: Array, most: float) -> float:
     low, high = np.log(grid[max(best - 1, 0)]), np.log(grid[min(best + 1, grid.size - 1)])
     if not high > low:
         return float(grid[best])
-    optimum = optimize.minimize_scalar(lambda t: -_gain(np.exp(t), s, q), bounds=(low, high), method="bounded")
+    optimum = scipy.optimize.minimize_scalar(lambda t: -_gain(np.exp(t), s, q), bounds=(low, high), method="bounded")
     return float(np.exp(optimum.x))
 
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from hyperval.compare.rows import RowMaker, scientific
 from hyperval.errors import UsageError
@@ -207,7 +207,7 @@ def run_what_ifs(
                 first.chi_square / first.dof,
                 second.chi_square / second.dof,
                 first.dof,
-                float(stats.chi2.sf(second.chi_square, second.dof)),
+                float(scipy.stats.chi2.sf(second.chi_square, second.dof)),
                 gaps,
                 tuple((ratio, there[key]) for key, ratio in ratios.items() if key in there),
             )
