@@ -98,7 +98,8 @@ def solved_filter(
     if not energy > 0:
         raise UsageError("the target spectrum equals the background mean: no filter can tell them apart")
     w = solved / (np.sqrt(energy) if detector == "smf" else energy)  # (3.23), (3.24): the target itself scores 1
-    return LinearFilter(w, 0.0 if detector == "cem-correlation" else float(w @ mean), condition)  # (3.25)
+    offset = 0.0 if detector == "cem-correlation" else float(w @ mean)  # (3.25)
+    return LinearFilter(w, offset, condition)
 
 
 def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:

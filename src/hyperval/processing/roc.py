@@ -335,7 +335,7 @@ def area_variance(counts: RankCounts, area: RocArea = WHOLE) -> tuple[float, flo
     """
     v, weight = placements(counts, area), counts.targets
     m, n = int(weight.sum()), int(counts.ties.sum() + counts.between.sum())
-    value = float(weight @ v / m)
+    value = roc_area(counts, area)
     bound = value * (1.0 - value)
     of_targets = float(weight @ (v - value) ** 2 / (m - 1)) if m > 1 else bound
     if n < 2:
@@ -446,8 +446,7 @@ def area_estimates(
 
     ``blocks``: the background with its places, which may come in clusters.
     """
-    n = int(counts.ties.sum() + counts.between.sum())
-    m = int(counts.targets.sum())
+    m, n = int(counts.targets.sum()), int(counts.ties.sum() + counts.between.sum())
     drawn = None
     if unit == "object" and m > 1 and n > 1:
         drawn = bootstrap_areas(counts, list(areas.values()), draws, rng).var(axis=0, ddof=1) * m / (m - 1)
