@@ -19,7 +19,7 @@ from hyperval.prediction.departure import Given
 from hyperval.prediction.input import Kind, UncertainInput, form_in_words, number_input, spectral_input
 from hyperval.prediction.uncertainty import AEROSOL, SURROUNDINGS, WATER, field_spectrum_of, inputs_of
 from hyperval.scenario import SpectralForm
-from hyperval.uncertainty.attribution.residuals import Stack
+from hyperval.uncertainty.attribution.residuals import ENOUGH, Stack
 
 SHIFT_NM = 0.2
 SPREAD = 0.10
@@ -107,7 +107,6 @@ def _spectra(given: Given) -> list[UncertainInput]:
 Array = npt.NDArray[np.float64]
 
 ALL = "all"
-ENOUGH = 0.05  # p-value from which residuals count as explained
 # A stated uncertainty is too wide where the data refute, at this level, all that is less than so many times so.
 TOO_WIDE, TOO_WIDE_LEVEL = 1.5, 1e-3
 MOST_STEPS = 3

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
@@ -252,19 +253,11 @@ def gaps_of(numbers: Sequence[ComparedQuantity], predicted: Products) -> dict[st
 
 
 def _renewed(numbers: Sequence[ComparedQuantity], observed: Products) -> list[ComparedQuantity]:
-    return [
-        ComparedQuantity(q.product, q.subject, q.method, q.metric, q.read(observed), q.read)
-        for q in numbers
-        if _there(q, observed)
-    ]
-
-
-def _there(q: ComparedQuantity, observed: Products) -> bool:
-    try:
-        q.read(observed)
-    except KeyError:
-        return False
-    return True
+    out = []
+    for q in numbers:
+        with suppress(KeyError):  # what is measured no more
+            out.append(replace(q, observed=q.read(observed)))
+    return out
 
 
 Observe = Callable[[Mapping[str, Any]], Products]
@@ -606,10 +599,7 @@ def _ranking_rows(r: Ranking) -> list[Result]:
     whole = row(_EVERYTHING, "reduced_chi_square", r.chi_square / r.dof, r.conclusion, r.dof)
     if r.too_wide or not r.explained:
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
-    rows = [
-        whole,
-        row(_EVERYTHING, "p_value", r.p_value, n=r.dof),
-    ]
+    rows = [whole, row(_EVERYTHING, "p_value", r.p_value, n=r.dof)]
     if r.together:
         rows.append(
             row(_EVERYTHING, "p_value_explained", r.together[-1].p_value,
