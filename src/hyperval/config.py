@@ -30,6 +30,10 @@ GONE = {
     "surroundings_altitude_km": "surroundings are as high as the site: ground_altitude_km",
     "filter_statistics": "filters are made on the background, as 'background' did: leave it out",
     "scene_fraction": "filters are made on the background alone: leave it out",
+    "nugget": "an error of its own in each band is an entry of its own with 'correlation: random'",
+    "lags": "correlation_nm, the length over which the measured correlations fall off",
+    "groups_nm": "correlation_nm, or 'correlation: arms' for the arms of the sensor",
+    "distribution": "errors are normal: the standard uncertainty alone; of a uniform error, its half width over root 3",
     "precision": "covariances are always summed in float64, as 'exact' did: leave it out",
 }
 
@@ -241,6 +245,8 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
             text = item["msg"].removeprefix("Value error, ")
             if item["type"] == "string_pattern_mismatch":
                 text = _spelled(item["ctx"]["pattern"]) or text
+            if item["type"] == "float_type" and isinstance(item["input"], dict) and "distribution" in item["input"]:
+                text = f"a number; {GONE['distribution']}"
             if item["type"] == "extra_forbidden":
                 few = len(problems) < MOST_MISTAKES  # what is looked for takes long beside what is listed
                 near = difflib.get_close_matches(str(item["loc"][-1]), _keys_of(model), n=1) if few else []

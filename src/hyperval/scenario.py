@@ -9,17 +9,13 @@ What a scenario says of the uncertainty of its inputs.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     Field,
-    GetCoreSchemaHandler,
-    PlainSerializer,
-    PlainValidator,
     PrivateAttr,
     ValidationInfo,
     field_validator,
@@ -33,7 +29,6 @@ from hyperval.processing.ace_model import NUMERICAL_DETECTORS
 from hyperval.processing.filters import LINEAR_DETECTORS
 from hyperval.scene.statistics import MOST_COMPONENTS
 from hyperval.sensor.specification import SensorChanges, SensorOperation
-from hyperval.spectra.axis import LagKernel, lag_kernel
 
 
 def exactly_one(model: Model, names: tuple[str, ...]) -> None:
@@ -121,110 +116,24 @@ class CovarianceSource(Model):
         return self
 
 
-Distribution = Literal["normal", "uniform", "triangular", "log-normal"]
-
-
-class Spread(float):
-    """A standard uncertainty and the distribution of the error; a plain number is that of a normal one.
-
-    In YAML a number, or ``{standard: 0.02, distribution: uniform}``; for a uniform or triangular error
-    ``half_width`` may stand instead of ``standard``: root 3 or root 6 times as large (JCGM 100:2008, 4.3.7, 4.3.9).
-    """
-
-    distribution: Distribution
-
-    def __new__(cls, standard: float, distribution: Distribution = "normal") -> Spread:
-        """The number itself, with its distribution."""
-        made = super().__new__(cls, standard)
-        made.distribution = distribution
-        return made
-
-    def __getnewargs__(self) -> tuple[float, Distribution]:  # type: ignore[override]
-        return float(self), self.distribution
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
-        """Read a number or a mapping; written back the same way."""
-        return handler.generate_schema(Annotated[Any, PlainValidator(_read_spread), PlainSerializer(_plain_spread)])
-
-
-def _read_spread(value: Any) -> Spread:
-    if isinstance(value, Spread):
-        return value
-    distribution: Any = "normal"
-    if isinstance(value, dict):
-        known = {"standard", "half_width", "distribution"}
-        if not set(value) <= known or ("standard" in value) == ("half_width" in value):
-            raise ValueError("give standard or half_width, and distribution")
-        distribution = value.get("distribution", "normal")
-        if distribution not in get_args(Distribution):
-            raise ValueError(f"unknown distribution {distribution!r}: one of {', '.join(get_args(Distribution))}")
-        number = value.get("standard", value.get("half_width"))
-        if "half_width" in value:
-            if distribution not in ("uniform", "triangular"):
-                raise ValueError("half_width belongs to a uniform or triangular distribution")
-            number = _number(number) / math.sqrt(3.0 if distribution == "uniform" else 6.0)
-    else:
-        number = value
-    return Spread(_number(number), distribution)
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value <= 0:
-        raise ValueError("a standard uncertainty is a positive number")
-    return float(value)
-
-
-def _plain_spread(value: Spread) -> float | dict[str, Any]:
-    if getattr(value, "distribution", "normal") == "normal":
-        return float(value)
-    return {"standard": float(value), "distribution": value.distribution}
+Spread = Annotated[float, Field(gt=0)]
 
 
 class SpectralForm(Model):
-    """Distribution of an error over wavelength, and how it hangs together between bands."""
+    """How an error hangs together between bands."""
 
-    distribution: Distribution = Field("normal", description="of the error in each band or group")
     correlation_nm: float | None = Field(None, gt=0, description="correlation length; None: fully correlated")
-    nugget: float = Field(
-        0.0, ge=0, le=1, description="with correlation_nm: part of the variance that is each band's own"
-    )
-    lags: list[tuple[float, float]] = Field(
-        default_factory=list,
-        max_length=200,
-        description="correlations that were measured, [lag in nm, correlation], in place of correlation_nm and "
-        "nugget, which follow from them",
-    )
-    correlation: Literal["systematic", "random", "groups", "arms"] | None = Field(
+    correlation: Literal["systematic", "random", "arms"] | None = Field(
         None,
-        description="systematic: one error for all bands; random: one for each; groups: one for each range of "
-        "groups_nm; arms: one for each arm of the sensor; None: systematic, or by correlation_nm",
-    )
-    groups_nm: list[tuple[float, float]] = Field(
-        default_factory=list, max_length=50, description="wavelength ranges of the groups [nm]"
+        description="systematic: one error for all bands; random: one for each; arms: one for each arm of the sensor; "
+        "None: systematic, or by correlation_nm",
     )
 
     @model_validator(mode="after")
     def _one_form(self) -> SpectralForm:
-        given = [n for n in ("correlation", "correlation_nm", "lags") if getattr(self, n)]
-        if len(given) > 1:
-            raise ValueError(f"give {' or '.join(given)}, not both")
-        if self.nugget and self.correlation_nm is None:
-            raise ValueError("nugget goes with correlation_nm")
-        if len(self.lags) == 1 or any(d <= 0 or not -1 <= rho <= 1 for d, rho in self.lags):
-            raise ValueError("lags are two or more pairs of a lag above 0 nm and a correlation of -1 to 1")
-        if bool(self.groups_nm) != (self.correlation == "groups"):
-            raise ValueError("groups_nm goes with correlation: groups")
-        if self.kernel is not None and self.distribution not in ("normal", "log-normal"):
-            raise ValueError("an error with a correlation length is normal or log-normal")
+        if self.correlation and self.correlation_nm is not None:
+            raise ValueError("give correlation or correlation_nm, not both")
         return self
-
-    @property
-    def kernel(self) -> LagKernel | None:
-        """Nugget and length, as stated or from the measured lags; None for another form."""
-        if self.lags:
-            return lag_kernel(self.lags)
-        return None if self.correlation_nm is None else LagKernel(self.nugget, self.correlation_nm)
 
 
 class SpectrumUncertainty(SpectralForm):

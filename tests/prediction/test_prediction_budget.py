@@ -17,20 +17,17 @@ from hyperval.prediction.input import (
     drawn_truths,
     form_covariance,
     form_in_words,
-    number_directions,
-    standardised,
-    value_along,
 )
 from hyperval.prediction.inputs import correlation
 from hyperval.prediction.uncertainty import given_of, inputs_of
-from hyperval.scenario import Scenario, SpectralForm, Spread, Uncertainty
+from hyperval.scenario import Scenario, SpectralForm, Uncertainty
 
 EVERYTHING = (
     ATMOSPHERE
     + """
 uncertainty:
-  aot550: {standard: 0.04, distribution: log-normal}
-  water_vapour_g_cm2: {half_width: 0.3, distribution: uniform}
+  aot550: 0.04
+  water_vapour_g_cm2: 0.17
   ozone_atm_cm: 0.02
   solar_zenith_deg: 0.5
   solar_azimuth_deg: 1
@@ -38,12 +35,12 @@ uncertainty:
   sensor_altitude_km: 0.05
   ground_altitude_km: 0.02
   solar_irradiance_relative: 0.01
-  adjacency_reflectance_relative: {standard: 0.2, distribution: triangular}
+  adjacency_reflectance_relative: 0.2
   engine: {relative: 0.01, per_optical_depth: 0.1, path_relative: 0.05, correlation_nm: 200}
   field_spectra:
     - {subject: plank, relative: 0.05, correlation_nm: 300}
     - {subject: grass, absolute: 0.01, correlation: random}
-  sensor_gain: {relative: 0.02, correlation: groups, groups_nm: [[400, 1000], [1000, 2500]]}
+  sensor_gain: {relative: 0.02, correlation_nm: 300}
   sensor_offset: {absolute: 0.01}
   noise: {relative: 0.1, correlation: arms}
   electrons: {relative: 0.05}
@@ -78,7 +75,6 @@ def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with
             not np.allclose(off.roc["tenth", "cem", "pixel"].pd, base.roc["tenth", "cem", "pixel"].pd, rtol=1e-9),
         ]
         assert any(moved) != (name in blind), name
-        assert item.distribution
         assert item.correlation
     draws = [run(plain, departure=truth) for truth in drawn_truths(list(found.values()), 3, 1)]
     assert len({float(d.radiance["grass"].mean[0]) for d in draws}) == 3
@@ -91,25 +87,6 @@ def test_draws_are_the_same_for_the_same_seed():
     np.testing.assert_array_equal(a.spectra["plank"], b.spectra["plank"])
 
 
-@pytest.mark.parametrize("law", ["normal", "uniform", "triangular"])
-def test_distributions_have_mean_0_and_variance_1(law):
-    # 200,000 draws: mean and variance within 4.5 of their standard errors; false failure below 2e-5 each.
-    x = standardised(law, np.random.default_rng(3), 200_000)
-    assert abs(x.mean()) < 4.5 / np.sqrt(x.size)
-    fourth = {"normal": 3.0, "uniform": 1.8, "triangular": 2.4}[law]
-    assert abs(x.var() - 1.0) < 4.5 * np.sqrt((fourth - 1.0) / x.size)
-    assert np.abs(x).max() <= {"normal": np.inf, "uniform": 3**0.5, "triangular": 6**0.5}[law] + 1e-12
-
-
-def test_log_normal_has_the_coefficient_of_variation_that_is_stated():
-    z = np.random.default_rng(5).standard_normal(200_000)
-    rows = number_directions(0.2, Spread(0.1, "log-normal"))
-    x = np.array([value_along(0.2, rows, "log-normal", np.array([v]))[0] for v in z[:100_000]])
-    assert np.median(x) == pytest.approx(0.2, rel=0.01)
-    assert x.std() / x.mean() == pytest.approx(0.5, rel=0.03)  # 5 standard errors of a log-normal's sd
-    assert x.min() > 0.0
-
-
 def test_directions_give_back_the_covariance_of_each_form():
     sd = np.linspace(0.01, 0.03, len(AXIS))
     cases = {
@@ -117,13 +94,7 @@ def test_directions_give_back_the_covariance_of_each_form():
         "random": (SpectralForm(correlation="random"), np.diag(sd**2)),
         "length": (SpectralForm(correlation_nm=200), np.outer(sd, sd) * correlation(AXIS, 200.0)),
     }
-    whole = np.outer(sd, sd) * correlation(AXIS, 40.0)
-    own = SpectralForm(correlation_nm=40, nugget=0.3)
-    cases["nugget"] = own, 0.7 * whole + 0.3 * np.diag(sd**2)
-    assert form_in_words(own) == "correlation length 40 nm, 30 % of the variance each band's own"
-    low = AXIS.centre_nm <= 1000
-    groups = SpectralForm.model_validate({"correlation": "groups", "groups_nm": [[300, 1000]]})
-    cases["groups"] = (groups, np.outer(sd, sd) * (np.outer(low, low) | np.outer(~low, ~low)))
+    assert form_in_words(cases["length"][0]) == "correlation length 200 nm"
     for name, (form, expected) in cases.items():
         rows = directions(sd, form, AXIS)
         np.testing.assert_allclose(rows.T @ rows, expected, atol=1e-5 * expected.max(), err_msg=name)
@@ -151,7 +122,7 @@ def test_drawn_field_spectrum_has_the_covariance_that_is_stated():
 def test_plain_numbers_mean_what_they_meant():
     old = scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, solar_irradiance_relative: 0.01}\n")
     u = old.uncertainty
-    assert (float(u.aot550), u.aot550.distribution, float(u.solar_irradiance_relative)) == (0.05, "normal", 0.01)
+    assert (u.aot550, u.solar_irradiance_relative) == (0.05, 0.01)
     again = Scenario.model_validate(old.model_dump(mode="json", by_alias=True))
     assert again.uncertainty == u
     budget = run(old).radiance["grass"].budget
@@ -162,13 +133,12 @@ def test_plain_numbers_mean_what_they_meant():
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("aot550: {standard: 0.1, distribution: cauchy}", "unknown distribution"),
-        ("aot550: {standard: 0.1, half_width: 0.2}", "standard or half_width"),
-        ("ozone_atm_cm: {half_width: 0.2}", "half_width belongs"),
-        ("aot550: -1", "positive number"),
+        ("aot550: {standard: 0.1, distribution: uniform}", "a number; errors are normal"),
+        ("aot550: -1", "greater than 0"),
         ("{aot550: 0.1, meteorological_range_km: 3}", "one uncertainty"),
-        ("engine: {relative: 0.1, distribution: uniform, correlation_nm: 100}", "normal or log-normal"),
-        ("sensor_gain: {relative: 0.1, correlation: groups}", "groups_nm goes with"),
+        ("engine: {relative: 0.1, distribution: uniform, correlation_nm: 100}", "is gone; errors are normal"),
+        ("engine: {relative: 0.1, nugget: 0.1, correlation_nm: 100}", "is gone; .* entry of its own"),
+        ("sensor_gain: {relative: 0.1, correlation: random, correlation_nm: 9}", "not both"),
         ("solar_irradiance_relative: 1.5", "below 1"),
         ("fills: [{subject: tenth, absolute: 0.1}, {subject: tenth, absolute: 0.1}]", "stands twice"),
         ("{fills: [{subject: nobody, absolute: 0.1}]}", "no target or subject 'nobody'; there are .*tenth"),

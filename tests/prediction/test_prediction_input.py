@@ -11,7 +11,7 @@ from hyperval.predict import Origins
 from hyperval.prediction.departure import Departure, input_path
 from hyperval.prediction.input import drawn_truths, number_input, one_at_a_time, spectral_input
 from hyperval.prediction.uncertainty import given_of, inputs_of
-from hyperval.scenario import RelativeUncertainty, Spread
+from hyperval.scenario import RelativeUncertainty
 from hyperval.settings import with_settings
 from hyperval.uncertainty.attribution.ranking import assumed_inputs
 
@@ -97,13 +97,10 @@ def test_light_needs_an_atmosphere():
         input_path(given_of(scenario(""), Origins(axis=AXIS)), "light.irradiance")
 
 
-def test_a_log_normal_factor_multiplies_and_a_normal_one_adds():
-    law = Spread(0.3, "log-normal")
-    item = number_input(GIVEN, "light", "atmosphere", "light.irradiance", law)
-    up, down = item.moved(1.0).irradiance, item.moved(-1.0).irradiance
-    assert up * down == pytest.approx(1.0)
+def test_a_factor_on_all_light_and_one_over_wavelength_have_the_spread_that_is_stated():
+    item = number_input(GIVEN, "light", "atmosphere", "light.irradiance", 0.3)
     draws = np.array([t.irradiance for t in drawn_truths([item], 4000, 2)])
-    assert draws.std() / draws.mean() == pytest.approx(0.3, rel=0.08)  # 4,000 draws: five standard errors
+    assert draws.std() == pytest.approx(0.3, rel=0.06)  # 4,000 draws: five standard errors
     form = RelativeUncertainty.model_validate({"relative": 0.02, "correlation_nm": 300})
     wide = spectral_input(GIVEN, "gain", "sensor", "sensor.gain", 0.02, form)
     total = sum((wide.direction(k, 1.0).recorded_gain - 1.0) ** 2 for k in range(wide.size))

@@ -46,7 +46,7 @@ scene:
 processing: {elm: {reflectances: [0.1, 0.6]}, detectors: [cem], bands: {drop_bad: false}}
 uncertainty:
   aot550: 0.01
-  water_vapour_g_cm2: {half_width: 0.4, distribution: uniform}
+  water_vapour_g_cm2: 0.23094  # uniform within 0.4
   solar_irradiance_relative: 0.01
   engine: {relative: 0.02}
   sensor_gain: {relative: 0.005, correlation: random}

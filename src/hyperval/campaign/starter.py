@@ -419,11 +419,10 @@ def add_targets(place: Place, spectra: Sequence[Spectrum], scenario: dict[str, A
 
 
 def _spectra_known_to(scenario: dict[str, Any], subjects: Sequence[str], draft: Draft) -> None:
-    # An error that is the same in all bands would leave a shape no room: one part in a thousand would disagree.
-    known = {"relative": 0.05, "correlation_nm": 200, "nugget": 0.04}
+    known = {"relative": 0.05, "correlation_nm": 200}
     entries = [{"subject": subject, **known} for subject in subjects]
     scenario.setdefault("uncertainty", {}).setdefault("field_spectra", []).extend(entries)
-    draft.guess("scenarios", "uncertainty", "field_spectra", because="known to 5 % over some 200 nm, to 1 % by band")
+    draft.guess("scenarios", "uncertainty", "field_spectra", because="known to 5 % over some 200 nm")
 
 
 def _size(target: TargetObject) -> str | None:

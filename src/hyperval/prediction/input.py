@@ -19,7 +19,7 @@ import numpy.typing as npt
 from hyperval.errors import UsageError
 from hyperval.prediction.departure import Departure, Given, combined, input_path
 from hyperval.prediction.inputs import SurfaceStatistics, correlation
-from hyperval.scenario import Distribution, SpectralForm, SpectrumUncertainty, Spread
+from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts
 from hyperval.spectra.axis import SpectralAxis
@@ -36,12 +36,12 @@ def directions(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor
     The error is the sum of the rows, each with a factor of mean 0 and variance 1: its covariance is D^T D.
     """
     u = np.nan_to_num(np.asarray(sd, dtype=float))
-    if form.kernel is not None:
+    if form.correlation_nm is not None:
         return covariance_directions(form_covariance(u, form, axis))
     if form.correlation == "random":
         return np.asarray(np.diag(u)[u > 0])
-    if form.correlation in ("groups", "arms"):
-        rows = np.array([np.where(group, u, 0.0) for group in _groups(form, axis, sensor)])
+    if form.correlation == "arms":
+        rows = np.array([np.where(arm, u, 0.0) for arm in _arms(axis, sensor)])
         rows = rows[np.any(rows > 0, axis=1)]
         return np.asarray(rows[np.argsort(-(rows**2).sum(axis=1), kind="stable")])
     return np.asarray(u[None, :])
@@ -63,79 +63,33 @@ def form_covariance(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: S
     """(B, B) covariance of an error with standard deviation ``sd`` (B,)."""
     u = np.asarray(sd, dtype=float)
     if form.correlation is None:
-        nugget, length = form.kernel or (0.0, None)
-        smooth = np.outer(u, u) * correlation(axis, length)
-        return np.asarray(smooth if nugget == 0.0 else (1.0 - nugget) * smooth + nugget * np.diag(u**2))
+        return np.asarray(np.outer(u, u) * correlation(axis, form.correlation_nm))
     rows = directions(u, form, axis, sensor)
     return rows.T @ rows
 
 
 def form_in_words(form: SpectralForm) -> str:
     """The correlation form for people."""
-    if (kernel := form.kernel) is not None:
-        own = f", {100 * kernel.nugget:.3g} % of the variance each band's own" if kernel.nugget else ""
-        return f"correlation length {kernel.length_nm:.4g} nm{own}"
+    if form.correlation_nm is not None:
+        return f"correlation length {form.correlation_nm:.4g} nm"
     return {
         None: "systematic: one error for all bands",
         "systematic": "systematic: one error for all bands",
         "random": "random by band",
-        "groups": f"one error for each of {len(form.groups_nm)} groups of bands",
         "arms": "one error for each arm of the sensor",
     }[form.correlation]
 
 
-def standardised(distribution: Distribution, rng: np.random.Generator, size: int) -> Array:
-    """(size,) draws of mean 0 and variance 1; those of the logarithm for log-normal (JCGM 101:2008, 6.4)."""
-    if distribution == "uniform":
-        return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), size)
-    if distribution == "triangular":
-        return rng.triangular(-np.sqrt(6.0), 0.0, np.sqrt(6.0), size)
-    return rng.standard_normal(size)
-
-
-def number_directions(value: float | Array, spread: Spread | Array) -> Array:
-    """(1, n) direction of a number, or of several that move together, with standard uncertainty ``spread``.
-
-    A log-normal error has its median at the value and the factor exp(s z) with s^2 = ln(1 + (u / value)^2), which
-    gives it the coefficient of variation u / value.
-
-    Raises
-    ------
-    UsageError : a log-normal error of a value that is not positive.
-    """
-    at = np.atleast_1d(np.asarray(value, dtype=float))
-    u = np.broadcast_to(np.asarray(spread, dtype=float), at.shape)
-    if getattr(spread, "distribution", "normal") != "log-normal":
-        return u[None, :]
-    if np.any(at <= 0.0):
-        raise UsageError(f"a log-normal error of the value {at.min():g}", expected="a positive value")
-    return np.asarray(at * np.sqrt(np.log1p((u / at) ** 2)))[None, :]
-
-
-def value_along(nominal: float | Array, rows: Array, distribution: Distribution, c: Array) -> Array:
-    """(n,) value v + c D with directions D (K, n) and factors c (K,); v exp(c D / v) where it is log-normal."""
-    if distribution != "log-normal":
-        return np.asarray(nominal + c @ rows)
-    v = np.broadcast_to(np.asarray(nominal, dtype=float), rows.shape[1:])
-    relative = np.divide(rows, v, out=np.zeros_like(rows), where=v > 0)
-    return np.asarray(v * np.exp(c @ relative))
-
-
-def _groups(form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None) -> list[npt.NDArray[np.bool_]]:
-    w = axis.centre_nm
-    if form.correlation == "groups":
-        ranges = form.groups_nm
-    else:
-        arms = sensor.specification.arms if sensor is not None else ()
-        if not arms:
-            raise UsageError("uncertainty: correlation: arms needs a sensor with arms", mend="use groups")
-        ranges = [arm.range_nm for arm in arms]
-    groups, taken = [], np.zeros(w.shape, bool)
-    for low, high in ranges:
-        here = (w >= low) & (w <= high) & ~taken
-        taken |= here
-        groups.append(here)
-    return [*groups, ~taken] if not taken.all() else groups  # bands beside all groups share one error
+def _arms(axis: SpectralAxis, sensor: Sensor | None) -> list[npt.NDArray[np.bool_]]:
+    w, groups = axis.centre_nm, []
+    arms = sensor.specification.arms if sensor is not None else ()
+    if not arms:
+        raise UsageError("uncertainty: correlation: arms needs a sensor with arms", mend="use correlation_nm")
+    taken = np.zeros(w.shape, bool)
+    for low, high in (arm.range_nm for arm in arms):
+        groups.append((w >= low) & (w <= high) & ~taken)
+        taken |= groups[-1]
+    return [*groups, ~taken] if not taken.all() else groups  # bands beside all arms share one error
 
 
 def spectrum_error_covariance(
@@ -192,10 +146,9 @@ class UncertainInput:
     rows : (K, n) change of the value per unit along each direction, the leading one first; one unit is one standard
         uncertainty
     to : value -> the truth there
-    law : distribution of the factors; log-normal errors multiply the value
     correlation : how errors hang together over wavelength, in words
     source : whether the scenario states the uncertainty, or a usual one is taken
-    draws : one draw from the distribution, where it is not that of independent factors
+    draws : one draw from the distribution, where it is not that of independent normal factors
     """
 
     name: str
@@ -204,7 +157,6 @@ class UncertainInput:
     nominal: float | Array
     rows: Array
     to: Callable[[Array], Departure]
-    law: Distribution = "normal"
     correlation: str = "one number"
     source: Source = "stated"
     draws: Callable[[np.random.Generator], Departure] | None = None
@@ -216,11 +168,6 @@ class UncertainInput:
         return result
 
     @property
-    def distribution(self) -> str:
-        """The law in words."""
-        return self.law if self.draws is None else "inverse Wishart"
-
-    @property
     def subject(self) -> str:
         """The surface whose mean it is; empty for anything else."""
         parts = path_parts(self.path)
@@ -228,7 +175,7 @@ class UncertainInput:
 
     def along(self, c: Array) -> Departure:
         """The truth at factors (K,) of the directions."""
-        return self.to(value_along(self.nominal, self.rows, self.law, c))
+        return self.to(np.asarray(self.nominal + c @ self.rows))
 
     def direction(self, k: int, z: float) -> Departure:
         """The truth ``z`` units along direction ``k``, the rest as stated."""
@@ -242,21 +189,20 @@ class UncertainInput:
 
     def drawn(self, rng: np.random.Generator) -> Departure:
         """A truth drawn from the distribution of this input alone."""
-        return self.along(standardised(self.law, rng, self.size)) if self.draws is None else self.draws(rng)
+        return self.along(rng.standard_normal(self.size)) if self.draws is None else self.draws(rng)
 
 
 def number_input(
-    given: Given, name: str, kind: Kind, path: str, spread: Spread | Array, *, source: Source = "stated",
+    given: Given, name: str, kind: Kind, path: str, spread: float | Array, *, source: Source = "stated",
     words: str = "one number",
 ) -> UncertainInput:  # fmt: skip
     """An input of one number, or of several that move together.
 
-    ``spread`` : standard uncertainty of each; an array is that of a normal error.
+    ``spread`` : standard uncertainty of each.
     """
     at = input_path(given, path)
-    law: Distribution = getattr(spread, "distribution", "normal")
-    rows = number_directions(at.nominal, spread)
-    return UncertainInput(name, kind, path, at.nominal, rows, at.to, law, words, source)
+    rows = np.broadcast_to(spread, np.shape(np.atleast_1d(at.nominal)))[None, :]
+    return UncertainInput(name, kind, path, at.nominal, rows, at.to, words, source)
 
 
 def spectral_input(
@@ -265,7 +211,7 @@ def spectral_input(
     """An input over wavelength with standard uncertainty ``sd`` (B,) and the correlation of ``form``."""
     at = input_path(given, path)
     rows = directions(np.broadcast_to(sd, len(given.axis)), form, given.axis, given.sensor)
-    return UncertainInput(name, kind, path, at.nominal, rows, at.to, form.distribution, form_in_words(form))
+    return UncertainInput(name, kind, path, at.nominal, rows, at.to, form_in_words(form))
 
 
 @dataclass(frozen=True)

@@ -228,12 +228,12 @@ def _sampled(item: SampledStatistics, given: Given) -> list[UncertainInput]:
         rows = covariance_directions(covariance / n)
         if rows.shape[0]:
             inputs.append(_mean_input(given, f"sampled mean of {subject}", "sampling", subject, rows, words))
-    # The variance of any one score: s^2 of n - 1 degrees of freedom, log-normal with half of it on its root.
+    # The variance of any one score: s^2 of n - 1 degrees of freedom; the logarithm of its root is the value.
     path = f"surfaces.[{subject}].spread"
     at = input_path(given, path)
     spread = UncertainInput(
-        f"sampled covariance of {subject}", "sampling", path, at.nominal,
-        np.array([[np.sqrt(0.5 / (n - 1.0))]]), at.to, "log-normal", words,
+        f"sampled covariance of {subject}", "sampling", path, 0.0,
+        np.array([[np.sqrt(0.5 / (n - 1.0))]]), lambda log_factor: at.to(np.exp(log_factor)), words,
         draws=lambda rng: Departure(statistics={subject: drawn_covariance(covariance, n, rng)}),
     )  # fmt: skip
     return [*inputs, spread]
