@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from hyperval.collection import LocalWindowSource
 from hyperval.errors import UsageError
 from hyperval.imagery.cube import open_cube
 from hyperval.imagery.envi import write_cube
@@ -12,7 +14,7 @@ from hyperval.processing import detectors as local_scores
 from hyperval.processing.detectors import (
     LOCAL_DETECTORS,
     LocalWindow,
-    _MovingMeans,
+    moving_means,
     pixel_detector,
     score_cube_locally,
     whitener_of,
@@ -57,7 +59,7 @@ def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(sc
     target = mean + np.linspace(0.05, 0.3, mean.size)
     detectors = {name: (name, None if name == "rx" else target) for name in LOCAL_DETECTORS}
     monkeypatch.setattr(local_scores, "_VALUES_AT_ONCE", 0)  # strips that end within the image
-    found = score_cube_locally(cube, detectors, whitener_of(mean, covariance), window, counted, elm, bands)
+    found, _ = score_cube_locally(cube, detectors, whitener_of(mean, covariance), window, counted, elm, bands)
     use = counted & valid
     for line, sample in ((0, 0), (5, 8), (18, 14), (21, 12), (36, 28), (30, 0), (8, 19), (9, 20)):
         ring = np.zeros_like(use)
@@ -69,8 +71,8 @@ def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(sc
         for name in LOCAL_DETECTORS:
             detector = pixel_detector(name, None if name == "rx" else target, own, covariance)
             expected = detector.score(x[line, sample], whitener_of(own, covariance))
-            assert found.maps[name][line, sample] == pytest.approx(float(expected), rel=1e-9, abs=1e-10), name
-    assert all(np.isnan(m[5, 7]) and np.isfinite(m).sum() == LINES * SAMPLES - 1 for m in found.maps.values())
+            assert found[name][line, sample] == pytest.approx(float(expected), rel=1e-9, abs=1e-10), name
+    assert all(np.isnan(m[5, 7]) and np.isfinite(m).sum() == LINES * SAMPLES - 1 for m in found.values())
 
 
 def test_tiles_and_threads_change_nothing(scene, monkeypatch):
@@ -78,12 +80,12 @@ def test_tiles_and_threads_change_nothing(scene, monkeypatch):
     x = rho[..., bands].reshape(-1, int(bands.sum()))
     whitener = whitener_of(x.mean(axis=0), np.cov(x.T))
     detectors = {"rx": ("rx", None), "ace": ("ace", x.mean(axis=0) + 0.1)}
-    reference = score_cube_locally(cube, detectors, whitener, LocalWindow(7, 3), counted, elm, bands, threads=1)
+    reference, _ = score_cube_locally(cube, detectors, whitener, LocalWindow(7, 3), counted, elm, bands, threads=1)
     monkeypatch.setattr(local_scores, "_VALUES_AT_ONCE", 0)
     monkeypatch.setattr(local_scores, "_LINES_AT_ONCE", 1)  # segments of 16 lines
-    other = score_cube_locally(cube, detectors, whitener, LocalWindow(7, 3), counted, elm, bands, threads=2)
+    other, _ = score_cube_locally(cube, detectors, whitener, LocalWindow(7, 3), counted, elm, bands, threads=2)
     for name in detectors:
-        assert other.maps[name] == pytest.approx(reference.maps[name], rel=1e-10, abs=1e-12, nan_ok=True)
+        assert other[name] == pytest.approx(reference[name], rel=1e-10, abs=1e-12, nan_ok=True)
 
 
 def test_a_pixel_without_surroundings_takes_the_global_mean_and_is_counted(scene):
@@ -92,10 +94,10 @@ def test_a_pixel_without_surroundings_takes_the_global_mean_and_is_counted(scene
     mean, covariance = x.mean(axis=0), np.cov(x.T)
     nobody = np.zeros((LINES, SAMPLES), bool)
     whitener = whitener_of(mean, covariance)
-    found = score_cube_locally(cube, {"rx": ("rx", None)}, whitener, LocalWindow(7, 3), nobody, elm, bands)
-    assert found.without_surroundings == LINES * SAMPLES - 1
+    found, lonely = score_cube_locally(cube, {"rx": ("rx", None)}, whitener, LocalWindow(7, 3), nobody, elm, bands)
+    assert lonely == LINES * SAMPLES - 1
     expected = pixel_detector("rx", None, mean, covariance).score(rho[..., bands], whitener)
-    assert found.maps["rx"][0, 0] == pytest.approx(expected[0, 0], rel=1e-9)
+    assert found["rx"][0, 0] == pytest.approx(expected[0, 0], rel=1e-9)
 
 
 def test_a_background_that_drifts_hides_less(scene):
@@ -103,24 +105,19 @@ def test_a_background_that_drifts_hides_less(scene):
     cube, elm, rho, bands, counted = scene
     x = rho[..., bands].reshape(-1, int(bands.sum()))
     whitener = whitener_of(x.mean(axis=0), np.cov(x.T))
-    local = score_cube_locally(cube, {"rx": ("rx", None)}, whitener, LocalWindow(9, 3), counted, elm, bands)
+    local, _ = score_cube_locally(cube, {"rx": ("rx", None)}, whitener, LocalWindow(9, 3), counted, elm, bands)
     globally = pixel_detector("rx", None, whitener.mean, np.cov(x.T)).score(rho[..., bands], whitener)
-    inside = np.isfinite(local.maps["rx"])
-    assert local.maps["rx"][inside].mean() < globally[inside].mean()
+    inside = np.isfinite(local["rx"])
+    assert local["rx"][inside].mean() < globally[inside].mean()
 
 
 def moved(y, counted, window):
     """Means and numbers (lines, samples) of one channel."""
-    means = _MovingMeans(window, 2, y.shape[1])
-    lines, half = y.shape[0], window.outer // 2
-    out = []
-    for line in range(lines + half):
-        if line < lines:
-            row = np.stack([y[line], np.ones(y.shape[1])])
-            means.add(line, row, np.ones(y.shape[1], bool), counted[line])
-        if line >= half:
-            out.append(means.at(line - half)[2:])
-    return np.stack([m[0] for m, _ in out]), np.stack([n for _, n in out])
+    size, half = y.shape[1], window.outer // 2
+    empty = np.zeros((2, size)), np.zeros(size, bool), np.zeros(size, bool)
+    lines = [(np.stack([row, np.ones(size)]), np.ones(size, bool), c) for row, c in zip(y, counted, strict=True)]
+    out = list(moving_means([*[empty] * half, *lines, *[empty] * half], window))
+    return np.concatenate([m for _, _, m, _ in out]), np.stack([n for *_, n in out])
 
 
 def test_the_moving_mean_by_hand():
@@ -143,8 +140,8 @@ def test_the_moving_mean_by_hand():
 def test_what_makes_no_sense_is_refused(scene):
     cube, elm, _, bands, counted = scene
     for outer, inner in ((8, 3), (5, 5), (3, 5), (9, 2), (3, 1)):
-        with pytest.raises(UsageError, match="local window"):
-            LocalWindow(outer, inner)
+        with pytest.raises(ValidationError, match="_pixels"):
+            LocalWindowSource(outer_pixels=outer, inner_pixels=inner)
     w = whitener_of(np.zeros(6), np.eye(6))
     with pytest.raises(UsageError, match="no local form"):
         score_cube_locally(cube, {"a": ("sam", np.ones(6))}, w, LocalWindow(7, 3), counted, elm, bands)

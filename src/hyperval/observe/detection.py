@@ -786,15 +786,15 @@ def _score_maps(
         return maps, []
     window = LocalWindow(local.outer_pixels, local.inner_pixels)
     surroundings = place.background([IMAGE] if IMAGE in detection.background else [SCENE])
-    scored = score_cube_locally(
+    maps, lonely = score_cube_locally(
         cube, bank.forms, bank.whitener, window, surroundings, elm, bank.bands, needed=cube.axis.good, watch=watch
     )
     note = (
         f"background means from windows of {window.outer} less {window.inner} pixels; "
-        f"{scored.without_surroundings} pixels without surroundings take the mean of the background. "
+        f"{lonely} pixels without surroundings take the mean of the background. "
         "Predicted scores are against that mean throughout"
     )
-    return scored.maps, [note]
+    return maps, [note]
 
 
 class _Curves:

@@ -32,9 +32,10 @@ The image is scored in strips with as much around them as the window reaches, so
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -249,29 +250,11 @@ _VALUES_AT_ONCE = 4_000_000
 _LINES_AT_ONCE = 8
 
 
-@dataclass(frozen=True)
-class LocalWindow:
+class LocalWindow(NamedTuple):
     """Sides of the two squares [pixels], odd, the inner one less than the outer."""
 
     outer: int
     inner: int
-
-    def __post_init__(self) -> None:
-        if not (1 <= self.inner < self.outer and self.inner % 2 == self.outer % 2 == 1):
-            raise UsageError(
-                f"a local window of {self.outer} pixels outside and {self.inner} inside",
-                expected="odd numbers, the inner one less than the outer",
-            )
-        if self.outer**2 - self.inner**2 < LEAST_PIXELS:
-            raise UsageError(f"a local window of less than {LEAST_PIXELS} pixels", mend="make the outer one larger")
-
-
-@dataclass(frozen=True, eq=False)
-class LocalScores:
-    """Score maps (lines, samples) by name, and how many pixels fell back on the global mean."""
-
-    maps: dict[str, Array]
-    without_surroundings: int
 
 
 def score_cube_locally(
@@ -286,8 +269,8 @@ def score_cube_locally(
     needed: Mask | None = None,
     threads: int | None = None,
     watch: Callable[[Iterator[Any]], Iterator[Any]] = iter,
-) -> LocalScores:
-    """Score map of every detector with the mean of each pixel's surroundings.
+) -> tuple[dict[str, Array], int]:
+    """Score map of every detector with the mean of each pixel's surroundings; how many pixels had the global mean.
 
     Parameters
     ----------
@@ -311,152 +294,115 @@ def score_cube_locally(
     spectra = [whitener.mean if target is None else np.asarray(target, dtype=float) for _, target in detectors.values()]
     if any(t.shape != slope.shape for t in spectra):
         raise UsageError(f"a target does not have the {slope.size} bands that are selected")
-    targets = np.stack([whitener.matrix @ (t - whitener.mean) for t in spectra])
+    targets = [
+        (kind, whitener.matrix @ (t - whitener.mean)) for (kind, _), t in zip(detectors.values(), spectra, strict=True)
+    ]
     origin = whitener.matrix @ whitener.mean
-    rows = whitener.matrix * slope
-    constant = whitener.matrix @ (level - whitener.mean)
+    # y of a stored pixel, and below it a 1 that counts the pixels of a sum
+    rows = np.vstack([whitener.matrix * slope, np.zeros(slope.size)])
+    constant = np.append(whitener.matrix @ (level - whitener.mean), 1.0)
     around = window.outer // 2
-    width = max(16, _VALUES_AT_ONCE // (window.outer * (slope.size + 1)) - 2 * around)
-    stretches, workspace = runs(used), Workspace()
+    width = max(16, _VALUES_AT_ONCE // (window.outer * constant.size) - 2 * around)
     maps = {name: np.full((cube.lines, cube.samples), np.nan) for name in detectors}
-    kinds = [name for name, _ in detectors.values()]
 
-    def whitened(first: int, count: int, columns: slice) -> tuple[Array, Mask]:
-        """(count, F + 1, w): y of the lines, 0 without data, and a last row of 1; which pixels have data."""
-        stored, usable = cube.read_stored(first, count, must)
-        stored, usable = stored[:, :, columns], usable[:, columns]
-        pixels = workspace.flat("pixels", slope.size * usable.size, np.float64).reshape(slope.size, *usable.shape)
-        for source, goal in stretches:
-            np.copyto(pixels[goal], stored[source])
-        with np.errstate(invalid="ignore", over="ignore"):
-            y = rows @ pixels.reshape(slope.size, -1)
-            y += constant[:, None]
-        known = usable & np.isfinite(y).all(axis=0).reshape(usable.shape)
-        y[:, ~known.ravel()] = 0.0
-        out = np.ones((count, slope.size + 1, usable.shape[1]))
-        out[:, :-1] = y.reshape(slope.size, *usable.shape).transpose(1, 0, 2)
-        return out, known
-
-    def strip(first: int, end: int, start: int, stop: int) -> int:
-        """Score lines ``first`` to ``end`` of samples ``start`` to ``stop``; how many pixels lack surroundings."""
-        left, right = max(start - around, 0), min(stop + around, cube.samples)
-        inner, lonely = slice(start - left, stop - left), 0
-        means = _MovingMeans(window, slope.size + 1, right - left)
-        top, bottom = max(first - around, 0), min(end + around, cube.lines)
-        for batch in range(top, bottom, _LINES_AT_ONCE):
-            count = min(_LINES_AT_ONCE, bottom - batch)
-            for k, (y, has) in enumerate(zip(*whitened(batch, count, slice(left, right)), strict=True)):
-                means.add(batch + k, y, has, has & counted[batch + k, left:right])
-                last = bottom - 1 if batch + k == bottom - 1 else batch + k - around
-                for line in range(max(first, batch + k - around), min(end, last + 1)):
-                    middle, known, mean, number = means.at(line)
-                    scores = _scores(kinds, middle[:, inner], mean[:, inner], targets, origin)
-                    known = known[inner]
-                    lonely += int(np.count_nonzero((number[inner] < LEAST_PIXELS) & known))
-                    for name, score in zip(detectors, scores, strict=True):
-                        maps[name][line, start:stop] = np.where(known & np.isfinite(score), score, np.nan)
-        return lonely
+    def whitened(first: int, end: int, columns: slice) -> Iterator[tuple[Array, Mask, Mask]]:
+        """y (F + 1, w) of each line, which of its pixels have data, and which count; lines outside are empty."""
+        size = columns.stop - columns.start
+        empty = np.zeros((constant.size, size)), np.zeros(size, bool), np.zeros(size, bool)
+        yield from [empty] * max(0, -first)
+        for line in range(max(first, 0), min(end, cube.lines), _LINES_AT_ONCE):
+            stored, usable = cube.read_stored(line, min(_LINES_AT_ONCE, min(end, cube.lines) - line), must)
+            with np.errstate(invalid="ignore", over="ignore"):
+                y = rows @ stored[used, :, columns].reshape(slope.size, -1).astype(float)
+                y += constant[:, None]
+            known = usable[:, columns] & np.isfinite(y).all(axis=0).reshape(-1, size)
+            y[:, ~known.ravel()] = 0.0
+            y = y.reshape(constant.size, -1, size)
+            yield from ((y[:, k], has, has & counted[line + k, columns]) for k, has in enumerate(known))
+        yield from [empty] * max(0, end - cube.lines)
 
     def segment(firsts: range) -> int:
-        end = min(firsts[-1] + _LINES_AT_ONCE, cube.lines)
-        cuts = range(0, cube.samples, width)
-        return sum(strip(firsts[0], end, start, min(start + width, cube.samples)) for start in cuts)
+        """Score the lines of a segment in strips of samples; how many pixels lack surroundings."""
+        first, end, lonely = firsts[0], min(firsts[-1] + _LINES_AT_ONCE, cube.lines), 0
+        for start in range(0, cube.samples, width):
+            stop = min(start + width, cube.samples)
+            left, right = max(start - around, 0), min(stop + around, cube.samples)
+            inner = slice(start - left, stop - left)
+            means = moving_means(whitened(first - around, end + around, slice(left, right)), window)
+            for line, (y, known, mean, number) in enumerate(means, first):
+                has = known[inner]
+                lonely += int(np.count_nonzero(has & (number[inner] < LEAST_PIXELS)))
+                scores = _scores(targets, y[:, inner], mean[:, inner], origin)
+                for name, score in zip(detectors, scores, strict=True):
+                    maps[name][line, start:stop] = np.where(has & np.isfinite(score), score, np.nan)
+        return lonely
 
-    lonely = sum(count for _, count in watch(by_segments(cube, _LINES_AT_ONCE, segment, threads=threads)))
-    return LocalScores(maps, lonely)
+    return maps, sum(count for _, count in watch(by_segments(cube, _LINES_AT_ONCE, segment, threads=threads)))
 
 
-class _MovingMeans:
-    """Means over the window of each pixel of a line, while lines come in one after the other.
+def moving_means(
+    lines: Iterable[tuple[Array, Mask, Mask]], window: LocalWindow
+) -> Iterator[tuple[Array, Mask, Array, Array]]:
+    """y (F, w), pixels with data, means (F, w) of their surroundings and the pixels behind these, line by line.
 
-    Sums over the lines of the two squares move along; sums over samples are differences of cumulative sums.
+    The sums of the two squares over lines move along; those over samples are differences of cumulative sums.
+
+    Parameters
+    ----------
+    lines : y (F + 1, w) with a last row of 1, pixels with data, and pixels that count; half a window before the first
+        line and after the last are not given back
     """
-
-    def __init__(self, window: LocalWindow, rows: int, samples: int):
-        self._window = window
-        self._ring = np.zeros((window.outer, rows, samples))
-        self._known = np.zeros((window.outer, samples), bool)
-        self._weight = np.zeros((window.outer, samples))
-        self._sums = {side: np.zeros((rows, samples)) for side in (window.outer, window.inner)}
-        self._lines = {side: range(0) for side in (window.outer, window.inner)}
-        self._first = self._next = -1
-
-    def add(self, line: int, y: Array, known: Mask, counted: Mask) -> None:
-        """The next line (F + 1, samples), which pixels of it have data, and which count for a mean."""
-        if self._first < 0:
-            self._first = line
-        dropped = line - self._window.outer
-        if dropped in self._lines[self._window.outer]:  # its place is needed
-            self._move(self._window.outer, range(dropped + 1, self._lines[self._window.outer].stop))
-        at = line % self._window.outer
-        self._ring[at], self._known[at], self._weight[at] = y, known, counted
-        self._next = line + 1
-
-    def at(self, line: int) -> tuple[Array, Mask, Array, Array]:
-        """y (F, samples) of a line, which of its pixels have data, the means (F, samples), pixels behind these."""
-        outer, inner = self._window.outer, self._window.inner
-        for side in (outer, inner):
-            half = side // 2
-            self._move(side, range(max(line - half, self._first), min(line + half + 1, self._next)))
-        total = _along(self._sums[outer], outer) - _along(self._sums[inner], inner)
-        number = np.rint(total[-1])
-        mean = total[:-1]
-        mean *= np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
-        at = line % outer
-        return self._ring[at, :-1], self._known[at], mean, number
-
-    def _move(self, side: int, lines: range) -> None:
-        """Make the sum of a square that of ``lines``."""
-        window, total = self._lines[side], self._sums[side]
-        for line in window:
-            if line not in lines:
-                total -= self._weighted(line)
-        for line in lines:
-            if line not in window:
-                total += self._weighted(line)
-        if not lines:
-            total[:] = 0.0
-        self._lines[side] = lines
-
-    def _weighted(self, line: int) -> Array:
-        at = line % self._window.outer
-        weight = self._weight[at]
-        return np.asarray(self._ring[at] if weight.all() else self._ring[at] * weight)
+    held: deque[tuple[Array, Mask, Array]] = deque()
+    around = window.outer // 2
+    # (side, how many lines before the latest its own latest lies)
+    squares = {window.outer: 0, window.inner: around - window.inner // 2}
+    sums: dict[int, Array] = {}
+    for y, known, counts in lines:
+        held.append((y, known, y if counts.all() else y * counts))
+        for side, behind in squares.items():
+            total = sums.setdefault(side, np.zeros(y.shape))
+            if len(held) > behind:
+                total += held[-1 - behind][2]
+            if len(held) > behind + side:
+                total -= held[-1 - behind - side][2]
+        if len(held) > window.outer:
+            held.popleft()
+        if len(held) == window.outer:
+            total = _along(sums[window.outer], window.outer) - _along(sums[window.inner], window.inner)
+            number = np.rint(total[-1])
+            mean = total[:-1] * np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
+            middle, has, _ = held[around]
+            yield middle[:-1], has, mean, number
 
 
 def _along(values: Array, side: int) -> Array:
-    """Sums (F, samples) over ``side`` samples around each, cut at the ends."""
-    half, size = side // 2, values.shape[1]
-    summed = np.zeros((values.shape[0], size + 2 * half + 1))
-    np.cumsum(values, axis=1, out=summed[:, half + 1 : half + 1 + size])
-    summed[:, half + 1 + size :] = summed[:, half + size : half + size + 1]
-    return summed[:, 2 * half + 1 :] - summed[:, :size]
+    """Sums (F, w) over ``side`` samples around each, cut at the ends."""
+    summed = np.cumsum(np.pad(values, ((0, 0), (side // 2 + 1, side // 2))), axis=1)
+    return np.asarray(summed[:, side:] - summed[:, :-side])
 
 
-def _scores(names: list[str], y: Array, m: Array, targets: Array, origin: Array) -> Array:
-    """(K, N) scores of columns y (F, N) with local means m (F, N), both from the global mean."""
+def _scores(targets: list[tuple[str, Array]], y: Array, m: Array, origin: Array) -> Iterator[Array]:
+    """(N,) scores of columns y (F, N) with local means m (F, N), both from the global mean, by (detector, target)."""
     z = y - m
-    zz, mz, mm = (np.einsum("fn,fn->n", a, b) for a, b in ((z, z), (m, z), (m, m)))
-    tz, tm = targets @ z, targets @ m
-    out = np.empty((len(names), y.shape[1]))
-    for i, name in enumerate(names):
-        dz = tz[i] - mz  # d z with d = t - m
-        dd = float(targets[i] @ targets[i]) - 2.0 * tm[i] + mm
-        if name == "rx":
-            out[i] = zz
-        elif name == "ace":
-            out[i] = _ratio(dz**2, dd * zz)
-        elif name == "smf":
-            out[i] = _ratio(dz, np.sqrt(dd))
-        elif name == "cem-correlation":
+    zz = _dot(z, z)
+    for name, target in targets:
+        d = target[:, None] - m
+        dz, dd = _dot(d, z), _dot(d, d)
+        if name == "cem-correlation":
             # All from the origin; R^-1 = 1 - mu mu^T/(1 + mu^2) in whitened coordinates.
-            t, mu = targets[i] + origin, m + origin[:, None]
-            x = y + origin[:, None]
-            size, tmu = 1.0 + np.einsum("fn,fn->n", mu, mu), t @ mu
-            out[i] = _ratio(t @ x - tmu * np.einsum("fn,fn->n", mu, x) / size, float(t @ t) - tmu**2 / size)
+            t, mu, x = target + origin, m + origin[:, None], y + origin[:, None]
+            size, tmu = 1.0 + _dot(mu, mu), t @ mu
+            yield _ratio(t @ x - tmu * _dot(mu, x) / size, float(t @ t) - tmu**2 / size)
+        elif name == "rx":
+            yield zz
+        elif name == "ace":
+            yield _ratio(dz**2, dd * zz)
         else:
-            out[i] = _ratio(dz, dd)
-    return out
+            yield _ratio(dz, np.sqrt(dd) if name == "smf" else dd)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("fn,fn->n", a, b))
 
 
 def _ratio(a: Array, b: Array) -> Array:
