@@ -51,7 +51,10 @@ def test_intervals_of_the_errors_of_several_areas():
     error, spread = np.array([0.4, -0.1, 0.3]), np.array([0.2, 0.3, 0.6])
     observed = {(k, "fcls"): Abundance(2.0 + e, 0.1, 9, 2.0) for k, e in zip("abc", error, strict=True)}
     predicted = {(k, "fcls"): Abundance(2.05, s, 9, 2.0) for k, s in zip("abc", spread, strict=True)}
+    observed["d", "fcls"] = predicted["d", "fcls"] = Abundance(9.0, 0.1, 9, 9.0)  # one of a size has no spread
     rows = by_metric(compare_area_errors(predicted, observed))
+    assert rows["area_rmse_predicted"].value == pytest.approx(np.sqrt(0.05**2 + np.mean(spread**2)))
+    assert {r.subject for r in rows.values()} == {"all targets of 2 m2"}
     low, high = stats.t.interval(0.95, 2, loc=error.mean(), scale=stats.sem(error))
     bias = rows["area_bias_observed"]
     assert (bias.lower, bias.value, bias.upper) == pytest.approx((low, error.mean(), high))
@@ -62,7 +65,7 @@ def test_intervals_of_the_errors_of_several_areas():
     square = np.sum(error**2)  # over chi-square of three: the mean square of errors of mean 0
     rmse = rows["area_rmse_observed"]
     ends = np.sqrt(square / stats.chi2.ppf([0.975, 0.025], 3))
-    assert (rmse.lower, rmse.upper) == pytest.approx(tuple(ends))
+    assert (rmse.lower, rmse.value, rmse.upper) == pytest.approx((ends[0], np.sqrt(square / 3), ends[1]))
 
 
 def band(eigenvalues, angles):
@@ -84,7 +87,8 @@ def test_the_ratio_of_an_eigenvalue_is_expected_over_measured():
     row = by_metric(rows)["eigenvalue_ratio@1"]
     step = 2.0 / 118
     assert (row.lower, row.value, row.upper) == pytest.approx(((1 + 2 * step) / 4, 0.5, (3 - 2 * step) / 4))
-    assert by_metric(rows)["total_variance_ratio"].value == pytest.approx(2.0 / 5.0)
+    row = by_metric(rows)["total_variance_ratio"]
+    assert (row.lower, row.value, row.upper) == pytest.approx(((1 + 2 * step) / 5, 0.4, (3 - 2 * step) / 5))
 
 
 def curve(pd, half=0.0, **more):

@@ -9,7 +9,6 @@ import pytest
 
 from hyperval.compare import Gate, compare_products
 from hyperval.compare.covariance import compare_covariance, compare_distribution, independent_pixels
-from hyperval.compare.objects import compare_area_errors
 from hyperval.compare.scores import compare_classification
 from hyperval.processing.sample import noise_part
 from hyperval.products import (
@@ -171,23 +170,6 @@ def test_rows_of_classification():
     assert errors(predicted, None)["comparison"].outcome is Outcome.SKIPPED
 
 
-def test_area_errors_by_size():
-    nominal = {"a": 4.0, "b": 4.0, "c": 1.0}
-    observed = {
-        (k, "fcls"): Abundance(v + e, 0.1, 9, v) for (k, v), e in zip(nominal.items(), (1, -0.5, 0.2), strict=True)
-    }
-    predicted = {(k, "fcls"): Abundance(v + 0.1, 0.3, 9, v) for k, v in nominal.items()}
-    rows = {(r.subject, r.metric): r for r in compare_area_errors(predicted, observed)}
-    assert {s for s, _ in rows} == {"all targets of 4 m2"}  # a single target of a size has no spread
-    key = "all targets of 4 m2"
-    assert rows[key, "area_bias_observed"].value == pytest.approx(0.25)
-    assert rows[key, "area_rmse_observed"].value == pytest.approx(np.sqrt((1 + 0.25) / 2))
-    assert rows[key, "area_bias_predicted"].value == pytest.approx(0.1)
-    assert rows[key, "area_rmse_predicted"].value == pytest.approx(np.hypot(0.1, 0.3))
-    rmse = rows[key, "area_rmse_observed"]
-    assert rmse.lower < rmse.value < rmse.upper
-
-
 def test_all_of_it_is_in_the_table_and_can_gate():
     predicted = PredictedProducts(
         AXIS, radiance={"g": estimate(truth())}, distribution={"g": PixelDistribution()},
@@ -277,14 +259,14 @@ def test_calibration_error_of_a_class_follows_the_mean_square_of_its_pixels():
 
     The mean of 12 ratios is known to 0.4 %, and 5 standard errors are passed by chance once in a million."""
     rng = np.random.default_rng(34)
-    texture, c = np.full((B, B), 0.09), 0.02
+    texture, c, level = np.full((B, B), 0.36), 0.02, np.full(B, 2.0)
     there = {"observed_distribution": PixelDistribution(samples=4000)}
     found = []
     for _ in range(12):
-        light = rng.multivariate_normal(np.ones(B), texture, 4000)
+        light = rng.multivariate_normal(level, texture, 4000)
         seen = np.cov((light * (1.0 + c * rng.standard_normal(light.shape))).T)
-        more = {"predicted_noise": {"calibration": np.full(B, c**2)}, **there}
-        predicted = estimate(texture + c**2 * np.eye(B))
+        more = {"predicted_noise": {"calibration": (c * level) ** 2}, **there}
+        predicted = estimate(texture + np.diag(c * level) ** 2, mean=level)
         found.append(rows_of(predicted, estimate(seen, 4000), **more)["noise_ratio"])
     values = np.array([row.value for row in found])
     assert values.mean() == pytest.approx(1.0, abs=5 * values.std() / np.sqrt(12))

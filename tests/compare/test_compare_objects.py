@@ -231,6 +231,11 @@ def test_a_statistic_beyond_all_draws_has_the_least_p_value_that_they_can_give()
     assert objects._test(-1.0, np.linspace(0.0, 1.0, 99), np.zeros((len(objects.WIDTHS), 3))).p_value == 1.0
 
 
+def test_a_width_is_detected_at_one_percent_in_all_and_half_of_it_where_both_tails_count():
+    reference, wide = np.linspace(0.0, 1.0, 2001), np.array([0.985, 0.9925, 0.9975, 2.0])[:, None]
+    assert [objects._test(0.5, reference, wide, both).detectable for both in (False, True)] == [1.5, 2.0]
+
+
 # Objects that are independent and predicted by a normal law have normal scores that are independent standard normal
 # numbers, so that every null distribution drawn from the prediction is one of the textbook.  4,000 sets (2,000 for the
 # joint test) are drawn with a fixed seed: a p-value is off by 0.008 at most, and a limit at 2.5 % of a normal law by

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperval.processing.roc import WHOLE, AreaEstimate, area_estimates, area_variance, counts_of, roc_area
+from hyperval.processing.roc import WHOLE, AreaEstimate, area_estimates, counts_of, roc_area
 
 
 def roc_points(target, background):
@@ -19,11 +19,6 @@ def roc_points(target, background):
 def auc(target, background):
     """The area under the whole curve by production's counts."""
     return roc_area(counts_of(target, background))
-
-
-def auc_variance(target, background):
-    """Production's variance of it."""
-    return sum(area_variance(counts_of(target, background)))
 
 
 def auc_estimate(target, background) -> AreaEstimate:

@@ -7,7 +7,6 @@ from scipy.stats import norm
 
 from hyperval.errors import UsageError
 from hyperval.processing.alarm_blocks import AlarmBlocks
-from hyperval.processing.intervals import clopper_pearson
 from hyperval.processing.roc import (
     AREAS,
     WHOLE,
@@ -74,20 +73,6 @@ def test_one_alarm_in_every_block_is_as_independent_pixels_are():
     k, low, high = blocks.pfa_limits(np.array([0.5]))
     assert k.tolist() == [64]
     assert (low[0], high[0]) == pytest.approx(stats.beta.ppf([0.025, 0.975], 64.5, 1536.5))
-
-
-def test_clusters_of_equal_pixels_count_once():
-    # 8 blocks of 64 are alarms as a whole: the limits are those of 8 in 64, beta quantiles at 8 and 56 + 1.
-    rng = np.random.default_rng(3)
-    scores = np.zeros((64, 64))
-    tiles = np.zeros(64)
-    tiles[rng.permutation(64)[:8]] = 1.0
-    scores += tiles.reshape(8, 8).repeat(8, 0).repeat(8, 1)
-    _, low, high = AlarmBlocks.of_map(scores, np.ones((64, 64), bool), side=8).pfa_limits(np.array([0.5]))
-    eight = [float(x) for x in clopper_pearson(8, 64)]
-    assert low[0] == pytest.approx(eight[0], abs=0.02)
-    assert high[0] == pytest.approx(eight[1], abs=0.05)
-    assert high[0] - low[0] > 0.9 * (eight[1] - eight[0])
 
 
 @pytest.mark.simulation
@@ -191,20 +176,27 @@ def test_variance_of_an_area_is_that_of_its_parts_by_block():
     assert 1.0 < np.mean(ratio) < 1.3
 
 
-def test_halves_of_an_image_repeat_alarms_as_well_as_their_clusters_allow():
-    # Independent pixels: k alarms in all, k/2 in a half; the median of |ln ratio| is 0.674 x 2/sqrt(k). Seeds are
-    # fixed; that of one image is known to half of itself, as its own alarms lie as they do.
-    lines, samples = np.divmod(np.arange(40_000), 200)
-    alone = np.random.default_rng(1).standard_normal(40_000)
-    at = np.sort(alone)[::-1][[400]]
-    one = AlarmBlocks.of_places(alone, lines, samples).half_image_factor(at)[0]
-    assert np.log(one) == pytest.approx(0.674 * 2.0 / np.sqrt(400), rel=0.5)
-    # The same number in four roofs of 100 pixels: one half has none, or the halves differ by a factor of 3 often.
-    roofs = np.where((lines % 100 < 10) & (samples % 100 < 10), 10.0, alone)
-    clustered = AlarmBlocks.of_places(roofs, lines, samples).half_image_factor(np.array([9.0]))[0]
-    assert clustered > 1.5 > one
-    single = AlarmBlocks.of_places(alone[:9], lines[:9], samples[:9], 100)
-    assert single.half_image_factor(np.array([0.0]))[0] == np.inf
+def test_halves_of_an_image_differ_by_the_rates_of_their_own_pixels():
+    # Of 1, 1, 3, 3 pixels 1, 0, 0, 2 are alarms, and half of every block of a class of 32 pixels, which adds 16 to
+    # either half. Three ways to halve four blocks: 20 : 18 2/3, 20 : 18 and 22 : 16, each in a third of the draws.
+    block = np.repeat(np.arange(8), [1, 1, 3, 3, 8, 8, 8, 8])
+    scores = np.concatenate([[1.0, 0, 0, 0, 0, 1, 1, 0], np.tile([1.0, 0.0], 16)])
+    blocks = AlarmBlocks.of_places(scores, 20 * block, 0 * block, 10, block > 3)
+    assert blocks.half_image_factor(np.array([0.5])) == pytest.approx([20.0 / 18.0])
+    single = AlarmBlocks.of_places(scores, 0 * block, 0 * block, 10)
+    assert single.half_image_factor(np.array([0.5]))[0] == np.inf
+
+
+def test_ranks_of_a_threshold_are_those_whose_interval_holds_the_probability():
+    # 36 scores are few enough for the effect of each to be looked up: the limits themselves, one by one.
+    scores = np.random.default_rng(12).normal(size=(3, 3)).repeat(2, 0).repeat(2, 1) + np.arange(36).reshape(6, 6) / 99
+    blocks = AlarmBlocks.of_map(scores, np.ones((6, 6), bool), side=2)
+    _, low, high = blocks.pfa_limits(np.append(blocks.ascending[::-1], -np.inf))
+    pfa = np.array([0.1, 0.3, 0.85, 0.95])
+    holds = (low <= pfa[:, None]) & (pfa[:, None] <= high)
+    r, s = blocks.rank_limits(pfa)
+    assert r.tolist() == holds.argmax(axis=1).tolist()
+    assert s.tolist() == [37 - int(row[::-1].argmax()) for row in holds]
 
 
 def test_a_threshold_that_no_background_score_bounds_from_below_leaves_every_target_open():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import integrate, ndimage, optimize, stats
+from scipy.special import logit
 
 from hyperval.compare.spectral import chi_square_full
 from hyperval.errors import UsageError
@@ -26,8 +27,10 @@ from hyperval.processing.roc import (
     area_estimates,
     area_variance,
     average_roc,
+    clustered_variance,
     counts_of,
     empirical_roc,
+    interval_of_mean,
     logit_interval,
     pd_at_pfa,
     pooled_roc,
@@ -40,7 +43,7 @@ from hyperval.processing.roc_model import (
     object_detection_probability,
     score_density,
 )
-from hyperval.processing.sample import SamplingBand, drawn_factor, independent_pixels, neighbour_shares
+from hyperval.processing.sample import SamplingBand, drawn_factor, independent_pixels, neighbour_shares, noise_part
 from hyperval.processing.snr import snr_decorrelated
 from hyperval.products import ClassificationError, EstimatedPart, ExceedanceCurve, RocCurve
 
@@ -223,6 +226,28 @@ def test_logit_interval_has_student_s_quantile_of_the_smaller_sample():
     assert np.log(4.0) - np.log(low / (1 - low)) == pytest.approx(half, rel=1e-9)
 
 
+def test_far_limit_of_an_area_of_few_targets_holds_without_assumptions():
+    # Seven of eight found before all alarms, the last before 0.9 of them: Stringer's bound, of Clopper & Pearson's
+    # limits at 0.70 for 0 and 1 of 8, and beside it in quadrature what the background leaves open.
+    none, one = stats.beta.ppf(0.85, [1, 2], [8, 7])
+    least, value = 1.0 - none - 0.1 * (one - none), 1.0 - 0.1 / 8
+    for background in (0.0, 1e-4):
+        low = interval_of_mean(np.array([0.9, *7 * [1.0]]), 1e-6, background, 1000)[0]
+        assert low == pytest.approx(value - np.hypot(value - least, 1.959964 * np.sqrt(background)), rel=1e-6)
+
+
+def test_an_area_whose_background_is_few_blocks_is_known_by_their_part_of_the_variance():
+    rng = np.random.default_rng(4)
+    scores = rng.standard_normal((4, 4)).repeat(20, 0).repeat(20, 1)
+    blocks, counts = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool)), counts_of(rng.normal(0, 1, 60), scores)
+    found = area_estimates(counts, {"a": WHOLE}, "pixel", 0, rng, blocks)["a"]
+    background, dof = clustered_variance(counts, WHOLE, blocks)
+    whole = background + area_variance(counts)[0]
+    # Satterthwaite: V^2 over the sum of squares over degrees of freedom, those of the targets being many.
+    half = stats.t.ppf(0.975, whole**2 / (background**2 / dof)) * np.sqrt(whole) / (found.value * (1 - found.value))
+    assert logit(found.upper) - logit(found.value) == pytest.approx(half, rel=1e-6)
+
+
 @pytest.mark.parametrize(("m", "n"), [(5, 300), (12, 14)])
 def test_bootstrap_over_objects_has_the_variance_of_delong_few_objects_or_many(m, n):
     # 20,000 draws know a variance to 1 %; the two estimates are unbiased and differ by some parts of 1/m^2, 1/n.
@@ -395,6 +420,22 @@ def test_independent_pixels_behind_a_variance_are_those_of_the_squared_correlati
     for_mean, for_variance = np.mean(found, axis=0)
     assert for_variance == pytest.approx(size**2 / np.sum(rho**2 * shares), rel=0.15)
     assert for_mean == pytest.approx(size**2 / np.sum(rho * shares), rel=0.25)
+
+
+def test_a_ring_counts_where_its_mean_is_two_standard_errors_of_its_pairs_above_nought():
+    # 101 pixels of +-1 in a line, of whose 100 pairs c differ: rho = 1 - c / 50, and 0.2 is two standard errors.
+    shares = np.array([[0.0, 0, 0], [1, 1, 1], [0, 0, 0]])
+    for changes, independent in ((41, 101.0), (38, 101.0 / (1.0 + 2.0 * 0.24**2))):
+        sign = np.ones((1, 1, 101))
+        sign[..., np.linspace(1, 100, changes).astype(int)] = -1.0
+        found = independent_pixels([(np.cumprod(sign, axis=-1), np.ones((1, 101), bool))], shares, 101, 1)[1]
+        assert found == pytest.approx([independent])
+
+
+def test_noise_of_one_band_has_the_scatter_of_its_tails_and_of_its_columns():
+    # (2 + 3 kappa)/n of the square for the pixels (Waternaux 1976), 2/(columns - 1) for what the columns share.
+    found = noise_part([[8.0]], [[4.0]], [4.0], 100.0, 2.0, calibration=[1.0], samples=11)
+    assert (found.factor, found.uncertainty**2) == pytest.approx((2.0, 4.0 * 8.0 / 100.0 + 0.2 / 16.0))
 
 
 # Classification -----------------------------------------------------------------------------------

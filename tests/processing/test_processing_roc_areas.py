@@ -59,7 +59,7 @@ def test_areas_equal_the_exact_curve_with_ties(area, decimals):
 @given(
     st.lists(st.integers(-3, 3), min_size=2, max_size=9),
     st.lists(st.integers(-3, 3), min_size=2, max_size=12),
-    st.sampled_from([WHOLE, RocArea(0.0, 0.07)]),
+    st.sampled_from([WHOLE, RocArea(0.0, 0.07), LOG]),
 )
 @settings(max_examples=60)
 def test_variance_is_that_of_the_influence_of_each_score(target, background, area):

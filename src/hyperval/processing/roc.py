@@ -388,7 +388,7 @@ def _slope(area: RocArea, over: Array, tie: Array, part: float) -> Array:
     ends, mean = area.share(over + tie), area.averaged(over, tie)
     # d/dover and d/dtie of the mean over [over, over + tie]
     slanted = (ends - (area.share(over) if part == 1.0 else mean)) / step
-    return np.where(flat, part * single, slanted)
+    return np.where(flat, single, slanted)
 
 
 def logit_interval(
