@@ -11,12 +11,13 @@ from uncertain_scene import AXIS, scenario
 
 from hyperval.predict import Origins, predict
 from hyperval.prediction.cases import batch_of, case_of
-from hyperval.prediction.departure import Departure
+from hyperval.prediction.departure import Departure, StatisticsDeparture
 from hyperval.processing.roc_model import ClassScores, Host, RocScores, mixing, object_detection_probability
 from hyperval.scene.builtin import builtin_class
 
 BANDS = len(AXIS)
 LINEAR = ("cem", "cem-correlation", "matched-filter")
+GAIN = {"grass": 1.5, "asphalt": 0.7}  # of the classes' covariances
 SQUARE = "{geometry: {side_m: 1, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 3}}"
 
 
@@ -25,8 +26,8 @@ def scene(fill: str = "{fixed: 0.1}", tail: object = "null", detectors: str = "c
     return scenario(
         "",
         **{
-            "spectrum: {builtin: grass}}": "spectrum: {measured: field}, mixture: auto, tail_dof: measured}",
-            "spectrum: {builtin: asphalt}}": f"spectrum: {{builtin: asphalt}}, tail_dof: {tail}}}",
+            "spectrum: {builtin: grass}}": "spectrum: {measured: field}, mixture: auto, tail_dof: measured, gain: 1.5}",
+            "spectrum: {builtin: asphalt}}": f"spectrum: {{builtin: asphalt}}, tail_dof: {tail}, gain: 0.7}}",
             "host: asphalt": f"host: {host}\n      covariance: {{relative_sd: 0.05}}",
             "fill: {fixed: 0.1}": f"fill: {fill}",
             "detectors: [cem]": f"elm: none, samples: 4000, detectors: [{detectors}]",
@@ -37,6 +38,17 @@ def scene(fill: str = "{fixed: 0.1}", tail: object = "null", detectors: str = "c
 def run(of, components=None, **kwargs):
     origins = Origins(AXIS, {"field": of_region(components)})
     return predict(of, origins, **kwargs), case_of(of, origins, Departure())
+
+
+def drawn_host(host, dof, n, rng):
+    """Pixels (n, B) of a class by plain draws."""
+    of = builtin_class(host, AXIS)
+    if host == "grass":
+        away = drawn(two_clusters(dof), n, rng) - of.mean
+    else:
+        z = rng.standard_normal((n, BANDS)) * np.sqrt((dof - 2.0) / rng.chisquare(dof, n))[:, None]
+        away = z @ np.linalg.cholesky(of.covariance).T
+    return of.mean + np.sqrt(GAIN[host]) * away
 
 
 def host_exceedance(curve, made, case, detector, host):
@@ -102,12 +114,7 @@ def test_detections_are_those_of_drawn_pixels(dof, host, fill):
     )
     curve, group = made.roc["tenth", "cem", "pixel"], batch_of([case]).groups[0]
     filters, plank = group.filters["plank", "cem"][0], case.setup.surfaces["plank"]
-    if host == "grass":
-        behind = drawn(components, n, rng)
-    else:
-        asphalt = builtin_class("asphalt", AXIS)
-        z = rng.standard_normal((n, BANDS)) * np.sqrt((dof - 2.0) / rng.chisquare(dof, n))[:, None]
-        behind = asphalt.mean + z @ np.linalg.cholesky(asphalt.covariance).T
+    behind = drawn_host(host, dof, n, rng)
     own = plank.mean + rng.standard_normal((n, BANDS)) @ np.linalg.cholesky(plank.covariance + 1e-15 * np.eye(BANDS)).T
     pixels = fill * own + (1.0 - fill) * behind
     scores = pixels[:, group.bands] @ filters.weights[0] - filters.offset[0]
@@ -141,12 +148,9 @@ def test_ace_sees_the_same_pixels(dof, host):
     names, fractions = ("grass", "asphalt"), (0.7, 0.3)
     mean = sum(f * ground[k].mean for f, k in zip(fractions, names, strict=True))
     away = [ground[k].mean - mean for k in names]
-    spread = sum(f * (ground[k].covariance + np.outer(d, d)) for f, k, d in zip(fractions, names, away, strict=True))
-    if host == "grass":
-        behind = drawn(components, n, rng)
-    else:
-        z = rng.standard_normal((n, BANDS)) * np.sqrt((dof - 2.0) / rng.chisquare(dof, n))[:, None]
-        behind = ground["asphalt"].mean + z @ np.linalg.cholesky(ground["asphalt"].covariance).T
+    within = [GAIN[k] * ground[k].covariance for k in names]
+    spread = sum(f * (c + np.outer(d, d)) for f, c, d in zip(fractions, within, away, strict=True))
+    behind = drawn_host(host, dof, n, rng)
     plank = ground["plank"]
     own = plank.mean + rng.standard_normal((n, BANDS)) @ np.linalg.cholesky(plank.covariance + 1e-15 * np.eye(BANDS)).T
     root = np.linalg.inv(np.linalg.cholesky(spread))
@@ -157,6 +161,17 @@ def test_ace_sees_the_same_pixels(dof, host):
         p = curve.pd[at]
         error = np.sqrt(p * (1.0 - p) * (1.0 / n + 1.0 / 4000))
         assert abs(float(np.mean(scores > curve.threshold[at])) - p) < 4.5 * error
+
+
+def test_texture_finer_than_the_pixel_goes_by_the_fill_and_not_its_square():
+    def variance(fill, fine=0.0):
+        moved = Departure(statistics={"plank": StatisticsDeparture(fine_texture=fine)})
+        case = case_of(scene(f"{{fixed: {fill}}}"), Origins(AXIS, {"field": of_region(None)}), moved)
+        return batch_of([case]).scores("tenth", "cem").sd[0] ** 2
+
+    full, empty = variance(1.0), variance(1e-12)
+    for fine, part in ((0.0, 0.09), (0.5, 0.195), (1.0, 0.3)):
+        assert variance(0.3, fine) == pytest.approx(part * full + 0.49 * empty, rel=1e-9)
 
 
 def test_the_mixing_variable_gives_the_moments_and_the_tail():

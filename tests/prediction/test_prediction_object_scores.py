@@ -117,6 +117,18 @@ def test_a_neighbour_adds_its_part_of_the_pixels():
     assert 0.005 < moved / green < 0.3
 
 
+def test_a_neighbour_spreads_the_score_in_place_of_the_host():
+    # Along the grid and without blur 0.4 x 0.4 of the pixel is plank, 0.25 x 0.8 the neighbour, the rest the host.
+    text = SCENE.replace("psf_fwhm_pixels: 0.8, pixels: ranked, n: 6", "psf_fwhm_pixels: 0, phase: centred")
+    own, other = text.replace("gsd_m: 0.7, heading_deg: 10", "gsd_m: 1").split("- name: other")
+    text = own.replace("side_m: 1", "side_m: 0.4") + "- name: other" + other.replace("side_m: 1", "side_m: 0.8")
+    text = text.replace("covariance: {relative_sd: 0.02}", "covariance: {builtin: grass}")
+    found = run(place="position_m: [0, 0],", there="position_m: [0, 0.65],", text=text).object_scores["square", "cem"]
+    grass, asphalt = (filter_of().variance(builtin_class(name, AXIS).covariance) for name in ("grass", "asphalt"))
+    expected = (0.16**2 + 0.2**2) * grass + 0.64**2 * asphalt
+    assert found.values.var() == pytest.approx(expected, rel=0.036)  # 38,400 draws: 0.7 %, five of these
+
+
 def test_a_wider_blur_lowers_the_score_and_is_common():
     p = run("uncertainty: {psf_fwhm_pixels: 0.3}\n")
     certain = run()
