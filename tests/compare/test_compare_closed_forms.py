@@ -14,6 +14,7 @@ from hyperval.compare.spectral import compare_spectra, leading_source
 from hyperval.processing.intervals import Z95
 from hyperval.processing.sample import SamplingBand, Statistics
 from hyperval.products import Abundance, AlarmsAtDetection, RocCurve, SpectralEstimate
+from hyperval.results import Outcome
 from hyperval.spectra.axis import SpectralAxis, in_window
 
 MAKE = RowMaker("product", "planks", "cem/object")
@@ -40,6 +41,10 @@ def test_errors_of_areas_by_hand():
     for side, u in (("predicted", 0.3), ("observed", 0.4)):
         assert (half[f"area_{side}"], half[f"area_error_{side}"]) == pytest.approx((u, u))
     assert half["area_nominal_ratio"] == pytest.approx(0.4 / 2.5)
+    assert (row["area_ratio"].value, row["area_difference_ratio"].value) == pytest.approx((4.0 / 5.0, 1.0 / 4.0))
+    assert row["area_observed"].unit == "m2"
+    none = by_metric(compare_abundance(Abundance(11.0, 0.0), Abundance(-1.0, 0.0), **NAMES))
+    assert {none[m].outcome for m in ("area_difference_ratio", "area_inside_95")} == {Outcome.SKIPPED}
     assert row["area_z"].value == pytest.approx(1.0 / 0.5)
     assert row["area_inside_95"].value == 0.0  # 2.0 is beyond 1.96
     assert row["area_in_predicted_95"].value == 0.0  # 1.0 is beyond 1.96 of 0.3

@@ -161,10 +161,12 @@ def test_rows_of_classification():
     predicted = ClassificationError(0.10, 0.095, 0.105, 20_000, None, 1.0, 0.09, 0.04, 0.2)
     rows = errors(predicted, ClassificationError(0.12, 0.09, 0.16, 500, 300.0, 0.9))
     assert rows["error_difference"].value == pytest.approx(-0.02)
-    assert rows["error_difference"].lower == pytest.approx(-0.02 - np.hypot(0.005, 0.04))
+    ends = (rows["error_difference"].lower, rows["error_difference"].upper)
+    assert ends == pytest.approx((-0.02 - np.hypot(0.005, 0.04), -0.02 + np.hypot(0.005, 0.03)))
     assert rows["error_inside_interval"].value == 1.0
     assert "300 of 500" in rows["error_observed"].reason
-    assert (rows["error_bounds"].lower, rows["error_bounds"].upper) == (0.04, 0.2)
+    bounds = rows["error_bounds"]
+    assert (bounds.lower, bounds.value, bounds.upper) == pytest.approx((0.04, np.sqrt(0.04 * 0.2), 0.2))
     wrong = errors(predicted, ClassificationError(0.20, 0.17, 0.24, 500, 300.0, 0.9))
     assert wrong["error_inside_interval"].value == 0.0
     assert errors(predicted, None)["comparison"].outcome is Outcome.SKIPPED

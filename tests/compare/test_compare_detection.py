@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 from hyperval.compare import Gate, judged
-from hyperval.compare.objects import compare_abundance
 from hyperval.compare.products import compare_products
 from hyperval.compare.roc import compare_roc, curve_area, equivalent
 from hyperval.compare.rows import difference_interval, scientific
@@ -217,22 +216,6 @@ def test_sd_ratio_interval_covers():
         row = by_metric(compare_scores(ScoreDistribution(0.0, 0.2), observed, **NAMES))["score_sd_ratio"]
         hits += row.lower <= 2.0 <= row.upper
     assert 0.92 < hits / 1000 < 0.98
-
-
-def test_areas():
-    rows = by_metric(compare_abundance(Abundance(11.0, 0.3), Abundance(10.0, 0.4, 50), **NAMES))
-    assert rows["area_difference_ratio"].value == pytest.approx(0.1)
-    assert rows["area_z"].value == pytest.approx(2.0)
-    assert rows["area_inside_95"].value == 0.0
-    assert rows["area_observed"].unit == "m2"
-    assert rows["area_ratio"].value == pytest.approx(10 / 11)
-    spread = 1.959964 * np.hypot(0.4 / 11, 10 * 0.3 / 121)
-    assert rows["area_ratio"].lower == pytest.approx(10 / 11 - spread, rel=1e-6)
-    half = 1.959964 * np.hypot(0.03, 11 * 0.4 / 100)
-    assert rows["area_difference_ratio"].upper == pytest.approx(0.1 + half, rel=1e-6)
-    none = by_metric(compare_abundance(Abundance(11.0, 0.0), Abundance(-1.0, 0.0), **NAMES))
-    assert none["area_difference_ratio"].outcome is Outcome.SKIPPED
-    assert none["area_inside_95"].outcome is Outcome.SKIPPED
 
 
 def test_every_subject_of_either_side_has_rows():

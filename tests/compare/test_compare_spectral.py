@@ -10,6 +10,7 @@ from hyperval.compare import Gate, judged, spectral
 from hyperval.compare.outcomes import detectable_departure
 from hyperval.compare.rows import comparable_bands, median_interval, regions, size_intervals
 from hyperval.compare.spectral import (
+    ChiSquare,
     chi_square_diagonal,
     chi_square_full,
     chi_square_shape,
@@ -88,6 +89,7 @@ def test_diagonal_and_full_agree_without_correlation():
     assert full.value == pytest.approx(diagonal.value, rel=1e-12)
     assert (full.dof, diagonal.dof) == (30, 30)
     assert full.p_value == pytest.approx(stats.chi2.sf(full.value, 30))
+    assert ChiSquare(4.0, 1, 5.0).p_value == pytest.approx(2.0 * stats.t.sf(2.0, 5.0))  # of one band Student's test
 
 
 def test_full_test_rejects_true_cases_at_its_level():
@@ -354,3 +356,9 @@ def test_a_detectable_departure_is_rejected_four_times_in_five(nu):
         whole *= (nu - dof + 1.0) / dof / rng.chisquare(nu - dof + 1.0, whole.size)
         limit = stats.f.isf(spectral.POWER_LEVEL / 2.0, dof, nu - dof + 1.0)
     assert np.mean(whole > limit) == pytest.approx(0.8, abs=0.015)
+
+
+def test_a_source_has_its_part_of_the_variance_of_the_ratio_on_its_side():
+    # d(p/o) = dp/o - p do/o^2: of equal errors that of o counts by (p/o)^2.
+    p, o = (SpectralEstimate(np.full(2, v), np.eye(2), budget={n: np.ones(2)}) for n, v in (("p", 1.0), ("o", 2.0)))
+    assert spectral._shares(p, o, np.ones(2, bool)) == [("p", pytest.approx(0.8)), ("o", pytest.approx(0.2))]

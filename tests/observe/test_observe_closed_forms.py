@@ -49,14 +49,18 @@ def test_errors_of_a_panel_and_of_the_darkest_pixel_by_hand(make_radiance):
     assert found.line.covariance[:, 0, 0] == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_spread_that_a_file_carries_counts_by_the_number_of_its_readings(make_radiance, monkeypatch):
+@pytest.mark.parametrize("length", [None, 1e6])
+def test_a_spread_that_a_file_carries_counts_by_the_number_of_its_readings(make_radiance, monkeypatch, length):
     made = make_radiance()
     plain = Sources.spectrum
 
     def with_spread(self, source, name):
-        return replace(plain(self, source, name), standard_deviation=np.full(BANDS, 0.03), n=9, mean_error=None)
+        samples, spread = (AXIS.centre_nm, np.full(BANDS, 0.03)), {"standard_deviation": np.full(BANDS, 0.03), "n": 9}
+        return replace(plain(self, source, name), sampled_deviation=samples, mean_error=None, **spread)
 
     source = made.world.collection["empirical_line"]
+    for panel in source["panels"]:
+        panel["correlation_nm"] = length
     monkeypatch.setattr(Sources, "spectrum", with_spread)
     found = line_of(made, source)
     for errors in found.errors:

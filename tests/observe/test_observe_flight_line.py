@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pydantic import ValidationError
 from hyperval import cli
 from hyperval.collection import CollectionSection, Detection
 from hyperval.observe import observe
+from hyperval.observe.detection import anomaly_note
 
 PAGE = Path(__file__).parents[2] / "docs/flight-line.md"
 LINES, SAMPLES, BANDS = 40, 48, 30
@@ -94,6 +96,13 @@ def test_the_page_as_it_stands_gives_a_report_with_anomalies(tmp_path: Path):
     threshold = float(rows["anomaly_threshold@1e-2"]["value"])
     assert np.mean(scores > threshold) == pytest.approx(0.01, abs=1.0 / scores.size + 1e-6)
     assert float(rows["anomaly_threshold@1e-2"]["n"]) == scores.size
+
+
+def test_the_threshold_of_anomalies_lets_the_stated_part_through():
+    place = SimpleNamespace(cube=SimpleNamespace(transform=None))
+    note = anomaly_note(place, "rx", np.arange(2000.0).reshape(20, 100), np.ones((20, 100), bool))
+    assert "rx: 1 anomalies, groups of touching pixels beyond 1979, which 0.01 of" in note  # 20 lie above
+    assert "sample 99: 1999, 20 pixels" in note
 
 
 def test_without_targets_other_detectors_are_refused():

@@ -32,6 +32,11 @@ def test_mean_and_covariance_of_a_region_equal_numpy(world):
     assert part.dof == pytest.approx(199, rel=0.02)
     # A test widens by these degrees of freedom, and gets the covariance without the widening.
     assert part.model == pytest.approx(covariance / 200, rel=1e-9, abs=1e-18)
+    # Four pixels alike are fewer independent ones, behind the error as behind the samples' own covariance.
+    world.write(world.values[::2, ::2].repeat(2, axis=0).repeat(2, axis=1))
+    (part,) = world.observe().observation.reflectance["corner"].estimated
+    assert part.dof == pytest.approx(part.sample_dof)
+    assert part.dof < 120
     assert seen.observation.radiance == {}
     handed = seen.statistics["corner"]
     assert (handed.mean, handed.n) == (pytest.approx(pixels.mean(axis=0)), 200)

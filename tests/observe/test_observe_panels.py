@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_world import BANDS
 
 from hyperval.compare.spectral import compare_spectra
 from hyperval.observe.site_spectra import rounding_variance
@@ -115,5 +116,8 @@ def test_a_flat_panel_in_whole_numbers_has_the_error_of_its_rounding(make_radian
     world = make_radiance().world
     world.write(np.rint(world.values * 10.0), data_type=2)
     world.collection["cube"]["scale"] = 0.1
-    seen = world.observe().observation.radiance["white"]
-    assert seen.standard_uncertainty == pytest.approx(0.1 / np.sqrt(12.0), rel=0.01)
+    found = world.observe()
+    radiance, reflectance = found.observation.radiance["white"], found.observation.reflectance["corner"]
+    assert radiance.standard_uncertainty == pytest.approx(0.1 / np.sqrt(12.0), rel=0.01)
+    assert radiance.rounding == pytest.approx(np.full(BANDS, 0.01 / 12.0))
+    assert reflectance.rounding == pytest.approx(0.01 / 12.0 / found.elm.gain**2)

@@ -121,6 +121,11 @@ def test_fill_from_geometry_moves_its_mean_by_area():
     assert after.mean - before.mean == pytest.approx(0.01, rel=0.1)  # the area is exact, the phase nearly
 
 
+def test_a_spread_of_fill_stays_below_that_of_all_or_nothing():
+    after = true_fill(Fill(mean=0.5, sd=0.3), -0.48)
+    assert (after.mean, after.sd) == pytest.approx((0.02, 0.99 * np.sqrt(0.02 * 0.98)))
+
+
 def test_combined_adds_and_multiplies():
     a = Departure(settings={"atmosphere.aot550": 0.3}, spectra={"grass": 0.01}, path=1.1, wavelength_shift_nm=0.2)
     b = Departure(spectra={"grass": 0.02}, fill={"tenth": 0.01}, path=1.2, wavelength_shift_nm=0.1, recorded_gain=0.9)

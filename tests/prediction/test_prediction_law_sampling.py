@@ -101,6 +101,15 @@ def test_what_a_law_does_not_say_far_out_stays_there():
     assert z - ndtri(both.pd_lower[at]) == pytest.approx(np.hypot(0.3, z - ndtri(limits.pd_lower[at])), rel=1e-6)
 
 
+def test_a_factor_on_all_false_alarms_moves_a_straight_curve_along_its_slope():
+    pfa = np.logspace(-6, -0.1, 60)
+    z = 1.0 + 0.4 * np.log(pfa)
+    curve = RocCurve(pfa, *3 * [ndtr(z)], np.arange(60.0))
+    limits = with_law_limits(curve, ExceedanceCurve(np.arange(60.0), pfa[::-1], pfa[::-1] / 1.5, pfa[::-1] * 1.5))
+    for limit, sign in ((limits.pd_lower, -1), (limits.pd_upper, 1)):  # at its ends too
+        assert ndtri(limit) == pytest.approx(z + sign * 0.4 * np.log(1.5), abs=1e-9)
+
+
 def test_two_regions_are_independent(origins):
     """Half of the scene in each of two regions of the same pixels: each has half of the change of P_FA."""
     classes = [{"name": n, "fraction": 0.5, "spectrum": {"measured": n}} for n in ("field", "lawn")]

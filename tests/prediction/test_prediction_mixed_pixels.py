@@ -18,7 +18,7 @@ from hyperval.scene.builtin import builtin_class
 BANDS = len(AXIS)
 LINEAR = ("cem", "cem-correlation", "matched-filter")
 GAIN = {"grass": 1.5, "asphalt": 0.7}  # of the classes' covariances
-SQUARE = "{geometry: {side_m: 1, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 3}}"
+SQUARE = "{geometry: {side_m: 0.3, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 3}}"
 
 
 def scene(fill: str = "{fixed: 0.1}", tail: object = "null", detectors: str = "cem", host: str = "asphalt"):
@@ -124,11 +124,11 @@ def test_detections_are_those_of_drawn_pixels(dof, host, fill):
         assert abs(float(np.mean(scores > curve.threshold[at])) - p) < 4.5 * np.sqrt(p * (1.0 - p) / n) + 3.0 / n
 
 
-@pytest.mark.parametrize(("dof", "host"), [(3.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
+@pytest.mark.parametrize(("dof", "host"), [(None, "asphalt"), (3.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
 @pytest.mark.parametrize("fill", ["{fixed: 0.1}", SQUARE])
 def test_drawn_objects_have_the_law_of_their_curve(dof, host, fill):
     components = two_clusters(dof if host == "grass" else np.inf)
-    made, _ = run(scene(fill, dof if host == "asphalt" else "null", host=host), components, objects=True)
+    made, _ = run(scene(fill, (dof or "null") if host == "asphalt" else "null", host=host), components, objects=True)
     curve = made.roc["tenth", "cem", "object"]
     draws = np.sort(made.object_scores["tenth", "cem"].values, axis=None)
     found = 1.0 - np.searchsorted(draws, curve.threshold) / draws.size

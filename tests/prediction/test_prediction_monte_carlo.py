@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
+from scipy.special import polygamma
 from uncertain_scene import ATMOSPHERE, AXIS, engine, run, scenario
 
 from hyperval.predict import Origins
 from hyperval.prediction.departure import true_scenario
-from hyperval.prediction.monte_carlo import auc_of, emulator, quantities, tolerance
+from hyperval.prediction.monte_carlo import _drawn_estimate, auc_of, emulator, quantities, tolerance
 from hyperval.prediction.uncertainty import drawn_covariance, given_of, inputs_of
 from hyperval.processing.roc_model import detection_at
+from hyperval.products import SpectralEstimate
 from hyperval.scenario import FalseAlarmGrid, Scenario, Uncertainty
 
 KEY = ("tenth", "cem", "pixel")
@@ -119,6 +122,13 @@ def test_monte_carlo_alone_scales_spectra_and_takes_every_curve():
     assert np.any(p.roc[KEY].pd_lower != linear.roc[KEY].pd_lower)
 
 
+def test_a_spectrum_takes_the_width_of_its_draws_in_all_its_sources():
+    stated = SpectralEstimate(np.ones(3), 0.04 * np.eye(3), budget={"noise": np.full(3, 0.2)})
+    wider = _drawn_estimate(stated, np.full(3, 0.3))
+    assert wider.standard_uncertainty == pytest.approx(np.full(3, 0.3))
+    assert wider.budget["noise"] == pytest.approx(np.full(3, 0.3))
+
+
 def test_nothing_uncertain_needs_no_draw():
     p = run(with_method("both", "\nuncertainty:\n  method: both\n"))
     assert "propagation" not in p.provenance
@@ -152,7 +162,7 @@ def test_separation_of_a_drawn_covariance_follows_its_pivot():
     # (n - 1) d^T Sigma^-1 d / d^T S^-1 d is chi-square(n - B): mean n - B, variance 2 (n - B).  3,000 draws; 4.5
     # standard errors, false failure below 1e-5 each.
     rng = np.random.default_rng(2)
-    bands, n = 8, 60
+    bands, n = 8, 24
     root = np.tril(rng.standard_normal((bands, bands))) + 3.0 * np.eye(bands)
     s = root @ root.T
     d = rng.standard_normal(bands)
@@ -162,6 +172,12 @@ def test_separation_of_a_drawn_covariance_follows_its_pivot():
     )
     assert x.mean() == pytest.approx(n - bands, abs=4.5 * np.sqrt(2 * (n - bands) / 3000))
     assert x.var() == pytest.approx(2 * (n - bands), rel=4.5 * np.sqrt(2.3 / 3000))
+    # The logarithm of one standard deviation scatters by half of what that of chi-square does.
+    given = given_of(
+        scenario("uncertainty: {sampled_statistics: [{subject: asphalt, effective_n: 200}]}"), Origins(AXIS)
+    )
+    (spread,) = (item for item in inputs_of(given) if item.path.endswith("spread"))
+    assert spread.rows[0, 0] == pytest.approx(0.5 * np.sqrt(polygamma(1, 99.5)), rel=0.01)
     few = drawn_covariance(s, 12, rng)  # too few for a matrix: one factor
     assert few.covariance is None
     assert few.factor > 0
@@ -178,4 +194,6 @@ def test_area_of_a_curve_and_tolerance_of_a_limit():
     assert quantities(p)["AUC", *KEY][0] == auc_of(curve)
     # u = 0.02: one digit, half a unit of it is 0.005; with infinitely many draws nothing is added.
     np.testing.assert_allclose(tolerance(np.array([0.02, 0.9]), 10**12), [0.005, 0.05], rtol=1e-4)
-    assert tolerance(np.array([0.02]), 400)[0] > 0.005
+    # Of 10,000 uniform draws the 250th is a beta number, and so is the probability of a normal one.
+    error = np.std(stats.norm.isf(stats.beta(250, 9751).ppf((np.arange(4000) + 0.5) / 4000)))
+    assert tolerance(np.array([0.031]), 10_000) == pytest.approx([0.005 + 2.0 * 0.031 * error], rel=1e-3)

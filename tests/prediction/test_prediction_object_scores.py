@@ -63,24 +63,6 @@ def filter_of():
     return design_filter("cem", builtin_class("yellow-paint-plank", AXIS).mean, mean, covariance)
 
 
-def test_one_pixel_of_known_fill_is_normal():
-    p = run()
-    draws, model = p.object_scores["tenth", "cem"].values, p.scores["tenth", "cem"]
-    assert draws.shape[0] == 1  # nothing is uncertain
-    # 38,400 draws: standard errors of mean and sd are sd/196 and sd/277; five of them.
-    assert draws.mean() == pytest.approx(model.mean, abs=5 * model.sd / 196)
-    assert draws.std() == pytest.approx(model.sd, rel=5 / 277)
-
-
-def test_the_greatest_pixel_has_the_law_of_the_object_curve():
-    p = run()
-    curve = p.roc["square", "cem", "object"]
-    draws = np.sort(p.object_scores["square", "cem"].values, axis=None)
-    found = 1.0 - np.searchsorted(draws, curve.threshold) / draws.size
-    # The greatest error of a sampled distribution of 38,400: 0.0083 once in a thousand.
-    assert found == pytest.approx(curve.pd, abs=0.0083)
-
-
 def test_error_of_the_spectrum_moves_a_whole_row():
     p = run("uncertainty: {field_spectra: [{subject: plank, relative: 0.05}, {subject: plank, relative: 0.12}]}\n")
     values = p.object_scores["tenth", "cem"].values
@@ -141,15 +123,6 @@ def test_a_wider_blur_lowers_the_score_and_is_common():
     assert np.std(p.object_scores["tenth", "cem"].values.mean(axis=1)) < 2.0 * np.std(
         p.object_scores["tenth", "cem"].values
     ) / np.sqrt(values.shape[1])
-
-
-def test_tails_of_the_host():
-    heavy = run(text=SCENE.replace("{builtin: asphalt}}", "{builtin: asphalt}, tail_dof: 3}"))
-    normal = run()
-    a, b = (x.object_scores["tenth", "cem"].values for x in (heavy, normal))
-    assert a.std() == pytest.approx(b.std(), rel=0.1)  # the fourth moment of t3 does not exist
-    far = 5.0 * b.std()
-    assert np.mean(np.abs(a - a.mean()) > far) > 10 * max(np.mean(np.abs(b - b.mean()) > far), 1e-5)
 
 
 def test_same_seed_same_draws():

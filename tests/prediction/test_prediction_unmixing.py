@@ -31,12 +31,13 @@ def scenario(fill, pixels=1):
 
 
 def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariances=None, draws=4000, departure=None,
-              clusters=()):  # fmt: skip
+              clusters=(), objects=1, ring=10**6):  # fmt: skip
     grass = SpectralEstimate(GRASS, np.zeros((B, B)), spread)
     prediction = PredictedProducts(
         AXIS, reflectance={"grass": grass}, distribution={"grass": PixelDistribution(clusters=clusters)}
     )
-    subject = UnmixedSubject("paint 1 m", "paint 1 m", "paint", np.full(B, 0.3), uncertainty, 300.0, "", 1, 1.0, 10**6)
+    words, error = ("paint 1 m", "paint 1 m", "paint"), (uncertainty, 300.0, "")
+    subject = UnmixedSubject(*words, np.full(B, 0.3), *error, objects, 1.0, ring)
     found = predicted_areas(
         scenario(fill), prediction, [subject], np.ones(B, bool), covariances or {"fcls": None}, 4.0,
         Sources(AXIS, {}, lambda name: name), draws=draws, departure=departure,
@@ -52,6 +53,9 @@ def test_spread_is_the_linear_error_where_no_limit_binds():
     # A standard deviation of 4000 draws is known to 1.1 %, and so is that of the pool they are from: 5 % is three
     # of both.
     assert area.standard_uncertainty == pytest.approx(4.0 * np.sqrt(error), rel=0.05)
+    # The mean of four objects, whose background is known by the three pixels around them.
+    few = predicted({"fixed": 0.4}, objects=4, ring=3).standard_uncertainty
+    assert few == pytest.approx(4.0 * np.sqrt(error * (1.0 + 1.0 / 3.0) / 4.0), rel=0.05)
 
 
 def test_a_truth_with_another_fill_or_material_is_unmixed_with_the_endmembers_as_they_were():
