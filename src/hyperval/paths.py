@@ -1,21 +1,27 @@
 """Which files may be opened: regular files below the data root, never a URL or a virtual path.
 
 Names of files: patterns such as ``grass*.asd``, and the names nearest to one that does not exist.
+
+Text of files, gzipped or not: its beginning, all of it.
 """
 
 from __future__ import annotations
 
 import difflib
+import gzip
 import os
 import re
 import stat
+import zlib
 from collections.abc import Iterable
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError, UsageError, reader
+from hyperval.storage import decoded
 
 MAX_MATCHES = 1000
+MAX_TEXT_BYTES = 32 << 20
 
 
 def is_pattern(name: str) -> bool:
@@ -98,3 +104,25 @@ def _checked(given: Path, root: Path | None, what: str, *, folder: bool) -> Path
         kind = "a folder" if stat.S_ISDIR(mode) else "a file" if stat.S_ISREG(mode) else "a pipe, socket or device"
         raise InputError(f"is {kind}, not a {what}", where=text, expected="a folder" if folder else "a regular file")
     return given
+
+
+def head_of(path: Path, count: int = 512) -> bytes:
+    """The first bytes of a file, unzipped when it is gzipped."""
+    try:
+        with open(path, "rb") as stream:
+            opener = gzip.open if stream.read(2) == b"\x1f\x8b" else open
+        with opener(path, "rb") as stream:
+            return stream.read(count)
+    except FileNotFoundError as error:
+        raise InputError("no such file", where=str(path)) from error
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"cannot read: {error}", where=str(path)) from error
+
+
+@reader
+def read_text(path: Path, most: int = MAX_TEXT_BYTES) -> str:
+    """Text of a file, gzipped or not, of at most so many bytes."""
+    raw = head_of(path, most + 1)
+    if len(raw) > most:
+        raise InputError(f"larger than {most >> 20} MiB", where=str(path))
+    return decoded(raw)

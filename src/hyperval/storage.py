@@ -419,6 +419,12 @@ def is_no_program(code: int) -> bool:
     return bool(_tie()) and code in _NOT_STARTED
 
 
+def last_line(text: str) -> str:
+    """What a program said last, in at most 200 characters."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1].strip()[:200] if lines else "no message"
+
+
 @cache
 def _tie() -> tuple[str, ...]:
     """The program that asks Linux for it and then becomes the command: nothing runs between fork and exec here."""

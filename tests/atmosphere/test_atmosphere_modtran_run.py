@@ -16,10 +16,10 @@ from hyperval.atmosphere.modtran import (
     Modtran,
     configured_modtran,
     modtran6_json,
-    read_chn_blocks,
+    read_channels,
     run_modtran,
     tape5,
-    terms_from_blocks,
+    terms_from_runs,
 )
 from hyperval.errors import EngineError, InputError
 
@@ -146,7 +146,7 @@ def test_replayed_real_runs_give_their_terms(stand_in, tmp_path, data_dir):
     asked += "assert case['ATMOSPHERE']['H2OSTR'] == 1.25 and case['AEROSOLS']['VIS'] == -0.05\n"
     stand_in(asked + replay(tmp_path / "sample", "hyperval.chn"))
     terms = atmospheric_terms(AtmosphericState(**STATE), cache_dir=tmp_path / "cache")
-    direct = terms_from_blocks(read_chn_blocks(path), [0.0, 0.1, 0.5])
+    direct = terms_from_runs(read_channels(path), [0.0, 0.1, 0.5])
     np.testing.assert_allclose(terms.direct, direct.direct, rtol=1e-14)
     np.testing.assert_array_equal(np.isnan(terms.ground_irradiance), np.isnan(direct.ground_irradiance))
     np.testing.assert_array_equal(terms.fwhm_nm, direct.fwhm_nm)

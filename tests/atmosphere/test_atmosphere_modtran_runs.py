@@ -9,13 +9,12 @@ from modtran_samples import spectrum, tape7
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.atmosphere.modtran import (
     checked_albedos,
+    read_channels,
     read_chn,
-    read_chn_blocks,
     read_modtran_runs,
     read_tape7,
     solve_coefficients,
-    terms_from_blocks,
-    terms_from_tape7,
+    terms_from_runs,
 )
 from hyperval.errors import InputError, UsageError
 from hyperval.spectra.axis import SpectralAxis
@@ -104,10 +103,10 @@ def test_runs_that_do_not_belong_together_are_refused(tmp_path):
     (tmp_path / "tape7").write_text(tape7((0.0, 0.1, 0.5)))
     (tmp_path / "other").write_text(tape7((1.0,), terms=spectrum(61)))
     cases, other = read_tape7(tmp_path / "tape7"), read_tape7(tmp_path / "other")
-    with pytest.raises(InputError, match="other wavenumbers"):
-        terms_from_tape7([*cases, *other])
+    with pytest.raises(InputError, match="other wavelengths"):
+        terms_from_runs([*cases, *other])
     with pytest.raises(UsageError, match="4 albedos for 3 runs"):
-        terms_from_tape7(cases, [0.0, 0.1, 0.5, 1.0])
+        terms_from_runs(cases, [0.0, 0.1, 0.5, 1.0])
     with pytest.raises(UsageError, match="no MODTRAN output"):
         read_modtran_runs([])
 
@@ -123,8 +122,8 @@ AIRBORNE = [
 @pytest.mark.parametrize("relative", [*AIRBORNE, "pasadena/lut_multi/AOT550-0.1000_H2OSTR-1.5000.chn"])
 def test_real_runs_are_reproduced_and_agree_with_the_printed_coefficients(data_dir, relative):
     path = data_dir(relative)
-    blocks = read_chn_blocks(path)
-    terms, printed = terms_from_blocks(blocks), read_chn(path)
+    blocks = read_channels(path)
+    terms, printed = terms_from_runs(blocks), read_chn(path)
     assert terms.provenance["albedos"] == [0.0, 0.1, 0.5]
     for block, rho in zip(blocks, (0.0, 0.1, 0.5), strict=True):
         # What the ground emits goes down as it gets brighter, which 3.7 does not know: compare without it.
@@ -143,9 +142,9 @@ def test_real_runs_are_reproduced_and_agree_with_the_printed_coefficients(data_d
 @pytest.mark.data
 @pytest.mark.parametrize("relative", AIRBORNE)
 def test_each_real_run_follows_from_the_two_others(data_dir, relative):
-    blocks = read_chn_blocks(data_dir(relative))
+    blocks = read_channels(data_dir(relative))
     rho = [0.0, 0.1, 0.5]
-    s = blocks[0].spherical_albedo  # two runs give the level, the printed S the curvature
+    s = blocks[0].printed.spherical_albedo  # two runs give the level, the printed S the curvature
     total = [b.path + b.ground for b in blocks]
     lit = total[2] > 0.01 * total[2].max()
     bounced = [r / (1 - s * r) for r in rho]
@@ -159,8 +158,8 @@ def test_each_real_run_follows_from_the_two_others(data_dir, relative):
 
 @pytest.mark.data
 def test_channels_are_not_averaged_twice(data_dir):
-    blocks = read_chn_blocks(data_dir(AIRBORNE[0]))
-    terms = terms_from_blocks(blocks)
+    blocks = read_channels(data_dir(AIRBORNE[0]))
+    terms = terms_from_runs(blocks)
     axis = SpectralAxis(terms.wavelength_nm, terms.fwhm_nm)
     np.testing.assert_allclose(terms.at_bands(axis).direct, terms.direct, rtol=1e-12)
     with pytest.raises(UsageError, match="channels that do not suit the band"):

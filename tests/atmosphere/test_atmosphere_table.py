@@ -22,7 +22,7 @@ from hyperval.atmosphere import (
     read_table,
     write_table,
 )
-from hyperval.atmosphere.modtran import read_chn_blocks, terms_from_blocks
+from hyperval.atmosphere.modtran import read_channels, terms_from_runs
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.atmosphere.state import fraction_below
 from hyperval.atmosphere.table import AXES, QUANTITIES, coordinates, leave_one_out
@@ -412,7 +412,7 @@ def test_a_folder_of_real_channel_files_is_a_table(data_dir):
     assert len(table.source["files"]) == 7
     terms = table.terms(state(**AIRBORNE))
     path = data_dir(f"{FOLDER}/AOT550-0.2000_H2OSTR-1.2500.chn.gz")
-    exact = terms_from_blocks(read_chn_blocks(path))
+    exact = terms_from_runs(read_channels(path))
     for name in ("path_radiance", "direct", "adjacency", "spherical_albedo"):
         # The year of the template is not stated: its sun differs by less than 0.05 degree.
         np.testing.assert_allclose(getattr(terms, name), getattr(exact, name), rtol=1e-3, atol=1e-9)

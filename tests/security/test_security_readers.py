@@ -191,7 +191,7 @@ UNPACKABLE = gzip.compress(bytes(range(256)) * 9)[:40] + b"x" * 90
          "not valid GeoJSON: a number of 400 digits"),
         ("imagery.regions.read_regions", "a.json", MISNAMED, "unknown coordinate system 'EPSG:1,5'"),
         ("config.load_yaml", "a.yaml", b"schema: 1\nseed: " + b"9" * 4400, "a.yaml:2: a number of 4400 digits"),
-        ("atmosphere.modtran.read_chn_blocks", "a.chn.gz", UNPACKABLE, "cannot read: Error -3 while decomp"),
+        ("atmosphere.modtran.read_channels", "a.chn.gz", UNPACKABLE, "cannot read: Error -3 while decomp"),
     ],
 )  # fmt: skip
 def test_what_mutants_met_is_foreseen(function: str, name: str, content: bytes, message: str, tmp_path: Path):

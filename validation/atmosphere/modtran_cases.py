@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, read_chn
-from hyperval.atmosphere.modtran import read_chn_blocks, terms_from_blocks
+from hyperval.atmosphere.modtran import read_channels, terms_from_runs
 from hyperval.spectra.axis import SpectralAxis
 
 ALBEDOS = (0.0, 0.1, 0.5)
@@ -63,12 +63,12 @@ def matched(case: Case, terms: AtmosphericTerms) -> tuple[AtmosphericTerms, Atmo
     The file gives mu0 E0 / pi averaged over the channel; each term of ours is divided by its own average
     and multiplied by the file's.
     """
-    blocks = read_chn_blocks(case.path)
-    block = blocks[0]
-    reference = terms_from_blocks(blocks, case.albedos) if case.albedos else read_chn(case.path)
-    axis = SpectralAxis(block.wavelength_nm, np.clip(block.width_nm * 0.9394, 1.0, None))  # Gaussian of equal width
+    runs = read_channels(case.path)
+    run = runs[0]
+    reference = terms_from_runs(runs, case.albedos) if case.albedos else read_chn(case.path)
+    axis = SpectralAxis(run.wavelength_nm, np.clip(run.width_nm * 0.9394, 1.0, None))  # Gaussian of equal width
     ours = terms.at_bands(axis)
-    ratio = block.unit_radiance / ours.diffuser_radiance
+    ratio = run.sun / ours.diffuser_radiance
     return (
         AtmosphericTerms(
             ours.wavelength_nm, ours.path_radiance * ratio, ours.direct * ratio, ours.adjacency * ratio,

@@ -35,7 +35,7 @@ from contents import (
     written,
 )
 
-from hyperval.atmosphere.modtran import read_chn, read_chn_blocks, read_modtran_json, read_tape7, terms_from_blocks
+from hyperval.atmosphere.modtran import read_channels, read_chn, read_modtran_json, read_tape7, terms_from_runs
 from hyperval.atmosphere.table_files import read_table
 from hyperval.baseline.accepted import load_baseline
 from hyperval.campaign.job import read_texts
@@ -114,8 +114,8 @@ def _spectra(path: Path) -> None:
 
 
 def _terms(path: Path) -> None:
-    blocks = read_chn_blocks(path)
-    terms = read_chn(path) if len(blocks) == 1 else terms_from_blocks(blocks)
+    runs = read_channels(path)
+    terms = read_chn(path) if len(runs) == 1 else terms_from_runs(runs)
     finite(terms.path_radiance, "path_radiance")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from hyperval.atmosphere.cache import cache_folder
@@ -17,22 +16,10 @@ from hyperval.errors import InputError
 Resolve = Callable[[str], Path]
 
 
-@dataclass(frozen=True)
-class _Surroundings:
-    """What an engine may use: the cache folder, whether to draw progress, where referenced files are."""
-
-    folder: Path
-    show_progress: bool | None
-    resolve: Resolve
-
-
-Engine = Callable[[AtmosphericState, _Surroundings], AtmosphericTerms]
-
-
-def _table_terms(state: AtmosphericState, use: _Surroundings) -> AtmosphericTerms:
+def _table_terms(state: AtmosphericState, resolve: Resolve) -> AtmosphericTerms:
     assert state.table is not None  # noqa: S101 - the state's own check
     try:
-        path = use.resolve(state.table)
+        path = resolve(state.table)
     except InputError as error:
         if "a folder" not in error.what:
             raise
@@ -45,10 +32,10 @@ def _table_terms(state: AtmosphericState, use: _Surroundings) -> AtmosphericTerm
     return read_table(path).terms(state)
 
 
-ENGINES: dict[str, Engine] = {
-    "sixs": lambda state, use: sixs_terms(state, use.folder, use.show_progress),
-    "modtran": lambda state, use: modtran_terms(state, use.folder, use.show_progress),
-    "table": _table_terms,
+# State, cache folder and whether to draw progress: what computes the terms when they are asked for.
+ENGINES: dict[str, Callable[[AtmosphericState, Path, bool | None], AtmosphericTerms]] = {
+    "sixs": sixs_terms,
+    "modtran": modtran_terms,
 }
 
 
@@ -80,5 +67,6 @@ def atmospheric_terms(
     MissingDataError : the chosen solar spectrum is not at hand.
     UsageError : a state outside the table, or that the engine cannot be told.
     """
-    use = _Surroundings(cache_folder(cache_dir), show_progress, resolve or Path)
-    return ENGINES[state.engine](state, use)
+    if state.engine == "table":
+        return _table_terms(state, resolve or Path)
+    return ENGINES[state.engine](state, cache_folder(cache_dir), show_progress)

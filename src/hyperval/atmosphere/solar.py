@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import os
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
@@ -15,6 +14,7 @@ import numpy.typing as npt
 
 from hyperval.datasets import resolve
 from hyperval.errors import InputError, MissingDataError, UsageError
+from hyperval.paths import read_text
 from hyperval.storage import installed_file
 from hyperval.units import irradiance_to_internal
 
@@ -183,12 +183,8 @@ def _spectrum(name: str, places: tuple[str, ...]) -> tuple[Array, Array]:
 
 
 def _read_two_columns(path: Path, to_internal: float) -> tuple[Array, Array]:
-    if path.stat().st_size > _MAX_BYTES:
-        raise InputError(f"larger than {_MAX_BYTES} bytes", where=str(path), expected="a solar spectrum")
-    raw = path.read_bytes()
-    text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("ascii", "replace")
     rows = []
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), 1):
         parts = line.split("#")[0].split()
         if not parts:
             continue

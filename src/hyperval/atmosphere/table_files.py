@@ -20,13 +20,12 @@ import numpy.typing as npt
 from hyperval.atmosphere import solar, state
 from hyperval.atmosphere.cache import cache_folder
 from hyperval.atmosphere.modtran import (
-    ChannelBlock,
+    read_channels,
     read_chn,
-    read_chn_blocks,
     read_modtran_json,
     stated_albedo,
     stated_fields,
-    terms_from_blocks,
+    terms_from_runs,
 )
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import AtmosphericState
@@ -302,12 +301,11 @@ def _stated(template: Path) -> tuple[dict[str, Any], list[float] | None]:
 
 
 def _row(path: Path, albedos: list[float] | None) -> dict[str, Any]:
-    blocks = read_chn_blocks(path)
-    solved = len(blocks) >= 3
-    terms = terms_from_blocks(blocks, albedos) if solved else read_chn(path)
-    black = min(blocks, key=ChannelBlock.reflectance)
-    unit = black.unit_radiance
-    if np.any(unit <= 0.0) or np.any(np.diff(terms.wavelength_nm) <= 0):
+    runs = read_channels(path)
+    solved = len(runs) >= 3
+    terms = terms_from_runs(runs, albedos) if solved else read_chn(path)
+    unit = terms.diffuser_radiance
+    if unit is None or np.any(unit <= 0.0) or np.any(np.diff(terms.wavelength_nm) <= 0):
         raise InputError("channels without sun, or channels that overlap", where=str(path))
     irradiance = np.nan_to_num(terms.ground_irradiance, nan=0.0)
     return {

@@ -30,9 +30,9 @@ from hyperval.imagery.description import equals
 from hyperval.imagery.drawing import WARNING, ImageGrid, Position, RegionDrawing, named_crs
 from hyperval.imagery.envi import crs_of_wkt
 from hyperval.imagery.rasters import raster_of_size, stated_ignore_value
-from hyperval.imagery.text_files import head_of, read_table, read_text, read_xml
+from hyperval.imagery.text_files import read_table, read_xml
 from hyperval.imagery.tiff import TIFF_SUFFIXES
-from hyperval.paths import checked_file
+from hyperval.paths import checked_file, head_of, read_text
 
 Array = npt.NDArray[np.float64]
 MAX_XML_BYTES = 8 << 20

@@ -1,41 +1,18 @@
-"""Text of files beside an image, gzipped or not: its beginning, all of it, a table, XML."""
+"""Text of files beside an image, gzipped or not: a table, XML."""
 
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import re
-import zlib
 from collections.abc import Collection
 from pathlib import Path
 from xml.etree import ElementTree
 
 from hyperval.errors import InputError, reader
-from hyperval.storage import decoded
+from hyperval.paths import MAX_TEXT_BYTES, read_text
 
-MAX_TEXT_BYTES = 32 << 20
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")
-
-
-def head_of(path: Path, count: int = 512) -> bytes:
-    """The first bytes of a file, unzipped when it is gzipped."""
-    try:
-        with open(path, "rb") as stream:
-            opener = gzip.open if stream.read(2) == b"\x1f\x8b" else open
-        with opener(path, "rb") as stream:
-            return stream.read(count)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"cannot read: {error}", where=str(path)) from error
-
-
-@reader
-def read_text(path: Path, most: int = MAX_TEXT_BYTES) -> str:
-    """Text of a file, gzipped or not, of at most so many bytes."""
-    raw = head_of(path, most + 1)
-    if len(raw) > most:
-        raise InputError(f"larger than {most >> 20} MiB", where=str(path))
-    return decoded(raw)
 
 
 @reader
