@@ -13,6 +13,7 @@ import signal
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,14 @@ def trial(function: Callable[[], None]) -> str:
         warnings.simplefilter("ignore", DeprecationWarning)
         child = os.fork()
     if child == 0:
-        _in_child(function)
+        code = 0
+        try:
+            _limit_this_process()
+            function()
+        except MemoryError:
+            code = 1
+        finally:
+            os._exit(code)
     _, status = os.waitpid(child, 0)
     if os.WIFSIGNALED(status):
         ended = os.WTERMSIG(status)
@@ -67,51 +75,39 @@ def trial(function: Callable[[], None]) -> str:
     return f"asks for more than {MEMORY_BYTES >> 20} MiB" if os.WEXITSTATUS(status) else ""
 
 
-def _in_child(function: Callable[[], None]) -> None:
+def _limit_this_process() -> None:
     import resource
 
-    code = 0
-    try:
-        gc.disable()  # what the parent holds is not for the child to close
-        faulthandler.disable()  # a crash is an answer here
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: CPU_SECONDS}
-        memory = Path("/proc/self/statm")
-        if memory.is_file():
-            present = int(memory.read_text().split()[0]) * resource.getpagesize()
-            limits[resource.RLIMIT_AS] = present + MEMORY_BYTES
-        for kind, limit in limits.items():
-            most = resource.getrlimit(kind)[1]
-            lower = limit if most == resource.RLIM_INFINITY else min(limit, most)
-            resource.setrlimit(kind, (lower, lower))
-        function()
-    except MemoryError:
-        code = 1
-    finally:
-        os._exit(code)
+    gc.disable()  # what the parent holds is not for the child to close
+    faulthandler.disable()  # a crash is an answer here
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: CPU_SECONDS}
+    memory = Path("/proc/self/statm")
+    if memory.is_file():
+        present = int(memory.read_text().split()[0]) * resource.getpagesize()
+        limits[resource.RLIMIT_AS] = present + MEMORY_BYTES
+    for kind, limit in limits.items():
+        with suppress(ValueError):  # where the system's own limit is lower still
+            resource.setrlimit(kind, (limit, limit))
 
 
 def _walk(h5py: Any, path: str) -> None:
     """Meet every object of a file, its attributes, and its arrays so far as they are small."""
 
     def look(_: str, item: Any) -> bool | None:
-        for name in item.attrs:
-            _attempt(partial(item.attrs.__getitem__, name))
+        parts: list[Callable[[], object]] = [partial(item.attrs.__getitem__, name) for name in item.attrs]
         if isinstance(item, h5py.Dataset):
             small = item.size is not None and item.size * item.dtype.itemsize <= SMALL_BYTES
-            _attempt(lambda: item[()] if small else item.chunks and item.id.get_num_chunks())
+            parts.append(lambda: item[()] if small else item.chunks and item.id.get_num_chunks())
+        for read in parts:
+            try:
+                read()
+            except MemoryError:
+                raise
+            except Exception:  # noqa: S112 - the reader meets it too, and has words for it: it does not hide the next
+                continue
         return True if time.process_time() > ENOUGH_SECONDS else None  # whatever is returned ends the walk
 
     with h5py.File(path, "r") as file:
         if not look("/", file):
             file.visititems(look)
-
-
-def _attempt(call: Callable[[], object]) -> None:
-    """Call; a part that the library refuses does not hide the next."""
-    try:
-        call()
-    except MemoryError:
-        raise
-    except Exception:  # noqa: S110 - the reader meets it too, and has words for it
-        pass

@@ -737,7 +737,18 @@ def stated_fields(inputs: dict[str, Any], where: str) -> dict[str, Any]:
     try:
         sections = [inputs.get(name, {}) for name in ("ATMOSPHERE", "AEROSOLS", "GEOMETRY", "SURFACE")]
         atmosphere, aerosols, geometry, surface = sections
-        fields: dict[str, Any] = _air(atmosphere) | _template_haze(aerosols) | _sun(geometry)
+        fields: dict[str, Any] = _sun(geometry)
+        if atmosphere.get("MODEL") in _MODELS:
+            fields["model"] = _MODELS[atmosphere["MODEL"]]
+        if str(atmosphere.get("H2OUNIT", "")).lower() == "g":
+            fields["water_vapour_g_cm2"] = float(atmosphere["H2OSTR"])
+        if str(atmosphere.get("O3UNIT", "")).lower() == "a":
+            fields["ozone_atm_cm"] = float(atmosphere["O3STR"])
+        if aerosols.get("IHAZE") in _HAZES:
+            fields["aerosol"] = _HAZES[aerosols["IHAZE"]]
+        amount = float(aerosols.get("VIS", 0.0))
+        if amount != 0.0 and fields.get("aerosol") != "none":
+            fields |= {"aot550": -amount} if amount < 0.0 else {"meteorological_range_km": amount}
         if "GNDALT" in surface:
             fields["ground_altitude_km"] = float(surface["GNDALT"])
         if "H1ALT" in geometry:
@@ -758,27 +769,6 @@ def stated_albedo(inputs: dict[str, Any]) -> float | None:
     if surface.get("NSURF", 1) == 1 and name.startswith("LAMB_CONST_") and name.endswith("_PCT"):
         return int(name.removeprefix("LAMB_CONST_").removesuffix("_PCT")) / 100.0
     return None
-
-
-def _air(section: dict[str, Any]) -> dict[str, Any]:
-    fields: dict[str, Any] = {}
-    if section.get("MODEL") in _MODELS:
-        fields["model"] = _MODELS[section["MODEL"]]
-    if str(section.get("H2OUNIT", "")).lower() == "g":
-        fields["water_vapour_g_cm2"] = float(section["H2OSTR"])
-    if str(section.get("O3UNIT", "")).lower() == "a":
-        fields["ozone_atm_cm"] = float(section["O3STR"])
-    return fields
-
-
-def _template_haze(section: dict[str, Any]) -> dict[str, Any]:
-    fields: dict[str, Any] = {}
-    if section.get("IHAZE") in _HAZES:
-        fields["aerosol"] = _HAZES[section["IHAZE"]]
-    amount = float(section.get("VIS", 0.0))
-    if amount != 0.0 and fields.get("aerosol") != "none":
-        fields |= {"aot550": -amount} if amount < 0.0 else {"meteorological_range_km": amount}
-    return fields
 
 
 def _sun(geometry: dict[str, Any]) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from hyperval.atmosphere.modtran import (
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.table import AXES, NAMED, OPTIONAL, QUANTITIES, AtmosphericTable, coordinates, leave_one_out
+from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.errors import InputError, UsageError, reader
 from hyperval.hdf5 import check_hdf5
 from hyperval.progress import track
@@ -307,18 +308,20 @@ def _row(path: Path, albedos: list[float] | None) -> dict[str, Any]:
     unit = terms.diffuser_radiance
     if unit is None or np.any(unit <= 0.0) or np.any(np.diff(terms.wavelength_nm) <= 0):
         raise InputError("channels without sun, or channels that overlap", where=str(path))
+    return {**_quantities(terms, unit), "fwhm_nm": terms.fwhm_nm, "unit": unit, "solved": solved}
+
+
+def _quantities(terms: AtmosphericTerms, unit: Array) -> dict[str, Any]:
+    """What a table holds of terms under a sun of mu0 E0 / pi = ``unit`` (n,)."""
     irradiance = np.nan_to_num(terms.ground_irradiance, nan=0.0)
     return {
         "wavelength_nm": terms.wavelength_nm,
-        "fwhm_nm": terms.fwhm_nm,
-        "unit": unit,
         "path": np.maximum(terms.path_radiance, 0.0) / unit,
         "direct": np.maximum(terms.direct, 0.0) / unit,
         "adjacency": np.maximum(terms.adjacency, 0.0) / unit,
         "spherical_albedo": terms.spherical_albedo,
         "ground": np.maximum(irradiance, 0.0) / (np.pi * unit),
         "gas": terms.gas_transmittance,
-        "solved": solved,
         "diffuse": terms.diffuse_fraction,
     }
 
@@ -366,7 +369,7 @@ def build_table(
     states = [_at_node(base, dict(zip(order, c, strict=True))) for c in combinations]
     folder = cache_folder(cache_dir)
     rows = [
-        _quantities(state, folder) for state in track(states, "atmosphere table", total=len(states), show=show_progress)
+        _computed(state, folder) for state in track(states, "atmosphere table", total=len(states), show=show_progress)
     ]
     wavelength = rows[0]["wavelength_nm"]
     quantities = {
@@ -390,22 +393,11 @@ def _at_node(base: AtmosphericState, changes: dict[str, float]) -> AtmosphericSt
         raise UsageError(f"no valid state at {changes}: {error}") from error
 
 
-def _quantities(state: AtmosphericState, folder: Path) -> dict[str, Any]:
+def _computed(state: AtmosphericState, folder: Path) -> dict[str, Any]:
     terms = sixs_terms(state, folder, False)
     mu0 = np.cos(np.deg2rad(state.sun[0]))
     irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, terms.wavelength_nm, state.distance_au)
-    unit = mu0 * irradiance / np.pi
-    return {
-        "wavelength_nm": terms.wavelength_nm,
-        "path": terms.path_radiance / unit,
-        "direct": terms.direct / unit,
-        "adjacency": terms.adjacency / unit,
-        "spherical_albedo": terms.spherical_albedo,
-        "ground": terms.ground_irradiance / (np.pi * unit),
-        "gas": terms.gas_transmittance,
-        "diffuse": terms.diffuse_fraction,
-        "provenance": terms.provenance,
-    }
+    return {**_quantities(terms, mu0 * irradiance / np.pi), "provenance": terms.provenance}
 
 
 def _fixed(base: AtmosphericState, axes: list[str]) -> dict[str, Any]:
