@@ -289,27 +289,18 @@ class Sources:
         if source.builtin is not None:
             made = builtin_class(source.builtin, self.axis)
             return SurfaceStatistics(name, made.mean, made.covariance, made.source)
-        if source.measured is not None:
-            known = self._measured(source.measured, name)
-            return SurfaceStatistics(
-                name, known.mean, known.covariance, known.source or "measured", known.tail_dof, None, known.n,
-                components=known.components,
-            )  # fmt: skip
         if source.constant is not None:
             flat = np.full(bands, source.constant)
             return SurfaceStatistics(name, flat, np.zeros((bands, bands)), "constant reflectance")
-        if source.library is not None:
-            record = self._library(source.library, source.record, name, "spectrum")
+        if source.measured is not None or source.library is not None:
+            if source.library is not None:
+                known = self._library(source.library, source.record, name, "spectrum")
+            else:
+                known = self._measured(str(source.measured), name)
             return SurfaceStatistics(
-                name,
-                record.mean,
-                record.covariance,
-                record.source or source.library,
-                record.tail_dof,
-                None,
-                record.n,
-                components=record.components,
-            )
+                name, known.mean, known.covariance, known.source or source.library or "measured", known.tail_dof, None,
+                known.n, components=known.components,
+            )  # fmt: skip
         if source.replicates is not None:
             sample = self._replicates(source.replicates, name)
             return SurfaceStatistics(
@@ -329,8 +320,10 @@ class Sources:
         from hyperval.statistics_library import on_bands, read_statistics_library
 
         try:
-            records = read_statistics_library(self.resolve(file), None if record is None else str(record))
-            return on_bands(records, self.axis)
+            asked = (self.resolve(file), record)
+            if asked not in self.read:
+                self.read[asked] = read_statistics_library(asked[0], None if record is None else str(record))
+            return on_bands(self.read[asked], self.axis)
         except UsageError as error:
             where = f"{key}.library of {name!r}: " + (error.where or file)
             raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend) from error
