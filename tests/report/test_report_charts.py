@@ -23,11 +23,10 @@ from hyperval.report.charts import (
     spectra_chart,
 )
 from hyperval.report.charts_base import FIRST_CURVES
-from hyperval.report.figures import pair_figures
+from hyperval.report.figures import spectra_plots
 from hyperval.report.netcdf import labelled_arrays
 from hyperval.report.plots_run import eigenvalue_plots
 from hyperval.report.run import ScoreMap, difference, eigenvalues
-from hyperval.report.style import house_style
 from hyperval.results import Outcome, Result, Role
 from hyperval.spectra.axis import SpectralAxis
 
@@ -177,9 +176,8 @@ def test_bands_that_go_by_number_are_called_so(run):
     assert "absorption" not in chart.title
     assert not models(chart.content, "VStrip")
     assert "wavelength" not in chart.alt
-    with house_style():
-        (drawing, *_) = pair_figures((None, observed), "reflectance", simulated=False)
-    assert "against number of the band" in drawing.alt
+    (plots, *_) = spectra_plots((None, observed), "reflectance")
+    assert "against number of the band" in plots.alt
     assert labelled_arrays(observed).coords["wavelength"][2] == {"units": "1", "long_name": "number of the band"}
     known = spectra_chart((None, run.observation), "reflectance")
     assert models(known.content, "VStrip")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.patches import Patch
 
 from hyperval.report import style
 from hyperval.report.style import lay_out
@@ -21,7 +22,7 @@ def test_panels_and_their_labels_do_not_overlap(rows, columns, bar):
             axes.set_xlabel("wavelength [nm]")
         if bar:
             figure.colorbar(image, ax=axes, label="score [1]")
-        style.add_legend(figure, [(style.interval_handle("red"), "interval")])
+        style.add_legend(figure, [(Patch(color="red"), "interval")])
         lay_out(figure)
         renderer = figure.canvas.get_renderer()
         boxes = [axes.get_tightbbox(renderer) for axes in figure.axes]

@@ -22,11 +22,11 @@ from synthetic_run import NASTY, axis, make_run
 from hyperval.products import ObservedProducts, PredictedProducts, RocCurve
 from hyperval.report import RunReport, write_index, write_outputs
 from hyperval.report import verdict as v
-from hyperval.report.figures import drawings_of, pair_figures
+from hyperval.report.figures import drawings_of, spectra_plots
 from hyperval.report.html import MAX_BYTES, index_page, report_page
 from hyperval.report.pictures import draw_pictures
 from hyperval.report.run import Planted, PowerTable, best_counted
-from hyperval.report.style import Drawing, Print, house_style, pages
+from hyperval.report.style import Drawing, Print, pages
 from hyperval.results import Outcome, Result, ResultTable, Role
 
 CURVE = RocCurve(*(np.linspace(0.1, 1.0, 4) for _ in range(5)))
@@ -407,11 +407,10 @@ def test_one_side_alone_is_drawn(kept):
 def test_what_one_side_alone_holds_gives_way_to_what_can_be_compared():
     run = make_run(subjects=("grass", "lawn"), curves=0, bands=6)
     predicted = dataclasses.replace(run.prediction, snr={"grass": run.prediction.snr["grass"]})
-    with house_style():
-        (drawing,) = pair_figures((predicted, run.observation), "snr", simulated=False)
-    assert drawing.title.endswith("; 1 of 2 are drawn, all are in products.nc")
-    assert "grass" in drawing.alt
-    assert "lawn" not in drawing.alt
+    (plots,) = spectra_plots((predicted, run.observation), "snr")
+    assert plots.title.endswith("; 1 of 2 are drawn, all are in products.nc")
+    assert "grass" in plots.alt
+    assert "lawn" not in plots.alt
 
 
 def test_pools_of_targets_have_the_first_place_among_too_many_curves():
@@ -456,10 +455,9 @@ def test_number_of_figures_is_bounded():
     assert [len(page) for page in pages(range(1000))] == [12, 12]
     assert pages([]) == []
     many = make_run(bands=6, subjects=[f"s{i}" for i in range(26)], curves=0, shape=(4, 4))
-    with house_style():
-        drawings = pair_figures((many.prediction, many.observation), "snr", simulated=False)
-    assert [drawing.name for drawing in drawings] == ["snr-pair-1", "snr-pair-2"]
-    assert all(drawing.title.endswith("; 24 of 26 are drawn, all are in products.nc") for drawing in drawings)
+    figures = spectra_plots((many.prediction, many.observation), "snr")
+    assert [plots.name for plots in figures] == ["snr-pair-1", "snr-pair-2"]
+    assert all(plots.title.endswith("; 24 of 26 are drawn, all are in products.nc") for plots in figures)
 
 
 def test_score_maps_keep_values_and_place(files, run, tmp_path):

@@ -26,13 +26,20 @@ from hyperval.report.charts_base import LABELS, Chart, ChartFill, Curves, Labels
 from hyperval.report.plots import Axis, Plots, SubjectView
 from hyperval.report.run import ScoreMap, Sides, best_counted, both_first, difference, of_side
 from hyperval.results import Outcome, Result
-from hyperval.spectra.axis import in_window
+from hyperval.spectra.axis import SpectralAxis, in_window
 
 Array = npt.NDArray[np.float64]
 Column = npt.NDArray[np.float32]
 
 _COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
 SPECTRA = ("radiance", "toa_reflectance", "snr", "reflectance")
+# Of a product: its axis, its title, and whether its difference is a ratio.
+SPECTRA_WORDS = {
+    "radiance": ("radiance [µW cm⁻² sr⁻¹ nm⁻¹]", "Radiance at the sensor", True),
+    "reflectance": ("reflectance [1]", "Reflectance", False),
+    "toa_reflectance": ("reflectance [1]", "Reflectance at the top of the atmosphere", True),
+    "snr": ("signal-to-noise ratio [1]", "Signal-to-noise ratio", True),
+}
 MOST_SUBJECTS = 24
 MOST_CURVES = 24
 FIRST = "the first few"  # of the subjects of curves
@@ -80,12 +87,7 @@ def draw_charts(sides: Sides, rows: Sequence[Result], labels: Labels = LABELS) -
 
 def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), labels: Labels = LABELS) -> Chart | None:
     """Both sides of one subject at a time over wavelength, with the difference below; None without any."""
-    label, title, ratio = {
-        "radiance": ("radiance [µW cm⁻² sr⁻¹ nm⁻¹]", "Radiance at the sensor", True),
-        "reflectance": ("reflectance [1]", "Reflectance", False),
-        "toa_reflectance": ("reflectance [1]", "Reflectance at the top of the atmosphere", True),
-        "snr": ("signal-to-noise ratio [1]", "Signal-to-noise ratio", True),
-    }[product]
+    label, title, ratio = SPECTRA_WORDS[product]
     predicted, collected = (of_side(side, product) for side in sides)
     every = both_first(predicted, collected)
     pairs = [subject for subject in every if subject in predicted and subject in collected]
@@ -103,7 +105,6 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
     name, first = f"chart-{product}", spectra[0]
     over, grey = ("number of the band", "") if first.numbered else ("wavelength", " (grey: absorption)")
     below = ", the difference below" if "difference" in first.bands else ""
-    nm = float(first.nm[0]), float(max(first.nm[-1], first.nm[0] + 1.0))
     return Chart(
         name,
         product,
@@ -112,7 +113,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
         f"intervals{below}. Subjects: {', '.join(shown)}.",
         chart_content(
             chart_models("spectra", name, tuple(first.bands), first.numbered, label, ratio, labels),
-            ChartFill(ranges={"nm": nm}),
+            ChartFill(ranges={"nm": wavelength_ends(first.nm)}),
             [one.packed(first.nm if i else None) for i, one in enumerate(spectra)],
         ),
         tuple(shown),
@@ -176,7 +177,7 @@ def subject_spectra(
     ]
     axis = estimates[0][1]
     w = axis.centre_nm
-    keep = in_window(w) if in_window(w).any() else np.ones(w.shape, bool)
+    keep = in_windows(axis)
     bands: dict[str, tuple[Array, Array]] = {}
     for name, own, estimate in estimates:
         if own.matches(axis):
@@ -197,6 +198,17 @@ def subject_spectra(
     return Spectra(_column(w), axis.numbered, columns, ranges)
 
 
+def wavelength_ends(nm: Array | Column) -> tuple[float, float]:
+    """Ends of the axis of band centres; of a single band with room beside it."""
+    return float(nm[0]), float(max(nm[-1], nm[0] + 1.0))
+
+
+def in_windows(axis: SpectralAxis) -> npt.NDArray[np.bool_]:
+    """Bands in the windows of the atmosphere; all, where none is."""
+    keep = in_window(axis.centre_nm)
+    return keep if keep.any() else np.ones(keep.shape, bool)
+
+
 def _edges(band: tuple[Array, Array], keep: npt.NDArray[np.bool_]) -> list[Array]:
     value, half = band
     return [(value - half)[keep], (value + half)[keep]]
@@ -210,10 +222,8 @@ def _fill_curves(
     measured: Mapping[Any, RocCurve],
 ) -> Curves:
     """Note the numbers of the curves of one detector and unit."""
-    curves = [c[key] for c in (predicted, measured) for key in keys if key in c]
-    lowest = min((float(c.pfa[c.pfa > 0].min()) for c in curves if (c.pfa > 0).any()), default=1e-3)
+    low = lowest_pfa([c[key] for c in (predicted, measured) for key in keys if key in c], measured)
     counted = [1.0 / c.n_background for c in measured.values() if c.n_background]
-    low = max(lowest, min(counted) / 100.0 if counted else lowest)
     fill.ranges[f"pfa-{tab}"] = low, 1.0
     if counted:
         fill.spans[f"counted-{tab}"] = min(counted)
@@ -221,12 +231,18 @@ def _fill_curves(
     for number, key in enumerate(keys):
         sides = tuple(side for side, own in enumerate((predicted, measured)) if key in own)
         for side in sides:
-            fill.add(f"curve-{tab}-{number}-{side}", _curve_data((predicted, measured)[side][key], low))
+            fill.add(f"curve-{tab}-{number}-{side}", curve_data((predicted, measured)[side][key], low))
         subjects.append((key[0], sides))
     return Curves(tuple(subjects), bool(counted))
 
 
-def _curve_data(curve: RocCurve, low: float) -> dict[str, Column]:
+def lowest_pfa(curves: Sequence[RocCurve], measured: Mapping[Any, RocCurve]) -> float:
+    """The least P_FA that curves are drawn at: two decades past what the background can resolve are enough."""
+    lowest = min((float(c.pfa[c.pfa > 0].min()) for c in curves if (c.pfa > 0).any()), default=1e-3)
+    return max(lowest, min((1.0 / c.n_background / 100.0 for c in measured.values() if c.n_background), default=0.0))
+
+
+def curve_data(curve: RocCurve, low: float) -> dict[str, Column]:
     """At most a few hundred points of a curve, evenly spread over the logarithm of P_FA."""
     keep = np.flatnonzero(curve.pfa >= low)
     if keep.size > _MOST_POINTS:

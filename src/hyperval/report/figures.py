@@ -15,14 +15,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
@@ -32,23 +31,26 @@ from matplotlib.ticker import MaxNLocator
 
 from hyperval.errors import UsageError
 from hyperval.processing.roc_model import detection_at
-from hyperval.products import SPECTRA, ObservedProducts, PredictedProducts, RocCurve, SpectralEstimate
+from hyperval.products import SPECTRA, ObservedProducts, PredictedProducts, RocCurve
 from hyperval.report import style
+from hyperval.report.charts import (
+    SPECTRA_WORDS,
+    Spectra,
+    curve_data,
+    in_windows,
+    lowest_pfa,
+    subject_spectra,
+    wavelength_ends,
+)
 from hyperval.report.netcdf import read_products
-from hyperval.report.plots import GREY, Axis, Mark, Part, Plots, SubjectView
+from hyperval.report.plots import GREY, Axis, Mark, Part, Plots, SubjectView, measured_mark, predicted_mark
 from hyperval.report.plots_run import equivalence_margin, every_plot
-from hyperval.report.run import EigenvalueSpectrum, Sides, TailCurve, best_counted, both_first, difference, of_side
+from hyperval.report.run import EigenvalueSpectrum, Sides, TailCurve, best_counted, both_first, of_side
 from hyperval.report.stored import read_results
-from hyperval.report.style import COLLECTED, PREDICTED, Drawing, Look, Print, house_style
+from hyperval.report.style import Drawing, Print, house_style
 from hyperval.results import ResultTable
-from hyperval.spectra.axis import in_window
 from hyperval.storage import whole_folder
 
-if TYPE_CHECKING:
-    pass
-
-COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
-TEXT_GREY = "#444444"
 Entries = list[tuple[Any, str]]
 
 
@@ -59,24 +61,21 @@ def small_multiples(
     simulated: bool,
     *,
     row_in: float,
-    more_in: float = 1.0,
-    columns: int = 0,
 ) -> tuple[Figure, list[list[Axes]]]:
     """A figure with ``count`` panels, named at the left and at the foot alone.
 
     Parameters
     ----------
     labels : of x, of y, and of y of the lower part where a panel has two
-    row_in, more_in : height of a row, and of everything else [in]
-    columns : as suits the count where it is 0
+    row_in : height of a row [in]
 
     Returns
     -------
     The figure, and the parts of each panel from above.
     """
-    columns = columns or style.column_count(count)
+    columns = style.column_count(count)
     rows, parts = math.ceil(count / columns), len(labels) - 1
-    figure = style.new_figure(10.0, more_in + row_in * rows, title, simulated)
+    figure = style.new_figure(10.0, 1.0 + row_in * rows, title, simulated)
     grid = figure.add_gridspec(parts * rows, columns, height_ratios=[2, 1] * rows if parts == 2 else None)
     panels = []
     for at in range(count):
@@ -94,235 +93,98 @@ def small_multiples(
     return figure, panels
 
 
-def name_rows(axes: Axes, names: Sequence[str], low: float = 0.5, high: float = 0.5) -> None:
-    """Names of the rows of a panel from above, with so much room past the last and before the first."""
-    axes.set_yticks(range(len(names)), [style.plain(name) for name in names])
-    axes.set_ylim(len(names) - low, -high)
-    axes.grid(visible=False, axis="y")
-
-
-def line_entries(predicted: Any, measured: Any, name: str = "measured") -> Entries:
-    """Legend entries of the sides that are there, lines alone."""
-    looks = _looks(predicted, measured, name)
-    return [(Line2D([], [], color=look.colour, linestyle=look.line), words) for look, words in looks]
-
-
-def interval_entry(predicted: Any, measured: Any) -> tuple[Any, str]:
-    """The legend entry of the intervals of the sides that are there."""
-    return style.interval_handle(*(look.colour for look, _ in _looks(predicted, measured, ""))), "95 % interval"
-
-
-def _looks(predicted: Any, measured: Any, name: str) -> list[tuple[Look, str]]:
-    return [(look, words) for side, look, words in
-            ((predicted, PREDICTED, "predicted"), (measured, COLLECTED, name)) if side]  # fmt: skip
-
-
-Array = npt.NDArray[np.float64]
-
-
-def pair_figures(sides: Sides, product: str, *, simulated: bool) -> list[Drawing]:
-    """Overlay of both sides with, below each, their difference; ``product`` names a field of Products."""
-    label, title, ratio = {
-        "radiance": (style.RADIANCE_LABEL, "Radiance at the sensor", True),
-        "reflectance": ("reflectance [1]", "Reflectance", False),
-        "toa_reflectance": ("reflectance [1]", "Reflectance at the top of the atmosphere", True),
-        "snr": ("signal-to-noise\nratio [1]", "Signal-to-noise ratio", True),
-    }[product]
-    predicted, collected = of_side(sides[0], product), of_side(sides[1], product)
-    drawings = []
-    every = both_first(predicted, collected)
+def spectra_plots(sides: Sides, product: str) -> list[Plots]:
+    """Both sides over wavelength with their difference below, a subject each; ``product`` names a field of Products."""
+    label, title, ratio = SPECTRA_WORDS[product]
+    predicted, measured = (of_side(side, product) for side in sides)
     # Where anything can be compared, what only one side holds is left to products.nc.
-    pairs = [subject for subject in every if subject in predicted and subject in collected]
+    every = both_first(predicted, measured)
+    pairs = [subject for subject in every if subject in predicted and subject in measured]
     if not pairs and None not in sides:
         return []  # a comparison that has none of this product
-    paired = bool(pairs)
-    pages = style.pages(pairs or every)
+    pages, plots = style.pages(pairs or every), []
+    axis = next(side.axis for side in sides if side is not None)
+    x = Axis(style.band_label(axis), ends=wavelength_ends(axis.centre_nm))
     for number, subjects in enumerate(pages, start=1):
-        axis = next(side.axis for side in sides if side is not None)
-        below_label = "difference\nratio [1]" if ratio else "difference\n[1]"
-        labels = (style.band_label(axis), label, *((below_label,) if paired else ()))
-        figure, panels = small_multiples(
-            title, len(subjects), labels, simulated, row_in=3.1 if paired else 2.3, more_in=0.9
-        )
-        medians = []
-        for subject, (top, *below) in zip(subjects, panels, strict=True):
-            top.set_title(style.plain(style.shortened(subject, 44)), loc="left")
-            _overlay(top, sides, predicted.get(subject), collected.get(subject))
-            if below:
-                median = _difference(below[0], sides, predicted.get(subject), collected.get(subject), ratio)
-                if median is not None:
-                    medians.append(f"{subject} {median:.2%}" if ratio else f"{subject} {median:.4f}")
-        figure.align_ylabels()
-        style.add_legend(figure, _legend(predicted, collected, difference=paired, absorption=not axis.numbered))
-        alt = (
-            f"{title} against {style.band_label(axis)} for {', '.join(subjects)}: predicted (dashed) and "
-            "collected (solid) with 95 % intervals"
-            + (f"; below each, predicted minus collected{' over collected' if ratio else ''}." if paired else ".")
-        )
+        own = {s: subject_spectra(sides, predicted.get(s), measured.get(s), ratio=ratio) for s in subjects}
+        gaps = {s: one.bands["difference"][0][in_windows(axis)] for s, one in own.items() if "difference" in one.bands}
+        medians = [
+            f"{s} {np.nanmedian(np.abs(gap)):{'.2%' if ratio else '.4f'}}"
+            for s, gap in gaps.items()
+            if np.isfinite(gap).any()
+        ]
+        alt = f"{title} against {x.label} for {', '.join(subjects)}: predicted (dashed) and measured (solid) with 95 % "
+        alt += "intervals."
         if medians:
+            alt += f" Below each, predicted minus measured{' over measured' if ratio else ''}."
             alt += f" Median absolute difference in the windows: {'; '.join(medians)}."
-        name = f"{product}-pair" if len(pages) == 1 else f"{product}-pair-{number}"
-        caption = f"{title}: predicted and collected{style.left_out(pages, every)}"
-        drawings.append(style.vector_drawing(figure, name, product, caption, alt))
-    return drawings
+        plots.append(Plots(
+            f"{product}-pair" if len(pages) == 1 else f"{product}-pair-{number}", product,
+            f"{title}: predicted and measured{style.left_out(pages, every)}", alt,
+            {subject: _spectra_view(x, label, spectra, ratio) for subject, spectra in own.items()},
+        ))  # fmt: skip
+    return plots
 
 
-def _overlay(axes: Axes, sides: Sides, predicted: SpectralEstimate | None, collected: SpectralEstimate | None) -> None:
-    inside: list[Array] = []
-    w = np.empty(0)
-    for side, estimate, look in ((sides[0], predicted, PREDICTED), (sides[1], collected, COLLECTED)):
-        if side is None or estimate is None:
-            continue
-        w = side.axis.centre_nm
-        half = COVERAGE * estimate.standard_uncertainty
-        axes.fill_between(w, estimate.mean - half, estimate.mean + half, color=look.colour, alpha=0.2, linewidth=0)
-        # Dashes on top of the solid line, so that neither hides the other where they agree.
-        axes.plot(w, estimate.mean, color=look.colour, linestyle=look.line, zorder=3 if look is PREDICTED else 2)
-        keep = _keep(w)
-        inside += [estimate.mean[keep], (estimate.mean - half)[keep], (estimate.mean + half)[keep]]
-    _wavelength_axis(axes, w, style.robust_limits(inside, zero=True))
+def _spectra_view(x: Axis, label: str, spectra: Spectra, ratio: bool) -> SubjectView:
+    def line(name: str) -> dict[str, Any]:
+        value, half = spectra.bands[name]
+        return {"x": spectra.nm, "y": value, "low": value - half, "high": value + half}
+
+    marks = {"collected": measured_mark, "predicted": predicted_mark}  # dashes on top, so that neither hides the other
+    level = tuple(make("line", line(name)) for name, make in marks.items() if name in spectra.bands)
+    parts = [Part(Axis(label, ends=spectra.ranges.get("level")), level)]
+    if "difference" in spectra.bands:
+        gap = Mark("line", line("difference"), "difference", style.DIFFERENCE_COLOUR)
+        below = Axis(f"difference{' ratio' if ratio else ''}", ends=spectra.ranges.get("gap"))
+        parts.append(Part(below, (gap,), (("y", 0.0),)))
+    return SubjectView(x, tuple(parts))
 
 
-def _difference(
-    axes: Axes,
-    sides: Sides,
-    predicted: SpectralEstimate | None,
-    collected: SpectralEstimate | None,
-    ratio: bool,
-) -> float | None:
-    """Draw the difference; its median absolute value in the windows, None when there is none."""
-    axes.axhline(0.0, color="#444444", linewidth=0.8)
-    if predicted is None or collected is None or sides[0] is None or sides[1] is None:
-        return None
-    w = sides[0].axis.centre_nm
-    if not sides[0].axis.matches(sides[1].axis):
-        axes.text(0.5, 0.6, "the two sides have different bands", ha="center", transform=axes.transAxes)
-        return None
-    value, u = difference(predicted, collected, ratio)
-    half = COVERAGE * u
-    axes.fill_between(w, value - half, value + half, color=style.DIFFERENCE_COLOUR, alpha=0.25, linewidth=0)
-    axes.plot(w, value, color=style.DIFFERENCE_COLOUR, linewidth=1.2)
-    keep = _keep(w)
-    _wavelength_axis(
-        axes, w, style.robust_limits([value[keep], (value - half)[keep], (value + half)[keep]], zero=True, trim=3.0)
-    )
-    inside = np.abs(value[keep])
-    inside = inside[np.isfinite(inside)]
-    return float(np.median(inside)) if inside.size else None
-
-
-def _wavelength_axis(axes: Axes, w: Array, limits: tuple[float, float] | None) -> None:
-    if w.size:
-        low, high = float(w[0]), float(w[-1])
-        style.shade_absorption(axes, low, high)
-        axes.set_xlim(low, high if high > low else low + 1.0)
-    if limits is not None:
-        axes.set_ylim(*limits)
-
-
-def _keep(w: Array) -> npt.NDArray[np.bool_]:
-    keep = in_window(w)
-    return keep if keep.any() else np.ones(w.shape, bool)
-
-
-def _legend(
-    predicted: Mapping[Any, Any], collected: Mapping[Any, Any], *, difference: bool, absorption: bool
-) -> Entries:
-    entries = line_entries(predicted, collected, "collected")
-    patches, words = interval_entry(predicted, collected)
-    if difference:
-        entries.append((Line2D([], [], color=style.DIFFERENCE_COLOUR), "difference"))
-        patches += style.interval_handle(style.DIFFERENCE_COLOUR)
-    entries.append((patches, words))
-    if absorption:
-        entries.append((Patch(color=style.ABSORPTION_COLOUR), "absorption band"))
-    return entries
-
-
-_MOST_ROWS = 30
-_LOWEST_PFA = 1e-9
 _MOST_CURVES = 2 * style.MAX_PANELS
-_Key = tuple[str, str]
-_Estimates = Mapping[Any, Any]
-_Dot = tuple[float, float]
 
 
-def roc_figures(sides: Sides, *, simulated: bool) -> list[Drawing]:
-    """P_D against P_FA on a logarithmic axis, a panel for each subject, detector and unit."""
-    predicted, measured = of_side(sides[0], "roc"), of_side(sides[1], "roc")
+def roc_plots(sides: Sides) -> list[Plots]:
+    """P_D against P_FA on a logarithmic axis, a plot for each subject, detector and unit."""
+    predicted, measured = (of_side(side, "roc") for side in sides)
     every = both_first(predicted, measured)
-    # Where anything can be compared, what only one side holds is left to products.nc.
     pairs = [key for key in every if key in predicted and key in measured]
-    pages = style.pages(best_counted(pairs or every, measured, _MOST_CURVES))
-    drawings = []
+    dotted = " (dotted: 1 / background pixels)" if any(c.n_background for c in measured.values()) else ""
+    pages, plots = style.pages(best_counted(pairs or every, measured, _MOST_CURVES)), []
     for number, keys in enumerate(pages, start=1):
-        labels = ("$P_{FA}$ per pixel [1]", "$P_D$ [1]")
-        figure, panels = small_multiples("Detection against false alarms", len(keys), labels, simulated, row_in=2.7)
-        words = []
-        low = _lowest_pfa([h[k] for h in (predicted, measured) for k in keys if k in h])
-        for key, (axes,) in zip(keys, panels, strict=True):
-            _roc_panel(axes, predicted.get(key), measured.get(key), low)
-            axes.set_title(style.plain(_roc_title(key)) + "\n" + _counted(measured.get(key)), loc="left", fontsize=8.5)
-            words.append(_roc_words(key, predicted.get(key), measured.get(key)))
-        style.add_legend(figure, _roc_legend(predicted, measured))
-        name = "roc" if len(pages) == 1 else f"roc-{number}"
-        alt = (
+        low = lowest_pfa([curves[key] for curves in (predicted, measured) for key in keys if key in curves], measured)
+        views = {_roc_title(k, measured.get(k)): _roc_view(predicted.get(k), measured.get(k), low) for k in keys}
+        words = " ".join(_roc_words(key, predicted.get(key), measured.get(key)) for key in keys)
+        plots.append(Plots(
+            "roc" if len(pages) == 1 else f"roc-{number}", "roc",
+            f"ROC: predicted and measured{dotted}{style.left_out(pages, every)}",
             "Probability of detection against probability of false alarm (logarithmic), predicted (dashed) and "
-            f"measured (steps), with 95 % intervals. {' '.join(words)}"
-        )
-        title = f"ROC: predicted and measured{style.left_out(pages, every)}"
-        drawings.append(style.vector_drawing(figure, name, "roc", title, alt))
-    return drawings
+            f"measured (steps), with 95 % intervals. {words}",
+            views,
+        ))  # fmt: skip
+    return plots
 
 
-def _roc_panel(axes: Axes, predicted: RocCurve | None, measured: RocCurve | None, low: float) -> None:
-    if predicted is not None:
-        keep = predicted.pfa > 0
-        x = predicted.pfa[keep]
-        axes.fill_between(
-            x, predicted.pd_lower[keep], predicted.pd_upper[keep], color=PREDICTED.colour, alpha=0.2, linewidth=0
-        )
-        axes.plot(x, predicted.pd[keep], color=PREDICTED.colour, linestyle=PREDICTED.line)
-    if measured is not None:
-        keep = measured.pfa > 0
-        x = measured.pfa[keep]
-        axes.fill_between(
-            x, measured.pd_lower[keep], measured.pd_upper[keep],
-            step="post", color=COLLECTED.colour, alpha=0.2, linewidth=0,
-        )  # fmt: skip
-        axes.plot(x, measured.pd[keep], color=COLLECTED.colour, linestyle=COLLECTED.line, drawstyle="steps-post")
-        if measured.n_background:
-            axes.axvline(1.0 / measured.n_background, color=TEXT_GREY, linewidth=1.0, linestyle=":")
-    axes.set_xscale("log")
-    axes.set_xlim(low, 1.0)
-    axes.set_ylim(-0.02, 1.04)
-    style.log_ticks(axes.xaxis)
+def _roc_view(predicted: RocCurve | None, measured: RocCurve | None, low: float) -> SubjectView:
+    marks = [
+        make(kind, {{"pfa": "x", "pd": "y"}.get(name, name): values for name, values in curve_data(curve, low).items()})
+        for make, kind, curve in ((predicted_mark, "line", predicted), (measured_mark, "steps", measured))
+        if curve is not None
+    ]
+    counted = measured.n_background if measured is not None else None
+    part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / counted),) if counted else ())
+    return SubjectView(Axis("P_FA per pixel", "log", ends=(low, 1.0)), (part,))
 
 
-def _lowest_pfa(curves: list[RocCurve]) -> float:
-    """A decade below which no panel of the figure has anything to show."""
-    lowest = [float(c.pfa[c.pfa > 0].min()) for c in curves if (c.pfa > 0).any()]
-    limits = [0.3 / c.n_background for c in curves if c.n_background]
-    # Where something was measured, two decades past what the background can resolve is enough.
-    floor = min(limits) / 100 if limits else _LOWEST_PFA
-    return max(min([*lowest, *limits], default=1e-3), floor, _LOWEST_PFA)
-
-
-def _counted(curve: RocCurve | None) -> str:
-    """What a measured curve rests on, in a line; empty for no curve."""
-    if curve is None:
-        return "not measured"
+def _roc_title(key: tuple[str, str, str], curve: RocCurve | None) -> str:
+    """Names of a curve, and below them what it rests on."""
     parts = []
-    if curve.n_target is not None:
+    if curve is not None and curve.n_target is not None:
         parts.append(f"{curve.n_target:,} {curve.unit}{'s' if curve.n_target != 1 else ''}")
-    if curve.n_background is not None:
+    if curve is not None and curve.n_background is not None:
         parts.append(f"{curve.n_background:,} background px")
-    return ", ".join(part.replace(",", "\u202f") for part in parts) or "counts unknown"
-
-
-def _roc_title(key: tuple[str, str, str]) -> str:
-    subject, detector, unit = key
-    return f"{style.shortened(subject, 24)}, {style.shortened(detector, 12)}, by {unit}"
+    below = "not measured" if curve is None else ", ".join(p.replace(",", "\u202f") for p in parts) or "counts unknown"
+    return f"{key[0]}, {key[1]}, by {key[2]}\n{below}"
 
 
 def _roc_words(key: tuple[str, str, str], predicted: RocCurve | None, measured: RocCurve | None) -> str:
@@ -333,13 +195,6 @@ def _roc_words(key: tuple[str, str, str], predicted: RocCurve | None, measured: 
             pd, low, high = (detection_at(curve, at, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper))
             words.append(f"{name} P_D {pd:.2f} ({low:.2f} to {high:.2f}) at P_FA {at:.1e}")
     return f"{', '.join(key)}: {'; '.join(words) or 'no points'}."
-
-
-def _roc_legend(predicted: Mapping[Any, Any], measured: Mapping[Any, RocCurve]) -> Entries:
-    entries = [*line_entries(predicted, measured), interval_entry(predicted, measured)]
-    if any(curve.n_background for curve in measured.values()):
-        entries.append((Line2D([], [], color=TEXT_GREY, linestyle=":"), "resolution: 1 / background pixels"))
-    return entries
 
 
 _LINES: dict[str, Any] = {"solid": "-", "dashed": "--", "dotted": ":", "dashdot": "-."}
@@ -359,13 +214,16 @@ def drawing_of(plots: Plots, *, simulated: bool) -> Drawing:
     figure, panels = small_multiples(plots.title, len(views), labels, simulated, row_in=row_in)
     for (subject, view), panel in zip(views.items(), panels, strict=True):
         if subject:
-            panel[0].set_title(style.plain(style.shortened(subject, 44)), loc="left")
+            name = "\n".join(style.plain(style.shortened(line, 44)) for line in subject.splitlines())
+            panel[0].set_title(name, loc="left")
         for axes, part in zip(panel, view.parts, strict=True):
             _draw(figure, axes, view, part)
     entries: Entries = []
     for mark in plots.marks():
         if mark.label and mark.label not in (words for _, words in entries):
             entries.append((_handle(mark), mark.label))
+    if any(mark.kind in ("line", "steps") and "low" in mark.columns for mark in plots.marks()):
+        entries.append((Patch(color=GREY, alpha=0.3, linewidth=0), "95 % interval"))
     if first.x.label == style.WAVELENGTH_LABEL:
         entries.append((Patch(color=style.ABSORPTION_COLOUR), "absorption band"))
     if entries:
@@ -387,7 +245,9 @@ def _draw(figure: Any, axes: Axes, view: SubjectView, part: Part) -> None:
 
 def _scale(axes: Axes, which: str, axis: Axis, ends: tuple[float, float]) -> None:
     if axis.scale == "names" and which == "y":
-        name_rows(axes, axis.names)
+        axes.set_yticks(range(len(axis.names)), [style.plain(name) for name in axis.names])
+        axes.set_ylim(len(axis.names) - 0.5, -0.5)
+        axes.grid(visible=False, axis="y")
         return
     if axis.scale == "names":
         axes.set_xticks(range(len(axis.names)), [style.plain(n) for n in axis.names], rotation=35, ha="right")
@@ -453,17 +313,6 @@ def _handle(mark: Mark) -> Any:
                   markerfacecolor="none" if mark.hollow else mark.colour)  # fmt: skip
 
 
-def print_figures(sides: Sides, plots: Sequence[Plots], *, simulated: bool, print_as: Print) -> list[Drawing]:
-    """Spectra and ROC curves, and every stated plot."""
-    with house_style(print_as):
-        drawings: list[Drawing] = []
-        for product in SPECTRA:
-            drawings += pair_figures(sides, product, simulated=simulated)
-        drawings += roc_figures(sides, simulated=simulated)
-        drawings += [drawing_of(one, simulated=simulated) for one in plots]
-    return [replace(drawing, kind=print_as.format) for drawing in drawings]
-
-
 Spread = tuple[Mapping[tuple[str, str], EigenvalueSpectrum], Mapping[str, TailCurve]]
 Curves = Callable[[PredictedProducts, ObservedProducts], Spread]
 
@@ -497,5 +346,8 @@ def drawings_of(run: Path, print_as: Print, curves: Curves | None = None) -> lis
     margin = equivalence_margin(json.loads(record.read_bytes())) if record.is_file() else None
     predicted, observed = sides
     spread = curves(predicted, observed) if curves and predicted and observed else ({}, {})
-    plots = every_plot(sides, table, *spread, margin)
-    return print_figures(sides, plots, simulated=simulated, print_as=print_as)
+    spectra = [plots for product in SPECTRA for plots in spectra_plots(sides, product)]
+    plots = [*spectra, *roc_plots(sides), *every_plot(sides, table, *spread, margin)]
+    with house_style(print_as):
+        drawings = [drawing_of(one, simulated=simulated) for one in plots]
+    return [replace(drawing, kind=print_as.format) for drawing in drawings]

@@ -133,7 +133,6 @@ def _overhang(axes: Axes, which: str, renderer: Any, dpi: float) -> float:
     return float(max(inside.x0 - box.x0 if which == "y" else inside.y0 - box.y0, 0.0)) / dpi
 
 
-RADIANCE_LABEL = "radiance\n[µW cm⁻² sr⁻¹ nm⁻¹]"
 DIFFERENCE_COLOUR = "#5B3A8C"
 ABSORPTION_COLOUR = "#e9e9e9"
 WAVELENGTH_LABEL = "wavelength [nm]"
@@ -395,23 +394,13 @@ def left_out(shown: Sequence[Sequence[Any]], every: Sequence[Any]) -> str:
     return "" if count == len(every) else f"; {count} of {len(every)} are drawn, all are in products.nc"
 
 
-def interval_handle(*colours: str) -> tuple[Any, ...]:
-    """A legend entry of patches side by side, in the colours that intervals have in the figure."""
-    from matplotlib.patches import Patch
-
-    return tuple(Patch(color=colour, alpha=0.25, linewidth=0) for colour in colours)
-
-
 def add_legend(figure: Figure, entries: Sequence[tuple[Any, str]], columns: int = 6) -> None:
     """A legend below all panels."""
-    from matplotlib.legend_handler import HandlerTuple
-
     figure.legend(
         [handle for handle, _ in entries],
         [plain(label) for _, label in entries],
         loc="outside lower center",
         ncols=columns,
-        handler_map={tuple: HandlerTuple(None, pad=0.2)},
     )
 
 
