@@ -351,6 +351,7 @@ def _printed_albedo(sun: Array, ground: Array, printed: Coefficients) -> float:
     return float(np.median(ratio / (1.0 + printed.spherical_albedo[bright] * ratio)))
 
 
+_OF_THE_RUNS = {"solar_spectrum": "of the MODTRAN run", "emission": "of the black run, part of the path radiance"}
 GREATEST_ALBEDO_OF_AIR = 0.9  # a spherical albedo beyond it is rounding of a ground radiance near zero
 _LEAST_TRANSMITTANCE = 1e-4
 _LINES_NM = 4.0  # resolved lines: a window's level is the largest value this close to it
@@ -438,8 +439,7 @@ def terms_from_runs(runs: Sequence[ModtranRun], albedos: Sequence[float] | None 
         "engine": "MODTRAN",
         "solved_from": [run.where for run in runs],
         "albedos": rho,
-        "solar_spectrum": "of the MODTRAN run",
-        "emission": "of the black run, part of the path radiance",
+        **_OF_THE_RUNS,
     }
     terms = _terms(black, found, black.path + black.thermal, efficiency, provenance)
     return replace(terms, diffuse_fraction=_diffuse(share))
@@ -820,11 +820,9 @@ def configured_modtran() -> Modtran:
     executable = Path(program).resolve()
     data = os.environ.get(DATA, "").strip()
     folder = Path(data) if data else executable.parent / "DATA"
-    if not folder.is_dir():
-        if data:
-            raise EngineError("not a folder", where=f"{DATA}={data}", expected="the DATA folder of MODTRAN")
-        folder = None  # type: ignore[assignment]
-    return Modtran(executable, int(version), folder.resolve() if folder else None)
+    if data and not folder.is_dir():
+        raise EngineError("not a folder", where=f"{DATA}={data}", expected="the DATA folder of MODTRAN")
+    return Modtran(executable, int(version), folder.resolve() if folder.is_dir() else None)
 
 
 def run_modtran(deck: str, modtran: Modtran, folder: Path, timeout_s: float = TIMEOUT_S) -> Path:
@@ -885,8 +883,7 @@ def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | N
             "engine": f"MODTRAN {modtran.version}",
             "executable_sha256": binary,
             "albedos": list(ALBEDOS),
-            "solar_spectrum": "of the MODTRAN run",
-            "emission": "of the black run, part of the path radiance",
+            **_OF_THE_RUNS,
             "state": state.model_dump(mode="json"),
         },
     )
