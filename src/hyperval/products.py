@@ -95,6 +95,8 @@ class ScoreDistribution:
     n : pixels behind them, None for a prediction
     grid, density : (G,) scores and the probability density at each [per unit of score]; None without
     greatest : (m,) the greatest scores of measured pixels, falling, all of them where they are few; None without
+    mean_error, mean_bias : standard error of the mean, and how far it lies on average from that of endless pixels,
+        where the filter was made of the pixels it scores; NaN where it was made of others
     """
 
     mean: float
@@ -103,6 +105,8 @@ class ScoreDistribution:
     grid: Array | None = field(default=None, compare=False, repr=False)
     density: Array | None = field(default=None, compare=False, repr=False)
     greatest: Array | None = field(default=None, compare=False, repr=False)
+    mean_error: float = field(default=float("nan"), compare=False)
+    mean_bias: float = field(default=float("nan"), compare=False)
 
 
 @dataclass(frozen=True)

@@ -200,6 +200,10 @@ def test_score_moments():
     assert rows["score_sd_ratio"].lower < 2.0 < rows["score_sd_ratio"].upper
     own = by_metric(compare_scores(predicted, ScoreDistribution(1e-16, 0.1, 26), **NAMES))
     assert np.isnan(own["score_mean_difference"].upper)  # 0 by construction of the filter: no chance is in it
+    same = ScoreDistribution(0.4, 0.1, 26, mean_error=0.004, mean_bias=-0.01)  # of pixels that the filter is made of
+    row = by_metric(compare_scores(predicted, same, **NAMES))["score_mean_difference"]
+    assert row.value == pytest.approx(0.09)
+    assert row.upper == pytest.approx(0.09 + stats.t.ppf(0.975, 25) * 0.004)
     single = by_metric(compare_scores(predicted, ScoreDistribution(0.4, 0.0, 1), **NAMES))
     assert single["score_sd_ratio"].outcome is Outcome.SKIPPED
     (row,) = compare_scores(predicted, None, **NAMES)

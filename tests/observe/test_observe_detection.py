@@ -464,3 +464,12 @@ def test_bands_by_number_refuse_what_goes_by_wavelength(world):
     del world.collection["cube"]["by_number"]
     with pytest.raises(InputError, match="lists no wavelengths"):
         world.observe()
+
+
+def test_mean_score_has_its_own_error_where_the_filter_is_made_of_the_pixels_it_scores(world):
+    world.detection["detectors"] = ["cem-correlation"]
+    same = world.observe().observation.scores[background_of("fill 0.8"), "cem-correlation"]
+    assert 0.0 < same.mean_error < same.sd / same.n**0.5
+    assert abs(same.mean_bias) < same.mean_error
+    world.detection["background"] = ["corner"]
+    assert np.isnan(world.observe().observation.scores[background_of("fill 0.8"), "cem-correlation"].mean_error)

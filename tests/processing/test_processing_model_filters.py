@@ -6,11 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from hyperval.errors import UsageError
 from hyperval.processing.classification import principal_components
 from hyperval.processing.elm import two_panel_line
-from hyperval.processing.filters import LINEAR_DETECTORS, design_filter, matched_filter_weights
+from hyperval.processing.filters import (
+    LINEAR_DETECTORS,
+    PositiveDefinite,
+    cem_correlation_weights,
+    design_filter,
+    matched_filter_weights,
+    own_mean_sampling,
+)  # fmt: skip
 
 
 def random_problem(seed: int, bands: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -108,3 +116,65 @@ def test_principal_components_refuse_more_than_there_are():
 def test_elm_refusals(low, high, words):
     with pytest.raises(UsageError, match=words):
         two_panel_line([1.0, 1.0], [2.0, 1.0], low, high)
+
+
+# Mean score of the pixels that a filter was made of: its chance and its bias, over simulated images.
+BANDS, EACH = 24, 900
+X = np.linspace(0.0, 1.0, BANDS)
+TARGET = 0.4 - 0.2 * X
+CLASSES = ((0.1 + 0.3 * X, 0.06), (0.25 + 0.05 * np.sin(5.0 * X), 0.015))  # mean, standard deviation
+
+
+def spread(sd):
+    return sd**2 * (np.exp(-0.5 * (np.subtract.outer(X, X) / 0.3) ** 2) + 0.04 * np.eye(BANDS))
+
+
+def moments(classes):
+    """Of a scene with as much of each class."""
+    mean = np.mean([m for m, _ in classes], axis=0)
+    return mean, np.mean([spread(sd) + np.outer(m - mean, m - mean) for m, sd in classes], axis=0)
+
+
+def images(classes, count, tail_dof):
+    rng = np.random.default_rng(11)
+    roots = [np.linalg.cholesky(spread(sd)) for _, sd in classes]
+    stratum = np.repeat(np.arange(len(classes), dtype=np.int32), EACH)
+    for _ in range(count):
+        parts = [m + rng.standard_normal((EACH, BANDS)) @ r.T for (m, _), r in zip(classes, roots, strict=True)]
+        if tail_dof:
+            widths = np.sqrt((tail_dof - 2.0) / rng.chisquare(tail_dof, (len(classes), EACH, 1)))
+            parts = [m + w * (p - m) for (m, _), w, p in zip(classes, widths, parts, strict=True)]
+        pixels = np.concatenate(parts)
+        mean, factored = pixels.mean(axis=0), PositiveDefinite(np.cov(pixels.T))
+        filtered = cem_correlation_weights(TARGET, mean, factored.matrix)
+        error, bias = own_mean_sampling(filtered.weights, mean, factored, pixels, stratum, len(pixels))
+        yield float(filtered.weights @ mean), error, bias, float(np.std(pixels @ filtered.weights)) / len(pixels) ** 0.5
+
+
+def test_closed_form_of_normal_pixels():
+    (mean, sd), rng = CLASSES[0], np.random.default_rng(2)
+    n = 60_000
+    pixels = mean + rng.standard_normal((n, BANDS)) @ np.linalg.cholesky(spread(sd)).T
+    own, factored = pixels.mean(axis=0), PositiveDefinite(np.cov(pixels.T))
+    w = cem_correlation_weights(TARGET, own, factored.matrix).weights
+    error, bias = own_mean_sampling(w, own, factored, pixels, np.zeros(n, np.int32), n)
+    t, m = factored.solve(TARGET), factored.solve(own)
+    s, a = TARGET @ t, own @ t / (TARGET @ t)
+    p = own @ m - a**2 * s
+    assert w @ own == pytest.approx(a / (1 + p), rel=1e-9)
+    assert n * error**2 == pytest.approx(1 / (s * (1 + p)) + a**2 * (2 * p**2 + 4 * p) / (1 + p) ** 4, rel=0.03)
+    assert n * bias == pytest.approx(-(w @ own) * (BANDS - 1 - 2 * p / (1 + p) ** 2), rel=0.03)
+
+
+@pytest.mark.simulation
+@pytest.mark.parametrize(("classes", "tail_dof"), [(CLASSES[:1], 0), (CLASSES, 0), (CLASSES, 6)])
+def test_intervals_hold_the_mean_of_endless_pixels(classes, tail_dof):
+    """440 images each; a true rate of 5 % (2.5 % on a side) fails in one of 1,000 runs, in 300 for the three."""
+    mean, whole = moments(classes)
+    truth = cem_correlation_weights(TARGET, mean, whole).weights @ mean
+    found, error, bias, plain = np.array(list(images(classes, 440, tail_dof))).T
+    z = (found - bias - truth) / error
+    assert np.sum(np.abs(z) > 1.96) <= stats.binom.isf(4e-4, 440, 0.05)
+    assert max(np.sum(z > 1.96), np.sum(z < -1.96)) <= stats.binom.isf(2e-4, 440, 0.025)
+    assert np.mean(z) == pytest.approx(0.0, abs=3.9 / 440**0.5)
+    assert np.std(found) < 0.7 * np.mean(plain)  # as if the filter were not made of them

@@ -28,6 +28,7 @@ from hyperval.compare import objects, products
 from hyperval.compare.covariance import compare_covariance
 from hyperval.config import parse_yaml
 from hyperval.metrics import Kind, metric_of
+from hyperval.products import background_of
 from hyperval.results import Outcome, Result, Role
 from hyperval.spectra.axis import in_window
 
@@ -36,6 +37,7 @@ PANELS = ("white-panel", "black-panel")
 CLASSES = {"grass": "grass-field", "asphalt": "asphalt-court"}
 PLANKS = {"yellow": "asphalt", "green": "grass"}
 LAYOUTS = ("lines", "samples", "unequal", "stripes", "quarters")
+MEANS = "score_mean_difference"
 BANDS = (12, 16, 24, 32, 48)
 ASSUMED = "assumed: for the study of coverage"
 ATMOSPHERE = {
@@ -123,7 +125,7 @@ def world(number: int, seed: int) -> dict[str, dict[str, Any]]:
                 for colour, host in PLANKS.items()
             ],
         },
-        "processing": {"elm": {"reflectances": [0.1, 0.6]}, "detectors": ["cem"]},
+        "processing": {"elm": {"reflectances": [0.1, 0.6]}, "detectors": ["cem", "cem-correlation"]},
     }  # fmt: skip
     return {"sensor": sensor, "scene": scene, "scenario": scenario, "campaign": campaign(groups, centres)}
 
@@ -140,7 +142,7 @@ def campaign(groups: list[dict[str, Any]], centres: np.ndarray) -> dict[str, Any
     collection["empirical_line"] = {
         "panels": [{"region": name, "spectrum": {"builtin": name}} for name in PANELS]  # read without error
     }
-    data["detection"] = {**data["detection"], "detectors": ["cem"]}
+    data["detection"] = {**data["detection"]}
     data["detection"].pop("bands", None)
     nearest = sorted({float(centres[np.argmin(np.abs(centres - nm))]) for nm in (450.0, 560.0, 1650.0)})
     data["classification"] = {
@@ -151,6 +153,8 @@ def campaign(groups: list[dict[str, Any]], centres: np.ndarray) -> dict[str, Any
     for gate in data["comparisons"]:
         if gate["product"] == "roc":
             gate["subjects"] = names
+        if gate["product"] == "scores":
+            gate["method"] = "cem"  # the other detector is for its mean alone
     collection["leave_out"] = collection["snr_regions"] = list(PANELS)
     for gate in data["comparisons"]:
         gate["subjects"] = [s for s in gate["subjects"] if not s.startswith("grey")]
@@ -195,9 +199,12 @@ def of_classes(*sides: Any, subject: str, **options: Any) -> list[Result]:
 
 
 def counted(rows: Iterable[Result]) -> Iterator[tuple[Key, list[float]]]:
-    """Whether any criterion is not met; the intervals of each metric that lie above their truth, and below it."""
-    rows = [row for row in rows if row.role is Role.GATE]
-    wrong = any(row.outcome in (Outcome.DISAGREES, Outcome.ERROR) for row in rows)
+    """Whether any criterion is not met; the intervals of each metric that lie above their truth, and below it.
+
+    Besides the criteria: the mean score of the background, which has an interval where it is not 0 by construction.
+    """
+    rows = [r for r in rows if r.role is Role.GATE or (r.metric == MEANS and r.subject.endswith(background_of("")))]
+    wrong = any(r.role is Role.GATE and r.outcome in (Outcome.DISAGREES, Outcome.ERROR) for r in rows)
     yield ("campaign", "all", "any criterion not met", "small"), [float(wrong)]
     sides: dict[tuple[str, str], list[tuple[bool, bool]]] = {}
     for row in rows:

@@ -37,7 +37,8 @@ def compare_scores(
 ) -> list[Result]:
     """Rows ``score_mean_predicted``, ``score_mean_observed``, ``score_mean_difference``, ``score_sd_ratio``.
 
-    The difference (predicted - observed) has the interval of the observed mean, s/sqrt(n) with Student's t;
+    The difference (predicted - observed) has the interval of the observed mean, s/sqrt(n) with Student's t, or its
+    own error where the filter was made of the pixels it scores; their bias is taken off the observed mean there;
     the ratio is predicted over observed.  Scores of one object's pixels are correlated, and then both
     intervals are too narrow: give n as the number of independent pixels.  A mean that is 0 to rounding is that of
     a matched filter on the pixels it was made of: it is 0 whatever they are, says nothing, and has no interval.
@@ -54,9 +55,12 @@ def compare_scores(
 
     def rows(predicted: ScoreDistribution, observed: ScoreDistribution) -> list[Result]:
         n = observed.n
-        difference = predicted.mean - observed.mean
-        known = n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd
-        half = scipy.stats.t.ppf(0.975, n - 1) * observed.sd / np.sqrt(n) if known and n is not None else np.nan
+        bias = 0.0 if math.isnan(observed.mean_bias) else observed.mean_bias
+        difference = predicted.mean - (observed.mean - bias)
+        half = math.nan
+        if n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd:
+            error = observed.sd / math.sqrt(n) if math.isnan(observed.mean_error) else observed.mean_error
+            half = float(scipy.stats.t.ppf(0.975, n - 1)) * error
         out = [
             make.row("score_mean_predicted", predicted.mean, n=predicted.n),
             make.row("score_mean_observed", observed.mean, half=half, n=n),

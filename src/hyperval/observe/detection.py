@@ -47,7 +47,7 @@ from hyperval.processing.detectors import (
     whitener_of,
 )
 from hyperval.processing.elm import EmpiricalLine
-from hyperval.processing.filters import PositiveDefinite, fully_constrained, whitened
+from hyperval.processing.filters import PositiveDefinite, fully_constrained, own_mean_sampling, whitened
 from hyperval.processing.objects import (
     Placed,
     footprint,
@@ -65,7 +65,7 @@ from hyperval.processing.roc import (
     preset_thresholds,
     with_summary,
 )
-from hyperval.processing.sample import SampleStatistics, statistics_of
+from hyperval.processing.sample import SampleStatistics, drawn_pixels, statistics_of
 from hyperval.processing.snr import snr_from_moments
 from hyperval.products import (
     ANOMALIES,
@@ -98,6 +98,7 @@ class FilterBank:
     bands : (B,) those that the filters use, F of them
     whitener : of the background, where a detector needs it
     shrinkage : of the background's covariance, 0 where there were pixels enough
+    background : mean (F,) and covariance that the filters are made of, None where no detector inverts one
     """
 
     detectors: Mapping[str, PixelDetector]
@@ -106,6 +107,7 @@ class FilterBank:
     whitener: Whitener | None
     shrinkage: float
     notes: tuple[str, ...]
+    background: tuple[Array, PositiveDefinite] | None = None
 
 
 def map_name(target: str, detector: str) -> str:
@@ -164,7 +166,8 @@ def filter_bank(
         by_distance = any(d.quadratic == "distance" for d in detectors.values())
         if inverted is not None and (detection.local_window or by_distance):
             whitener = whitener_of(mean[bands], inverted)
-    return FilterBank(detectors, forms, bands, whitener, shrinkage, tuple(notes))
+    behind = None if inverted is None else (mean[bands], inverted)
+    return FilterBank(detectors, forms, bands, whitener, shrinkage, tuple(notes), behind)
 
 
 def in_reflectance(statistics: SampleStatistics, elm: EmpiricalLine | None) -> tuple[Array, Array]:
@@ -659,6 +662,7 @@ def _free_places(
 
 
 BY_PIXEL = "object-by-pixel"  # objects by their halos, alarms by pixel
+_MOST_INFLUENCES = 4000  # pixels that tell how far the mean of all moves by chance: its error to 3 %
 _MOST_SCORES = 500  # that a product keeps of one population: the exact ends of a curve
 
 
@@ -723,7 +727,7 @@ def detect(
         spectra = {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
     bank = filter_bank(place, detection, measured, elm, spectra)
     maps, remarks = _score_maps(place, detection, bank, elm, show_progress)
-    scored = _Curves(place, detection, maps)
+    scored = _Curves(place, detection, maps, bank, elm)
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
         for detector in detection.detectors:
@@ -800,8 +804,10 @@ def _score_maps(
 class _Curves:
     """Products of the score maps, subject by subject."""
 
-    def __init__(self, place: Place, detection: Detection, maps: Mapping[str, Array]):
-        self.place, self.detection, self.maps = place, detection, maps
+    def __init__(
+        self, place: Place, detection: Detection, maps: Mapping[str, Array], bank: FilterBank, elm: EmpiricalLine | None
+    ):
+        self.place, self.detection, self.maps, self.bank, self.elm = place, detection, maps, bank, elm
         self.alarms = place.background(detection.false_alarms)
         area = place.pixel_area_m2
         self.area_km2 = None if area is None else float(self.alarms.sum()) * area / 1e6
@@ -820,6 +826,8 @@ class _Curves:
         if noise.scores.size >= FEWEST_FOR_A_CURVE:
             self.exceedance[target.name, detector] = exceedance_curve(noise)
         thresholds = preset_thresholds(noise.scores, blocks=noise)
+        error, bias = self._mean_sampling(key, detector, noise.scores.size)
+        background = replace(_moments(noise.scores), mean_error=error, mean_bias=bias)
         for subject, members in groups.items():
             if (subject, detector) in self.scores:
                 raise UsageError(
@@ -827,7 +835,25 @@ class _Curves:
                     where="detection.group",
                     mend="let the group hold {target}, the name of the detection target",
                 )
+            self.scores[background_of(subject), detector] = background
             self._subject(subject, detector, members, scores, noise, thresholds)
+
+    def _mean_sampling(self, key: str, detector: str, n: int) -> tuple[float, float]:
+        """Error and bias of the background's mean score where the filter was made of the same pixels, else NaN."""
+        behind, made_of = self.bank.background, self.place.background(self.detection.background)
+        if detector != "cem-correlation" or behind is None or self.bank.shrinkage or self.detection.local_window:
+            return np.nan, np.nan
+        if not np.array_equal(made_of, self.alarms):
+            return np.nan, np.nan
+        lines, samples = drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
+        at = np.lexsort((samples, lines))
+        lines, samples = lines[at], samples[at]
+        values, usable = self.place.cube.marked_pixels((lines, samples))
+        pixels = (values if self.elm is None else self.elm.reflectance(values))[:, self.bank.bands]
+        usable &= np.isfinite(pixels).all(axis=1)
+        stratum = self.place.classes[lines, samples][usable]
+        weights = self.bank.detectors[key].weights[0]
+        return own_mean_sampling(weights, *behind, pixels[usable], stratum, n)
 
     def _subject(
         self,
@@ -844,7 +870,6 @@ class _Curves:
         if pixels.size == 0:
             raise InputError(f"no valid pixel on the targets of {subject!r}")
         self.scores[subject, detector] = _moments(pixels)
-        self.scores[background_of(subject), detector] = _moments(noise.scores)
         by_pixel = empirical_roc(pixels, thresholds, unit="pixel", background_area_km2=self.area_km2)
         self.roc[subject, detector, "pixel"] = with_summary(by_pixel, pixels, noise.scores, blocks=noise)
         halo = self.detection.halo_pixels

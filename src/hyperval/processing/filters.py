@@ -241,6 +241,43 @@ def _checked(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance)
     return t, mu, cov
 
 
+def own_mean_sampling(
+    weights: Array, mean: Array, covariance: PositiveDefinite, pixels: Array, stratum: npt.NDArray[np.int32], n: int
+) -> tuple[float, float]:
+    """Standard error and bias of the mean score of the n pixels that a "cem-correlation" filter was made of.
+
+    With y = w x, T = 1/(w R w), P = R^-1 - T w w^T and u = 1 - mean^T P x, a pixel moves the mean w mean by y u/n, and
+    the second order is -x^T P x y u/n^2.  The variance is that of y u within strata, whose sizes are no chance, each
+    over 1 - x^T P x/n as a pixel has a part in its own filter.  Of normal pixels, with a = t^T C^-1 mean/s,
+    s = t^T C^-1 t and p = mean^T C^-1 mean - a^2 s: the mean is a/(1 + p), n times its variance
+    1/(s (1 + p)) + a^2 (2 p^2 + 4 p)/(1 + p)^4.
+
+    Parameters
+    ----------
+    weights, mean, covariance : of the filter and its background, (F,) and (F, F)
+    pixels : (m, F) some of the pixels, drawn at random
+    stratum : (m,) number of the class that each lies in
+    """
+    solved, theta = covariance.solve(mean), float(weights @ mean)
+    size = 1.0 + float(mean @ solved)
+    energy = 1.0 / (float(weights @ covariance.matrix @ weights) + theta**2)
+    y, v = pixels @ weights, pixels @ solved / size
+    white = covariance.whiten(pixels.T)
+    own = 1.0 - (np.einsum("fm,fm->m", white, white) - size * v**2 - energy * y**2) / n
+    u = 1.0 - v + energy * theta * y
+    z = y * u / own
+    variance = bias = 0.0
+    for one in np.unique(stratum):
+        at = stratum == one
+        part = float(np.mean(at))
+        variance += part * float(np.var(z[at], ddof=1)) if np.sum(at) > 1 else 0.0
+        bias += part * float(np.mean((own[at] - 1.0) * z[at]))
+        xy, xu = (np.mean(pixels[at] * q[at, None], axis=0) for q in (y, u))
+        x_p_y = covariance.solve(xy) - solved * float(solved @ xy) / size - energy * weights * float(weights @ xy)
+        bias += part * float(xu @ x_p_y) / n
+    return float(np.sqrt(variance / n)), bias
+
+
 def whitened(spectra: npt.ArrayLike, noise: PositiveDefinite | None) -> Array:
     """Spectra (..., B) in coordinates in which the noise is white; as they stand without a noise covariance."""
     x = np.asarray(spectra, dtype=float)

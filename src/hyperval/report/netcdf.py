@@ -166,6 +166,8 @@ _SCORE = (
     ("mean", "1", "mean detector score"),
     ("sd", "1", "standard deviation of the detector score"),
     ("n", "1", "pixels behind the moments; NaN for a prediction"),
+    ("mean_error", "1", "standard error of the mean score; NaN where the filter was made of other pixels"),
+    ("mean_bias", "1", "expected mean score less that of endless pixels; NaN where the filter was made of others"),
 )
 _ABUNDANCE = (
     ("area_m2", "m2", "area of the target from its scores or fractions"),
@@ -517,10 +519,11 @@ def _content(data: xr.Dataset) -> dict[str, Any]:
             "score",
             ("subject", "detector"),
             lambda e: ScoreDistribution(
-                e["mean"], e["sd"], _count(e["n"]), greatest=_trimmed(e["greatest"])[0] if "greatest" in e else None
+                e["mean"], e["sd"], _count(e["n"]), None, None, _trimmed(e["greatest"])[0] if "greatest" in e else None,
+                e.get("mean_error", np.nan), e.get("mean_bias", np.nan),
             ),
         )
-    )
+    )  # fmt: skip
     content["object_scores"] = _object_scores(data)
     content["abundance"] = dict(
         _entries(data, "abundance", ("subject", "detector"), lambda e: Abundance(
