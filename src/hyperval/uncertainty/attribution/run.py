@@ -360,7 +360,8 @@ def reason_for(before: AlarmRatio, tried: Iterable[tuple[str, AlarmRatio]]) -> s
 ATMOSPHERE = "atmosphere"  # kind of the inputs that need a run of the engine for each value
 _CHECKS = 4
 MOST_TOGETHER = 6
-# Directions of an input with a correlation length that are looked at: they hold nearly all of its variance.
+# Directions of an input that move all that is compared at once: of a smooth error nearly all of its variance, of a
+# rough one little.  The rest counts for each spectrum by itself (``stated_beyond``), and not for scores.
 MOST_DIRECTIONS = 8
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 SINGLE_BANDS = 0.01
