@@ -72,7 +72,7 @@ def test_check_writes_a_datasheet(here, capsys):
     seen = Outside()
     seen.feed(page)
     assert seen.loads == []
-    assert seen.pictures == len(list((here / "sheet" / "figures").iterdir())) == 6  # nothing assumed: no tornado
+    assert seen.pictures == len(list((here / "sheet" / "figures").iterdir())) == 7  # nothing assumed: no tornado
     assert "Accepted: all" in page
     record = json.loads((here / "sheet" / "provenance.json").read_text())
     assert record["inputs"][0]["reference"] == "good.yaml"

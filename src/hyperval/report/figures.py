@@ -141,16 +141,13 @@ def _spectra_view(x: Axis, label: str, spectra: Spectra, ratio: bool) -> Subject
     return SubjectView(x, tuple(parts))
 
 
-_MOST_CURVES = 2 * style.MAX_PANELS
-
-
 def roc_plots(sides: Sides) -> list[Plots]:
     """P_D against P_FA on a logarithmic axis, a plot for each subject, detector and unit."""
     predicted, measured = (of_side(side, "roc") for side in sides)
     every = both_first(predicted, measured)
     pairs = [key for key in every if key in predicted and key in measured]
     dotted = " (dotted: 1 / background pixels)" if any(c.n_background for c in measured.values()) else ""
-    pages, plots = style.pages(best_counted(pairs or every, measured, _MOST_CURVES)), []
+    pages, plots = style.pages(best_counted(pairs or every, measured, 2 * style.MAX_PANELS)), []
     for number, keys in enumerate(pages, start=1):
         low = lowest_pfa([curves[key] for curves in (predicted, measured) for key in keys if key in curves], measured)
         views = {_roc_title(k, measured.get(k)): _roc_view(predicted.get(k), measured.get(k), low) for k in keys}

@@ -14,6 +14,7 @@ from hyperval.report.style import COLLECTED, PREDICTED, shortened
 Array = npt.NDArray[np.float64]
 COVERAGE = 1.96  # normal quantile of a two-sided 95 % interval
 GREY = "#7a7f87"  # legible on white and on dark paper
+Dash = Literal["solid", "dashed", "dotted", "dashdot"]
 _ACROSS = {"x": ("x", "left", "right"), "y": ("y", "low", "high", "bottom", "top")}
 
 
@@ -57,7 +58,7 @@ class Mark:
     columns: Mapping[str, Any]
     label: str = ""
     colour: str = GREY
-    dash: Literal["solid", "dashed", "dotted", "dashdot"] = "solid"
+    dash: Dash = "solid"
     marker: str = ""
     hollow: bool = False
     along: Literal["x", "y"] = "y"
