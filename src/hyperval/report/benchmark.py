@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
 from hyperval.report import style
+from hyperval.report.figures import drawing_of
 from hyperval.report.html import common_words, environment
-from hyperval.report.style import COLLECTED, Drawing, house_style
+from hyperval.report.plots import Axis, Part, Plots, SubjectView, measured_mark, rows_axis
+from hyperval.report.style import Drawing, house_style
 from hyperval.report.verdict import number_text
 from hyperval.results import Outcome, Result, ResultTable
 
@@ -25,43 +26,43 @@ _MOST_SUBJECTS = 30
 _RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
 
 
-def detector_figures(
-    name: str,
-    rows: Sequence[Result],
-    groups: Sequence[tuple[str, ...]],
-    measures: Mapping[str, str],
-    *,
-    simulated: bool,
-) -> list[Drawing]:
-    """One panel for each metric on all objects: value, interval, rank with its set."""
+def detector_plots(
+    name: str, rows: Sequence[Result], groups: Sequence[tuple[str, ...]], measures: Mapping[str, str]
+) -> Plots | None:
+    """One plot for each metric on all objects: value, interval, rank with its set."""
     here = {(r.method, r.metric): r for r in rows if r.subject == EVERY_OBJECT and r.outcome is Outcome.NONE}
-    shown = [m for m in measures if any(metric == m for _, metric in here)]
-    if not shown or not groups:
-        return []
-    figure = style.new_figure(12.0, 1.5 + 0.34 * len(groups), f"{name}: detectors on all objects", simulated)
-    panels = figure.subplots(1, len(shown), squeeze=False)[0]
-    captions = []
-    for k, (axes, metric) in enumerate(zip(panels, shown, strict=True)):
-        for i, names in enumerate(groups):
-            row, rank = (here.get((f"{names[0]}/object", f"{p}{metric}")) for p in ("", "rank_"))
-            if row is None or rank is None:
-                continue
-            _whisker(axes, row, i, solid=rank.lower <= 1)
-            words = f"{rank.value:.0f} [{rank.lower:.0f}-{rank.upper:.0f}]"
-            axes.annotate(
-                words, (1.0, i), xycoords=("axes fraction", "data"), xytext=(3, 0), textcoords="offset points",
-                va="center", fontsize=7.5, color="#444444",
-            )  # fmt: skip
-            captions.append(f"{'/'.join(names)} {metric} {row.value:.3g}, rank {words}")
-        _rows_of(axes, [" = ".join(g) for g in groups] if k == 0 else [""] * len(groups))
-        axes.set_xlabel("\n".join(style.plain(part) for part in measures[metric].split(", ", 1)), fontsize=8.0)
-        if metric.startswith("far"):
-            axes.set_xscale("symlog", linthresh=_least_positive([here[k] for k in here if k[1] == metric]))
-            axes.set_xlim(left=0.0)
-        axes.tick_params(axis="x", labelsize=7.5)
-    title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set], filled where it may be first"
+    detectors, captions = rows_axis([" = ".join(g) for g in groups]), []
+    views: dict[str, SubjectView] = {}
+    for metric in [m for m in measures if any(metric == m for _, metric in here)]:
+        pairs = [[here.get((f"{g[0]}/object", f"{p}{metric}")) for p in ("", "rank_")] for g in groups]
+        known = [(i, row, rank) for i, (row, rank) in enumerate(pairs) if row is not None and rank is not None]
+        # Densities of false alarms are drawn on a logarithmic axis, where none stands at its left end.
+        far = metric.startswith("far")
+        positive = [v for _, row, _ in known for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
+        floor = 0.5 * min(positive, default=1.0) if far else -math.inf
+        marks = []
+        for first in (True, False):
+            own = [(i, row, rank) for i, row, rank in known if (rank.lower <= 1) == first]
+            values = np.array([(row.value, row.lower, row.upper, i) for i, row, _ in own], float).reshape(-1, 4).T
+            columns = dict(zip(("x", "low", "high"), np.maximum(values[:3], floor), strict=True)) | {"y": values[3]}
+            words = tuple(f"{rank.value:.0f} [{rank.lower:.0f}-{rank.upper:.0f}]" for *_, rank in own)
+            beside = {"x": np.fmax(columns["x"], columns["high"]), "y": values[3]}
+            label = "may be first" if first else "is not first"
+            marks.append(measured_mark("dots", columns, label, marker="circle", hollow=not first, along="x"))
+            marks.append(measured_mark("dots", beside, "", words=words, beside=True))
+            captions += [
+                f"{'/'.join(groups[i])} {metric} {row.value:.3g}, rank {w}"
+                for (i, row, _), w in zip(own, words, strict=True)
+            ]
+        none = " (none: at the left end)" if far and any(row.value == 0.0 for _, row, _ in known) else ""
+        views[measures[metric] + none] = SubjectView(
+            Axis("value", "log" if far else "linear"), (Part(detectors, tuple(marks)),)
+        )
+    if not views or not groups:
+        return None
+    title = f"{name}: detectors on all objects with 95 % intervals; rank [95 % set]"
     alt = f"Metrics of each detector on all objects of {name}. {'; '.join(captions)}."
-    return [style.vector_drawing(figure, f"{name}-detectors", name, title, alt)]
+    return Plots(f"{name}-detectors", name, title, alt, views)
 
 
 def rank_figures(
@@ -109,28 +110,6 @@ def rank_figures(
     return [style.vector_drawing(figure, f"{name}-ranks", name, title, alt)]
 
 
-def _whisker(axes: Axes, row: Result, at: int, *, solid: bool) -> None:
-    colour = COLLECTED.colour
-    if math.isfinite(row.lower):
-        axes.plot([row.lower, row.upper], [at, at], color=colour, linewidth=3.0, alpha=0.35)
-    axes.plot(
-        row.value, at, "o", color=colour, markersize=5, markerfacecolor=colour if solid else "white",
-        markeredgewidth=1.2,
-    )  # fmt: skip
-
-
-def _rows_of(axes: Axes, labels: Sequence[str]) -> None:
-    axes.set_yticks(
-        range(len(labels)), [style.plain(style.shortened(x, 44)) if x else "" for x in labels], fontsize=8.0
-    )
-    axes.set_ylim(len(labels) - 0.5, -0.5)
-
-
-def _least_positive(rows: Sequence[Result]) -> float:
-    values = [v for r in rows for v in (r.value, r.upper) if math.isfinite(v) and v > 0]
-    return min(values, default=1.0)
-
-
 @dataclass(frozen=True)
 class CampaignWords:
     """What the page says of a campaign besides its rows."""
@@ -162,7 +141,8 @@ def draw_benchmark(report: BenchmarkReport) -> list[Drawing]:
         for item in report.campaigns:
             rows = list(report.table.where(campaign=item.name))
             groups = alike(rows, report.measures)
-            out += detector_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
+            plots = detector_plots(item.name, rows, groups, report.measures)
+            out += [] if plots is None else [drawing_of(plots, simulated=item.simulated)]
             out += rank_figures(item.name, rows, groups, report.measures, simulated=item.simulated)
     return out
 
