@@ -24,7 +24,7 @@ from hyperval.products import Products, RocCurve, ScoreDistribution, SpectralEst
 from hyperval.report import style
 from hyperval.report.charts_base import LABELS, Chart, ChartFill, Curves, Labels, chart_content, column_text
 from hyperval.report.plots import Axis, Plots, SubjectView
-from hyperval.report.run import ScoreMap, Sides, best_counted, both_first, difference, of_side
+from hyperval.report.run import ScoreMap, Sides, best_counted, difference, drawn_of
 from hyperval.results import Outcome, Result
 from hyperval.spectra.axis import SpectralAxis, in_window
 
@@ -88,17 +88,15 @@ def draw_charts(sides: Sides, rows: Sequence[Result], labels: Labels = LABELS) -
 def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), labels: Labels = LABELS) -> Chart | None:
     """Both sides of one subject at a time over wavelength, with the difference below; None without any."""
     label, title, ratio = SPECTRA_WORDS[product]
-    predicted, collected = (of_side(side, product) for side in sides)
-    every = both_first(predicted, collected)
-    pairs = [subject for subject in every if subject in predicted and subject in collected]
-    if not pairs and None not in sides:
+    predicted, collected, drawn, paired = drawn_of(sides, product)
+    if not paired and None not in sides:
         return None
-    shown = _worst_first(pairs or every, product, rows)[:MOST_SUBJECTS]
+    shown = _worst_first(drawn, product, rows)[:MOST_SUBJECTS]
     if not shown:
         return None
     spectra = [subject_spectra(sides, predicted.get(name), collected.get(name), ratio=ratio) for name in shown]
-    words = " and ".join(labels) if pairs else labels[0] if sides[0] is not None else labels[1]
-    identical = bool(pairs) and not any(np.nan_to_num(own.bands["difference"][0]).any() for own in spectra)
+    words = " and ".join(labels) if paired else labels[0] if sides[0] is not None else labels[1]
+    identical = paired and not any(np.nan_to_num(own.bands["difference"][0]).any() for own in spectra)
     if identical:  # nothing to draw
         words += ", which are identical"
         spectra = [own.without_difference() for own in spectra]
@@ -108,7 +106,7 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
     return Chart(
         name,
         product,
-        f"{title}: {words} {grey}{style.left_out([shown], pairs or every)}",
+        f"{title}: {words} {grey}{style.left_out([shown], drawn)}",
         f"{title} against {over}, a subject at a time: {labels[0]} (dashed) and {labels[1]} (solid) with 95 % "
         f"intervals{below}. Subjects: {', '.join(shown)}.",
         chart_content(
@@ -122,15 +120,13 @@ def spectra_chart(sides: Sides, product: str, rows: Sequence[Result] = (), label
 
 def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
     """P_D against P_FA, a tab for each detector and unit, a name in the legend for each subject."""
-    predicted, measured = (of_side(side, "roc") for side in sides)
-    every = both_first(predicted, measured)
-    pairs = [key for key in every if key in predicted and key in measured]
-    kinds = list(dict.fromkeys(key[1:] for key in pairs or every))
+    predicted, measured, drawn, _ = drawn_of(sides, "roc")
+    kinds = list(dict.fromkeys(key[1:] for key in drawn))
     if not kinds:
         return None
     tabs, shown, fill = [], [], ChartFill()
     for number, (detector, unit) in enumerate(kinds):
-        keys = [key for key in pairs or every if key[1:] == (detector, unit)]
+        keys = [key for key in drawn if key[1:] == (detector, unit)]
         keys = best_counted(keys, measured, MOST_CURVES // len(kinds) or 1)
         shown.append(keys)
         tabs.append((f"{detector}, by {unit}", _fill_curves(fill, number, keys, predicted, measured)))
@@ -140,7 +136,7 @@ def roc_chart(sides: Sides, labels: Labels = LABELS) -> Chart | None:
     return Chart(
         "chart-roc",
         "roc",
-        f"ROC: {words}; a click on a name shows or hides it{style.left_out(shown, pairs or every)}",
+        f"ROC: {words}; a click on a name shows or hides it{style.left_out(shown, drawn)}",
         f"Probability of detection against probability of false alarm (logarithmic), {labels[0]} dashed and "
         f"{second}{' in steps' if second == 'measured' else ''}, with 95 % intervals, a tab for each detector. "
         f"Subjects: {', '.join(names)}.",

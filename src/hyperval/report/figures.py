@@ -45,7 +45,7 @@ from hyperval.report.charts import (
 from hyperval.report.netcdf import read_products
 from hyperval.report.plots import GREY, Axis, Mark, Part, Plots, SubjectView, measured_mark, predicted_mark
 from hyperval.report.plots_run import equivalence_margin, every_plot
-from hyperval.report.run import EigenvalueSpectrum, Sides, TailCurve, best_counted, both_first, of_side
+from hyperval.report.run import EigenvalueSpectrum, Sides, TailCurve, best_counted, both_first, drawn_of
 from hyperval.report.stored import read_results
 from hyperval.report.style import Drawing, Print, house_style
 from hyperval.results import ResultTable
@@ -96,13 +96,10 @@ def small_multiples(
 def spectra_plots(sides: Sides, product: str) -> list[Plots]:
     """Both sides over wavelength with their difference below, a subject each; ``product`` names a field of Products."""
     label, title, ratio = SPECTRA_WORDS[product]
-    predicted, measured = (of_side(side, product) for side in sides)
-    # Where anything can be compared, what only one side holds is left to products.nc.
-    every = both_first(predicted, measured)
-    pairs = [subject for subject in every if subject in predicted and subject in measured]
-    if not pairs and None not in sides:
+    predicted, measured, drawn, paired = drawn_of(sides, product)
+    if not paired and None not in sides:
         return []  # a comparison that has none of this product
-    pages, plots = style.pages(pairs or every), []
+    pages, plots, every = style.pages(drawn), [], both_first(predicted, measured)
     axis = next(side.axis for side in sides if side is not None)
     x = Axis(style.band_label(axis), ends=wavelength_ends(axis.centre_nm))
     for number, subjects in enumerate(pages, start=1):
@@ -143,11 +140,10 @@ def _spectra_view(x: Axis, label: str, spectra: Spectra, ratio: bool) -> Subject
 
 def roc_plots(sides: Sides) -> list[Plots]:
     """P_D against P_FA on a logarithmic axis, a plot for each subject, detector and unit."""
-    predicted, measured = (of_side(side, "roc") for side in sides)
+    predicted, measured, drawn, _ = drawn_of(sides, "roc")
     every = both_first(predicted, measured)
-    pairs = [key for key in every if key in predicted and key in measured]
     dotted = " (dotted: 1 / background pixels)" if any(c.n_background for c in measured.values()) else ""
-    pages, plots = style.pages(best_counted(pairs or every, measured, 2 * style.MAX_PANELS)), []
+    pages, plots = style.pages(best_counted(drawn, measured, 2 * style.MAX_PANELS)), []
     for number, keys in enumerate(pages, start=1):
         low = lowest_pfa([curves[key] for curves in (predicted, measured) for key in keys if key in curves], measured)
         views = {_roc_title(k, measured.get(k)): _roc_view(predicted.get(k), measured.get(k), low) for k in keys}

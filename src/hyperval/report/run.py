@@ -389,6 +389,16 @@ def both_first(predicted: Mapping[Any, Any], collected: Mapping[Any, Any]) -> li
     return common + [k for k in predicted if k not in collected] + [k for k in collected if k not in predicted]
 
 
+def drawn_of(sides: Sides, product: str) -> tuple[Mapping[Any, Any], Mapping[Any, Any], list[Any], bool]:
+    """A product of both sides, the keys that are drawn, and whether both sides hold these.
+
+    Where anything can be compared, what only one side holds is left to products.nc.
+    """
+    predicted, measured = (of_side(side, product) for side in sides)
+    pairs = [key for key in predicted if key in measured]
+    return predicted, measured, pairs or both_first(predicted, measured), bool(pairs)
+
+
 def difference(predicted: SpectralEstimate, collected: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
     """(B,) predicted - collected, or that over collected, and its standard uncertainty, independent."""
     p, c, up, uc = predicted.mean, collected.mean, predicted.standard_uncertainty, collected.standard_uncertainty
