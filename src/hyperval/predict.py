@@ -29,19 +29,22 @@ from hyperval.prediction.departure import Departure, Given, moved_on, pixels_of_
 from hyperval.prediction.detection import PredictedDetection, RocKey, detect
 from hyperval.prediction.input import UncertainInput, spectrum_error_covariance
 from hyperval.prediction.inputs import SurfaceStatistics, class_tail
+from hyperval.prediction.monte_carlo import Propagated, drawn_curve, limits, propagate, with_intervals
 from hyperval.prediction.object_scores import expected_scores, object_scores_of_truths, predicted_object_scores
 from hyperval.prediction.spectra import MeanError, spectral_products, without_calibration_error
 from hyperval.prediction.uncertainty import (
+    DRAWN_SHIFT,
     Change,
     Moved,
     Steps,
     given_with,
     inputs_of,
     law_directions,
+    mean_shifts,
     moved_predictions,
     probit,
     setups_without,
-    shifted_intervals,
+    shift_notes,
     spectrum_inputs,
     steps_of,
     with_bands,
@@ -109,12 +112,15 @@ def predict(
         for key, pairs in _changes_of(_curves(scenario, truths, origins), products.roc).items():
             changes[key] += pairs
     moves = moved_predictions([i for i in inputs if not i.subject], again)
+    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
+    linear, drawn = scenario.uncertainty.method == "linear", inputs_of(given) if departure is None else []
     products = _with_moves(
-        products, changes, moves, {p.name: t.name for t in scenario.scene.targets for p in t.populations}
-    )
-    if scenario.uncertainty.method == "linear" or departure is not None:
+        products, changes, moves, filters,
+        lambda: _propagated(case, None, drawn, again, origins).draws.curves if linear and drawn else {},
+    )  # fmt: skip
+    if linear or not drawn:
         return products
-    return _propagated(case, products, inputs_of(given), again, origins)
+    return with_intervals(products, _propagated(case, products, drawn, again, origins), scenario.uncertainty.method)
 
 
 def predictions(
@@ -316,10 +322,12 @@ def _with_moves(
     changes: Mapping[RocKey, list[Change]],
     moves: Sequence[Moved],
     filters: Mapping[str, str],
+    draw: Callable[[], Mapping[Any, Array]],
 ) -> PredictedProducts:
     """The prediction with the errors by inputs that change surfaces, fills or bands, and limits of its curves.
 
-    ``filters`` : population -> the target that its filter looks for
+    ``filters`` : population -> the target that its filter looks for;  ``draw`` : curves (N, K) of truths drawn from
+    the budget, asked for where errors shift the mean of P_D by so much that their directions do not add up
     """
     spectra: dict[str, Any] = {p: dict(getattr(prediction, p)) for p in SPECTRA}
     for product, estimates in spectra.items():
@@ -327,7 +335,11 @@ def _with_moves(
     curves = ({k: c.pd for k, c in p.roc.items()} for m in moves for p in (m.plus, m.minus))
     moved = _changes_of(curves, prediction.roc)
     whole = {key: [*changes[key], *moved[key]] for key in prediction.roc}
-    roc, notes = with_bands(prediction.roc, whole), shifted_intervals(prediction.roc, whole)
+    roc, shifts = with_bands(prediction.roc, whole), mean_shifts(prediction.roc, whole)
+    drawn = draw() if any(shift > DRAWN_SHIFT for shift in shifts.values()) else {}
+    far = {key: limits(drawn[key]) for key, shift in shifts.items() if shift > DRAWN_SHIFT and key in drawn}
+    roc |= {key: drawn_curve(prediction.roc[key], interval) for key, interval in far.items()}
+    notes = shift_notes(shifts, far, len(next(iter(drawn.values()))) if drawn else 0)
     for (population, detector, unit), curve in roc.items():
         alarms = prediction.exceedance.get((filters[population], detector))
         if alarms is not None and np.any(alarms.upper > alarms.probability):
@@ -336,24 +348,19 @@ def _with_moves(
 
 
 def _propagated(
-    case: Case, stated: PredictedProducts, inputs: list[UncertainInput],
+    case: Case, stated: PredictedProducts | None, inputs: list[UncertainInput],
     again: Callable[..., Iterator[PredictedProducts]], origins: Origins,
-) -> PredictedProducts:  # fmt: skip
-    """The prediction with its budget drawn; unchanged where nothing is uncertain."""
-    from hyperval.prediction.monte_carlo import propagate, with_intervals
-
-    if not inputs:
-        return stated
+) -> Propagated:  # fmt: skip
+    """The budget drawn, beside its linear propagation where the prediction is given."""
     scenario = case.setup.scenario
     shifts = any(np.any(np.asarray(i.moved(1.0).wavelength_shift_nm) != 0.0) for i in inputs)
     bands = None if shifts else case.setup.used.true_axis
     u = scenario.uncertainty
-    propagation = propagate(
+    return propagate(
         scenario, stated, inputs, again, samples=u.samples, seed=u.seed,
         engine=lambda state: origins.whole_terms(scenario, state), axis=bands,
         show_progress=origins.show_progress,
     )  # fmt: skip
-    return with_intervals(stated, propagation, u.method)
 
 
 def _provenance(case: Case) -> dict[str, object]:

@@ -330,7 +330,7 @@ class Propagated:
 
 def propagate(
     scenario: Scenario,
-    stated: PredictedProducts,
+    stated: PredictedProducts | None,
     inputs: Sequence[UncertainInput],
     again: Again,
     *,
@@ -344,7 +344,7 @@ def propagate(
 
     Parameters
     ----------
-    stated : the prediction without a departure
+    stated : the prediction without a departure; None draws alone
     again : predictions, without a budget, of departed truths under an engine
     engine, axis : of the atmosphere; bands on which its terms are interpolated, None for the engine's own sampling
 
@@ -355,10 +355,12 @@ def propagate(
     if samples < 40:
         raise UsageError(f"{samples} draws have no 95 % interval", expected="40 or more")
     stand_in = emulator(scenario, inputs, engine, axis) if engine is not None and scenario.atmosphere else None
-
     predicted = partial(again, stand_in=stand_in)
     truths = track(drawn_truths(inputs, samples, seed), "draws of the budget", show=show_progress)
-    draws, linear = draw_products(predicted(truths), seed), linearise(stated, inputs, predicted)
+    draws = draw_products(predicted(truths), seed)
+    if stated is None:
+        return Propagated(Linear({}, {}), draws, (), stand_in)
+    linear = linearise(stated, inputs, predicted)
     rows = []
     for key, values in linear.stated.items():
         if key[0] != "P_D":
@@ -382,7 +384,7 @@ def with_intervals(stated: PredictedProducts, propagation: Propagated, method: s
     for key, curve in stated.roc.items():
         name = ("P_D", *key)
         if method == "monte-carlo" or name in differs:
-            roc[key] = _drawn_curve(curve, limits(propagation.draws.curves[key]))
+            roc[key] = drawn_curve(curve, limits(propagation.draws.curves[key]))
     notes = [_words(propagation)]
     if method == "both" and differs:
         which = ", ".join(sorted({" ".join(k[1:]) for k in differs}))
@@ -409,7 +411,8 @@ def with_intervals(stated: PredictedProducts, propagation: Propagated, method: s
     )
 
 
-def _drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
+def drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
+    """A curve with the limits (K,) of drawn curves, itself inside them."""
     low, high = interval
     return replace(curve, pd_lower=np.minimum(low, curve.pd), pd_upper=np.maximum(high, curve.pd))
 

@@ -7,7 +7,7 @@ Errors of the background's laws where they were fitted to pixels of an image, by
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -261,6 +261,7 @@ RocKey = tuple[str, str, str]
 Change = tuple[Array, Array]  # by one standard uncertainty up, and down
 TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
 _CURVES = 2048  # drawn for the limits of a ROC curve
+DRAWN_SHIFT = 1.0  # standard deviations: beyond, even parts of directions moved alone do not add up to that of all
 _SHIFT = 0.3  # of a standard deviation: 95 % intervals that are off by it hold 94 %, and ever fewer beyond
 _SEEN = 1e-6  # of a probit: below it a change is rounding
 _INNER = 3.0  # probits of P_D between which it is looked for
@@ -433,27 +434,40 @@ def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence
     return {key: _with_limits(curve, changes.get(key, ())) for key, curve in roc.items()}
 
 
-def shifted_intervals(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Change]]) -> list[str]:
-    """Words for curves that both signs of the errors move the same way, by much of what one sign moves them.
+def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Sequence[Change]]) -> dict[RocKey, float]:
+    """How far both signs of the errors move a curve the same way, in standard deviations of its probit, at most.
 
-    Half the sum of the changes up and down, over all directions, is by how much the mean of draws is off the stated
-    curve; beside the standard deviation it says how far one evaluation up and down can be trusted.
+    Half the sum of the changes up and down, over all directions, is by how much the mean of draws would be off the
+    stated curve if the directions did not hold each other back; it says how far one evaluation up and down of each
+    can be trusted.
     """
-    parts = {}
+    shifts = {}
     for key, pairs in changes.items():
         up, down = (np.array([pair[i] for pair in pairs]) for i in (0, 1))
         inner = np.abs(probit(roc[key].pd)) < _INNER
         sd = np.sqrt(((0.5 * (up - down)) ** 2).sum(axis=0))[inner] if pairs else np.zeros(0)
         if np.any(sd > _SEEN):
             shift = np.abs(0.5 * (up + down).sum(axis=0))[inner]
-            parts[key] = float(np.max(shift[sd > _SEEN] / sd[sd > _SEEN]))
-    named = [f"{' '.join(key)} ({part:.2g})" for key, part in parts.items() if part > _SHIFT]
-    if not named:
-        return []
-    return [
-        "the errors shift the mean of P_D (in standard deviations of its probit, at most), which its interval "
-        f"holds roughly: {', '.join(named)}; draw the budget for more: uncertainty: {{method: both}}"
-    ]
+            shifts[key] = float(np.max(shift[sd > _SEEN] / sd[sd > _SEEN]))
+    return shifts
+
+
+def shift_notes(shifts: Mapping[RocKey, float], drawn: Collection[RocKey], samples: int) -> list[str]:
+    """Words for intervals that shifts of the mean make rough, and for those that are drawn for it."""
+    named = {key: f"{' '.join(key)} ({shift:.2g})" for key, shift in shifts.items() if shift > _SHIFT}
+    rough = [name for key, name in named.items() if key not in drawn]
+    notes = []
+    if drawn:
+        notes.append(
+            f"P_D intervals from {samples} draws of the budget, as errors shift the mean by more than its standard "
+            f"deviation, or would if each came alone: {', '.join(named[key] for key in drawn)}"
+        )
+    if rough:
+        notes.append(
+            "the errors shift the mean of P_D (in standard deviations of its probit, at most), which its interval "
+            f"holds roughly: {', '.join(rough)}; draw the budget for more: uncertainty: {{method: both}}"
+        )
+    return notes
 
 
 def _with_limits(curve: RocCurve, changes: Sequence[Change]) -> RocCurve:
