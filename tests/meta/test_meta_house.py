@@ -71,7 +71,7 @@ def test_a_module_that_only_forwards_is_seen():
     assert not only_forwards(ast.parse("from hyperval.model import predict\nLEAST = 3\n"))
 
 
-@pytest.mark.parametrize("number", range(7, 34))
+@pytest.mark.parametrize("number", range(1, 34))
 def test_each_equation_is_found_by_its_own_number(number):
     pattern = re.compile(rf"(?<![\d.])3\.{number}(?!\d)")
     assert any(pattern.search(path.read_text("utf-8")) for path in SOURCE.rglob("*.py"))

@@ -1,5 +1,9 @@
 """What every atmosphere engine returns: the terms of equation 3.7.
 
+Surfaces are Lambertian: their BRDF (3.1) is the reflectance factor over pi (3.2).  What the source writes apart, the
+engine integrates: light of the sun that the surface reflects (3.3), skylight on the surface (3.4) and what it reflects
+of that (3.5) are A and B, light scattered into the line of sight (3.6) is L_a.
+
 Between states: the one place where anything of the atmosphere is interpolated.
 
 Tables, studies, Monte Carlo and the transport of a coarse table differ in where their nodes stand and in how a
