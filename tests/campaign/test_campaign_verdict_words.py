@@ -111,17 +111,17 @@ def test_met_criteria_beside_a_rejected_budget_say_which_to_believe(sites):
     """2 % off, 5 % accepted, 0.1 % stated: criteria met, full tests and attribution far from it."""
     words = sites.first_screen(sites.written(0.02, uncorrelated=0.001))
     assert "4 acceptance criteria are met" in words
-    told = re.search(r"Which to believe: (.*?) The criteria that are met (.*?)\.", words)
+    told = re.search(r"The stated uncertainty is too small (.*?) The criteria that are met (.*?)\.", words)
     assert told, words
     assert "differences reach" in told[1]
-    assert "hold for the size of a difference alone" in told[0]
+    assert "say how large the differences are" in told[0]
     times = float(re.search(r"reach ([\d.]+) times", told[1])[1])
     assert times == pytest.approx(0.02 / 0.001, rel=0.1)
 
 
 def test_a_page_without_a_contradiction_says_nothing_of_it(sites):
     noise = 0.02 * np.random.default_rng(3).standard_normal(len(CENTRES_NM))
-    assert "Which to believe" not in sites.first_screen(sites.written(noise, uncorrelated=0.02))
+    assert "too small" not in sites.first_screen(sites.written(noise, uncorrelated=0.02))
 
 
 def test_a_budget_far_too_wide_is_a_finding_with_a_word_of_its_own(sites):

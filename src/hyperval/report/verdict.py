@@ -93,13 +93,10 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
     words = []
     if met and narrow:
         times = math.sqrt(_most_reduced(narrow, rows))
-        far = f"differences reach {number_text(times, times)} times it" if times > 1 else "they reject it"
-        words.append(
-            f"Which to believe: the full tests and the attribution ({_named(narrow)}) on the stated uncertainty, "
-            f"since {far}: do not use it as the error."
-        )
+        far = f"differences reach {number_text(times, times)} times it" if times > 1 else "full tests reject it"
+        words.append(f"The stated uncertainty is too small ({far}): do not take it for the error of the model.")
         if any(not tests_the_uncertainty(row) for row in met):
-            words.append("The criteria that are met hold for the size of a difference alone.")
+            words.append("The criteria that are met say how large the differences are, not that they are explained.")
         if any(tests_the_uncertainty(row) for row in met):
             words.append("A test of one subject that is met has too little power to contradict them.")
     if wide:
