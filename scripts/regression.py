@@ -60,8 +60,8 @@ def detection(root: Path) -> str:
 def campaigns(root: Path, scratch: Path) -> Iterator[tuple[str, str]]:
     """Time of all campaigns, what they found, and how many numbers are as accepted."""
     files = sorted(root.glob("campaigns/*/campaign*.yaml"))
-    report = scratch / root.name
-    text, seconds = run(root, "-c", HYPERVAL, "-q", "validate", *files, "-o", report)
+    report = scratch / f"{root.name}-validate"
+    text, seconds = run(root, "-c", HYPERVAL, "validate", *files, "-o", report)
     yield "validate", f"{seconds:.0f} s"
     found = re.search(r"acceptance criteria: (.*)", text)
     yield "acceptance criteria", found[1] if found else "-"
