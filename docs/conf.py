@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import hyperval
@@ -64,6 +67,14 @@ def errors_as_list(app: Any, what: str, name: str, obj: Any, options: Any, lines
     lines.append("")
 
 
+def write_reference(app: Any) -> None:
+    """The pages that are made from the code: every key of every file, every metric."""
+    for page in ("files", "metrics"):
+        script = Path(app.srcdir).parent / "scripts" / f"{page}_page.py"
+        subprocess.run([sys.executable, str(script), "--write"], check=True)  # noqa: S603
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
+    app.connect("builder-inited", write_reference)
     app.connect("autodoc-process-docstring", errors_as_list, priority=400)

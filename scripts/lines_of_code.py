@@ -96,7 +96,7 @@ def measured(root: Path) -> Counts:
     for folder in ("tests", "validation"):
         counts[f"{folder}.lines"] = sum(lines_of(p.read_text("utf-8"))[0] for p in (root / folder).rglob("*.py"))
     counts["tests.inner_imports"] = inner_imports(root / "tests")
-    counts["docs.words"] = sum(len(p.read_text("utf-8").split()) for p in (root / "docs").rglob("*.md"))
+    counts["docs.words"] = sum(len(p.read_text("utf-8").split()) for p in (root / "docs").glob("*.md"))
     return counts
 
 

