@@ -31,7 +31,8 @@ MODULES = (
 BESIDE = {
     "class_features", "contradiction", "darkest_pixel_panel", "detection_at", "feature_bands", "fit_elm", "fit_gain",
     "fit_line", "fully_constrained", "library_names", "line_error", "load_sensor", "log10_false_alarm_at",
-    "measured_error", "own_mean_sampling", "predicted_error", "refuse_bad_panels", "whitened", "with_distances",
+    "measured_error", "new_sensor_file", "own_mean_sampling", "predicted_error", "refuse_bad_panels",
+    "whitened", "with_distances",
 }  # fmt: skip
 SOURCE = Path(__file__).parents[2] / "src" / "hyperval"
 FOLDER = Path(__file__).parents[2] / "validation" / "equations"

@@ -9,7 +9,7 @@ import pytest
 
 from hyperval.results import Outcome
 from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.sensor_check.suite import Number, check_sensor, numbers
+from hyperval.sensor_check import Number, check_sensor, numbers
 from small_campaign import stand_in_atmosphere
 
 DOCS = Path(__file__).parents[2] / "docs" / "sensors.md"

@@ -16,10 +16,8 @@ from sensor_data import changed, good_sensor, sensor_of
 from hyperval.cli import run
 from hyperval.config import parse_yaml, placeholders
 from hyperval.errors import UsageError
-from hyperval.sensor.specification import SensorSpecification, load_sensor
-from hyperval.sensor_check.page import bands_beside, write_check
-from hyperval.sensor_check.skeleton import skeleton
-from hyperval.sensor_check.suite import check_sensor
+from hyperval.sensor.specification import SensorSpecification, load_sensor, new_sensor_file
+from hyperval.sensor_check import bands_beside, check_sensor, write_check
 from small_campaign import stand_in_atmosphere
 
 PAGE = Path(__file__).parents[2] / "docs" / "sensors.md"
@@ -160,12 +158,12 @@ def test_a_new_file_does_not_replace_another(here):
 @pytest.mark.parametrize("words", [("my sensor", ["VNIR"]), ("x", []), ("x", ["A", "A"]), ("x", ["a b"])])
 def test_names_that_do_not_serve(words):
     with pytest.raises(UsageError):
-        skeleton(*words)
+        new_sensor_file(*words)
 
 
 def test_the_new_file_is_valid_once_it_is_filled_in():
-    """Every placeholder is filled with a value of its kind; no entry of the skeleton is unknown to the model."""
-    data, lines = parse_yaml(skeleton("mine", ["VNIR"]))
+    """Every placeholder is filled with a value of its kind; no entry of the file is unknown to the model."""
+    data, lines = parse_yaml(new_sensor_file("mine", ["VNIR"]))
     values = {"first_nm": 430, "step_nm": 8, "count": 60, "fwhm_nm": 9, "bits": 12, "aperture_m": 0.05,
               "ifov_mrad": 1.0, "value": 0.5}  # fmt: skip
     found = placeholders(data, lines, "mine")

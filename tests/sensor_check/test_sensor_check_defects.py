@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from sensor_data import SHEET, changed, good_sensor, measured_sensor, sensor_of
 
-import hyperval.sensor_check.suite as bands_module
-import hyperval.sensor_check.suite as noise_module
-import hyperval.sensor_check.suite as scenarios_module
+import hyperval.sensor_check.suite as suite
 from hyperval.errors import UsageError
 from hyperval.results import Outcome
 from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor_check.suite import SensorCheck, check_sensor
+from hyperval.sensor_check import SensorCheck, check_sensor
 from small_campaign import stand_in_atmosphere
 
 Patch = pytest.MonkeyPatch
@@ -182,12 +180,12 @@ def sigma_in_resampling(patch: Patch) -> None:
 
 def resampling(change: Callable[[Any], Any]) -> Callable[[Patch], None]:
     """Changes the bands of several spectra at once, which the responses are tried with, and not those of the sun."""
-    average = bands_module.band_average
+    average = suite.band_average
 
     def changed_average(w: Any, y: Any, axis: Any) -> Any:
         return change(average(w, y, axis)) if np.ndim(y) > 1 else average(w, y, axis)
 
-    return lambda patch: patch.setattr(bands_module, "band_average", changed_average)
+    return lambda patch: patch.setattr(suite, "band_average", changed_average)
 
 
 def noise_sum(patch: Patch) -> None:
@@ -198,12 +196,12 @@ def noise_sum(patch: Patch) -> None:
 def deaf_to(name: str) -> Callable[[Patch], None]:
     """The noise does not react to a change of what makes it."""
     stand_ins = {"scaled": lambda spec, factors: spec, "changed_noise": lambda noise, changes: noise}
-    return lambda patch: patch.setattr(noise_module, name, stand_ins[name])
+    return lambda patch: patch.setattr(suite, name, stand_ins[name])
 
 
 def predicted(change: Callable[[Any], Any]) -> Callable[[Patch], None]:
-    predict = scenarios_module.predict
-    return lambda patch: patch.setattr(scenarios_module, "predict", lambda s, *a: change(predict(s, *a)))
+    predict = suite.predict
+    return lambda patch: patch.setattr(suite, "predict", lambda s, *a: change(predict(s, *a)))
 
 
 def every(group: str, factor: float) -> Callable[[Any], Any]:

@@ -593,7 +593,7 @@ def sensor_check(
 ) -> int:
     """Run the acceptance suite on a sensor; with --output, write its datasheet."""
     from hyperval.report.verdict import gate_fails, limits_text
-    from hyperval.sensor_check.page import check_to_folder
+    from hyperval.sensor_check import check_to_folder
 
     check = check_to_folder(name, output, vary=vary / 100.0, show_progress=settings.show_progress)
     decided = [r for r in check.table if r.planned]
@@ -616,11 +616,11 @@ def sensor_new(
     arms: Annotated[str, typer.Option(help="Its spectrometers, with commas between.")] = "VNIR",
 ) -> int:
     """Write a sensor file to be filled in from a data sheet."""
-    from hyperval.sensor_check.skeleton import skeleton
+    from hyperval.sensor.specification import new_sensor_file
     from hyperval.storage import write_text
 
     path = output if output is not None else Path(f"{name}.yaml")
-    text = skeleton(name, [arm.strip() for arm in arms.split(",")])
+    text = new_sensor_file(name, [arm.strip() for arm in arms.split(",")])
     if path.exists():
         raise UsageError("is there already", where=str(path), mend="name another file with --output (-o)")
     write_text(path, text)

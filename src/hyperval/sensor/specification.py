@@ -9,6 +9,8 @@ How a sensor is run (frames, bins, where its bands truly stand), and numbers tha
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from importlib import resources
@@ -50,6 +52,12 @@ class Quantity(Model):
             return np.full(wavelength_nm.shape, self.value, dtype=float)
         w, v = np.array(self.table).T
         return np.asarray(np.interp(wavelength_nm, w, v))
+
+    def scaled(self, factor: float) -> Quantity:
+        """The number, or every entry of its table, times a factor."""
+        if self.table is None:
+            return self.model_copy(update={"value": factor * float(self.value or 0.0)})
+        return self.model_copy(update={"table": [(w, factor * v) for w, v in self.table]})
 
     @property
     def assumed(self) -> bool:
@@ -102,6 +110,15 @@ class Bands(Model):
             return [fwhm for _, fwhm, _ in self.table]
         return [p.fwhm_nm for p in self.parts or ([self.regular] if self.regular is not None else [])]
 
+    def scaled(self, factor: float) -> Bands:
+        """The same centres with every width times a factor."""
+        table = None if self.table is None else [(w, factor * f, good) for w, f, good in self.table]
+        regular, *parts = (
+            None if b is None else b.model_copy(update={"fwhm_nm": factor * b.fwhm_nm})
+            for b in (self.regular, *(self.parts or ()))
+        )
+        return self.model_copy(update={"table": table, "regular": regular, "parts": parts or None})
+
     @property
     def axis(self) -> SpectralAxis:
         """The bands as an axis (for 3.13)."""
@@ -145,6 +162,12 @@ class Throughput(Model):
         if lacking:
             raise ValueError(f"the convention {self.convention} needs {', '.join(lacking)}")
         return self
+
+    def scaled(self, factor: float) -> Throughput:
+        """A Omega times a factor, as a value."""
+        return Throughput.model_validate(
+            {"convention": "value", "cm2_sr": factor * self.value_cm2_sr, "source": self.source}
+        )
 
     @property
     def value_cm2_sr(self) -> float:
@@ -594,6 +617,32 @@ class Sensor:
         if self.specification.calibration_error_percent.assumed:
             assumptions.append(f"calibration_error_percent ({self.specification.calibration_error_percent.source})")
         return assumptions
+
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+
+
+def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",)) -> str:
+    """The text of a sensor file with everything still to be filled in.
+
+    Parameters
+    ----------
+    name : short name of the sensor
+    arms : names of its spectrometers, in rising wavelength
+
+    Raises
+    ------
+    UsageError : a name that could not stand in a file name, no arm, or the same one twice.
+    """
+    from jinja2 import Template
+
+    for text in (name, *arms):
+        if not _NAME.fullmatch(text):
+            raise UsageError(f"the name {text!r}", expected="letters, digits, dots, dashes and underscores")
+    if not arms or len(set(arms)) != len(arms):
+        raise UsageError("the arms have no names of their own", expected="such as VNIR,SWIR")
+    template = (resources.files("hyperval.sensor") / "new_sensor.yaml.j2").read_text("utf-8")
+    return str(Template(template, trim_blocks=True, keep_trailing_newline=True).render(name=name, arms=arms))
 
 
 def library_names() -> tuple[str, ...]:

@@ -1,0 +1,35 @@
+"""Acceptance of a sensor file, and its datasheet."""
+
+from .page import bands_beside, check_to_folder, write_check
+from .suite import (
+    Number,
+    SensorCheck,
+    applied_moments,
+    check_sensor,
+    electrons_from_energy,
+    electrons_from_noise,
+    neighbour_ratio,
+    numbers,
+    scaled,
+    scene_radiance,
+    sunlit_radiance,
+    unseen_widths,
+)
+
+__all__ = [
+    "Number",
+    "SensorCheck",
+    "applied_moments",
+    "bands_beside",
+    "check_sensor",
+    "check_to_folder",
+    "electrons_from_energy",
+    "electrons_from_noise",
+    "neighbour_ratio",
+    "numbers",
+    "scaled",
+    "scene_radiance",
+    "sunlit_radiance",
+    "unseen_widths",
+    "write_check",
+]
