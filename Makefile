@@ -65,8 +65,9 @@ coverage: $(READY_DEV)  ## how often the 95 % intervals hold, over simulated col
 robustness: $(READY_DEV)  ## a million damaged files through every reader (an hour; goes on where it ended)
 	$(BIN)/python validation/robustness/mutation_study.py --output reports/robustness
 
-cover: $(READY_DEV)  ## lines and branches of the rooms of formulas that their fast tests reach (minutes); COVER_FLAGS=--missing
-	$(BIN)/python validation/robustness/room_coverage.py $(COVER_FLAGS)
+cover: $(READY_DEV)  ## lines and branches that the fast tests reach (minutes); COVER_FLAGS=--show-missing
+	$(BIN)/python -m coverage run -m pytest -q -p no:xdist -m "not slow and not simulation and not data"
+	$(BIN)/python -m coverage report $(COVER_FLAGS)
 
 bill: $(READY)  ## every package that hyperval needs, with version and licence; BILL_FLAGS=--cyclonedx for other tools
 	$(BIN)/python scripts/bill_of_materials.py $(BILL_FLAGS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import signal
 import sys
 import time
@@ -12,7 +11,6 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from code_mutants import changed, places, related_tests
 from mutants import DAMAGES, mutant
 from mutation_study import DEFECTS, READ, REFUSED, batch, outcome, table
 from samples import ImplausibleError, Sample, finite, increasing, samples
@@ -108,33 +106,3 @@ def test_what_a_reader_gives_back_is_looked_at(values: list[float]):
         with pytest.raises(ImplausibleError):
             finite(values, "values")
     assert EngineError("x").exit_code in (2, 3)
-
-
-def test_each_change_of_the_program_is_another_program_and_words_stay(tmp_path: Path):
-    path = tmp_path / "sample.py"
-    path.write_text(
-        "def f(x, y=2):\n    if not x < 1 and y:\n        raise ValueError(f'{x + 1}')\n"
-        "    return -x * y if x in (1, 2.0) else True\n"
-    )
-    tree = ast.parse(path.read_text())
-    changes = [changed(path, i) for i in range(len(places(tree)))]
-    texts = [ast.unparse(made) for made, _, _ in changes]
-    assert len(set(texts)) == len(texts) == 12
-    assert ast.unparse(tree) not in texts
-    assert all("x + 1" in text for text in texts)
-    assert {line for _, line, _ in changes} == {2, 4}
-    words = {how for _, _, how in changes}
-    assert {
-        "x < 1 -> x <= 1",
-        "x in (1, 2.0) -> x not in (1, 2.0)",
-        "-x * y -> -x / y",
-        "True -> False",
-        "-x -> +x",
-    } <= words
-
-
-def test_tests_of_a_module_are_those_of_its_room_and_those_that_import_it():
-    names = [Path(p).name for p in related_tests("hyperval.compare.outcomes")]
-    assert "test_compare_gates.py" in names
-    assert not any("meta" in Path(p).parts for p in related_tests("hyperval.compare.outcomes"))
-    assert "test_equations_scene.py" in [Path(p).name for p in related_tests("hyperval.scene.radiance")]
