@@ -29,7 +29,7 @@ from hyperval.baseline.accepted import (
 )
 from hyperval.baseline.check import compare
 from hyperval.errors import UsageError
-from hyperval.metrics.table import DIGITS, Tolerance, default_tolerance
+from hyperval.metrics import DIGITS, Tolerance, default_tolerance
 from hyperval.processing.intervals import clopper_pearson
 from hyperval.results import Outcome, Result
 

@@ -30,9 +30,7 @@ from pydantic import Field, model_validator
 import hyperval
 from hyperval.config import FILL_IN, Model, load_model
 from hyperval.errors import HypervalError, UsageError, reader
-from hyperval.metrics import metric_of
-from hyperval.metrics.metric import Of
-from hyperval.metrics.table import DIGITS, Tolerance, default_tolerance
+from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.predict import Origins, predict
 from hyperval.processing.roc_model import detection_at
 from hyperval.results import Outcome, Result

@@ -339,8 +339,7 @@ def metrics(
     name: Annotated[str | None, typer.Argument(help="One metric, with everything the table says of it.")] = None,
 ) -> int:
     """List the metrics: range, interval, how each is judged and what moves it."""
-    from hyperval.metrics import metric_of
-    from hyperval.metrics.table import HEADER, entry, listed
+    from hyperval.metrics import HEADER, entry, listed, metric_of
 
     if name is None:
         print_table(HEADER, [tuple(str(x) for x in row) for row in listed()])

@@ -1,17 +1,337 @@
-"""The table of metrics: comparisons, gates, baselines, reports, benchmark and documentation read it."""
+"""The table of metrics (metrics.toml): comparisons, gates, baselines, reports, benchmark and documentation read it.
 
-from hyperval.metrics.metric import Evidence, Kind, Metric
-from hyperval.metrics.table import base_name, explained, foreign, metric_of, plain_words, product_words, table
+How far a number may move before it counts as another number stands in it, too: two machines, or two builds of the
+linear-algebra library, differ in the last digits; a change of the science moves a number by more.  The defaults stand
+between the two (docs/regression.md has both as measured).
+"""
 
-__all__ = [
-    "Evidence",
-    "Kind",
-    "Metric",
-    "base_name",
-    "explained",
-    "foreign",
-    "metric_of",
-    "plain_words",
-    "product_words",
-    "table",
-]
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from fnmatch import fnmatchcase
+from functools import cache
+from importlib import resources
+from typing import Any, Literal
+
+from hyperval.errors import UsageError
+
+
+class Evidence(StrEnum):
+    """What moves a value: the prediction, or the pipeline and the collection alone."""
+
+    MODEL = "model"
+    PIPELINE = "pipeline"
+
+
+class Kind(StrEnum):
+    """How a value is judged.
+
+    quantity: its interval against a range; exact: it has no sampling error, so that the value decides; test: a
+    p-value, against a level and with the power of the test; coverage: 1 or 0, a value inside or outside an
+    interval, where 1 is no agreement of two numbers; equivalence: 1, 0 or -1, the outcome of an interval against a
+    margin; statistic: a number whose distribution is judged by its own test.
+    """
+
+    QUANTITY = "quantity"
+    EXACT = "exact"
+    TEST = "test"
+    COVERAGE = "coverage"
+    EQUIVALENCE = "equivalence"
+    STATISTIC = "statistic"
+
+
+Of = Literal["value", "interval", "unit"]
+Move = tuple[float, Of]
+# A tolerance of an interval needs one; these are for rows without.
+_USUAL: tuple[Move, Move] = ((0.1, "interval"), (0.01, "value"))
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One metric of the results table: a row of metrics.toml.
+
+    Attributes
+    ----------
+    section : of the table: spectral, detection, other, sensors
+    name : as in the table without what follows "@"; ``*`` stands for what varies (a region, another metric)
+    words : what it is, for a reader of a page
+    function : what computes it, within the package
+    formula : in plain text
+    unit : of its value; "" where that is another one's
+    low, high : least and greatest value
+    agreement : value where both sides are equal; NaN where that is no question
+    better : direction of a better result, for metrics that rank
+    kind : how it is judged
+    interval : kind of its 95 % interval
+    tolerance : how far an accepted number may move: of its value, of half its interval, or in its unit; and where
+        the row has no interval
+    evidence : what moves it
+    reference : source of the formula
+    example, gives : an expression with the function, and its value; or a command whose rows have it, without a
+        value; empty where the example stands in the docstring of the function
+    usual : range (of a test: level) by which a row is judged that no campaign plans; it informs
+    alternative, departure : of a test, the departure against which it needs 80 % power before it agrees, in words
+    short : a few plain words for a sentence, in which ``{product}`` and ``{part}`` (of the spectrum) are filled in
+    two_sided : a p-value near 1 says that the uncertainty is too wide, and counts as one near 0 does
+    """
+
+    section: str
+    name: str
+    words: str
+    function: str
+    formula: str = ""
+    unit: str = "1"
+    low: float = -math.inf
+    high: float = math.inf
+    agreement: float = math.nan
+    better: Literal["", "high", "low"] = ""
+    kind: Kind = Kind.QUANTITY
+    interval: str = "none"
+    tolerance: tuple[Move, Move] = _USUAL
+    evidence: Evidence = Evidence.MODEL
+    reference: str = ""
+    example: str = ""
+    gives: float = math.nan
+    usual: tuple[float, float] | None = None
+    alternative: float = math.nan
+    departure: str = ""
+    two_sided: bool = False
+    short: str = ""
+
+    def fits(self, base: str) -> bool:
+        """Whether this row is about a metric of that name."""
+        return fnmatchcase(base, self.name)
+
+
+def base_name(metric: str) -> str:
+    """A metric's name without the point it is taken at."""
+    return metric.partition("@")[0]
+
+
+@cache
+def table() -> Mapping[str, Metric]:
+    """Every metric by name; plain names before patterns."""
+    sections = tomllib.loads((resources.files(__package__) / "metrics.toml").read_text("utf-8"))
+    rows = [_row(section, entries) for section, listed in sections.items() for entries in listed]
+    rows.sort(key=lambda m: "*" in m.name)
+    if len({m.name for m in rows}) != len(rows):
+        raise AssertionError("two metrics of one name")
+    return {m.name: m for m in rows}
+
+
+def _row(section: str, entries: dict[str, Any]) -> Metric:
+    """A metric of the file; a tolerance of one kind holds with an interval and without."""
+    moves = [(float(size), of) for of, size in entries.pop("tolerance", {}).items()]
+    tolerance = {"tolerance": (moves[0], moves[-1])} if moves else {}
+    words = {"kind": Kind(entries.pop("kind", "quantity")), "evidence": Evidence(entries.pop("evidence", "model"))}
+    usual = {"usual": tuple(entries.pop("usual"))} if "usual" in entries else {}
+    return Metric(section=section, **words, **tolerance, **usual, **entries)  # type: ignore[arg-type]
+
+
+@cache
+def metric_of(name: str) -> Metric:
+    """The row of a metric; a name with ``*`` or ``?`` of its own gets the first that it could mean.
+
+    Raises
+    ------
+    UsageError : the table has no such metric.
+
+    Examples
+    --------
+    >>> metric_of("pd_difference@1e-2").agreement
+    0.0
+    """
+    base, known = base_name(name), table()
+    if name.endswith("_fraction") and name not in known:  # of a pooled gate
+        return known["*_fraction"]
+    if name.endswith("_change") and base != name:  # of a number at a point
+        return known["*_change"]
+    if base in known:
+        return known[base]
+    row = next((m for m in known.values() if m.fits(base)), None)
+    if row is None and set(base) & set("*?"):
+        row = next((m for m in known.values() if fnmatchcase(m.name, base)), None)
+    if row is None:
+        near = difflib.get_close_matches(base, known, n=1)
+        raise UsageError(
+            f"{name!r} is not a metric",
+            expected="one of those that hyperval metrics lists",
+            mend=f"did you mean {near[0]!r}?" if near else "",
+        )
+    return row
+
+
+_PART_WORDS = {
+    "vnir": " in the VNIR", "swir1": " in SWIR 1", "swir2": " in SWIR 2", "absorption": " in absorption bands"
+}  # fmt: skip
+
+
+_PRODUCT_WORDS = {"toa_reflectance": "top-of-atmosphere reflectance", "snr": "signal-to-noise ratio"}
+
+
+def product_words(product: str) -> str:
+    """A product in a sentence.
+
+    Examples
+    --------
+    >>> product_words("toa_reflectance")
+    'top-of-atmosphere reflectance'
+    """
+    return _PRODUCT_WORDS.get(product, product)
+
+
+def plain_words(metric: str, product: str) -> str:
+    """What a metric of a product is about, for a sentence: "level of the radiance in the VNIR".
+
+    Examples
+    --------
+    >>> plain_words("p_value_shape", "radiance")
+    'shape of the radiance'
+    """
+    base = base_name(metric)
+    short = metric_of(metric).short
+    product = product_words(product)
+    return short.format(product=product, part=_PART_WORDS.get(base.rpartition("_")[2], "")) or f"{product} {base}"
+
+
+_OF_SPECTRA = ("processing.intervals.difference_ratio", "compare.rows", "compare.spectral")
+_SPECTRA = ("radiance", "snr", "reflectance", "toa_reflectance")
+_SPREAD = ("covariance", "classification")
+_PARTS = ("windows", "vnir", "swir1", "swir2", "absorption")
+
+
+def foreign(name: str, product: str) -> str:
+    """Why a product of a comparison has no metric of that name, in words; empty where it may have.
+
+    A name with ``*`` or ``?`` may mean several and is not looked at.
+
+    Examples
+    --------
+    >>> foreign("median_difference_ratio_window", "radiance")
+    "no part of the spectrum is 'window'; one of windows, vnir, swir1, swir2, absorption"
+    """
+    base = base_name(name)
+    if set(base) & set("*?"):
+        return ""
+    row = metric_of(name)
+    own: tuple[str, ...]
+    if row.section == "spectral":
+        of_spectra = row.function.startswith(_OF_SPECTRA) and not base.startswith("error")
+        own = _SPECTRA if of_spectra else _SPREAD
+    elif row.section == "detection":
+        own = ("abundance",) if base.startswith("area") else ("scores", "roc")
+    else:
+        return ""
+    if product not in own:
+        return f"{base!r} is a metric of {' or '.join(own)}, not of {product}"
+    part = base.removeprefix(row.name.removesuffix("*")) if row.name.endswith("_ratio_*") else _PARTS[0]
+    return "" if part in _PARTS else f"no part of the spectrum is {part!r}; one of {', '.join(_PARTS)}"
+
+
+def explained(names: Iterable[str]) -> list[tuple[str, str]]:
+    """(metric, what it is), each once, by name."""
+    return [(base, metric_of(base).words) for base in sorted({base_name(name) for name in names})]
+
+
+HEADER = ("metric", "unit", "range", "agreement", "judged as", "interval", "evidence", "tolerance", "words")
+
+
+def range_text(metric: Metric) -> str:
+    """The values that a metric can take.
+
+    Examples
+    --------
+    >>> range_text(metric_of("pd_difference")), range_text(metric_of("z"))
+    ('-1 to 1', '')
+    """
+    if math.isinf(metric.low) and math.isinf(metric.high):
+        return ""
+    if math.isinf(metric.high):
+        return f"{metric.low:g} and more"
+    return f"{metric.low:g} to {metric.high:g}"
+
+
+def tolerance_text(metric: Metric) -> str:
+    """How far an accepted number may move."""
+    first, other = metric.tolerance
+    return _move(first) if first == other else f"{_move(first)}, without one {_move(other)}"
+
+
+def _move(move: Move) -> str:
+    size, of = move
+    return {"value": f"{size:g} of the value", "interval": f"{size:g} of half the interval", "unit": f"{size:g}"}[of]
+
+
+def listed() -> Iterator[tuple[str, ...]]:
+    """A line for each metric, in the columns of :data:`HEADER`."""
+    for m in table().values():
+        agreement = "" if math.isnan(m.agreement) else f"{m.agreement:g}"
+        yield (
+            m.name, m.unit, range_text(m), agreement, m.kind, "" if m.interval == "none" else m.interval,
+            m.evidence, tolerance_text(m), m.words,
+        )  # fmt: skip
+
+
+def entry(m: Metric) -> list[str]:
+    """The paragraph of one metric for the page of the documentation."""
+    lines = [f"### `{m.name}`", "", f"{m.words[0].upper()}{m.words[1:]}.", ""]
+    facts = [
+        ("formula", f"`{m.formula}`" if m.formula else ""),
+        ("computed by", f"`hyperval.{m.function}`"),
+        ("unit", m.unit),
+        ("range", range_text(m)),
+        ("when both sides are equal", "" if math.isnan(m.agreement) else f"{m.agreement:g}"),
+        ("better", m.better),
+        ("judged as", m.kind),
+        ("95 % interval", "" if m.interval == "none" else m.interval),
+        ("judged unasked by", _usual(m)),
+        ("power wanted against", m.departure),
+        ("moves with", "the prediction" if m.evidence == "model" else "the pipeline alone"),
+        ("accepted numbers may move by", tolerance_text(m)),
+        ("reference", m.reference),
+        ("example", _example(m)),
+    ]
+    return [*lines, *(f"- {name}: {text}" for name, text in facts if text), ""]
+
+
+def _usual(m: Metric) -> str:
+    if m.usual is None:
+        return ""
+    low, high = m.usual
+    return f"at least {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
+
+
+def _example(m: Metric) -> str:
+    """What gives the row: an expression, a command, or the example in the function's docstring."""
+    if not m.example:
+        return f"in the docstring of `hyperval.{m.function}`"
+    return f"`{m.example}`" if math.isnan(m.gives) else f"`{m.example}` is {m.gives:.6g}"
+
+
+DIGITS = 6  # significant digits that are kept
+_ROUNDING = 0.51 * 10.0 ** (1 - DIGITS)
+_SMALLEST = 1e-9  # below this a difference of numbers of order 1 is rounding
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """A tolerance: of the accepted value, of the half width of its 95 % interval, or in the metric's own unit."""
+
+    tolerance: float
+    of: Of
+
+    def width(self, accepted: float, half_width: float | None = None) -> float:
+        """Largest difference from ``accepted`` that is tolerated, in the metric's unit."""
+        scale = {"value": abs(accepted), "interval": half_width or 0.0, "unit": 1.0}[self.of]
+        return max(self.tolerance * scale, _ROUNDING * abs(accepted), _SMALLEST)
+
+
+def default_tolerance(metric: str, half_width: float | None = None) -> Tolerance:
+    """The tolerance of a metric whose baseline does not name one, as the table of metrics has it."""
+    with_interval, without = metric_of(metric).tolerance
+    return Tolerance(*(with_interval if half_width or with_interval[1] != "interval" else without))

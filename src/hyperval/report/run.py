@@ -21,8 +21,7 @@ from pydantic import Field
 
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError
-from hyperval.metrics import Evidence
-from hyperval.metrics.table import DIGITS, default_tolerance
+from hyperval.metrics import DIGITS, Evidence, default_tolerance
 from hyperval.processing.intervals import difference_ratio, difference_ratio_uncertainty
 from hyperval.products import ObservedProducts, PredictedProducts, Products, RocCurve, SpectralEstimate
 from hyperval.results import Result, ResultTable
